@@ -12,6 +12,8 @@ WIDTH, HEIGHT = 420, 170  # of a plot [px]
 _LEFT, _RIGHT, _TOP, _BELOW = 52, 8, 8, 34
 LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
 MOST_POINTS = 400
+BLUE = "#0072B2"  # Okabe & Ito (2008), as all but one of the next: distinguishable with any colour vision
+LEVELS = FINE, WARNING, LOST = "#009E73", "#E69F00", "#CC3311"  # the last by Tol (2021); see `status.level`
 GENERATOR = '<meta name="generator" content="cnclik">'  # in pages, which are known again by it
 
 
@@ -33,13 +35,16 @@ def table(header, rows, *, left=1) -> str:
     return f"<table style='border-collapse:collapse'>{head}<tbody>{body}</tbody></table>"
 
 
-def error_plot(t, size, bad) -> str:
-    """An SVG of an error (K,) over time (K,) [s] on a logarithmic scale; times of bad steps (K,) are marked below."""
-    t, size, bad = (np.asarray(v) for v in (t, size, bad))
+def error_plot(t, size, level) -> str:
+    """An SVG of an error (K,) over time (K,) [s] on a logarithmic scale, and below it marks in the colours of LEVELS.
+
+    Args: level: (K,) integers, places in LEVELS; 0 has no mark.
+    """
+    t, size, level = (np.asarray(v) for v in (t, size, level))
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST_POINTS)).round().astype(int))
     # What is left out counts by its worst.
-    size, bad = np.where(np.isfinite(size), size, 0.0), bad.astype(bool)
-    size[some], bad[some] = np.maximum.reduceat(size, some), np.logical_or.reduceat(bad, some)
+    size, level = np.where(np.isfinite(size), size, 0.0), level.copy()
+    size[some], level[some] = np.maximum.reduceat(size, some), np.maximum.reduceat(level, some)
     known = size[np.isfinite(size) & (size > LEAST_ERROR)]
     low, high = (np.floor(np.log10(known.min())), np.ceil(np.log10(known.max()))) if known.size else (-1, 0)
     high = max(high, low + 1)
@@ -56,9 +61,10 @@ def error_plot(t, size, bad) -> str:
         parts.append(f"<text x='{_LEFT - 6}' y='{y + 4:.1f}' text-anchor='end'>1e{decade:.0f}</text>")
     shown = [i for i in some if np.isfinite(size[i]) and size[i] > LEAST_ERROR]
     points = " ".join(f"{x[i]:.1f},{height(size[i]):.1f}" for i in shown)
-    parts.append(f"<polyline points='{points}' fill='none' stroke='#0072B2' stroke-width='1.5'/>")
-    for i in np.flatnonzero(bad[some]):
-        parts.append(f"<rect x='{x[some[i]]:.1f}' y='{HEIGHT - _BELOW + 2}' width='2' height='4' fill='#D55E00'/>")
+    parts.append(f"<polyline points='{points}' fill='none' stroke='{BLUE}' stroke-width='1.5'/>")
+    for i in some[level[some] > 0]:
+        fill = LEVELS[level[i]]
+        parts.append(f"<rect x='{x[i]:.1f}' y='{HEIGHT - _BELOW + 2}' width='2' height='4' fill='{fill}'/>")
     for place, anchor, value in ((x[0], "start", t[0]), (x[-1], "end", t[-1])):
         parts.append(f"<text x='{place:.1f}' y='{HEIGHT - 14}' text-anchor='{anchor}'>{value:.4g} s</text>")
     parts.append(f"<text x='{_LEFT + wide / 2}' y='{HEIGHT - 3}' text-anchor='middle'>‖e‖ [m, rad] over time</text>")

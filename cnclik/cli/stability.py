@@ -230,7 +230,7 @@ def _map(args, out, found, rest):
             found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop, **driven
         )
     _write(out, "map.nc", data, config)
-    title = "\n".join(filter(None, (f"{advice.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 48))))
+    title = "\n".join(filter(None, (f"{advice.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 60))))
     drawn = drawn_by("stability", "stability_map", data, title=title, operating=(rate, found.Ts, now.margin))
     described = {"Description": as_json(config)}
     figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | described)}

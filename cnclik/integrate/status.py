@@ -37,6 +37,8 @@ class Status(enum.IntFlag):
 
 MISSED = 1e-4  # [m/s, rad/s] what a wall misses, more than that, is no rounding
 
+LOST = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
+NO_DEFECT = Status.RESTARTED
 OWN = Status.NEAR_SINGULAR | Status.GROWING  # what each task of a stack has of its own
 
 _REMEDY = {
@@ -61,6 +63,12 @@ def names(status: ArrayLike) -> str:
     """A status value in words, such as "NOT_CONVERGED|NEAR_SINGULAR"."""
     status = int(np.asarray(status))
     return "|".join(str(s.name) for s in Status if s and s & status) or "OK"
+
+
+def level(status: ArrayLike) -> np.ndarray:
+    """How bad each status is, as a place in `cnclik.markup.LEVELS`: 0 fine, 1 warning, 2 lost."""
+    status = np.asarray(status)
+    return np.where(status & LOST.value, 2, np.where(status & ~NO_DEFECT.value, 1, 0))
 
 
 def count(status: ArrayLike) -> dict[str, int]:

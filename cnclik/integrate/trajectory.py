@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.integrate.status import OWN, count
+from cnclik.integrate.status import OWN, count, level
 from cnclik.record import record, replace
 from cnclik.shapes import Array, Float, Int
 
@@ -91,13 +91,13 @@ class Trajectory:
         return "\n".join(lines)
 
     def _repr_html_(self):
-        """In a notebook: what it says of itself, and of one lane the error over time, bad steps marked below."""
+        """In a notebook: its text and, for one lane, a plot of the error with the steps that are not OK marked."""
         text = f"<pre>{markup.escaped(repr(self))}</pre>"
         known = all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self))
         if not known or np.ndim(self.status) != 1 or len(self.status) == 0:
             return text
         size = np.linalg.norm(np.asarray(self.e), axis=-1)
-        return text + markup.error_plot(self.t, size, np.append(np.asarray(self.status) != 0, False))
+        return text + markup.error_plot(self.t, size, np.append(level(self.status), 0))
 
 
 def _no_tasks(name):

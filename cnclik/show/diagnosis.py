@@ -11,7 +11,7 @@ _DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "marker
 
 
 def oscillation(signal, found, names):
-    """What was recorded, the modes that were found in it, and the path below them; a panel for each column.
+    """The recording, the fitted motion, and the path in it where an oscillation was found; a panel for each column.
 
     Args:
       signal: (N, k). found: `Diagnosis` of it. names: of the columns.
@@ -22,8 +22,9 @@ def oscillation(signal, found, names):
     seen = slice(found.first, found.first + len(found.modes))
     for panel, i in zip(panels, shown, strict=True):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
-        panel.plot(t[seen], found.path[:, i], color=style.ORANGE, linestyle=style.DASH, label="path")
-        panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="path and modes")
+        if found.rings:  # else slow modes and the path are not told apart
+            panel.plot(t[seen], found.path[:, i], color=style.PURPLE, linestyle=style.DASH, label="path")
+        panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")
     return _finish(figure, panels)
 

@@ -9,7 +9,7 @@ import platform
 from collections.abc import Callable
 
 from cnclik import errors
-from cnclik.markup import GENERATOR, escaped, table
+from cnclik.markup import BLUE, GENERATOR, escaped, table
 from cnclik.show.output import FigureError
 from cnclik.writing import output_folder
 
@@ -150,14 +150,17 @@ def _again(report) -> str:
     return f"<h2>To repeat it</h2>{command}{_wide(table((), about.items(), left=2))}"
 
 
-_SHEET = """<style>
-:root{color-scheme:light dark;--ink:#1b1f23;--paper:#fff;--soft:#6a737d;--edge:#d8dde2}
+_SHEET = (
+    """<style>
+:root{color-scheme:light dark;--ink:#1b1f23;--paper:#fff;--soft:#6a737d;--edge:#d8dde2;--line:"""
+    + BLUE
+    + """}
 @media(prefers-color-scheme:dark){:root{--ink:#e3e6e9;--paper:#16191c;--soft:#9aa4ad;--edge:#3a4148}}
 body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,-apple-system,"Segoe UI",sans-serif}
 main{max-width:62rem;margin:0 auto;padding:1rem 1rem 3rem}
 h1{font-size:1.5rem;line-height:1.25;margin:.6rem 0;overflow-wrap:anywhere}
 h2{font-size:1.1rem;margin:2rem 0 .5rem}
-.answer{font-size:1.15rem;border-left:.3rem solid #0072B2;padding:.3rem 0 .3rem .8rem;margin:1rem 0}
+.answer{font-size:1.15rem;border-left:.3rem solid var(--line);padding:.3rem 0 .3rem .8rem;margin:1rem 0}
 .wide{overflow-x:auto;font-size:.92rem;font-variant-numeric:tabular-nums}
 .note,figcaption{color:var(--soft);font-size:.85rem}
 pre{white-space:pre-wrap;overflow-wrap:anywhere;font-size:.85rem;
@@ -175,3 +178,4 @@ figure .pixels{width:43rem}
 @media print{.moving{display:none}main{max-width:none;padding:0}figure,tr{break-inside:avoid}.wide{overflow:visible}
 :root{--ink:#000;--paper:#fff;--soft:#444;--edge:#bbb}}
 </style>"""
+)

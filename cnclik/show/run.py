@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from cnclik import errors
-from cnclik.integrate.status import OWN, Status
+from cnclik import errors, markup
+from cnclik.integrate.status import NO_DEFECT, OWN, Status, level
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
 from cnclik.measure.dataset import Axes, to_dataset
@@ -21,15 +21,15 @@ from cnclik.show.viewer.motion import from_arrays
 
 _TIME = "time $t$ [s]"
 _PARTS = {
-    "m": ("position error ‖e‖ [m]", {"color": style.BLUE}),
-    "rad": ("orientation error ‖e‖ [rad]", {"color": style.ORANGE, "linestyle": style.DASH}),
+    "m": ("position [m]", {"color": style.BLUE}),
+    "rad": ("orientation [rad]", {"color": style.PURPLE, "linestyle": style.DASH}),
 }
 _BITS = [bit for bit in Status if bit]
 
 
 @of_numbers
 def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
-    """A picture of one run: `ck.plot(run, law)`.
+    """Draw one run: `ck.plot(run, law)`.
 
     Args:
       run: `Trajectory` of solve(law, ...), one lane.
@@ -45,7 +45,7 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
 
 
 def joint_paths(data, chain=None):
-    """Joint values against time, one panel per joint, with the chain's limits where a path comes near them."""
+    """Joint values over time, a panel for each joint, with the chain's limits where a joint comes near them."""
 
     def draw(panel, i):
         q = data.q.values[..., i]
@@ -62,7 +62,7 @@ def joint_paths(data, chain=None):
 
 
 def joint_velocities(data, chain=None):
-    """Joint velocities, held during each step, with the chain's limits on each side that comes near them."""
+    """Joint velocities, constant during each step, with the chain's limits where a joint comes near them."""
     fastest = np.nanmax(np.abs(data.qdot.values), initial=0.0) or 1.0
 
     def draw(panel, i):
@@ -82,7 +82,7 @@ def joint_velocities(data, chain=None):
 
 
 def error(data):
-    """Norms of the position and of the orientation error against time, on a logarithmic scale; of each task."""
+    """Norms of position and orientation error over time, on a logarithmic scale; in a stack those of each task."""
     figure, panel = plt.subplots(figsize=(style.COLUMN, 2.2))
     _draw_error(panel, data)
     panel.set_xlabel(_TIME)
@@ -91,7 +91,7 @@ def error(data):
 
 
 def status(data):
-    """What was wrong in each step, one line per status bit, and per task where it is its own; an empty line is good."""
+    """Status of each step, a row for each bit, and for each task that has it alone; an empty row is fine."""
     figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_status_rows(data))))
     _draw_status(panel, data)
     panel.set_xlabel(_TIME)
@@ -99,9 +99,9 @@ def status(data):
 
 
 def tip(data, chain):
-    """The path of the tip and where it was to be, in space; of a planar robot in its plane.
+    """The paths of the tip and of its target in space; for a planar robot in its plane.
 
-    Of several tips a panel for each, all of one scale.
+    Several tips have a panel each, all at the same scale.
     """
     axes, every = "xy" if is_planar(chain) else "xyz", _paths(data, chain)
     space = {} if len(axes) == 2 else {"subplot_kw": {"projection": "3d"}}
@@ -124,7 +124,8 @@ def tip(data, chain):
 def _draw_tip(panel, axes, way, target, room, alone):
     paths = [(way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
     if target is not None:
-        paths.append((target[:, : len(axes)], {"color": "0.6", "linewidth": 2.4, "label": "target"}))
+        look = {"color": "0.6", "linewidth": 2.4, "markersize": 6, "label": "target"}
+        paths.append((target[:, : len(axes)], look))
     for points, look in paths:
         marker = {"marker": "o", "markevery": [-1]}  # where it ends; of a target that stays this is all there is
         panel.plot(*points.T, **marker, **look)
@@ -135,8 +136,10 @@ def _draw_tip(panel, axes, way, target, room, alone):
         panel.set(**{f"{name}lim": (middle - room, middle + room), f"{name}label": f"${name}$ [m]"})
         getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4 if alone else 3))
     if len(axes) > 2:
-        panel.set_box_aspect((1, 1, 1), zoom=0.82 if alone else 0.7)  # room for the labels
-        panel.zaxis.labelpad += 0 if alone else 5  # beside numbers below 0
+        panel.set_box_aspect((1, 1, 1), zoom=0.9 if alone else 0.75)  # room for the labels
+        for axis, tick, label in ((panel.xaxis, -2, -3), (panel.yaxis, -2, 0), (panel.zaxis, 3, 2)):
+            axis.set_tick_params(pad=tick)
+            axis.labelpad = label
     else:
         panel.set_aspect("equal")
 
@@ -252,7 +255,7 @@ def _draw_error(panel, data):
         panel.plot(data.time, np.where(norm > 0, norm, np.nan), label=label, **look)
         norms.append(norm)
     style.log_errors(panel, norms)
-    panel.set_ylabel("error norm")
+    panel.set_ylabel(f"error ‖e‖ [{', '.join(dict.fromkeys(data.axis_unit.values))}]")
 
 
 def _error_parts(data):
@@ -269,17 +272,20 @@ def _error_parts(data):
 
 
 def _status_rows(data):
-    """(label, whether each step has it) of each line; of a stack one for each task that has it of its own."""
+    """(label, colour, whether each step has it) of each row; in a stack a row for each task that has it alone."""
     found = []
     for bit in _BITS:
         words = bit.name.replace("_", " ").lower()
+        color = "0.6" if bit & NO_DEFECT else markup.LEVELS[level(bit)]
         own = data.task_status.values.T & bit.value if "task_status" in data and bit & OWN else np.zeros((0, 1))
         if own.any():
             found += [
-                (f"{words}: {task}", has != 0) for task, has in zip(data.task.values, own, strict=True) if has.any()
+                (f"{words}: {task}", color, has != 0)
+                for task, has in zip(data.task.values, own, strict=True)
+                if has.any()
             ]
         else:
-            found.append((words, (data.status.values & bit.value) != 0))
+            found.append((words, color, (data.status.values & bit.value) != 0))
     return found
 
 
@@ -288,12 +294,12 @@ def _draw_status(panel, data):
     if not data.status.values.any():
         panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
     rows = _status_rows(data)
-    for row, (_, has) in enumerate(rows):
+    for row, (_, color, has) in enumerate(rows):
         bad = np.flatnonzero(has)
         together = np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1)  # neighbouring steps as one bar
         spans = [(edges[steps[0]], edges[steps[-1] + 1] - edges[steps[0]]) for steps in together if steps.size]
-        panel.broken_barh(spans, (row - 0.35, 0.7), color=style.VERMILION, linewidth=0)
-    panel.set_yticks(range(len(rows)), [label for label, _ in rows])
+        panel.broken_barh(spans, (row - 0.35, 0.7), color=color, linewidth=0)
+    panel.set_yticks(range(len(rows)), [label for label, *_ in rows])
     panel.set_ylim(len(rows) - 0.4, -0.6)
     panel.set_xlim(edges[0], edges[-1])
     panel.grid(axis="y", visible=False)

@@ -1,10 +1,11 @@
-"""Figures of stability: regions in the z-plane, measured maps with the linear boundary, strips over M."""
+"""Figures of stability: regions in the z-plane, maps of simulated loops with the linear limit, maps over M."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
+from cnclik import markup
 from cnclik.measure.outcome import Ending
 from cnclik.show import style
 from cnclik.show.sweeps.panels import geometric
@@ -12,7 +13,7 @@ from cnclik.show.sweeps.panels import geometric
 RATES = ListedColormap(plt.get_cmap("viridis")(np.linspace(0.25, 1.0, 256)), "rates")
 # Lighter and darker than every rate, or hatched: told apart in greyscale.
 FLAT = {
-    Ending.SLOW: ("#fbf5c8", "", "converging, not there in N steps"),
+    Ending.SLOW: ("#fbf5c8", "", "converging, not done in N steps"),
     Ending.STALLED: ("#bdbdbd", "//////", "bounded and wrong"),
     Ending.DIVERGED: ("#5e1a03", "", "diverged"),
     Ending.NEAR_SINGULAR: ("#f4a582", "......", "failed near a singularity"),
@@ -57,7 +58,7 @@ def plane(data):
 
 
 def stability_map(data, *, title="", operating=None):
-    """Measured outcome over (alpha, Ts), the linear boundary, and an operating point with its margin.
+    """How simulated loops end over (alpha, Ts), the linear stability limit, and an operating point with its margin.
 
     Args:
       data: from `cnclik.stability.stability_map`.
@@ -65,7 +66,7 @@ def stability_map(data, *, title="", operating=None):
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
     mesh = _cells(axis, data.alpha, data.Ts, data)
-    figure.colorbar(mesh, ax=axis, label="error × per step (measured)", fraction=0.05)
+    figure.colorbar(mesh, ax=axis, label="error factor per step (simulated)", fraction=0.05)
     _legend(figure, [data], columns=3)
     axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
     for values, ticks in ((data.alpha, axis.xaxis), (data.Ts, axis.yaxis)):
@@ -78,37 +79,36 @@ def stability_map(data, *, title="", operating=None):
         axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
         place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
         box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-        words = f"z = {alpha * Ts:.3g}\nmargin {margin:.3g}"
+        words = f"z = {alpha * Ts:.3g}\ngain margin {margin:.3g}"
         axis.annotate(words, (alpha, Ts), fontsize=6.5, bbox=box, **place)
     axis.set(xlim=data.alpha.values[[0, -1]], ylim=data.Ts.values[[0, -1]])
     return figure
 
 
-def radii(axis, x, y, radius, margin=1.0):
+def radii(axis, x, y, radius):
     """Spectral radii as shades over two gains, or a gain and a sampling time; hatched where a loop is unstable."""
     levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
     shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.95"]
     hatches = [None] * 5 + ["////"]
-    axis.contourf(x, y, np.minimum(radius, 10), levels=levels, colors=shades, hatches=hatches)
-    style.log_scale(axis.xaxis, x)
-    style.log_scale(axis.yaxis, y)
-    named = [level for level in (0.2, 0.4, 0.6, 0.8) if level != margin]
-    lines = axis.contour(x, y, radius, levels=named, colors="black", linewidths=0.4)
-    style.label_contours(axis, lines, "%.1f")
+    shown = axis.contourf(x, y, np.minimum(radius, 10), levels=levels, colors=shades, hatches=hatches)
+    bar = axis.figure.colorbar(shown, ax=axis, label="spectral radius", fraction=0.05, drawedges=True)
+    bar.set_ticks(levels, labels=[*(f"{level:g}" for level in levels[:-1]), "∞"])
+    style.log_scale(axis.xaxis, x, decades=3)
+    style.log_scale(axis.yaxis, y, decades=3)
     axis.contour(x, y, radius, levels=[1.0], colors="black", linewidths=1.4)
     axis.grid(False)
 
 
 def gains(data, *, title="", operating=None):
-    """Spectral radius over the gains of two tasks, what any posture bears, and an operating point.
+    """Spectral radius over the gains of two tasks, the limits for any posture, and an operating point.
 
     Args: data: from `cnclik.stability.gains_map`. operating: the two gains now, or None.
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.4))
     y, x = (data[name] for name in data.radius.dims)
     radii(axis, x, y, np.maximum(data.radius.values, 1e-12))
-    drawn = [plt.Line2D([], [], color="black", linewidth=1.4, label="stable to here, at this posture")]
-    bounds = (("stable", style.VERMILION, "stable, at any"), ("recommended", style.ORANGE, "recommended, at any"))
+    drawn = [plt.Line2D([], [], color="black", linewidth=1.4, label="stability limit at this posture")]
+    bounds = (("stable", markup.LOST, "stability limit at any"), ("recommended", style.FINE, "recommended at any"))
     for name, color, label in bounds:
         most = data.attrs[name]
         if np.isfinite(most):
@@ -117,7 +117,6 @@ def gains(data, *, title="", operating=None):
     if operating is not None:
         look = {"linestyle": "none", "markeredgecolor": "white", "color": "0.35", "markersize": 8, "label": "now"}
         drawn += axis.plot(*operating, "o", zorder=5, **look)
-    drawn.append(Patch(facecolor="#7fb2d6", label="shades: spectral radius"))
     labels = [f"{one.attrs['long_name']} [1/s]" for one in (x, y)]
     axis.set(xlim=x.values[[0, -1]], ylim=y.values[[0, -1]], title=title, xlabel=labels[0], ylabel=labels[1])
     figure.legend(handles=drawn, loc="outside lower center", ncols=2, fontsize=6, columnspacing=1.0)
@@ -125,7 +124,7 @@ def gains(data, *, title="", operating=None):
 
 
 def passes(panels):
-    """Strips over M: measured outcome at each z, and the linear limit of each M: odd and even passes differ.
+    """How simulated loops end over z and M, with the linear stability limit of each M; odd and even M differ.
 
     Args:
       panels: {title: Dataset from `cnclik.stability.passes_map`}.
@@ -138,14 +137,14 @@ def passes(panels):
             if np.isfinite(limit):
                 axis.plot([limit, limit], [row - 0.5, row + 0.5], **style.OUTLINED)
         axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values, xlim=data.z.values[[0, -1]])
-    axes[0, 0].set_ylabel("passes M")
-    figure.colorbar(mesh, ax=axes[0, -1], label="error × per step (measured)", fraction=0.05)
+    axes[0, 0].set_ylabel("iterations M")
+    figure.colorbar(mesh, ax=axes[0, -1], label="error factor per step", fraction=0.05)
     _legend(figure, panels.values())
     return figure
 
 
 def _cells(axis, x, y, data):
-    """Measured outcomes as cells: the rate where converged, a flat colour elsewhere."""
+    """Outcomes as cells: the rate where converged, a flat colour elsewhere."""
     axis.grid(False)
     rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
     mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
@@ -164,5 +163,5 @@ def _legend(figure, several, *, columns=4):
     shown = (look for ending, look in FLAT.items() if ending in seen)
     handles = [Patch(facecolor=color, hatch=hatch, label=label) for color, hatch, label in shown]
     if any(np.isfinite(data.limit.values).any() for data in several):
-        handles.append(plt.Line2D([], [], label="linear boundary", **style.OUTLINED))
+        handles.append(plt.Line2D([], [], label="linear stability limit", **style.OUTLINED))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=6, columnspacing=1.0)

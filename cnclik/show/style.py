@@ -11,16 +11,16 @@ from matplotlib import patheffects, ticker
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.transforms import Affine2D
 
-from cnclik.markup import LEAST_ERROR
+from cnclik.markup import BLUE, FINE, LEAST_ERROR, WARNING
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
 LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
 # Okabe & Ito (2008): distinguishable with any colour vision.
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
-RED = "#CC3311"  # Tol (2021): what is lost; beside green and orange it is told apart with any colour vision
+# FINE, WARNING and LOST, green, amber and red, stand in `markup`: what has one of these meanings has its colour.
+BLACK, SKY, VERMILION, PURPLE = "#000000", "#56B4E9", "#D55E00", "#CC79A7"
+GREEN, ORANGE = FINE, WARNING  # of lines, which mean nothing by them
 WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
 
@@ -66,7 +66,7 @@ OUTLINED = {  # a boundary over colours: black with a white edge, seen on any of
     "zorder": 4,
     "path_effects": [patheffects.withStroke(linewidth=2.4, foreground="white")],
 }
-LIMIT = {"color": VERMILION, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
+LIMIT = {"color": WARNING, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder": 2}
 NOTE = {"fontsize": 6.5, "color": "0.35"}
 
 _RC = {

@@ -21,7 +21,7 @@ def history(tuned):
     style.log_scale(upper.yaxis, loss)
     upper.set_ylabel("loss")
     upper.set_title(tuned.loss, loc="left")
-    lower.plot(count, 100 * np.clip(violation, -1, 1), color=style.VERMILION)
+    lower.plot(count, 100 * np.clip(violation, -1, 1), color=style.BLUE)
     lower.axhline(0.0, **style.GUIDE)
     above = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right"}
     lower.annotate("bound", (1, 0.0), xycoords=("axes fraction", "data"), **above, **style.NOTE)
@@ -59,7 +59,7 @@ def operating(field, tuned):
     """
     figure, axis = plt.subplots(figsize=(style.COLUMN, 2.8))
     plane = field.alpha, field.Ts, field.radius
-    radii(axis, *plane, margin=tuned.margin)
+    radii(axis, *plane)
     if tuned.margin < 1:
         axis.contour(*plane, levels=[tuned.margin], colors="black", linewidths=1.0, linestyles=[style.DASH])
     axis.set(xlabel=f"{field.attrs['gain']} [1/s]", ylabel="sampling time [s]")
@@ -67,33 +67,34 @@ def operating(field, tuned):
     point = {"linestyle": "none", "markeredgecolor": "white", "zorder": 5, "clip_on": False}
     for x, y, marker, size, color, label in (
         (tuned.before.z / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", 9, "0.35", "before"),
-        (tuned.after.z / tuned.Ts, tuned.Ts, "D", 5, style.VERMILION, "after"),
+        (tuned.after.z / tuned.Ts, tuned.Ts, "D", 5, style.FINE if tuned.satisfied else style.WARNING, "after"),
     ):
         if low <= x <= high:
             axis.plot(x, y, marker=marker, markersize=size, color=color, label=label, **point)
-    edges = [(1.0, {"linewidth": 1.4}, "stable to here")]
+    edges = [(1.0, {"linewidth": 1.4}, "stability limit")]
     if tuned.margin < 1:
         edges.append((tuned.margin, {"linewidth": 1.0, "linestyle": style.DASH}, f"margin {tuned.margin:g}"))
     for level, look, label in edges:
         if float(field.radius.min()) < level < float(field.radius.max()):
             axis.plot([], [], color="black", label=label, **look)
-    axis.legend(ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)
+    axis.legend(ncols=2 if len(edges) > 1 else 3, loc="lower left", bbox_to_anchor=(-0.1, 1), borderaxespad=0.2)
     return figure
 
 
 def front(tuned):
-    """Loss of gains of other sizes, against the noise that they pass on and the further dead time that they bear."""
+    """Loss of smaller and larger gains over their noise gain and their dead-time margin."""
     data, kept = tuned.front, tuned.front["violation"] <= 1e-6
     figure, panels = plt.subplots(2, 1, figsize=(style.COLUMN, 3.8))
-    names = (("noise_gain", "noise gain"), ("delay_margin", "dead time to spare [samples]"))
+    names = (("noise_gain", "noise gain"), ("delay_margin", "dead-time margin [samples]"))
     for panel, (name, label) in zip(panels, names, strict=True):
         x = np.where(np.isfinite(data[name]), data[name], np.nan)
         y = np.where(np.isfinite(data["loss"]), data["loss"], np.nan)
         panel.plot(x, y, color="0.6", linewidth=0.8, zorder=1)
-        for some, look, word in ((kept, style.COLORS[0], "kept"), (~kept, "white", "not kept")):
-            panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.COLORS[0], markersize=4, label=word)
-        after, word = getattr(tuned.after, name), "recommended" if tuned.satisfied else "exceeds least"
-        panel.plot([after], [tuned.after.loss], "D", color=style.VERMILION, markersize=6, label=word, zorder=5)
+        for some, look, word in ((kept, style.BLUE, "constraints kept"), (~kept, "white", "violated")):
+            panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.BLUE, markersize=4, label=word)
+        after, word = getattr(tuned.after, name), "recommended" if tuned.satisfied else "least violation"
+        color = style.FINE if tuned.satisfied else style.WARNING
+        panel.plot([after], [tuned.after.loss], "D", color=color, markersize=6, label=word, zorder=5)
         panel.set_xlabel(label)
         style.log_scale(panel.xaxis, x, decades=4)
         style.log_scale(panel.yaxis, y)
@@ -103,18 +104,18 @@ def front(tuned):
 
 
 def responses(data):
-    """Step and sine test around the resting place, per task axis, and what the sine leaves as an error."""
+    """Step and sine response around the resting posture for each task axis, and the error of the sine."""
     figure, panels = plt.subplots(3, 1, figsize=(style.COLUMN, 4.2))
     together = _together(data)
     for panel, test in zip(panels[:2], ("step", "sine"), strict=True):
         one = data.sel(test=test).isel(time=slice(0, data.attrs["shown"] if test == "step" else None))
-        panel.plot(one.time, one.wanted[0], color="0.55", linewidth=2.4, label="wanted", zorder=1)
+        panel.plot(one.time, one.wanted[0], color="0.55", linewidth=2.4, label="target", zorder=1)
         _lines(panel, one, one.response, "." if test == "step" else "", together)
-        panel.set_ylabel(f"{test} response")
+        panel.set_ylabel(f"{test} response\n(target: {'1' if test == 'step' else '±1'})")
     panels[1].set_title(f"sine of {1 / data.attrs['period']:.3g} Hz", loc="left", pad=2)
     sine = data.sel(test="sine")
     _lines(panels[2], sine, sine.wanted - sine.response, "", together)
-    panels[2].set_ylabel("sine error")
+    panels[2].set_ylabel("error of the sine\n(target: ±1)")
     panels[2].ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
     panels[2].set_xlabel("time [s]")
     panels[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2)

@@ -40,9 +40,7 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     made = {}
     if measured:
         z = f"{measured:.4g}"
-        qp = (
-            f"FrameTask(gain={z}), the same gain for PostureTask (1 if left out), dt={Ts:g}, where the configuration"
-        )
+        qp = f"FrameTask(gain={z}), the same gain for PostureTask (1 if left out), dt={Ts:g}, where the configuration"
         made |= {name: f"{qp} is measured; {own}" for name in ("pink", "mink")}
         made["Placo"] = (
             f"each solve removes the whole error, so give tasks a target at {z} of the way from the measured state "

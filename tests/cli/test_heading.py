@@ -86,6 +86,8 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--alpha", "20", "--target", "0.3", "0.2", *run])
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(r"up to [\d.]+ rad/s, \d{1,3},\d{3} times a joint's limit", said), said
+    assert re.search(r"X", said), said
+    assert said.index("Target x y") < said.index("velocity limit, up to") < said.index("position error")  # the answer
     assert re.search(r"ask for more than a joint's velocity limit, up to \d{1,3},\d{3} times it", said), said
     main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--reference", "circle", "--radius", "0.05", *run])
     said = " ".join(capsys.readouterr().out.split())

@@ -7,6 +7,7 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 
 import cnclik as ck
+from cnclik import markup
 from cnclik.measure import to_dataset
 from cnclik.show import run as pictures
 from cnclik.show import style
@@ -45,7 +46,9 @@ def run(qdot=None, status=None):
 
 def limits(panel):
     """Heights of the limit lines of a panel."""
-    return sorted(line.get_ydata()[0] for line in panel.lines if to_rgb(line.get_color()) == to_rgb(style.VERMILION))
+    return sorted(
+        line.get_ydata()[0] for line in panel.lines if to_rgb(line.get_color()) == to_rgb(style.LIMIT["color"])
+    )
 
 
 @pytest.mark.parametrize(
@@ -92,6 +95,17 @@ def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
     np.testing.assert_allclose(np.transpose(start.get_data_3d()), way[:1], atol=1e-12)
     flat = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=1.0)
     assert pictures.plot(run(), flat, "tip").axes[0].name != "3d"
+
+
+def test_what_is_lost_is_red_and_a_warning_amber():
+    status = np.zeros(N, int)
+    status[:3] = ck.Status.DIVERGED, ck.Status.AT_LIMIT, ck.Status.RESTARTED
+    shown = pictures.status(to_dataset(run(status=status), LAW)).axes[0]
+    names = [label.get_text() for label in shown.get_yticklabels()]
+    colors = [to_rgb(bars.get_facecolor()[0][:3]) for bars in shown.collections if len(bars.get_paths())]
+    rows = ("at limit", "restarted", "diverged")
+    assert sorted(names.index(name) for name in rows) == [names.index(name) for name in rows]
+    assert colors == [to_rgb(color) for color in (markup.WARNING, "0.6", markup.LOST)]
 
 
 def test_status_has_a_row_for_every_bit():

@@ -5,19 +5,17 @@ import functools
 
 import numpy as np
 
-from cnclik.integrate.status import Status, names
+from cnclik import markup
+from cnclik.integrate.status import Status, level, names
 from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.measure.dataset import Axes, axes_of
 from cnclik.robot.chain import Chain
-from cnclik.show import style
 from cnclik.show.viewer.body import link_poses
 from cnclik.stability.case import UNSTABLE
 from cnclik.task.parts import AXES
 
 GOOD, WARNING, BAD = 0, 1, 2
-LEVELS = (style.GREEN, style.ORANGE, style.RED)  # colours of the three
-_BAD = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
-_NO_DEFECT = Status.RESTARTED
+LEVELS = markup.LEVELS  # colours of the three
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,7 +97,7 @@ def from_arrays(chain, t, q, x, e, status, *, axes: Axes, **about) -> Motion:
         q=np.asarray(q, float),
         targets=(),
         error=_errors(e, axes),
-        level=np.where(status & int(_BAD), BAD, np.where(status & ~int(_NO_DEFECT), WARNING, GOOD)),
+        level=level(status),
         words=tuple(map(names, status)),
         **about,
     )

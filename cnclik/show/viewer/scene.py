@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cnclik import markup
 from cnclik.robot import poses
 from cnclik.robot.posture import arm_length, is_planar
 from cnclik.show import style
@@ -126,7 +127,7 @@ class _Drawn:
             if i not in self.goals:
                 self.goals[i] = scene.add_icosphere(f"{self.name}/goal{i}", 0.8 * self.thick, rgb(style.BLACK))
             look = dict(thickness=0.3 * self.thick)
-            line = scene.add_line_segments(f"{self.name}/error{i}", np.zeros((1, 2, 3)), rgb(style.RED), **look)
+            line = scene.add_line_segments(f"{self.name}/error{i}", np.zeros((1, 2, 3)), rgb(markup.LOST), **look)
             self.marks.append(line)
             self.lines[i] = line
 
