@@ -11,6 +11,7 @@ from cnclik.engine.stacks import Rows, as_rows, entry, is_cells
 
 CHOSEN = 16  # cells up to which one of them is chosen by selects; beyond, they lie in an array
 MOST_WRITES = 1 << 14  # pairs of an update and a cell that it may go to
+MOST_READS = 1 << 22  # pairs of an entry that is taken out and a cell that it may be
 
 _Mode = lax.GatherScatterMode
 
@@ -135,6 +136,9 @@ def _gather(g, eqn, x, places):
     hidden = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     kept = [d for d in range(len(x.shape)) if d not in hidden]
     batch = [d for d in range(out.ndim) if d not in numbers.offset_dims]
+    cells = x.size if is_cells(x) else x.cells.size
+    if not all(c.known for c in places.flat) and out.size * cells > MOST_READS:
+        raise UnsupportedError(f"`gather` of {out.size} entries at unknown places among {cells} has no C form")
     known, made = {}, []
     for at in np.ndindex(*out.shape):
         which = tuple(at[d] for d in batch)

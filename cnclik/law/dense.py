@@ -31,6 +31,20 @@ def cholesky_solve(lower, b):
     return cho_solve((lower, True), b) if is_read() else triangular(lower, triangular(lower, b), transposed=True)
 
 
+def solved(matrix, b):
+    """Solution x of A x = b, A symmetric positive definite and b a vector; not as good where A is nearly singular.
+
+    By XLA an elimination, which is compiled in half the time of a factor, and calls no LAPACK.
+    """
+    if is_read():
+        return cholesky_solve(cholesky(matrix), b)
+    both = jnp.concatenate([matrix, b[:, None]], axis=1)
+    for i in range(len(b)):
+        row = both[i] / both[i, i]
+        both = jnp.where(np.arange(len(b))[:, None] == i, row, both - both[:, i : i + 1] * row)
+    return both[:, -1]
+
+
 def triangular(lower, b, *, transposed=False, unit=False):
     """Solution x of L x = b, or of Lᵀ x = b; `unit`: with ones in place of L's diagonal."""
     if is_read():

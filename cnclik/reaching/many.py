@@ -11,7 +11,7 @@ from cnclik.reaching.strategy import PLAIN, narrowed
 from cnclik.record import kept, replace
 
 POOL = 1 << 18  # targets whose leftovers are searched for together
-MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which C is worth its compiling
+MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the quickest program is worth its compiling
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
 DRAWN, MOST_DRAWN = 4, 64  # tries of a round that looks for other solutions, of which each has twice as many
 EDGE = 1e-3  # [rad, m] beyond a bound: there may be an answer at it
@@ -38,7 +38,7 @@ def path(asked: Asked, pose, progress=None) -> Reached:
 
 def _engine(asked, soon):
     """What searches for them."""
-    return native_for(asked, soon) or kept(asked, "_programs", Programs)
+    return native_for(asked, soon) or kept(asked, f"_programs_{soon}", lambda asked: Programs(asked, soon))
 
 
 def often(chain, targets) -> bool:
@@ -52,8 +52,8 @@ def often(chain, targets) -> bool:
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
     """Up to `solutions` different answers for each of (B, t) targets: the nearest of those that many tries lead to."""
     first = many(asked, pose, near, progress)
-    often(asked.chain, len(pose) * PATIENCE)
-    engine, size, made = _engine(asked, True), max(TARGETS // (MOST_DRAWN + solutions), 1), []
+    engine = native_for(asked, True) or _engine(asked, often(asked.chain, len(pose)))
+    size, made = max(TARGETS // (MOST_DRAWN + solutions), 1), []
     for k in range(0, len(pose), size):
         mine = {name: v[k : k + size] for name, v in fields(first).items()}
         own = pose[k : k + size], None if near is None else near[k : k + size]

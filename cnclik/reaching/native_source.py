@@ -18,9 +18,7 @@ from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.search import SCATTER
 from cnclik.reaching.seeds import SETS, SIZE, STRETCHES
-from cnclik.reaching.step import Search, in_parts, iterate
-from cnclik.record import cast
-from cnclik.robot.model import modelled
+from cnclik.reaching.step import Search, iterate
 
 SEARCH = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="utf-8")
 
@@ -69,8 +67,8 @@ def look_of(chain, task, dtype):
     def one(q, best, squares, cost, steep, trust, arrived, careful, low, high, tolerance, target, roots):
         zero = jnp.zeros((), dtype)
         at = Search(q, best, squares, cost, steep, trust, zero, arrived != 0)
-        of, pose, bounds = cast(modelled(chain), dtype), in_parts(task, target), (low, high)
-        made = iterate(of, task, at, pose, bounds, tolerance, careful != 0, None if task.weights is None else roots)
+        weights = None if task.weights is None else roots
+        made = iterate(chain, task, at, target, (low, high), tolerance, careful != 0, weights)
         return [made.q, made.best, made.squares, made.cost, made.steep, made.trust, made.arrived.astype(jnp.int32)]
 
     return read(one, {"lanes": [*state, *own]}, {"lanes": state}, dtype=dtype)

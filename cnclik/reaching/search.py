@@ -7,6 +7,8 @@ same numbers, one try after the other in each lane of a vector.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -14,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from cnclik import errors
 from cnclik.reaching.aims import aims, owners
 from cnclik.reaching.asked import Asked
-from cnclik.reaching.seeds import SETS, STRETCHES, Compared, nearest, spans, starts, turned
-from cnclik.reaching.step import Search, begin, in_parts, iterate
+from cnclik.reaching.seeds import SETS, STRETCHES, nearest, spans, starts, turned
+from cnclik.reaching.step import Search, begin, iterate
 from cnclik.reaching.strategy import (
     AROUND,
     CAREFUL,
@@ -36,8 +39,7 @@ from cnclik.reaching.strategy import (
     phases,
     wanted,
 )
-from cnclik.record import cast, replace
-from cnclik.robot.model import Model, modelled
+from cnclik.record import replace
 from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 
 TOGETHER = 8  # tries side by side
@@ -76,16 +78,28 @@ class Given(NamedTuple):
     """What all targets share."""
 
     asked: Asked  # its tolerance in the targets' dtype
-    model: Model  # the chain's, in that dtype
+    look: Callable  # `step.iterate` of its chain and task
     postures: Float[Array, "K n"]  # to start from
-    to: Compared | None  # what they are to the task
+    nearest: Callable  # of a target and the number of a try: indices of the posture that is nearest by each aim
 
 
-def given(asked, postures, to, dtype) -> Given:
-    """What is asked, for targets in a dtype."""
+def given(asked, postures, to, dtype, by=None) -> Given:
+    """What is asked, for targets in a dtype.
+
+    Args: to: what the postures are to the task; None where that is unknown. by: what runs looks, `native` or `scalars`
+      of the engine; None: the source as it is.
+    """
     tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), 64 * float(jnp.finfo(dtype).eps))
-    model = cast(modelled(asked.chain), dtype)
-    return Given(replace(asked, tolerance=tolerance), model, jnp.asarray(postures, dtype), to)
+    look = functools.partial(iterate, asked.chain, asked.task)
+    if by is not None and all(map(errors.concrete, jax.tree.leaves((asked.chain, asked.task)))):
+        look = by(look)
+
+    def nearest_to(pose, number):
+        if to is None:
+            return jnp.full(len(aims(asked.task)), number % len(postures))
+        return nearest(to, pose, number % SETS)
+
+    return Given(replace(asked, tolerance=tolerance), look, jnp.asarray(postures, dtype), nearest_to)
 
 
 class Try(NamedTuple):
@@ -103,7 +117,7 @@ class Try(NamedTuple):
 def advance(of: Given, pose, near, bounds, roots, own: Try) -> Try:
     """A look and a step on, and whether the try is over with it; one that is over stays."""
     within_bounds = tuple(jnp.where(own.free, end, bound) for end, bound in zip((-np.inf, np.inf), bounds, strict=True))
-    at = iterate(of.model, of.asked.task, own.at, pose, within_bounds, of.asked.tolerance, own.careful, roots)
+    at = of.look(own.at, pose, within_bounds, of.asked.tolerance, own.careful, roots)
     step, short = own.step + 1, own.most <= CAREFUL
     within, close = ((at.squares <= most**2).all() for most in (of.asked.tolerance, COARSE))
     ends = at.arrived | (short & (at.steep <= STUCK)) | (step >= own.most)
@@ -120,13 +134,12 @@ def advance(of: Given, pose, near, bounds, roots, own: Try) -> Try:
 
 def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     """The posture that try k begins at, whether it is free of all bounds, and whether there is such a try."""
-    asked, _, postures, to = of
+    asked, postures = of.asked, of.postures
     ends, number, (low, high) = spans(asked.chain), asked.seed + k, bounds
     middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
     scattered = number.astype(np.uint32) * SCATTER
     own, count = owners(asked.task, asked.chain), len(aims(asked.task))
-    first = jnp.full(count, number % len(postures)) if to is None else nearest(to, pose, number % SETS)
-    which = jnp.where(k < SETS, first, (scattered >> 20) % len(postures))
+    which = jnp.where(k < SETS, of.nearest(pose, number), (scattered >> 20) % len(postures))
     seed = postures[which[own], np.arange(len(own))]
     stretch = jnp.where(k < SETS, 1.0, jnp.asarray(STRETCHES)[number % len(STRETCHES)]).astype(pose.dtype)
     q = starts(seed, near, asked.periods, ends, low, high, stretch, jnp)
@@ -157,7 +170,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     q, free, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
     plain = (number < PLAIN) & ~downhill
     most = jnp.where(downhill, phase.downhill, jnp.where(plain, STEPS, CAREFUL))
-    at, parts = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q), in_parts(of.asked.task, pose)
+    at = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q)
     own = Try(at, jnp.zeros_like(number), most, ~plain, free, ~there, jnp.zeros_like(there))
     roots, order = None if of.asked.task.weights is None else phase.roots, jnp.arange(together)
 
@@ -165,7 +178,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
         return jnp.min(jnp.where(own.found, order, together))
 
     def once(own):
-        return jax.vmap(lambda own: advance(of, parts, near, bounds, roots, own))(own)
+        return jax.vmap(lambda own: advance(of, pose, near, bounds, roots, own))(own)
 
     own = lax.while_loop(lambda own: (~own.over & (order < first(own))).any(), once, own)
     at, won, counted = own.at, first(own), order <= first(own)

@@ -12,6 +12,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.precision import precise
 from cnclik.reaching.aims import aims, told_apart
 from cnclik.record import kept, record
 from cnclik.robot.chain import Chain
@@ -117,9 +118,10 @@ def _compared(chain, task):
     return Compared(features=features, factors=factors)
 
 
-def nearest(to: Compared, target, number):
-    """Indices (aims,) of the seeds of set `number` that are nearest to a target, in float32; traced."""
-    scaled = target.reshape(to.factors.shape) * to.factors
-    asked = jnp.concatenate([scaled, jnp.ones((len(scaled), 1), target.dtype)], axis=1).astype(np.float32)
-    distances = jnp.einsum("aij,ai->aj", jnp.asarray(to.features)[:, number], asked, precision="highest")
-    return jnp.argmin(distances, axis=1) + SIZE * number
+@precise
+def nearest(to: Compared, target, number, xp=jnp):
+    """Indices (..., aims) of the seeds of set `number` that are nearest to targets (..., t), in float32."""
+    scaled = target.reshape(*target.shape[:-1], *to.factors.shape) * to.factors
+    asked = xp.concatenate([scaled, xp.ones((*scaled.shape[:-1], 1), target.dtype)], axis=-1).astype(np.float32)
+    distances = asked[..., None, :] @ xp.asarray(to.features)[:, number]  # row by row: no BLAS parts it among threads
+    return xp.argmin(distances[..., 0, :], axis=-1) + SIZE * number

@@ -6,6 +6,8 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.engine.native import native, scalars
+from cnclik.engine.plan import in_c
 from cnclik.hints import LIGHT_COMPILE, as_here, quick_jit
 from cnclik.integrate.lanes import tiled
 from cnclik.law import dense
@@ -14,7 +16,7 @@ from cnclik.reaching.aims import aims, told_apart
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, concluded, given, nothing, tries
-from cnclik.reaching.seeds import SETS, SIZE, compared, seeds, spans
+from cnclik.reaching.seeds import SETS, SIZE, compared, nearest, seeds, spans
 from cnclik.reaching.step import in_parts, look
 from cnclik.reaching.strategy import CAREFUL, FAR, PLAIN, alone, narrowed, phases
 from cnclik.record import cast, kept, placed, replace
@@ -25,8 +27,8 @@ from cnclik.task.task import rows
 from cnclik.threads import cores, side_by_side
 
 BLOCK = 32  # targets that one call answers, one after the other
-ONE_BY_ONE = 512  # targets, at most, that are sooner searched for so
-CAPACITY, TILE = 2048, 32  # targets of a call that makes their first tries side by side
+ONE_BY_ONE = 2000, 128  # targets, at most, that are sooner searched for so; and of a chain that is asked of often
+CAPACITY, TILE = 2048, 64  # targets of a call that makes their first tries side by side
 
 
 def traced(asked, pose, near):
@@ -39,20 +41,23 @@ def traced(asked, pose, near):
 
     def one(pose, near):
         made = nothing((), asked.chain.n, pose.dtype, jnp)
-        return answer(asked, postures, to, pose, near, made, jnp.int32(0), derivative=True)
+        return answer(asked, postures, to, pose, near, made, jnp.int32(0), traced=True)
 
     made = jax.vmap(one, (0, None if near is None else 0))(pose, near)
     return Reached(**made, chain=asked.chain, task=asked.task)
 
 
-def answer(asked, postures, to, pose, near, made, done, derivative=False) -> dict:
-    """Fields of the record of one target, of which so many tries have been `made`."""
+def answer(asked, postures, to, pose, near, made, done, traced=False) -> dict:
+    """Fields of the record of one target, of which so many tries have been `made`.
+
+    Args: traced: in a program of the user's: with its derivatives, and with looks in C where there is a compiler.
+    """
     dtype = pose.dtype
     chain, held_pose, held_near = lax.stop_gradient((asked.chain, pose, near))
-    of = given(replace(asked, chain=chain), postures, to, dtype)
+    of = given(replace(asked, chain=chain), postures, to, dtype, native if traced and in_c() else None)
     made, _, sure, why = concluded(of, held_pose, held_near, made, done)
     q, found = made.q, made.found != 0
-    if derivative:
+    if traced:
         low, high, jump = (jnp.asarray(v, dtype) for v in phases(asked, jnp)[0][:3])
         low, high = narrowed(low, high, jump, held_near, jnp)
         held = (q <= low + TOUCHING) | (q >= high - TOUCHING)
@@ -106,27 +111,32 @@ def _rows(asked, postures, to, pose, near, made, done, count, at=None, begins=Fa
     return lax.fori_loop(0, count, one, (at, jnp.zeros((len(pose), width(asked.chain.n)), pose.dtype)))
 
 
-def _one_try(asked, postures, to, phase, made, pose, near, number, count):
-    """What the try of its own number comes to for each of the first `count` of many targets, side by side."""
-    of, own = given(asked, postures, to, pose.dtype), () if near is None else (near,)
+def _one_try(asked, postures, phase, made, pose, near, number, seed, count, by=None):
+    """What the try of its own number, from its own seed, comes to for each of the first `count` of many targets.
 
-    def one(made, pose, number, *near):
-        return tries(of, phase, made, pose, *(near or (None,)), number, 1)
+    Args: by: as `search.given` has it. With `scalars` it runs in a twentieth of the time, and compiles in three times.
+    """
+    of = given(asked, postures, None, pose.dtype, by)
 
-    return tiled(one, TILE, made, pose, number, *own, count=count)
+    def one(phase, made, pose, number, seed, *near):
+        return tries(of._replace(nearest=lambda *_: seed), phase, made, pose, *(near or (None,)), number, 1)
+
+    phase = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pose), *jnp.shape(v))), phase)
+    return tiled(one, TILE, phase, made, pose, number, seed, *(() if near is None else (near,)), count=count)
 
 
 _some = quick_jit(_rows, compiler=LIGHT_COMPILE)  # runs in a third of the time of QUICK_COMPILE's
-batch = quick_jit(_one_try, compiler=LIGHT_COMPILE)
+batch = quick_jit(_one_try, compiler=LIGHT_COMPILE, static_argnames="by")
 
 
 class Programs:
     """The search for what is asked by JAX's programs, on all cores."""
 
-    def __init__(self, asked):
+    def __init__(self, asked, soon):
+        """soon: whether the chain has been asked of so often that the quickest program is worth its compiling."""
         task, chain = asked.task, asked.chain
         name = f"_seeds_of_{told_apart(task)}"
-        self.asked, self.first = asked, phases(asked)[0]
+        self.asked, self.soon, self.first = asked, soon, phases(asked)[0]
         with jax.enable_x64(True):
             self.shared = (
                 placed(asked),
@@ -144,12 +154,13 @@ class Programs:
             given = filled(pose[ids], BLOCK), own, some, np.int32(done), np.int32(len(ids))
             rows[ids] = np.asarray(_some(*self.shared, *given)[1])[: len(ids)]
 
-        if B > ONE_BY_ONE:
-            which, done = asked.finite(pose, near) & (asked.downhill | ~asked.too_far(pose)), PLAIN
+        if ONE_BY_ONE[self.soon] < B:
+            which, done = asked.finite(pose, near) & (asked.downhill | ~asked.too_far(pose)), int(self.first.tries)
             with jax.enable_x64(True), side_by_side(1) as beside:
                 beside.submit(as_here(search), left[:0])  # compiled, until it is needed for those that are left
-                for k in range(min(done, int(asked.seeds))):
-                    self._try(made, pose, near, np.flatnonzero(which & (made.found == 0)), self.first, np.full(B, k))
+                for k in range(done):
+                    goes_on = which & (made.found == 0) & ((k < PLAIN) | (made.looks < asked.budget))
+                    self._try(made, pose, near, np.flatnonzero(goes_on), self.first, np.full(B, k))
                     if progress is not None:
                         progress(int(made.found.sum()), B)
             q, squares, _, steep, looks, found, *_ = made
@@ -189,11 +200,16 @@ class Programs:
     def _try(self, made, pose, near, ids, phase, number):
         """One try, of its own number (B,), for some of the targets."""
         phase, number = phase._replace(tries=phase.budget), number.astype(np.int32)
+        to = compared(self.asked.chain, self.asked.task)
 
         def one_try(some):
             own = None if near is None else filled(near[some])
-            of = Found(*(filled(v[some]) for v in made)), filled(pose[some]), own, filled(number[some])
-            found = batch(*self.shared, phase, *of, np.int32(len(some)))
+            which = number[some] + int(self.asked.seed)
+            seed = np.empty((len(some), len(to.factors)), np.int32)
+            for k in np.unique(which % SETS):
+                seed[which % SETS == k] = nearest(to, pose[some[which % SETS == k]], k, np)
+            of = Found(*(filled(v[some]) for v in made)), filled(pose[some]), own, filled(number[some]), filled(seed)
+            found = batch(*self.shared[:2], phase, *of, np.int32(len(some)), by=scalars if self.soon else None)
             for whole, part in zip(made, found, strict=True):
                 whole[some] = np.asarray(part)[: len(some)]
 

@@ -18,13 +18,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from cnclik.engine.tracing import is_read
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
 from cnclik.reaching.aims import WIDTH, aims
+from cnclik.record import cast
+from cnclik.robot.model import modelled
 from cnclik.robot.rotations import quaternion_from_rotation
 from cnclik.shapes import Array, Bool, Float
 from cnclik.task.parts import At, places
@@ -72,11 +72,11 @@ def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, r
     """Look at `q`, and step on; a search that has arrived stays.
 
     Args:
-      target: see `in_parts`. bounds: lower and upper (n,). tolerance: [m], [rad].
+      target: (t,). bounds: lower and upper (n,). tolerance: [m], [rad].
       careful: whether to take back steps that did not help; may be traced.
       roots: of weights of the task's coordinates (m,); the task's own are not looked at.
     """
-    _, j, squares, weighted = _look(chain, task, at.q, target, roots)
+    _, j, squares, weighted = _look(cast(modelled(chain), at.q.dtype), task, at.q, in_parts(task, target), roots)
     low, high = bounds
     cost = weighted @ weighted
     here = (squares[0] <= tolerance[0] ** 2) & (squares[1] <= tolerance[1] ** 2)
@@ -145,22 +145,8 @@ def damped_step(rows, e, cost, q, low, high, trust):
     downhill = e @ rows
     pushes = ((q <= low) & (downhill < 0)) | ((q >= high) & (downhill > 0))
     downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, rows)
-    step = _solved(dense.shifted(left @ left.T, shift), e) @ left
+    step = dense.solved(dense.shifted(left @ left.T, shift), e) @ left
     scale = cost * jnp.sum(rows**2)
     steep = downhill @ downhill / jnp.where(scale > 0, scale, 1.0)
     kink = (trust > 1) & (shift > SHORT * jnp.sum(rows**2))
     return jnp.clip(step, -LONGEST, LONGEST), jnp.where(kink, 0.0, steep)
-
-
-def _solved(matrix, b):
-    """Solution x of a symmetric positive definite system A x = b, for a vector; not as good where A is nearly singular.
-
-    By XLA it is an elimination: a batch of it calls no LAPACK, and may run on several threads.
-    """
-    if is_read():
-        return dense.cholesky_solve(dense.cholesky(matrix), b)
-    both = jnp.concatenate([matrix, b[:, None]], axis=1)
-    for i in range(len(b)):
-        row = both[i] / both[i, i]
-        both = jnp.where(np.arange(len(b))[:, None] == i, row, both - both[:, i : i + 1] * row)
-    return both[:, -1]

@@ -292,6 +292,7 @@ def test_zeros_of_a_model_vanish_and_others_stay():
         (lambda x: (jax.debug.print("here"), x)[1], "effects"),
         (lambda x: x + 1j, "complex"),
         (lambda x: jnp.sort(jnp.concatenate([x] * 20)), "sorting"),
+        (lambda x: jnp.take(np.eye(16 * 64).reshape(-1, 64, 64), x.astype(int), axis=0), "gather"),
         (lambda x: jnp.broadcast_to(x, (200, 100, 4)).swapaxes(0, 1)[3], "entries"),
     ],
 )

@@ -11,7 +11,7 @@ from cnclik.reaching import many, native, single
 @pytest.fixture(autouse=True)
 def way(request, monkeypatch):
     """How targets are searched for."""
-    monkeypatch.setattr(single, "ONE_BY_ONE", 8)
+    monkeypatch.setattr(single, "ONE_BY_ONE", (8, 8))
     monkeypatch.setattr(native, "AT_ONCE", 1000)
     if getattr(request, "param", "native") == "jax":
         monkeypatch.setattr(many, "native_for", lambda *_: None)

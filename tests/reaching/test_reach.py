@@ -108,7 +108,7 @@ def test_one_by_one_or_in_batches(monkeypatch):
     near = drawn(held, 70, seed=3) + 0.01
     made, told = {}, []
     for most in (8, 1000):
-        monkeypatch.setattr(single, "ONE_BY_ONE", most)
+        monkeypatch.setattr(single, "ONE_BY_ONE", (most, most))
         first = ck.reach(held, targets, progress=lambda *done: told.append(done))
         made[most] = first, ck.reach(held, within, near=near, jump=0.1)
     for batch, one_by_one in zip(*made.values(), strict=True):

@@ -46,7 +46,7 @@ def test_tries_call_no_lapack():
 @pytest.mark.parametrize("near", [False, True])
 def test_each_try_comes_to_what_it_comes_to_in_c(near):
     """Plain and careful ones, from seeds and about `near`, within the limits and free of them: to rounding."""
-    one, other = native.native_for(asked(WRIST), True), Programs(asked(WRIST))
+    one, other = native.native_for(asked(WRIST), True), Programs(asked(WRIST), soon=near)
     there = tips(WRIST, drawn(WRIST, 40))
     there = np.concatenate([there[:, :3, 3], there[:, :3, :3].reshape(-1, 9)], axis=1)
     at = drawn(WRIST, 40, seed=1) if near else None
