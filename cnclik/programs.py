@@ -30,6 +30,8 @@ from cnclik.reading import read_bytes
 _BEGUN = time.time()  # sources that are younger are not what this process runs
 _NUMBERS = (bool, int, float, complex)
 _ARRAYS = (np.ndarray, np.generic, jax.Array)
+# What says that a program can't be written down: JAX's own are RuntimeErrors and ValueErrors.
+_NOT_KEPT = (OSError, RuntimeError, ValueError, TypeError, AttributeError, pickle.PicklingError)
 # Packages whose names say what they mean.
 _KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax")
 # Beginnings of variables of the environment that programs depend on.
@@ -195,7 +197,7 @@ def needs(*call) -> None:
 
 def remember(key, value):
     """Keep what a program can be had from again by a name of `name_of`. Args: value: makes it, where it can be made."""
-    with contextlib.suppress(Exception):  # callbacks, a full disk: what isn't kept is made again
+    with contextlib.suppress(*_NOT_KEPT):  # callbacks, a full disk: what isn't kept is made again
         whole = pickle.dumps(value(), protocol=5)
         beside = place / f".{key}-{os.getpid()}{ENDING}"
         try:
@@ -207,7 +209,7 @@ def remember(key, value):
 
 def recalled(key):
     """What was kept by a name; None where there is nothing that is whole."""
-    with contextlib.suppress(Exception):  # whatever is wrong with it, there is another way
+    with contextlib.suppress(Exception):  # whatever pickle makes of an entry of another version: there is another way
         whole = memoryview(read_bytes("cache", place / f"{key}{ENDING}", "a program"))
         return pickle.loads(whole[32:]) if _seal(key, whole[32:]) == whole[:32] else None
 
@@ -234,7 +236,7 @@ def _read(key):
         for ready, *args in needed:
             ready(*args)
         program = serialize_executable.deserialize_and_load(*serialized)
-    except Exception:  # whatever is wrong with it, there is another way
+    except Exception:  # whatever XLA makes of another machine's program: there is another way
         return None
     # As JAX tells of a program from its own cache; `--timings` counts both.
     jax.monitoring.record_event("/jax/compilation_cache/cache_hits")

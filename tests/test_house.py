@@ -161,6 +161,23 @@ def test_each_helper_stands_once(pattern):
     assert found <= {ONCE[pattern]}
 
 
+def test_who_takes_any_exception_says_why():
+    """On the same line, but where it is raised again."""
+    anything, silent = ("Exception", "BaseException"), []
+    for path in files():
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            broad = again = False
+            if isinstance(node, ast.ExceptHandler):
+                broad = node.type is None or ast.unparse(node.type) in anything
+                again = ast.unparse(node.body[-1]) == "raise"
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("suppress"):
+                broad = any(ast.unparse(kind) in anything for kind in node.args)
+            if broad and not again and "  # " not in text.splitlines()[node.lineno - 1]:
+                silent.append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
+    assert not silent
+
+
 def test_what_is_there_is_asked_so_that_no_name_is_too_long_for_it():
     asked = re.compile(r"\.(exists|is_file|is_dir)\(\)")  # pathlib's raise where the system knows no such name
     found = [(path.name, line) for path in files() for line in asked.findall(path.read_text(encoding="utf-8"))]

@@ -99,6 +99,7 @@ def end(sent, _) -> None:
     with contextlib.suppress(OSError):
         bar = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # its line goes, and the cursor that it hides comes back
         os.write(2, f"{bar}cnclik: {STOPS[sent]}; what was complete is kept.\n".encode())
-    with contextlib.suppress(Exception):  # what was printed before it, unless the signal came in the middle of that
+    # What was printed before it, unless the signal came in the middle of that, or nobody reads on.
+    with contextlib.suppress(OSError, ValueError, RuntimeError, AttributeError):
         sys.stdout.flush()
     os._exit(128 + sent)

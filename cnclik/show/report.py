@@ -118,7 +118,7 @@ def _moving(report, failed) -> str:
     try:
         motions = list(report.motions())
         inner = as_page(motions).replace("&", "&amp;").replace('"', "&quot;")
-    except Exception as error:
+    except Exception as error:  # whatever meshes and viser may meet: it costs itself alone
         failed["the moving robot"] = errors.in_a_line(error)
         return f'<p class="note">The moving robot could not be drawn: {escaped(failed["the moving robot"])}</p>'
     names = [f"{'in grey' if k else 'in blue'}: {escaped(m.name)}" for k, m in enumerate(motions)]

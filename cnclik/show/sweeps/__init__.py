@@ -37,7 +37,7 @@ def drawings(data, tables=None) -> dict:
             name = table.get("name") or f"{layout.kind}_{layout.value}"
             for suffix, view in views(data, layout):
                 out[_unused(name + suffix, out)] = functools.partial(KINDS[layout.kind], view, layout)
-        except Exception as error:
+        except (LookupError, TypeError, ValueError) as error:  # a table that fits no data; ArgumentErrors are such
             out[_unused(name, out)] = functools.partial(_raise, error)
     return out
 

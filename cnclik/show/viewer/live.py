@@ -102,7 +102,7 @@ class Live:
             try:
                 self.seen = self._look(loop._replace(alpha=max(loop.alpha, 1e-9)))
                 self.show()
-            except Exception as error:  # such as a method that needs another stage; the sliders go on
+            except Exception as error:  # whatever a loop raises, such as a method's need of a stage: the sliders go on
                 self._tell(str(error))
 
     def show(self) -> None:
