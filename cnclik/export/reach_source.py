@@ -90,7 +90,7 @@ def _call(reaching, names) -> str:
     """The exported function."""
     of, c, known = reaching.asked, names.number, seeds(reaching.asked.chain)
     (lower, upper), own = of.limited(), np.array(of_joints(of.chain, of.unit))
-    roots = np.ones(of.task.m) if of.task.weights is None else np.sqrt(np.asarray(of.task.weights, float))
+    roots = np.sqrt(np.asarray(of.task.weight_of_each, float))
     tables = {"lower": lower, "upper": upper, "jump": np.full(of.chain.n, np.inf), "periods": of.periods}
     tables |= {"turns": of.turns(), "middle": known.middle, "width": known.width, "roots": roots}
     tables |= {"postures": reaching.postures, "own": own}

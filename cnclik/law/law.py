@@ -151,9 +151,9 @@ def _within_tasks(task: Task, alpha):
         return alpha
     left = np.array(alpha)
     for name, at in task.each:
-        own, w = left[at, at].copy(), None if task.weights is None else np.asarray(task.weights)[at]
+        own, w = left[at, at].copy(), np.asarray(task.weight_of_each)[at]
         left[at, at] = 0
-        mixed = w is not None and np.ptp(w) > 0 and np.any(own - np.diag(np.diag(own)))
+        mixed = np.ptp(w) > 0 and np.any(own - np.diag(np.diag(own)))
         if not np.allclose(own, own.T) or mixed:
             raise errors.fail("alpha", f"be symmetric in the task {name}, of equal weights there", "is not")
     if np.any(left):
@@ -235,7 +235,7 @@ def metric(law: Law):
 
     In the norm of errors so scaled, a loop with one gain for all tasks never grows, whatever they ask of each other.
     """
-    weights = jnp.ones(law.task.m) if law.task.weights is None else jnp.asarray(law.task.weights)
+    weights = jnp.asarray(law.task.weight_of_each)
     if isinstance(law.inverse, Levels):
         weights = weights / jnp.stack([one.damping for one in law.inverse.damping])[np.array(law.inverse.level)]
     return weights / jnp.max(weights)

@@ -230,7 +230,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     velocity = np.zeros((len(some), law.task.m)) if speeds is None else speeds
     at = farthest(law, wanted[0])
     end, start = Instant(q[last], None), Instant(q[0], None)
-    weighted = e[last] if law.task.weights is None else e[last] * np.asarray(law.task.weights, float)
+    weighted = e[last] * np.asarray(law.task.weight_of_each, float)
     rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
     advance = _advance(t, len(seen.late), Ts)
     return Case(

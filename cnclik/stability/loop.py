@@ -19,7 +19,7 @@ from cnclik.law.reference import Reference, of_each
 from cnclik.precision import of_numbers
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import alike, looked_at, modes_of, radius
+from cnclik.stability.driven import looked_at, modes_of, radius
 from cnclik.stability.drives import own_drives
 from cnclik.stability.linear import checked
 from cnclik.stability.rates import Rates, rates_of
@@ -122,13 +122,14 @@ class LoopAtRest(NamedTuple):
 
     def modes(self, z, Ts=None):
         """What a step does in the directions of the task, and of the null space, at gains of z; see `modes_of`."""
-        if self.rates is None or own_drives(self.drive):
+        if self.rates is None:
             moved, rows = self.along(z, Ts)
             _, _, along, across = directions(rows)
             return modes_of(moved, along, self.drive), modes_of(moved, across, self.drive)
         scale, times = self._at(z, Ts)
         taken = self.rates.taken(scale[:, None], times[:, None], self.method)
-        return alike(self.rates.modes(taken, self.method, self.stage)), np.zeros((len(scale), 0, self.method.steps))
+        task = self.rates.driven(taken, self.method, self.stage, self.drive)
+        return task, np.zeros((len(scale), 0, self.method.steps))
 
 
 FINE = 0.2  # of an error that a step removes, on the way to where a stack rests

@@ -62,7 +62,7 @@ def to_pink(law: Law, dt: float) -> dict:
     """
     dt, found = float(errors.number("dt", dt, positive=True)), {}
     alpha = np.asarray(law.alpha, float)
-    cost = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
+    cost = np.asarray(law.task.weight_of_each, float)
     if isinstance(law.inverse, Levels):
         damping = np.array([float(one.damping) for one in law.inverse.damping])
         cost = cost * damping.min() / damping[list(law.inverse.level)]

@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.law.law import evaluate
+from cnclik.law.law import evaluate, weighted_gain
 from cnclik.record import cast, replace
 from cnclik.robot.model import modelled, one_off
 from cnclik.shapes import AnyArray, Float
-from cnclik.stability.driven import increments
+from cnclik.stability.driven import alike, increments
+from cnclik.stability.drives import own_drives
 from cnclik.stability.spectrum import directions
 
 _TURNED = 1e6  # condition of a gain matrix's eigenvectors, beyond which they are none
@@ -46,9 +47,11 @@ class Rates(NamedTuple):
         found = (self.along.T @ self.columns) @ (taken[..., None] * (self.rows @ self.along))
         return _real(found)
 
-    def modes(self, taken, method, stage):
-        """Modes D (k, r, p), see `cnclik.stability.driven`."""
-        return steps_of(_real(np.linalg.eigvals(self.matrices(taken))), method, stage)
+    def driven(self, taken, method, stage, drive):
+        """Modes D (k, r, p) as `cnclik.stability.driven` takes them; where joints differ in their drives, `steps`."""
+        if own_drives(drive):
+            return self.steps(taken, method, stage)
+        return alike(steps_of(_real(np.linalg.eigvals(self.matrices(taken))), method, stage))
 
     def steps(self, taken, method, stage):
         """D (k, p, n, n) of the joints."""
@@ -86,10 +89,9 @@ def rates_of(law, held, q) -> Rates | None:
     rows, columns, shift = parts_of_numbers(law, held, q)
     rows, columns = np.asarray(rows, float), np.asarray(columns, float)
     m, alpha, turned = law.task.m, np.asarray(law.alpha, float), np.eye(law.task.m)
-    weights = np.ones(m) if law.task.weights is None else np.asarray(law.task.weights, float)
     if alpha.ndim == 2:
-        alpha = weights[:, None] * alpha / weights
-        alpha, turned = _diagonal(alpha, [at for _, at in law.task.each] or [slice(None)])
+        blocks = [at for _, at in law.task.each] or [slice(None)]
+        alpha, turned = _diagonal(np.asarray(weighted_gain(law), float), blocks)
         if np.linalg.cond(turned) > _TURNED:
             return None
     return Rates(

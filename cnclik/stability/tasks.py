@@ -17,7 +17,6 @@ from cnclik.law.inverse import Levels, Transpose
 from cnclik.record import record
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import SLACK, increments, least_limits, radius
-from cnclik.stability.drives import own_drives
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.rates import Rates, steps_of
@@ -96,8 +95,9 @@ class Shares(NamedTuple):
     rates: Rates
     root: Float[AnyArray, " m"]  # λ of each row; 1 without damping
     weights: Float[AnyArray, " m"]
+    shares: Float[AnyArray, "m m"]  # `got` of all rows
 
-    def got(self, some=slice(None)):
+    def got(self, some):
         """J J# of some rows without the others, in the norm of weights and levels, in which it is symmetric."""
         rows = self.rates.rows[some] / self.root[some][:, None]
         if self.rates.damping is None:
@@ -114,20 +114,19 @@ class Shares(NamedTuple):
 
     def radius(self, scale, drive):
         """Spectral radius (k,) with the gains times a scale (k, m), through a drive."""
-        of = self.rates.steps if own_drives(drive) else self.rates.modes
-        return radius(of(self.taken(scale), self.loop.method, self.loop.stage), drive, self.Ts)
+        return radius(self.rates.driven(self.taken(scale), self.loop.method, self.loop.stage, drive), drive, self.Ts)
 
     def own(self, at, scale):
         """Modes (r, p) of one task, the others at rest, in its directions that are not lost."""
         root = np.sqrt(self.taken(scale)[at])
-        rates = np.linalg.eigvalsh(root[:, None] * self.got()[at, at] * root)
+        rates = np.linalg.eigvalsh(root[:, None] * self.shares[at, at] * root)
         return self.steps(rates[rates > LOST * rates.max(initial=0.0)])
 
     def growth(self) -> tuple:
         """Largest norms of what becomes of the errors of joints that are elsewhere: in the norm of weights and levels,
         and of the errors as they are. Of one gain for all the first is 1, else at most (κ + 1)/(2 √κ), κ the largest
         gain over the smallest (Kantorovich), while no step takes more than all of an error."""
-        shares, taken = self.got(), self.taken(1.0)
+        shares, taken = self.shares, self.taken(1.0)
         root = np.sqrt(np.maximum(taken, 1e-12 * taken.max()))
         rates, vectors = np.linalg.eigh(root[:, None] * shares * root)
         factors = _powers(self.steps(rates))
@@ -177,9 +176,9 @@ def at_any_posture(loop, Ts: float, share: float | None = None) -> tuple:
 
 def shares_of(loop, Ts: float) -> Shares:
     """Of a loop at rest of `bounded_rates`."""
-    law, rates = loop.law, loop.rates
-    weights = np.ones(law.task.m) if law.task.weights is None else np.asarray(law.task.weights, float)
-    return Shares(loop, Ts, rates, np.ones(law.task.m) if rates.damping is None else rates.damping, weights)
+    root = np.ones(loop.law.task.m) if loop.rates.damping is None else loop.rates.damping
+    here = Shares(loop, Ts, loop.rates, root, np.asarray(loop.law.task.weight_of_each, float), root)
+    return here._replace(shares=here.got(slice(None)))
 
 
 def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
@@ -222,7 +221,7 @@ def _task(here, name, at, safe, limits) -> TaskAdvice:
 
     most = largest(loop.drive)
     borne = most if safe is loop.drive else largest(safe)
-    share, alone = here.got()[at, at], here.got(at)
+    share, alone = here.shares[at, at], here.got(at)
     least, vectors = np.linalg.eigh(share)
     worst = vectors[:, 0]
     direction = here.rates.turned[at, at] @ worst * here.root[at] / here.weights[at]

@@ -43,6 +43,11 @@ class Task:
         return sum(part.m for part in self.parts)
 
     @property
+    def weight_of_each(self) -> Float[ArrayLike, " m"]:
+        """The weights of the coordinates: 1 where none are given."""
+        return np.ones(self.m) if self.weights is None else self.weights
+
+    @property
     def slices(self) -> tuple[slice, ...]:
         """Where the coordinates of each part stand."""
         return _slices(part.m for part in self.parts)

@@ -292,17 +292,13 @@ def _with_damping(law, task, value):
     return {"inverse": replace(law.inverse, damping=tuple(each))}
 
 
-def _weights(law):
-    return jnp.ones(law.task.m) if law.task.weights is None else jnp.asarray(law.task.weights)
-
-
 def _task_weights(law, Ts, task):
-    start = even(np.asarray(_weights(law), float)[law.task.of(task)])
+    start = even(np.asarray(law.task.weight_of_each, float)[law.task.of(task)])
     return start, start / 1e3, start * 1e3
 
 
 def _with_weights(law, task, value):
-    return {"task": replace(law.task, weights=_weights(law).at[law.task.of(task)].set(value))}
+    return {"task": replace(law.task, weights=jnp.asarray(law.task.weight_of_each).at[law.task.of(task)].set(value))}
 
 
 _OF_TASK = {
