@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cnclik import errors
@@ -11,7 +9,7 @@ from cnclik.cache import Recent
 from cnclik.precision import as_numbers
 from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
-from cnclik.reaching.seeds import turned
+from cnclik.reaching.seeds import periods, turned
 from cnclik.reaching.step import STATIONARY
 from cnclik.reaching.strategy import LONGER, SURE
 from cnclik.reaching.targets import task_of
@@ -58,8 +56,8 @@ class Asked:
 
     @property
     def periods(self):
-        """What each joint (n,) turns by to the same posture; 0 of those that have none."""
-        return np.where(self.chain.periodic, 2 * math.pi, 0.0)
+        """See `seeds.periods`."""
+        return periods(self.chain)
 
     def turns(self):
         """The periods (n,) of joints that can take a posture in several turns, 0 of others."""

@@ -19,7 +19,7 @@ from jax import lax
 from cnclik import errors
 from cnclik.reaching.aims import aims, owners
 from cnclik.reaching.asked import Asked
-from cnclik.reaching.seeds import SETS, STRETCHES, nearest, spans, starts, turned
+from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
 from cnclik.reaching.step import Search, begin, iterate
 from cnclik.reaching.strategy import (
     AROUND,
@@ -78,7 +78,7 @@ class Given(NamedTuple):
     """What all targets share."""
 
     asked: Asked  # its tolerance in the targets' dtype
-    look: Callable  # `step.iterate` of its chain and task
+    advance: Callable  # `advance` of its chain and task
     postures: Float[Array, "K n"]  # to start from
     nearest: Callable  # of a target and the number of a try: indices of the posture that is nearest by each aim
 
@@ -86,20 +86,20 @@ class Given(NamedTuple):
 def given(asked, postures, to, dtype, by=None) -> Given:
     """What is asked, for targets in a dtype.
 
-    Args: to: what the postures are to the task; None where that is unknown. by: what runs looks, `native` or `scalars`
+    Args: to: what the postures are to the task; None where that is unknown. by: what runs steps, `native` or `scalars`
       of the engine; None: the source as it is.
     """
     tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), 64 * float(jnp.finfo(dtype).eps))
-    look = functools.partial(iterate, asked.chain, asked.task)
+    made = functools.partial(advance, asked.chain, asked.task)
     if by is not None and all(map(errors.concrete, jax.tree.leaves((asked.chain, asked.task)))):
-        look = by(look)
+        made = by(made)
 
     def nearest_to(pose, number):
         if to is None:
             return jnp.full(len(aims(asked.task)), number % len(postures))
         return nearest(to, pose, number % SETS)
 
-    return Given(replace(asked, tolerance=tolerance), look, jnp.asarray(postures, dtype), nearest_to)
+    return Given(replace(asked, tolerance=tolerance), made, jnp.asarray(postures, dtype), nearest_to)
 
 
 class Try(NamedTuple):
@@ -114,18 +114,18 @@ class Try(NamedTuple):
     found: Bool[Array, ""]
 
 
-def advance(of: Given, pose, near, bounds, roots, own: Try) -> Try:
+def advance(chain, task, pose, near, bounds, tolerance, roots, own: Try) -> Try:
     """A look and a step on, and whether the try is over with it; one that is over stays."""
-    within_bounds = tuple(jnp.where(own.free, end, bound) for end, bound in zip((-np.inf, np.inf), bounds, strict=True))
-    at = of.look(own.at, pose, within_bounds, of.asked.tolerance, own.careful, roots)
+    low, high = bounds
+    within_bounds = jnp.where(own.free, -np.inf, low), jnp.where(own.free, np.inf, high)
+    at = iterate(chain, task, own.at, pose, within_bounds, tolerance, own.careful, roots)
     step, short = own.step + 1, own.most <= CAREFUL
-    within, close = ((at.squares <= most**2).all() for most in (of.asked.tolerance, COARSE))
+    within, close = ((at.squares <= most**2).all() for most in (tolerance, COARSE))
     ends = at.arrived | (short & (at.steep <= STUCK)) | (step >= own.most)
     on = ends & ~within & ~at.arrived & short & close  # some more steps
     most = jnp.where(on, own.most + SLOW, own.most)
     inward = ends & within & own.free
-    low, high = bounds
-    q = jnp.clip(turned(at.best, 0.0 if near is None else near, of.asked.periods, low, high, jnp), low, high)
+    q = jnp.clip(turned(at.best, 0.0 if near is None else near, periods(chain), low, high, jnp), low, high)
     again = begin(q.astype(at.q.dtype), 0.0 * at.trust)._replace(looks=at.looks)
     new = Try(at, step, most, own.careful | on, own.free, ends & ~on, ends & within)
     new = choose(inward, Try(again, 0 * step, 0 * step + CAREFUL, own.careful, ~inward, ~inward, ~inward), new)
@@ -178,7 +178,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
         return jnp.min(jnp.where(own.found, order, together))
 
     def once(own):
-        return jax.vmap(lambda own: advance(of, pose, near, bounds, roots, own))(own)
+        return jax.vmap(lambda own: of.advance(pose, near, bounds, of.asked.tolerance, roots, own))(own)
 
     own = lax.while_loop(lambda own: (~own.over & (order < first(own))).any(), once, own)
     at, won, counted = own.at, first(own), order <= first(own)

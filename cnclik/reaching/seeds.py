@@ -51,6 +51,11 @@ def spans(chain: Chain):
     return np.where(wide, middle - math.pi, low), np.where(wide, middle + math.pi, high)
 
 
+def periods(chain: Chain):
+    """What each joint (n,) turns by to the same posture; 0 of those that have none."""
+    return np.where(chain.periodic, 2 * math.pi, 0.0)
+
+
 def turned(q, about, periods, low, high, xp=np):
     """Joint values (..., n) by whole turns as near to `about` as the bounds let them be.
 

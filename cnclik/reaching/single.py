@@ -28,7 +28,7 @@ from cnclik.threads import cores, side_by_side
 
 BLOCK = 32  # targets that one call answers, one after the other
 ONE_BY_ONE = 2000, 128  # targets, at most, that are sooner searched for so; and of a chain that is asked of often
-CAPACITY, TILE = 2048, 64  # targets of a call that makes their first tries side by side
+CAPACITY, TILE = 1024, 64  # targets of a call that makes their first tries side by side
 
 
 def traced(asked, pose, near):
