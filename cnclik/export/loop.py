@@ -1,10 +1,13 @@
 """Loop: the loop in time as one program, for many lanes; and what marks a step that grew."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
 from cnclik.engine.routine import INT, REAL, Field, Routine
 from cnclik.export.trace import Request, Stepping, read_as
+from cnclik.integrate.loop import loop_of, one, start
 
 RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")
 _OVER_TIME = {  # of all steps together: how two are put together, and what is before the first
@@ -21,38 +24,38 @@ def trace_loop(request: Request, wanted=RESULTS) -> Routine:
     Args: wanted: names of results.
     """
     step = Stepping(request, timed=True)
-    parameters, names = step.groups["parameters"], [f.name for f in step.groups["input"]]
     # A column of a batch holds real numbers.
-    groups = {"parameters": [f._replace(kind=REAL) for f in parameters], "input": step.groups["input"]}
-    carried = [f for f in step.outputs if f.name == "q" or (f.name in wanted and f.name not in ("e", "x"))]
+    groups = {"parameters": [f._replace(kind=REAL) for f in step.groups["parameters"]], "input": step.groups["input"]}
+    kinds = [f.kind for some in (step.groups["parameters"], step.groups["input"]) for f in some]
+    outputs = {f.name: f for f in step.outputs if f.name in wanted}
 
-    def zeros(f):
-        return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], request.dtype if f.kind == REAL else jnp.int32)
+    def whole(*flat):
+        *flat, steps = flat
+        given = [x.astype(jnp.int32) if kind == INT else x for kind, x in zip(kinds, flat, strict=True)]
+        law, stage, reference, inputs, _ = step.apart(given)
+        loop = loop_of(law, reference, inputs["q"], inputs["Ts"], steps, request.method, stage, t0=inputs["t"])
 
-    def loop(*flat):
-        known = [x.astype(jnp.int32) if f.kind == INT else x for f, x in zip(parameters, flat, strict=False)]
-        *given, steps = flat[len(known) :]
-        given = dict(zip(names, given, strict=True))
+        def advance(starting, k, carry):
+            state, before = carry
+            state, made = one(loop, starting, state, k)
+            both = {name: _OVER_TIME[name][0] if name in _OVER_TIME else lambda _, now: now for name in before}
+            return state, {name: both[name](before[name], getattr(made, name)) for name in before}
 
-        def at(q, k):
-            now = {"q": q, "t": given["t"] + k.astype(request.dtype) * given["Ts"]}
-            return [*known, *(given | now).values()]
+        def zeros(f):
+            dtype = request.dtype if f.kind == REAL else jnp.int32
+            return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], dtype)
 
-        def advance(k, carry):
-            before, past = carry
-            made, past = step.advance(*at(before["q"], k), *past)
-            now = {f.name: jnp.asarray(x, zeros(f).dtype) for f, x in zip(step.outputs, made, strict=True)}
-            now |= {name: both(before[name], now[name]) for name, (both, _) in _OVER_TIME.items() if name in before}
-            return {name: now[name] for name in before}, past
-
-        first = {f.name: zeros(f) for f in carried} | {"q": given["q"]}
-        last, _ = jax.lax.fori_loop(0, steps, advance, (first, [zeros(f) for f in step.groups["history"]]))
-        found = last | dict(zip(("e", "x"), step.end(*at(last["q"], steps)), strict=True))
+        carry = start(loop, inputs["q"]), {name: zeros(f) for name, f in outputs.items() if name not in ("q", "e", "x")}
+        early = jnp.minimum(request.method.steps - 1, steps)
+        if request.method.steps > 1:
+            carry = jax.lax.fori_loop(0, early, functools.partial(advance, True), carry)
+        state, found = jax.lax.fori_loop(early, steps, functools.partial(advance, False), carry)
+        end = one(loop, False, state, steps)[1]  # a step of length 0, of which only what it looks at is left
+        found = {"q": state.q, "e": end.e, "x": end.x} | found
         return [found[name] for name in RESULTS if name in wanted]
 
-    by_name = {f.name: f for f in step.outputs}
-    outputs = {"output": [by_name[name] for name in RESULTS if name in wanted]}
-    return read_as(request, loop, groups | {"steps": [Field("steps", (), INT)]}, outputs)
+    steps = [Field("steps", (), INT)]
+    return read_as(request, whole, groups | {"steps": steps}, {"output": [outputs[n] for n in RESULTS if n in wanted]})
 
 
 def trace_growth(request: Request) -> Routine:

@@ -154,14 +154,14 @@ def statements(program, names, place=lambda group, field: f"{group}->{field.name
     return writer.statements(), writer.functions
 
 
-def body(program, names, line=""):
-    """A function's text, and what `helpers` are for. `line`: its own line, where it isn't the exported one."""
+def body(program, names):
+    """The exported function's text, and what `helpers` are for."""
     lines, used = statements(program, names)
     given = [g for g in program.inputs if program.inputs[g]]
     lines[:0] = [f"  (void){g};" for g in given if not any(f"{g}->" in text for text in lines)]
     if names.statuses and "output" in program.outputs:
         lines.append("  return output->status;")
-    return f"{line or signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n", used
+    return f"{signature(program, names)}\n{{\n" + "\n".join(lines) + "\n}\n", used
 
 
 def _defaults(program, names) -> str:

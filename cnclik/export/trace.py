@@ -13,11 +13,11 @@ from cnclik.export import fields
 from cnclik.integrate.history import blank
 from cnclik.integrate.method import Method
 from cnclik.integrate.multistep import Multistep
-from cnclik.integrate.solve import step_and_least
+from cnclik.integrate.solve import one_step
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import growing
 from cnclik.law.curves import Hold
-from cnclik.law.law import Law, observe
+from cnclik.law.law import Law
 from cnclik.law.reference import Reference, References, of_each, tangent
 from cnclik.record import cast, replace
 from cnclik.robot.model import frames, jacobian_rows, modelled
@@ -88,7 +88,7 @@ class Stepping:
             Field("status", (), INT, "bits of the step's status"),
         ]
 
-    def _apart(self, flat):
+    def apart(self, flat):
         """(law, stage, reference, inputs by name, the rest) of flat arguments."""
         values = iter(flat)
         law, stage, *others = self.put([next(values) for _ in self.groups["parameters"]])
@@ -97,23 +97,14 @@ class Stepping:
 
     def advance(self, *flat):
         """A step: its results in the order of `outputs`, and its history."""
-        law, stage, reference, inputs, past = self._apart(flat)
+        law, stage, reference, inputs, past = self.apart(flat)
         memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", _start(self.request.dtype))
-        method = self.request.method
-        made, least = step_and_least(law, reference, inputs["q"], t, inputs["Ts"], stage, memory, method=method)
-        results = [made.q, made.qdot, made.e, made.x, made.residual, made.contraction, least, made.status]
-        return results, jax.tree.leaves(made.history)
-
-    def end(self, *flat):
-        """Error and task coordinates alone."""
-        law, _, reference, inputs, _ = self._apart(flat)
-        law, reference = cast((modelled(law), reference), self.request.dtype)
-        at = observe(law, reference, inputs["t"], inputs["q"])
-        return at.e, at.x()
+        made = one_step(law, reference, stage, self.request.method, inputs["q"], t, inputs["Ts"], memory)
+        return [getattr(made, f.name) for f in self.outputs], jax.tree.leaves(made.history)
 
     def grown(self, *flat):
         """The GROWING bit of a step from its errors at both ends, (2, m), at two times (2,)."""
-        law, _, reference, _, (times, errors) = self._apart(flat)
+        law, _, reference, _, (times, errors) = self.apart(flat)
         law, reference = cast((law, reference), self.request.dtype)
         return growing(law, reference, times, errors)[0]
 

@@ -29,6 +29,7 @@ class Step:
       qdot: (n,) joint velocity held during it [rad/s, m/s].
       residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
       contraction: ratio of its last two changes; at 1 or more it diverges.
+      least: least singular value of the task Jacobian before it, an estimate from below; of a stack's tasks the least.
       status: bits of `Status`.
       task_status: (tasks,) those that the tasks of a stack have of their own; None without a stack.
       walls: (k,) how much faster each wall might be neared, see `Trajectory`; None without walls.
@@ -41,6 +42,7 @@ class Step:
     qdot: Float[Array, " n"]
     residual: Float[Array, ""]
     contraction: Float[Array, ""]
+    least: Float[Array, ""]
     status: Int[Array, ""]
     task_status: Int[Array, " tasks"] | None = None
     walls: Float[Array, " k"] | None = None
@@ -54,11 +56,6 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
       history: of a multistep method, see `cnclik.integrate.history.blank`; else None.
       starting: whether a multistep method is to be started: by a step of `starter`, remembered.
     """
-    return advanced(law, reference, q, t, Ts, method, stage, history, starting=starting)[0]
-
-
-def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False):
-    """The same, and the estimate of the least singular value of the task Jacobian at its start."""
     known = reference if reference.known else tangent(reference, law.task, t)
     at, begun = observe(law, known, t, q), None
     if method.steps == 1 or starting:
@@ -78,19 +75,19 @@ def advanced(law: Law, reference, q, t, Ts, method, stage, history=None, *, star
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     if one.restarted is not None:
         status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
-    step = Step(
+    return Step(
         q=made.q,
         x=made.first.x(),
         e=made.first.e,
         qdot=made.qdot,
         residual=made.residual,
         contraction=made.contraction,
+        least=jnp.min(made.first.least),
         status=status,
         task_status=task_flags(law, made.first),
         walls=made.first.walls,
         history=one.history,
     )
-    return step, jnp.min(made.first.least)
 
 
 def summed(q, step, lost, law=None):

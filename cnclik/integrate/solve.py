@@ -19,7 +19,7 @@ from cnclik.engine.plan import may_be_plain, unless_chosen
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
-from cnclik.integrate.advance import Step, advanced
+from cnclik.integrate.advance import Step, advance
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.history import History
 from cnclik.integrate.loop import loop_of, run
@@ -234,18 +234,14 @@ def end(law, reference, q0, Ts, N, method, stage):
 solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), Recent()
 
 
-def _one_step(law, reference, stage, method, q, t, Ts, history):
-    return step_and_least(law, reference, q, t, Ts, stage, history, method=method)[0]
-
-
-def step_and_least(law, reference, q, t, Ts, stage, history, *, method):
-    """What `step` computes, pure, and the estimate of the least singular value of the task Jacobian at q."""
+def one_step(law, reference, stage, method, q, t, Ts, history):
+    """What `step` computes. Pure."""
     check(reference, law.task)
     law, reference, history = cast((modelled(law), reference, history), q.dtype)
     t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)
 
     def one(starting, past):
-        return advanced(law, reference, q, t, Ts, method, stage, past, starting=starting)
+        return advance(law, reference, q, t, Ts, method, stage, past, starting=starting)
 
     if method.steps == 1:
         return one(False, None)
@@ -255,4 +251,4 @@ def step_and_least(law, reference, q, t, Ts, stage, history, *, method):
     return jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), history)
 
 
-step_soon, a_step = quick_jit(_one_step, static_argnames=("method",)), Numbers(_one_step, lets_go=False)
+step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(one_step, lets_go=False)

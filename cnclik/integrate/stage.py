@@ -41,15 +41,32 @@ class Stage(Protocol):
     def evaluations(self, n) -> Count: ...
 
 
-class _Named:
-    """A stage in words: "picard(5)"."""
+class _Passes:
+    """Passes k ← improved(k): a stage in words, "picard(5)", and what it costs."""
 
     def __str__(self):
         return f"{type(self).__name__.lower()}({self.M})"
 
+    def evaluations(self, n):
+        """Evaluations of f in one implicit stage of n joints."""
+        return self.M
+
+
+class _FromPrediction(_Passes):
+    """Passes from the slope of the linearised law."""
+
+    implicit: bool
+
+    def __call__(self, g, first, h, ahead) -> Solved:
+        def iterate(k):
+            return _iterate(self, lambda k: self.improved(g, h, k), k, h)
+
+        start = _predict(first, h, ahead)
+        return _with_implicit_derivative(g, start, iterate) if self.implicit else iterate(start)
+
 
 @record
-class Picard(_Named):
+class Picard(_Passes):
     """See `picard`."""
 
     M: Count
@@ -59,13 +76,9 @@ class Picard(_Named):
     def __call__(self, g, first, h, ahead) -> Solved:
         return _iterate(self, lambda k: g(k).qdot, first.qdot, h)
 
-    def evaluations(self, n):
-        """Evaluations of f in one implicit stage of n joints."""
-        return self.M
-
 
 @record
-class Chord(_Named):
+class Chord(_FromPrediction):
     """See `chord`."""
 
     M: Count
@@ -73,23 +86,13 @@ class Chord(_Named):
     tolerance: float
     implicit: bool
 
-    def __call__(self, g, first, h, ahead) -> Solved:
-        def improve(k):
-            at = g(k)
-            return k + at.correct(h, at.qdot - k)
-
-        start = _predict(first, h, ahead)
-        if self.implicit:
-            return _with_implicit_derivative(g, start, lambda k: _iterate(self, improve, k, h))
-        return _iterate(self, improve, start, h)
-
-    def evaluations(self, n):
-        """Evaluations of f in one implicit stage of n joints."""
-        return self.M
+    def improved(self, g, h, k):
+        at = g(k)
+        return k + at.correct(h, at.qdot - k)
 
 
 @record
-class Newton(_Named):
+class Newton(_FromPrediction):
     """See `newton`."""
 
     M: Count
@@ -97,16 +100,9 @@ class Newton(_Named):
     tolerance: float
     implicit: bool
 
-    def __call__(self, g, first, h, ahead) -> Solved:
-        def improve(k):
-            value, push = jax.linearize(lambda k: g(k).qdot, k)
-            matrix = _matrix(lambda v: v - push(v), k)
-            return k + jnp.linalg.solve(matrix, value - k)
-
-        start = _predict(first, h, ahead)
-        if self.implicit:
-            return _with_implicit_derivative(g, start, lambda k: _iterate(self, improve, k, h))
-        return _iterate(self, improve, start, h)
+    def improved(self, g, h, k):
+        value, push = jax.linearize(lambda k: g(k).qdot, k)
+        return k + jnp.linalg.solve(_matrix(lambda v: v - push(v), k), value - k)
 
     def evaluations(self, n):
         """Evaluations of f in one implicit stage of n joints, a directional derivative counted as one."""
