@@ -74,15 +74,15 @@ def least_singular_values(chain: Chain, task, postures):
     return np.min([np.linalg.svd(j[:, own], compute_uv=False)[:, -1] for own in apart], axis=0)
 
 
-def evenly(count: int, n: int, first: int = 0):
+def evenly(count: int, n: int):
     """Points (count, n) that fill the unit cube evenly, the same on every machine; the first is its middle.
 
-    An additive sequence (Roberts 2018), of which points from `first` on.
+    An additive sequence (Roberts 2018).
     """
     base = 2.0
     for _ in range(50):
         base = (1 + base) ** (1 / (n + 1))
-    return np.mod(0.5 + np.outer(np.arange(first, first + count), base ** -np.arange(1.0, n + 1)), 1.0)
+    return np.mod(0.5 + np.outer(np.arange(count), base ** -np.arange(1.0, n + 1)), 1.0)
 
 
 def start_posture(chain: Chain, *tasks):
