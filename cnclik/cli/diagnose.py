@@ -181,9 +181,9 @@ def _tell(found, names):
         print("Growing: " + ", ".join(name for name, a in zip(names, found.amplitude, strict=True) if a > 0))
     if found.stable is None:
         return
-    print(f"z now {found.z:.4g}; at {in_samples(found.delay, found.Ts)} of dead time: stable below {found.stable:.4g}, "
-          f"no overshoot below {found.monotone:.4g}, recommended {found.recommended:.4g}; "
-          f"confidence in the dead time {found.confidence:.2f}")  # fmt: skip
+    print(f"z = alpha·Ts is now {found.z:.4g}. With {in_samples(found.delay, found.Ts)} of dead time the loop is "
+          f"stable below {found.stable:.4g} and does not overshoot below {found.monotone:.4g}; recommended: "
+          f"{found.recommended:.4g}. Confidence in the dead time: {found.confidence:.2f}.")  # fmt: skip
 
 
 def _fields(found) -> dict:

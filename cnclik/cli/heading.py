@@ -1,4 +1,4 @@
-"""Heading: what was asked, above every answer: robot, tip, task, dead time, start and target; defaults are named."""
+"""Heading: what was asked, above every answer: robot, tip, task, dead time, start and target, defaults marked."""
 
 from cnclik.problem.options import PATH
 from cnclik.quantities import in_samples
@@ -20,19 +20,17 @@ def robot_and_task(name, tip, task) -> str:
 
 
 def unless_given(written, *names) -> str:
-    """The word " (default)" where none of the options was written. Args: written: names of those that were."""
+    """The text " (default)" where none of the options was given. Args: written: names of the given ones."""
     return "" if any(name in written for name in names) else " (default)"
 
 
 def assumed_drives(made) -> list:
-    """A sentence about drives of which nothing but dead time was given."""
+    """A sentence about the assumed drives where only their dead time was given."""
     from cnclik.integrate.drive import Drive
     from cnclik.stability.recommend import assumed_of
 
     said = assumed_of(made.drive or Drive(), made.Ts)
-    measure = (
-        "A lag asks for a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
-    )
+    measure = "A lag needs a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
     return [f"{said} {measure} to give here."] if said else []
 
 
@@ -46,7 +44,7 @@ def dead_time(made) -> str:
 
 
 def start_and_target(made, given: dict) -> list:
-    """Sentences: the joint values that the loop begins with, and where its path begins; of a stack what its tasks are.
+    """Sentences: the joint values at the start, the first point of the path, and the tasks of a stack.
 
     Args: given: what the user gave, as `cnclik.cli.problem.table` has it.
     """

@@ -146,14 +146,14 @@ def _report(args, made, data, summary, seconds):
     facts = [
         ("time", f"{seconds:.2f} s, compilation included"),
         ("evaluations per target", f"{summary['evaluations_per_target']:.0f}"),
-        ("largest error of those reached", _largest(made)),
+        ("largest error of the reached targets", _largest(made)),
     ]
     rows = [(name, f"{number:,}", _MEANING[name]) for name, number in summary["status"].items()]
     args.write_report(
         f"{_name(args)}: joint values for {summary['targets']:,} targets",
         f"{solved:,} of {summary['targets']:,} targets are reached ({100 * summary['solve_rate']:.4g} %).",
         facts=facts,
-        tables=[("What became of them", ("status", "targets", "meaning"), rows)],
+        tables=[("Answers", ("status", "targets", "meaning"), rows)],
         motions=functools.partial(_motions, args, made.chain, data),
     )
 
@@ -165,10 +165,12 @@ def _name(args) -> str:
 
 
 def _largest(made) -> str:
+    from cnclik.quantities import aloud
+
     parts = ((made.position_error, "m"), (made.orientation_error, "rad"))
     if not made.solved.any():
-        return "none is"
-    return ", ".join(f"{values[made.solved].max():.3g} {unit}" for values, unit in parts)
+        return "none is reached"
+    return ", ".join(aloud(float(values[made.solved].max()), unit) for values, unit in parts)
 
 
 def _motions(args, chain, data):
@@ -196,7 +198,7 @@ def _summary(made, first, again):
 
 
 def _tell(made, summary, seconds):
-    """The summary for people: how many of each status and what that means; joint values of a target that is alone."""
+    """Print how many targets have each status and what it means; of a single target also the joint values."""
     import numpy as np
 
     from cnclik.reaching.aims import aims
@@ -211,25 +213,32 @@ def _tell(made, summary, seconds):
         for row in q[np.isfinite(q).all(axis=1)]:
             shown = zip(made.chain.joint_names, row, made.chain.units, strict=True)
             print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
-        error = f"{made.position_error.flat[0]:.3g} m, {made.orientation_error.flat[0] + 0.0:.3g} rad"
-        print(f"  error {error}; least singular value {made.least_singular_value.flat[0]:.3g}")
+        print(f"  error {_error(made)}; least singular value {made.least_singular_value.flat[0]:.3g}")
         for aim, own in zip(aims(made.task), made.each, strict=True) if made.targets is not None else ():
-            print(f"    {aim.label}: {own.position_error.flat[0]:.3g} m, {own.orientation_error.flat[0] + 0.0:.3g} rad")
+            print(f"    {aim.label}: {_error(own)}")
     held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
     if len(held):
         often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
         print("  at limits: " + ", ".join(f"{name} ({n:,} times)" for n, name in sorted(often, reverse=True)[:4]))
 
 
+def _error(made) -> str:
+    """Position and orientation error of the first target."""
+    from cnclik.quantities import aloud
+
+    parts = (made.position_error, "m"), (made.orientation_error, "rad")
+    return " and ".join(aloud(float(values.flat[0]), unit) for values, unit in parts)
+
+
 _MEANING = {
     "SOLVED": "within the tolerance",
-    "ACCEPTED": "within --accept, not the tolerance",
-    "AT_LIMIT": "answers were found beyond the joint limits alone; the nearest pose is given",
-    "OUT_OF_REACH": "no answer was found, without limits either; the nearest pose is given",
-    "JUMP": "only by a jump; no joint values are given",
-    "OUT_OF_BUDGET": "not found, and not shown to be out of reach: try more --seeds or a larger --budget",
+    "ACCEPTED": "within --accept, but not within the tolerance",
+    "AT_LIMIT": "reachable only beyond the joint limits; the nearest pose within them is given",
+    "OUT_OF_REACH": "not reachable, even without joint limits; the nearest pose is given",
+    "JUMP": "reachable only by a jump; no joint values are given",
+    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds or a larger --budget",
     "NON_FINITE": "the target is not finite",
-    "NO_OTHER": "fewer solutions than asked for",
+    "NO_OTHER": "fewer solutions than requested",
 }
 
 
@@ -268,8 +277,8 @@ def _map(args, chain, task):
         draw(figures, out, overwrite=args.overwrite)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
     answer = (
-        f"{100 * np.mean(found.share > 0):.1f} % of the places can be reached, "
-        f"{100 * np.mean(found.share == 1):.1f} % in every orientation tried"
+        f"{100 * np.mean(found.share > 0):.1f} % of the positions can be reached, "
+        f"{100 * np.mean(found.share == 1):.1f} % in every orientation that was tried"
     )
     if args.json:
         print_json(summary)

@@ -55,7 +55,7 @@ def run(args: Args) -> None:
         _check(spec)
         return
     grid = spec.grid()
-    print(f"{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
+    print(f"{spec.question}\n{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
     begun = time.perf_counter()
     if not args.overwrite:
         check_free("out", out, [*summary.FILES, *([f"data.{args.export}"] if args.export else [])])

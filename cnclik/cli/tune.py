@@ -10,7 +10,7 @@ from cnclik import errors
 from cnclik.cli import common
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
-from cnclik.cli.heading import assumed_drives, dead_time, name_and_tip, start_and_target
+from cnclik.cli.heading import assumed_drives, dead_time, name_and_tip, robot_and_task, start_and_target
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
 from cnclik.version import __version__
@@ -92,7 +92,7 @@ def run(args: Args) -> None:
         text = tuning.page(found, name, seconds=seconds, figures=shown)
         folder.write_text("summary.md", text)
     heading = [
-        f"Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
+        f"{robot_and_task(made.name, made.tip, made.law.task)}, Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
         *start_and_target(made, table(args)),
         *assumed_drives(made),
     ]

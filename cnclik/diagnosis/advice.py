@@ -1,4 +1,4 @@
-"""Advice: what lies behind an oscillation or a growth, and the gain, the sign or the frame that would end it."""
+"""Advice: the cause of an oscillation or a growth, and the gain, sign or frame that stops it."""
 
 import numpy as np
 
@@ -23,9 +23,9 @@ OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do th
 HALF_TURN = 3.5  # radians of an oscillation that must be seen, to be none of a path
 FOLDS = 3.0  # by e, over which what grows or shrinks is seen
 WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
-PATH = "A path may have this period, too (--longest-period)."
+PATH = "A path may also have this period (--longest-period)."
 UNLESS = (
-    "Where position commands begin at the measured joints a smaller gain may not help: begin each at the last command."
+    "Where position commands start at the measured joints a smaller gain may not help: start each at the last command."
 )
 
 
@@ -48,7 +48,7 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     made = _oscillation(kind, factor) | {"phase_delay": phase_delay(factor), "delay": best.delay}
     made |= {"whole": whole, "pure": whole and not best.lag, "confidence": _confidence(loops, whole)}
     if best.delay > LATEST:
-        return made | {"z": gain_of(factor, best.delay), "note": "So late is no robot: this may be a path."}
+        return made | {"z": gain_of(factor, best.delay), "note": "No robot has so much dead time: this may be a path."}
     made |= _cause(best)
     limits, notes, z = limits_of(best, Ts), [], best.z
     likely = [loop for loop in loops if loop.share > LIKELY * best.share or not whole]
@@ -56,38 +56,40 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     may_be_path = _turns_less(HALF_TURN, factor)  # bends of a path do as much
     if kind is Kind.SUSTAINED and whole and z < BELOW * limits.stable:
         made["kind"] = Kind.RINGING
-        notes.append("It is excited again and again.")
+        notes.append("It is excited repeatedly.")
     elif kind is Kind.SUSTAINED:
         share, z, may_be_path = share * z / limits.stable, limits.stable, True
-        notes.append("What keeps its size is clipped, by a limit of speed or by friction: z may be larger.")
+        notes.append(
+            "An oscillation of constant amplitude is clipped, by a velocity limit or by friction: z may be larger."
+        )
     if made["period"] > SLOW and (known is None or _apart(known, z)):
         may_be_path = True
         notes.append(PATH)
     if made["period"] < 2.01:
-        notes.append("Values return every second sample: z is above 1.")
+        notes.append("Values alternate every second sample: z is above 1.")
     notes += _alike(likely, best, whole, known, Ts)
     made["confidence"] = min(made["confidence"], OTHER if may_be_path else 1.0)
     if len(shape) > 1 and together(shape) < APART:
         made["confidence"] *= together(shape)
         notes.append(
-            "The columns do not swing together: frames of error and Jacobian that are turned against each other do "
-            "this, too. Move the target along one axis at a small gain: if another axis moves first, they are."
+            "The columns do not oscillate in phase. The frames of error and Jacobian may be rotated against each "
+            "other: move the target along one axis at a small gain and see whether another axis moves first."
         )
     notes += _changed(known, z)
     other = alpha is not None and _apart(alpha * Ts, z, APART_Z)
     if other or (made["confidence"] < SURE and not (whole or len(likely) > 1)):
         why = f"alpha·Ts is {alpha * Ts:.4g}, far from this z, so " if other else ""
-        note = f"No gain is named: {why}this may be the motion of a path, or of another loop."
-        return made | {"z": z, "note": f"{note} Record the loop at rest, pushed."}
+        note = f"No gain can be given: {why}this may be the motion of a path, or of another loop."
+        return made | {"z": z, "note": f"{note} Record the loop at rest: push it and wait until it rests again."}
     return made | _gains(z, limits, share, alpha) | {"note": " ".join([*notes, UNLESS])}
 
 
 def advice_excited(loops, alpha, Ts) -> dict:
-    """Fields of a `Diagnosis` of a loop that noise keeps swinging."""
+    """Fields of a `Diagnosis` of a loop that noise excites."""
     best, factor = loops[0], loops[0].slowest(Ts)
     made = _oscillation(Kind.RINGING, factor) | _cause(best)
     made |= {"phase_delay": phase_delay(factor), "delay": best.delay, "pure": not best.lag}
-    notes = ["Noise excites it again and again.", *_alike(loops, best, False, None, Ts)]
+    notes = ["Noise excites it repeatedly.", *_alike(loops, best, False, None, Ts)]
     notes += _changed(None if alpha is None else alpha * Ts, best.z)
     made["confidence"] = min(_confidence(loops, True), WHOLE)
     if made["period"] > SLOW:
@@ -106,7 +108,7 @@ def _cause(loop) -> dict:
 
 
 def _gains(z, limits, share, alpha) -> dict:
-    """Limits of z, and the gain that would end it: `share` times that of now."""
+    """Limits of z, and the gain that stops the oscillation: `share` times the present one."""
     made = {"z": z, "stable": limits.stable, "monotone": limits.monotone, "recommended": share * z, "factor": share}
     return made | {"recommended_alpha": None if alpha is None else alpha * share}
 
@@ -120,7 +122,7 @@ def _changed(known, z) -> list:
     """A note where z is not the gain that is known."""
     if known is None or not _apart(known, z):
         return []
-    return [f"alpha·Ts is {known:.4g}: what is measured or driven changes the gain by {z / known:.3g}."]
+    return [f"alpha·Ts is {known:.4g}: measurement or drive change the gain by a factor of {z / known:.3g}."]
 
 
 def _turns_less(angle, factor) -> bool:
@@ -146,9 +148,9 @@ def _confidence(loops, whole) -> float:
 
 
 def _alike(likely, best, whole, known, Ts) -> list:
-    """What else the recording may be of, and what decides."""
+    """Other loops that the recording may belong to, and what decides."""
     if known is not None and whole:
-        told = "Dead time and lag are those that alpha and the oscillation say; a recorded step tells more (--step)."
+        told = "Dead time and lag follow from alpha and the oscillation; a recorded step shows more (--step)."
         return [told] if best.lag else []
     late, slow = max(likely, key=lambda loop: loop.delay), min(likely, key=lambda loop: loop.delay)
     if late.delay - slow.delay <= max(0.5, CLOSE * late.delay):
@@ -158,8 +160,8 @@ def _alike(likely, best, whole, known, Ts) -> list:
         for loop in (late, slow)
     ]
     return [
-        f"Dead time of {ends[0]} and of {ends[1]} are both possible, and what lies between: the gain suits most, "
-        "--alpha or a recorded step (--step) decides."
+        f"A dead time of {ends[0]}, one of {ends[1]} and anything in between are possible. The gain suits most of "
+        "them; --alpha or a recorded step (--step) decides."
     ]
 
 
@@ -168,8 +170,8 @@ def _turned_frames(kind, factor, turned, shape, alpha, Ts) -> dict:
     if np.max(np.abs(turned.axis)) > 0.99:
         axis = "xyz"[int(np.argmax(np.abs(turned.axis)))]
     note = (
-        f"Error and Jacobian are in frames that are turned by {abs(turned.degrees):.3g}° against each other, about "
-        f"{axis}: no gain mends that. Turn the error by {-turned.degrees:.3g}° before J#, or give both in one frame."
+        f"The frames of error and Jacobian are rotated by {abs(turned.degrees):.3g}° against each other about {axis}: "
+        f"no gain helps. Rotate the error by {-turned.degrees:.3g}° before J#, or express both in one frame."
     )
     off = alpha is not None and _apart(alpha * Ts, turned.z)
     if off:
@@ -179,7 +181,7 @@ def _turned_frames(kind, factor, turned, shape, alpha, Ts) -> dict:
         sure = min(sure, OTHER)
     if kind is Kind.SUSTAINED and (alpha is None or off):
         sure = min(sure, OTHER)
-        note += " A path that is a circle looks alike: record the loop at rest, pushed."
+        note += " A circular path looks alike: record the loop at rest after a push."
     made = _oscillation(kind, factor) | {"cause": "turned frames", "z": turned.z, "delay": 0}
     return made | {"angle": turned.degrees, "axis": turned.axis, "confidence": sure, "note": note}
 
@@ -190,20 +192,19 @@ def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
         return _turned_frames(Kind.DIVERGING, factor, turned, shape, alpha, Ts)
     factor = float(np.abs(factor))
     note = (
-        "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain ends "
-        "that."
+        "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain helps."
     )
     more = factor - 1
     share = np.nan if alpha is None else alpha * Ts / more  # factor ** d of a loop with d samples of dead time
     made = {"growth": factor, "z": -alpha * Ts if share >= 1 / NEAR else -more, "cause": "wrong sign"}
     if share < 1 / NEAR:
-        note += f" It grows by {more:.3g} a sample and alpha·Ts is {alpha * Ts:.3g}: something else pushes as well."
+        note += f" It grows by {more:.3g} per sample and alpha·Ts is {alpha * Ts:.3g}: there is another cause as well."
     elif share > NEAR and (delay := float(np.log(share) / np.log(factor))) <= LATEST:
         note += f" At alpha·Ts = {alpha * Ts:.3g} such a loop has {in_samples(delay, Ts)} of dead time."
         made |= {"delay": delay}
     clear = clear or 1 / NEAR <= share <= NEAR  # it grows as fast as alpha itself makes it
     if not clear:
-        note += " A path that starts slowly may look alike: record the loop at rest, pushed."
+        note += " A path that starts slowly may look alike: record the loop at rest after a push."
     return made | {"confidence": WHOLE if clear else OTHER, "note": note}
 
 

@@ -1,4 +1,4 @@
-"""Diagnose: whether a recording rings, how late the robot is by that, and which gain would end it."""
+"""Diagnose: whether a recording rings, the dead time that it shows, and the gain that stops the ringing."""
 
 from __future__ import annotations
 
@@ -41,20 +41,21 @@ MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves
 SURELY = 0.9  # confidence in a loop from which on growth in few periods is no beginning of a swing
 STILL = 1e-12  # share of the largest value that is rounding
 UNFINISHED = (
-    "It may be the beginning of a swing, a path, or columns that are not of one loop, such as commands: the gain "
-    "cannot be judged. Record the loop at rest, pushed, until it rests again."
+    "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands: the "
+    "gain cannot be judged. Record the loop at rest: push it and wait until it rests again."
 )
-SLOW = "What moves slowly is taken for a path: an error that grows as slowly looks alike, and a longer recording tells."
+SLOW = "Slow motion is taken as a path; an error that grows as slowly looks alike. A longer recording decides."
 
 
 @record
 class Diagnosis:
-    """What a recording shows, and the loop e[k+1] = e[k] − z e[k−d] behind it; None where it doesn't say.
+    """What a recording shows, and the loop e[k+1] = e[k] − z e[k−d] behind it. A field that is unknown is None.
 
     Attributes:
       kind: a `Kind`.
       Ts: sampling time of recording and loop [s].
-      period: of the oscillation [samples]; growth: factor of its size per sample. Of a monotone decay growth alone.
+      period: of the oscillation [samples]; growth: factor of its amplitude per sample. A monotone decay has growth
+        alone.
       factors: (g,) complex, of all modes that were found, the dominant first; of each pair one.
       z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that. Of a
         wrong sign z is negative: −alpha·Ts, or, where alpha is not given, what it is without dead time.
@@ -128,16 +129,16 @@ def diagnose(
     longest: float = LONGEST,
     progress: Callable | None = None,
 ) -> Diagnosis:
-    """Whether a recording rings, how late the robot is by that, and which gain would end it.
+    """Whether a recording rings, the dead time that it shows, and the gain that stops the ringing.
 
-    The recording may begin at rest, have an offset, drift, follow a slow path, and be noisy. Several columns, as of
-    several joints, share one loop. It must be as fast as the loop: a row for each sample.
+    The recording may start at rest, have an offset, drift, follow a slow path and be noisy. Several columns, such as
+    several joints, belong to one loop. The recording needs a row for each sample of the loop.
 
     Args:
-      signal: (N,) or (N, k): joint values, errors, or steps commanded.
+      signal: (N,) or (N, k): joint values, errors, or commanded steps.
       Ts: sampling time [s]. alpha: gain of the loop [1/s], if known.
-      longest: period [samples] from which on motion is taken for that of a path.
-      progress: progress(done, total, note) is called as parts of the work are done.
+      longest: motion with a longer period [samples] is taken as motion of a path.
+      progress: progress(done, total, note) is called as the work proceeds.
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
@@ -351,20 +352,20 @@ def _sentence(d) -> str:
     if d.kind is Kind.UNDECIDED:
         return "no oscillation was found, and the motion has not come to rest"
     if d.kind is Kind.MONOTONE:
-        return f"the error shrinks × {d.growth:.4g} per sample and never returns"
+        return f"the error shrinks × {d.growth:.4g} per sample"
     if d.kind is Kind.DIVERGING and d.cause == "wrong sign":
-        return f"the error grows × {d.growth:.6g} per sample and never returns"
+        return f"the error grows × {d.growth:.6g} per sample"
     if d.kind in OSCILLATING and d.z is None:
-        return f"period {in_samples(d.period, d.Ts)} at last, × {d.growth:.4g} per sample"
-    said = f"period {in_samples(d.period, d.Ts)}, × {d.growth:.4g} per sample"
+        return f"period {in_samples(d.period, d.Ts)} at the end, amplitude × {d.growth:.4g} per sample"
+    said = f"period {in_samples(d.period, d.Ts)}, amplitude × {d.growth:.4g} per sample"
     if d.cause == "turned frames":
         return said
     more = "at least " if d.kind is Kind.SUSTAINED else ""
-    said += f", as of a loop with z = {more}{d.z:.4g} and {in_samples(d.delay, d.Ts)} of dead time"
+    said += f", like a loop with z = {more}{d.z:.4g} and {in_samples(d.delay, d.Ts)} of dead time"
     said += "" if d.lag is None else f" and a lag of {d.lag:.3g} s"
     if d.factor is None:
         return said
     most = "at most " if d.kind is Kind.SUSTAINED else ""
     if d.recommended_alpha is not None:
-        return f"{said}; an alpha of {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) would end it"
-    return f"{said}; {most}{d.factor:.3g} times the gain would end it"
+        return f"{said}. Reduce alpha to {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) to stop it"
+    return f"{said}. Multiply the gain by {most}{d.factor:.3g} to stop it"

@@ -62,7 +62,7 @@ class StackDiagnosis:
 
 @of_numbers
 def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, progress=None) -> StackDiagnosis:
-    """Which task of a stack swings by its own gain, and which gain would end it.
+    """Which task of a stack oscillates because of its own gain, and the gain that stops it.
 
     Args:
       signals: {task: (N, k)} its errors, in one unit and with equal weights where they are to be compared.
@@ -108,7 +108,9 @@ def _seen(name, each, gains, sizes) -> TaskDiagnosis:
     lead = max(mode, key=lambda n: sizes[n])
     if made["share"] < ALONG:
         made["along"] = lead
-        return TaskDiagnosis(**made, words=f"swings along with {lead} ({100 * made['share']:.2g} % of it).")
+        return TaskDiagnosis(
+            **made, words=f"oscillates with {lead}, with {100 * made['share']:.2g} % of its amplitude."
+        )
     made |= dict(recommended_alpha=own.recommended_alpha, factor=own.factor)
     return TaskDiagnosis(**made, words=str(own))
 
@@ -119,10 +121,10 @@ def _borne(one, lead) -> TaskDiagnosis:
         return one
     most, now = lead.recommended, one.alpha * lead.Ts
     if now > most * NEAR:
-        much = f"At this dead time no task bears more than {most / lead.Ts:.4g} 1/s without overshoot."
+        much = f"At this dead time any task overshoots above {most / lead.Ts:.4g} 1/s."
         words = one.words if one.factor is not None else f"{one.words} {much}"
         return replace(one, recommended_alpha=most / lead.Ts, factor=most / now, words=words)
-    words = f"{one.words} Its gain may stay." if one.along else one.words
+    words = f"{one.words} Keep its gain." if one.along else one.words
     if one.factor is not None:
-        words = f"{one.found.kind}, but its gain of {one.alpha:g} 1/s is one that this dead time bears. It may stay."
+        words = f"{one.found.kind}, but its gain of {one.alpha:g} 1/s does not overshoot at this dead time. Keep it."
     return replace(one, recommended_alpha=None, factor=None, words=words)

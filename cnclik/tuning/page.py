@@ -14,10 +14,10 @@ CAPTIONS = {
     "history": "Loss and worst constraint over the evaluations.",
     "error": "Error before and after.",
     "operating": "Operating point on the stability map (spectral radius of the linear loop at the end of the path).",
-    "front": "What other gains cost: the loss against the noise that they pass on, and against the further dead time "
-    "that they tolerate; filled where every constraint is kept.",
-    "responses": "Step and sine (30 samples a period) of 1 mm or 1 mrad around the end of the path, through the drive; "
-    "axes that answer alike lie on each other.",
+    "front": "Smaller and larger gains: the loss over the noise gain and over the dead time that the loop tolerates in "
+    "addition; filled points keep every constraint.",
+    "responses": "Response to a step and a sine (30 samples per period) of 1 mm or 1 mrad around the end of the path, "
+    "through the drive; axes with the same response coincide.",
 }
 
 
@@ -27,7 +27,7 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     Args: name: of the loop. seconds: what it took, or None. figures: names of figures beside the page, of CAPTIONS.
     """
     method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
-    loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {tuned.Ts:g} s."
+    loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {1e3 * tuned.Ts:g} ms."
     title = f"# {'Tuned' if tuned.satisfied else 'Not tuned'}: {name}"
     text = [title, "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
     lines = controller_lines(tuned)

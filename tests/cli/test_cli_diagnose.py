@@ -33,7 +33,7 @@ def recorded(tmp_path):
 def test_a_sentence_with_the_gain_that_would_end_it(log, tmp_path, capsys):
     main(["diagnose", log, "--alpha", "150", "--out", str(tmp_path / "out")])
     said = capsys.readouterr().out
-    assert said.startswith("ringing: period ") and "z = 0.3 and 4 samples (8 ms) of dead time; an alpha of" in said
+    assert said.startswith("ringing: period ") and "z = 0.3 and 4 samples (8 ms) of dead time. Reduce alpha to " in said
     assert "recommended" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
 
 

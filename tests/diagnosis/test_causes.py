@@ -41,7 +41,7 @@ def test_the_gain_of_a_wrong_sign_at_a_given_alpha(d, named):
 
 
 @pytest.mark.parametrize(
-    ("alpha", "said"), [(None, "A path that starts slowly"), (0.02 / TS, ""), (0.005 / TS, "pushes")]
+    ("alpha", "said"), [(None, "A path that starts slowly"), (0.02 / TS, ""), (0.005 / TS, "another cause")]
 )
 def test_an_alpha_that_explains_a_growth_settles_that_it_is_no_path(alpha, said):
     """Growth to three times what it was may be a path's, but not just that of the gain."""
@@ -98,7 +98,7 @@ def test_columns_out_of_step_may_be_either():
     """Two joints that ring a sixth of a period apart: both causes are named, with an experiment."""
     e = loop(0.3, 4, 200)
     found = diagnose(np.stack([e[3:], e[:-3]], 1), TS)
-    assert found.confidence < 0.9 and "Move the target along one axis" in str(found)
+    assert found.confidence < 0.9 and "move the target along one axis" in str(found)
 
 
 @pytest.mark.parametrize("known", [False, True])

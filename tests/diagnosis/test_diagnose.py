@@ -91,7 +91,7 @@ def test_a_gain_that_would_end_it_does():
     assert quiet.kind is Kind.MONOTONE
     said = str(found)
     assert said.startswith("ringing: period ") and "3 samples (6 ms) of dead time" in said and "1/s" in said
-    assert "begin at the measured joints a smaller gain may not" in found.note  # tests/stability/test_rebased.py
+    assert "start at the measured joints a smaller gain may not" in found.note  # tests/stability/test_rebased.py
 
 
 def test_values_that_return_every_second_time():

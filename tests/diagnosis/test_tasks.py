@@ -37,7 +37,7 @@ def test_the_task_that_is_too_fast_is_told_from_one_that_swings_along(fast):
         assert found.change == (names[fast],) and abs(found.delay - DELAY) < 1
         assert 0.05 / TS < maker.recommended_alpha < 0.09 / TS and maker.share > 0.98 and other.factor is None
         if other.found.rings:
-            assert other.along == names[fast] and other.words.endswith("Its gain may stay.")
+            assert other.along == names[fast] and other.words.endswith("Keep its gain.")
         assert diagnose_tasks(signals, TS).change == (names[fast],)  # also where no gain is known
 
 
@@ -70,7 +70,7 @@ def test_what_dead_time_bears_binds_tasks_that_do_not_swing():
     e, _ = coupled(np.random.default_rng(4), np.array([62.0, 10.0]))
     signals = {"hands": e[:, :3], "feet": e[:, 3:]}
     found = diagnose_tasks(signals, TS, alpha={"hands": 62.0, "feet": 30.0})
-    assert found.change == ("hands", "feet") and "no task bears more than" in found.tasks["feet"].words
+    assert found.change == ("hands", "feet") and "any task overshoots above" in found.tasks["feet"].words
     assert found.tasks["feet"].recommended_alpha < 0.09 / TS
 
 
@@ -116,7 +116,7 @@ def log(tmp_path_factory):
 def test_a_log_of_two_arms(log, tmp_path, capsys):
     main(["diagnose", str(log), "--tasks", "left=62", "right=8", "--out", str(tmp_path)])
     told = capsys.readouterr().out
-    assert "Change the gain of left." in told and "an alpha of" in told and (tmp_path / "diagnose.png").exists()
+    assert "Change the gain of left." in told and "Reduce alpha to" in told and (tmp_path / "diagnose.png").exists()
     main(["diagnose", str(log), "--tasks", "left", "right", "--json"])
     said = json.loads(capsys.readouterr().out)
     assert said["change"] == ["left"] and 0.1 < said["tasks"]["left"]["factor"] < 0.3
