@@ -9,7 +9,8 @@ ROOT = pathlib.Path(__file__).parents[1]
 MADE = (("results",), ("gallery-pages",))  # by a build of the site
 # Pages, and what is split from them, that are still to be rewritten.
 UNWRITTEN = tuple(f"docs/{n}" for n in ("bases", "robots", "stack"))
-PAGES = [ROOT / "README.md", ROOT / "sweeps/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+OUTSIDE = ("README.md", "CONTRIBUTING.md", "sweeps/README.md")
+PAGES = [*(ROOT / name for name in OUTSIDE), *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES if p.relative_to(ROOT).parts[1:2] not in MADE]
 MOST_WORDS, MOST_LINES = 40, 250
 # Words with a meaning of their own in earlier texts, and the field's word for each.
