@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from cnclik.integrate.exponential import exponential_march
 from cnclik.integrate.history import History, mark
-from cnclik.integrate.march import march
+from cnclik.integrate.march import charted, march
 from cnclik.integrate.method import starter
 from cnclik.integrate.remember import Begun, Stepped, over_history
 from cnclik.integrate.status import Status, flags, task_flags
@@ -15,6 +15,7 @@ from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
 from cnclik.record import record
+from cnclik.robot.chart import centre, out
 from cnclik.shapes import Array, Float, Int
 
 
@@ -70,8 +71,9 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
         one = over_history(law, known, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)
     made = one.moved
     if law.limits is not None:
-        after, qdot = within(law, q, made.qdot, Ts)
+        after, qdot = within(law, centre(law.chain, q), made.qdot, Ts)
         made = made._replace(q=after, qdot=qdot)
+    made = made._replace(q=out(law.chain, q, made.q))
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
     if one.restarted is not None:
         status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
@@ -90,16 +92,16 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
     )
 
 
-def summed(q, step, lost, law=None):
+def summed(chain, q, step, lost, law=None):
     """q + step and what a rounding lost there, to be added with the next step (Kahan 1965); `lost`: with the last.
-    With a law, within the position limits that it keeps.
+    With a law, within the position limits that it keeps. Of rotations nothing is remembered.
 
     In single precision steps below half a spacing of q would else come to nothing: the loop would stop short of its
     target by ulp(q)/2/(alpha·Ts). Without derivatives: what is lost has none.
     """
-    step = step + lost
-    after = q + step if law is None else inside(law, q, q + step)
-    return after, jax.lax.stop_gradient(step - (after - q))
+    step, y = step + lost, centre(chain, q)
+    after = y + step if law is None else inside(law, y, y + step)
+    return out(chain, q, after), jax.lax.stop_gradient(step - (after - y))
 
 
 def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:
@@ -110,4 +112,5 @@ def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun
     def field(c, q):
         return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
 
-    return Begun(march(field, q, Ts, method, stage, evaluate_at(law, q, at), looped=looped))
+    field, y = charted(law.chain, q, field), centre(law.chain, q)
+    return Begun(march(field, y, Ts, method, stage, evaluate_at(law, q, at), looped=looped))

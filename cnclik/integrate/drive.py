@@ -17,6 +17,7 @@ import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.record import is_literal, leaf, record, replace
+from cnclik.robot import chart
 from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 
 COMMANDS = ("velocity", "position")
@@ -300,17 +301,23 @@ class Driven(NamedTuple):
     limited: tuple[Array, Array] | None  # (n,), (n,): the last command as the drive took it, and how fast it changed
 
 
-def resting(drive: Drive, model: Sampled, q) -> Driven:
+def resting(chain, drive: Drive, model: Sampled, q) -> Driven:
     """At rest at q (n,), and commanded to be there."""
-    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(q)
+    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
     held = q if drive.steps_positions else jnp.zeros_like(q)
     bounded = not (drive.drive_velocity is drive.drive_acceleration is None)
     return Driven(x, jnp.tile(held, (model.remembered, 1)), q, (held, jnp.zeros_like(q)) if bounded else None)
 
 
-def driven(drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
+def reached(chain, q, at: Driven):
+    """The joint values (n,) that drives have come to in a sample from q (n,), and the drives in the chart there."""
+    after = chart.out(chain, q, at.x[:, 0])
+    return after, at._replace(x=at.x.at[:, 0].set(chart.centre(chain, after))) if chain.balls else at
+
+
+def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
     """A sample later, the controller having asked for a step (n,) from the joint values q (n,) that it looked at."""
-    sent = (q if drive.feedback == "rebased" else at.sent) + step
+    sent = chart.moved(chain, q if drive.feedback == "rebased" else at.sent, step)
     u = sent if drive.steps_positions else step / Ts
     limited = at.limited
     if limited is not None:

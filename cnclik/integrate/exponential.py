@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from cnclik.integrate.march import combine, march
+from cnclik.integrate.march import charted, combine, march
 from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over_step
 from cnclik.law.law import null_velocity, resolve, rows_at
 from cnclik.law.null import Posture
 from cnclik.law.reference import sample
+from cnclik.robot.chart import centre
 from cnclik.shapes import Array, Float
 from cnclik.task.task import velocity
 
@@ -81,4 +82,5 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
         return resolve(law, q, there, velocity(task, there.robot, aims, motion) + asked, null)
 
     first = resolve(law, q, at, to.velocity + asked[0], to.null)
-    return march(field, q, Ts, method, stage, first, at=stages, looped=looped), to
+    field, y = charted(law.chain, q, field), centre(law.chain, q)
+    return march(field, y, Ts, method, stage, first, at=stages, looped=looped), to

@@ -65,14 +65,15 @@ def blank(law: Law, q, method):
         return None
     n, m = law.chain.n, law.task.m
     zeros, zero = functools.partial(jnp.zeros, dtype=q.dtype), jnp.zeros((), q.dtype)
+    at = zeros(n) if remembers_q(law, method) else None
 
     if method.exponential:
         null = zeros(n) if remembers_null(law) else None
         rows = zeros((m, n)) if remembers_rows(law) else None
         factor = zeros(m * (m + 1) // 2) if remembers_factor(law) else None
-        entry = Entry(columns=zeros((m, n)), factor=factor, velocity=zeros(m), null=null, rows=rows)
+        entry = Entry(q=at, columns=zeros((m, n)), factor=factor, velocity=zeros(m), null=null, rows=rows)
     else:
-        entry = Entry(q=zeros(n) if len(method.a) > 1 else None, slope=zeros(n))
+        entry = Entry(q=at, slope=zeros(n))
     none = jnp.zeros_like(zero, jnp.int32)
     return History(
         entries=(entry,) * (method.steps - 1),
@@ -82,6 +83,11 @@ def blank(law: Law, q, method):
         count=none,
         made=none,
     )
+
+
+def remembers_q(law: Law, method) -> bool:
+    """Whether joint values are remembered: by formulas on them, and to carry slopes from chart to chart."""
+    return len(getattr(method, "a", "")) > 1 or bool(law.chain.balls)
 
 
 def holds_posture(law: Law) -> bool:
@@ -113,7 +119,7 @@ def checked(history, method, law):
     errors.kind("history", history, History, "be what `step` handed back, `Step.history`")
     n, m, first = law.chain.n, law.task.m, history.entries[0] if history.entries else Entry()
     kept = first.columns if method.exponential else first.slope
-    q_kept = (first.q is not None) == (not method.exponential and len(method.a) > 1)
+    q_kept = (first.q is not None) == remembers_q(law, method)
     shape = (m, n) if method.exponential else (n,)
     as_law = (first.factor is not None) == (method.exponential and remembers_factor(law))
     fits = q_kept and as_law and kept is not None and jnp.shape(kept) == shape

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.advance import advance, summed
-from cnclik.integrate.drive import Drive, Driven, Sampled, driven, measured_joints, moving, resting
+from cnclik.integrate.drive import Drive, Driven, Sampled, driven, measured_joints, moving, reached, resting
 from cnclik.integrate.history import History, blank
 from cnclik.integrate.method import Method, early_steps, evaluations_of
 from cnclik.integrate.multistep import Multistep
@@ -33,6 +33,7 @@ from cnclik.law.limits import room
 from cnclik.law.reference import Reference, References, check
 from cnclik.law.shifted import shifted
 from cnclik.record import cast, replace
+from cnclik.robot import chart
 from cnclik.robot.model import Model, modelled
 from cnclik.shapes import Array, Float
 
@@ -112,7 +113,7 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
         q0,
         blank(loop.law, q0, loop.method),
         lost=jnp.zeros_like(q0) if compensated else None,
-        drives=None if loop.model is None else resting(loop.drive, loop.model, q0),
+        drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
         late=() if first is None else (first,) * loop.late,
         path=loop.t0 if loop.waits else None,
         pacing=None if loop.pace is None else pace_at_rest(q0),
@@ -134,19 +135,19 @@ def one(loop: Loop, starting, state: State, k):
     seen, told, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
     made = advance(now, told, seen, t, length, loop.method, loop.stage, state.history, starting=starting)
     lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
-    moved = made.q if seen is q else q + (made.q - seen)
+    moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
     if loop.pace is not None:
         made, pacing, path = _paced(loop, made, pacing, t, seen)
-        length, moved = Ts, q + Ts * made.qdot
+        length, moved = Ts, chart.moved(law.chain, q, Ts * made.qdot)
     if loop.model is not None and drives is not None:
-        asked = made.q - seen if loop.pace is None else Ts * made.qdot
-        drives = driven(loop.drive, loop.model, drives, seen, asked, Ts)
-        moved = drives.x[:, 0]
+        asked = chart.between(law.chain, seen, made.q) if loop.pace is None else Ts * made.qdot
+        drives = driven(law.chain, loop.drive, loop.model, drives, seen, asked, Ts)
+        moved, drives = reached(law.chain, q, drives)
     elif lost is not None:
-        moved, lost = summed(q, length * made.qdot, lost, law if loop.pace is None else None)
+        moved, lost = summed(law.chain, q, length * made.qdot, lost, law if loop.pace is None else None)
     after = State(moved, made.history, lost, drives, late, path, pacing)
     if drives is not None or seen is not q:
-        made = replace(made, qdot=1 / Ts * (moved - q))
+        made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
     if at is not None:
         made = replace(made, x=at.x(), e=at.e)
     return after, replace(made, q=q, history=None)

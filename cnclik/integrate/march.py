@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.integrate.method import Method
+from cnclik.robot import chart
 from cnclik.shapes import Array, Float
 
 
@@ -22,6 +23,18 @@ class Moved(NamedTuple):
     first: Any  # an `Evaluation`, of a law's field
     residual: Float[Array, ""]
     contraction: Float[Array, ""]
+
+
+def charted(chain, start, field):
+    """A law's field as a method sees it in the chart centred at `start` (n,), see `cnclik.robot.chart`."""
+    if not chain.balls:
+        return field
+
+    def within(at, y):
+        found = field(at, chart.out(chain, start, y))
+        return found._replace(qdot=chart.rates(chain, y, found.qdot))
+
+    return within
 
 
 def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=False):

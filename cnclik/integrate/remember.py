@@ -27,6 +27,7 @@ from cnclik.integrate.history import (
     mark,
     remember,
     remembers_null,
+    remembers_q,
     remembers_rows,
     valid,
     weights,
@@ -35,6 +36,7 @@ from cnclik.integrate.march import Moved, combine, shift
 from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, evaluate_at, observe, resolve, weighted
 from cnclik.law.limits import within
+from cnclik.robot.chart import between, centre, into, rates
 from cnclik.shapes import Array, Bool
 
 TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
@@ -74,7 +76,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
         slope = jnp.where(alone, first.qdot, slope)
         left = jnp.where(alone, -1, left)
     zero = jnp.zeros((), q.dtype)
-    moved = Moved(shift(q, Ts, (1.0,), (slope,)), slope, first, zero, zero)
+    moved = Moved(shift(centre(law.chain, q), Ts, (1.0,), (slope,)), slope, first, zero, zero)
     kept = remember(history, law, entry, now, Ts, jnp.minimum(left + 1, len(history.entries)))
     return Stepped(moved, kept, (history.count > 0) & ((count == 0) | (left < count)))
 
@@ -82,17 +84,22 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
 def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
     """Evaluation, slope, and entry of a formula on f; nothing of it is left alone."""
     first = evaluate_at(law, q, at) if begun is None else begun.moved.first
-    entry = Entry(q=q if len(method.a) > 1 else None, slope=first.qdot)
+    entry = Entry(q=q if remembers_q(law, method) else None, slope=first.qdot)
     if begun is not None:
         return first, begun.moved.qdot, entry, None
     a, b = weights(method, count)
-    slopes = [(b[0], first.qdot), *zip(b[1:], (e.slope for e in history.entries), strict=True)]
+    slopes = [(b[0], first.qdot), *zip(b[1:], (_carried(law, q, e, e.slope) for e in history.entries), strict=True)]
     slope = combine(*zip(*slopes, strict=True))
     if len(method.a) > 1:
         per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
         for w, past in zip(a[1:], history.entries, strict=True):
-            slope = slope + w * per_time * (past.q - q)
+            slope = slope + w * per_time * between(law.chain, q, past.q)
     return first, slope, entry, None
+
+
+def _carried(law, q, entry: Entry, qdot):
+    """A past instant's joint velocity as a slope in the chart of this one."""
+    return rates(law.chain, into(law.chain, q, entry.q), qdot) if law.chain.balls else qdot
 
 
 def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
@@ -105,6 +112,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
         null = first.qdot - first.apply(first.task_velocity)
     columns, factor = _columns(first, law.task.m, q) if first.memory is None else first.memory()
     entry = Entry(
+        q=q if remembers_q(law, method) else None,
         columns=columns,
         factor=factor,
         velocity=to.velocity,
@@ -126,7 +134,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
         parts = [part + (to.null - _applied(e, _rows(e) @ to.null)) for part, e in zip(parts, entries, strict=True)]
     elif remembers_null(law):
         parts = [part + e.null for part, e in zip(parts, entries, strict=True)]
-    slope = combine(betas, parts)
+    slope = combine(betas, [parts[0], *(_carried(law, q, *one) for one in zip(entries[1:], parts[1:], strict=True))])
     if null is not None and not holds_posture(law) and not remembers_null(law):
         slope = slope + null
     return first, slope, entry, turned
@@ -160,7 +168,7 @@ def _applied(entry: Entry, velocity):
 def broken(law, qdot, q, Ts):
     """Whether a velocity, or where it leads to, is beyond a limit that the law respects, by more than rounding."""
     rounding = 64 * jnp.finfo(qdot.dtype).eps
-    kept = within(law, q, qdot, Ts)[1]
+    kept = within(law, centre(law.chain, q), qdot, Ts)[1]
     return jnp.any(jnp.abs(qdot - kept) > rounding * jnp.abs(qdot))
 
 

@@ -21,9 +21,10 @@ from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
 from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
 from cnclik.law.limits import Limited
-from cnclik.law.null import evaluated
+from cnclik.law.null import Posture, evaluated
 from cnclik.precision import precise
 from cnclik.record import brief, leaf, record, replace
+from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
@@ -97,6 +98,8 @@ class Law:
             raise errors.fail("limits", f"be None, {known}", f"is {self.limits!r}")
         if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
             raise undamped(self.inverse)
+        if isinstance(self.null_velocity, Posture):
+            object.__setattr__(self, "null_velocity", self.null_velocity.on(self.chain))
         if self.null_velocity is not None and not callable(self.null_velocity):
             object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
 
@@ -302,7 +305,7 @@ def correct(law: Law, q, rows, made, h, r):
 def _whole(law, q, rows, apply, h):
     """I + h (A C B − (I − A B) ∂q̇₀/∂q), (n, n)."""
     c = weighted_gain(law)
-    _, push = jax.linearize(lambda q: null_velocity(law, q), q)
+    _, push = jax.linearize(lambda y: null_velocity(law, chart.out(law.chain, q, y)), chart.centre(law.chain, q))
 
     def column(unit):
         turned = push(unit)

@@ -16,6 +16,7 @@ from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.record import leaf, record, replace
+from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.shapes import Array, ArrayLike, Float, Number
@@ -29,11 +30,16 @@ class Posture:
 
     rest: Float[Array, " n"]
     rate: Number
+    balls: tuple[tuple[int, int], ...] = ()  # of the robot, once it is known
+
+    def on(self, chain):
+        """The term of this robot."""
+        return replace(self, balls=chain.balls)
 
     def __call__(self, q):
         if len(self.rest) != len(q):
             raise errors.fail("rest", f"have shape ({len(q)},)", f"has shape ({len(self.rest)},)")
-        return self.rate * (self.rest - q)
+        return self.rate * chart.between(self, q, self.rest)
 
 
 @record
@@ -45,10 +51,11 @@ class MaximizeManipulability:
     gain: Number
 
     def __call__(self, q):
-        return self.gain * jax.grad(self._measure)(q)
+        chain = modelled(self.chain)
+        return self.gain * jax.grad(lambda y: self._measure(chain, chart.out(chain, q, y)))(chart.centre(chain, q))
 
-    def _measure(self, q):
-        wide = dense.wide_side(rows(self.task, At(modelled(self.chain), q)))
+    def _measure(self, chain, q):
+        wide = dense.wide_side(rows(self.task, At(chain, q)))
         # A shift at rounding level: w has a kink at 0, where this stays finite.
         return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(wide @ wide.T, tiny_shift(wide)))))
 
@@ -88,7 +95,7 @@ def evaluated(wanted, q):
 
 def without(wanted, drift):
     """A null-space velocity without a constant part (n,): q̇₀(q) − c. A posture stays one, drawn towards elsewhere."""
-    if isinstance(wanted, Posture):
+    if isinstance(wanted, Posture) and not wanted.balls:
         return replace(wanted, rest=jnp.asarray(wanted.rest) - drift / wanted.rate)
     return WithoutDrift(wanted, drift)
 

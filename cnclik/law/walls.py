@@ -11,6 +11,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.inverse import positive
 from cnclik.record import leaf, record, replace
+from cnclik.robot import chart
 from cnclik.robot.model import modelled, one_off
 from cnclik.shapes import Array, ArrayLike, Float, Number
 from cnclik.task.balance import center_of_mass
@@ -207,7 +208,7 @@ def _bent(walls, chain, q, qdot):
 
     def one(q, qdot):
         def along(s):
-            robot = At(chain, q + s * qdot)
+            robot = At(chain, chart.moved(chain, q, s * qdot))
             return jnp.stack([wall.row(robot) @ qdot for wall in walls])
 
         return jax.jvp(along, (0.0,), (1.0,))[1]

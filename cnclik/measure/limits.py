@@ -10,6 +10,7 @@ from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.precision import of_numbers
 from cnclik.record import record
 from cnclik.robot.chain import Chain
+from cnclik.robot.chart import apart
 from cnclik.shapes import ArrayLike, Float, Number
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
@@ -72,7 +73,8 @@ def check_limits(
     else:
         q = np.asarray(errors.array("run", run, (None, None)), float)
         Ts = float(errors.number("Ts", Ts, positive=True))
-        qdot, t = np.diff(q, axis=0) / Ts, np.arange(len(q)) * Ts
+        moved = np.diff(q, axis=0) if chain is None else np.asarray(apart(chain, q[:-1], q[1:]))
+        qdot, t = moved / Ts, np.arange(len(q)) * Ts
     n = qdot.shape[1]
     if not len(qdot):
         raise errors.fail("run", "have a step", "has none")

@@ -24,6 +24,7 @@ from cnclik.law.law import Law, check_loop, weighted
 from cnclik.law.shifted import true_motion
 from cnclik.measure.outcome import ending, stable
 from cnclik.record import cast
+from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.shapes import Number
@@ -270,7 +271,9 @@ METRICS = {
     "rms_qdot": Metric(_rms_qdot, "q/s", "RMS of ‖q̇‖"),
     "rms_qddot": Metric(_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
     "path_length": Metric(
-        lambda of: jnp.sum(_norms(jnp.diff(of.run.q, axis=0))), "q", "length of the joint path, Σ‖Δq‖"
+        lambda of: jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:]))),
+        "q",
+        "length of the joint path, Σ‖Δq‖",
     ),
     "velocity_ratio": Metric(
         lambda of: _max(_finite(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit))),

@@ -15,6 +15,7 @@ import numpy as np
 from cnclik import errors, markup
 from cnclik.record import record
 from cnclik.robot import poses
+from cnclik.robot.bases import BALL
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, rotation_about, vsub
 from cnclik.robot.masses import Mass
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
@@ -30,7 +31,7 @@ REVOLUTE, PRISMATIC = "revolute", "prismatic"
 class Joint:
     """One joint. Its value is `multiplier · q[coordinate] + offset`: mimic joints share a coordinate."""
 
-    kind: str
+    kind: str  # "revolute", "prismatic", or "ball", of three in a row that are a rotation, see `cnclik.robot.chart`
     axis: Triple  # unit vector in the joint's own frame
     origin: Offset
     coordinate: int
@@ -101,6 +102,11 @@ class Chain:
         return found[::-1]
 
     @property
+    def balls(self) -> tuple[tuple[int, int], ...]:
+        """Of each rotation that is three joints the index of the first and its coordinate."""
+        return tuple((i, j.coordinate) for i, j in enumerate(self.joints) if j.kind == BALL)[::3]
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
         kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
@@ -113,7 +119,7 @@ class Chain:
         return tuple(i not in slow for i in range(self.n))
 
     def __repr__(self):
-        kinds = "".join("R" if j.kind == REVOLUTE else "P" for j in self.joints)
+        kinds = "".join({REVOLUTE: "R", PRISMATIC: "P", BALL: "B"}[j.kind] for j in self.joints)
         tips = f", tips={[t.name for t in self.tips]}" if len(self.tips) > 1 else ""
         return f"Chain({kinds}, joint_names={list(self.joint_names)}{tips})"
 

@@ -20,8 +20,8 @@ from cnclik.engine.constants import of_the_model
 from cnclik.hints import QUICK_COMPILE, quick_jit
 from cnclik.record import kept, mapped, record, replace
 from cnclik.robot import fixed
-from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.rotations import library
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
+from cnclik.robot.rotations import library, quaternion, rotation_from_quaternion
 from cnclik.shapes import AnyArray, Array, Bool, Float
 
 
@@ -34,6 +34,7 @@ class Model:
     axes: Float[Array, "j 3"]  # unit vectors in the joints' own frames
     turning: Bool[AnyArray, " j"] | None  # true for revolute joints; None where all are
     mimic: tuple[Float[Array, "j n"], Float[Array, " j"]] | None  # multipliers and offsets of the joint values, if any
+    balls: tuple[tuple[int, int], ...]  # of each rotation that is three joints the index of the first, its coordinate
     parents: tuple[int, ...]  # of each joint the index of the one that carries it, −1 for the base
     tips: tuple[Float[Array, "4 4"], ...]  # as seen from the joints that carry them
     carriers: tuple[int, ...]  # indices of those
@@ -72,10 +73,23 @@ def joint_frames(chain: Model, q):
     own = still + xp.sin(values)[..., None, None] * sine + xp.cos(values)[..., None, None] * cosine
     if slide is not None:
         own = own + values[..., None, None] * slide
-    at = []
+    at: list = []
+    starts = [first for first, _ in chain.balls]
     for i, parent in enumerate(chain.parents):
-        at.append(own[..., i, :, :] if parent < 0 else at[parent] @ own[..., i, :, :])
+        if i - 1 in starts or i - 2 in starts:  # their three axes are those of the frame that they turn together
+            at.append(at[-1])
+            continue
+        frame = own[..., i, :, :] if parent < 0 else at[parent] @ own[..., i, :, :]
+        at.append(frame if i not in starts else frame @ _turn(values[..., i : i + 3]))
     return xp.stack(at, -3)
+
+
+def _turn(w):
+    """Transforms (..., 4, 4) that turn by rotation vectors (..., 3)."""
+    xp, (cosine, v) = library(w), quaternion(w)
+    none, one = xp.zeros_like(cosine), xp.ones_like(cosine)
+    rows = rotation_from_quaternion((cosine, v[..., 0], v[..., 1], v[..., 2]))
+    return xp.stack([xp.stack(row, -1) for row in (*([*row, none] for row in rows), [none, none, none, one])], -2)
 
 
 def frames(chain: Model, q, tip: int = 0) -> Frames:
@@ -174,11 +188,11 @@ def _model(chain: Chain) -> Model:
         """A, B, C and D."""
         own = [fixed.matmul(joint.origin.rotation, part) for part in fixed.rotation_parts(joint.axis)]
         still, sine, cosine = own if joint.kind == REVOLUTE else (joint.origin.rotation, nothing, nothing)
-        away = fixed.ZERO if joint.kind == REVOLUTE else fixed.matvec(joint.origin.rotation, joint.axis)
+        away = fixed.ZERO if joint.kind != PRISMATIC else fixed.matvec(joint.origin.rotation, joint.axis)
         return matrix(still, joint.origin.position, 1.0), matrix(sine), matrix(cosine), matrix(nothing, away)
 
     *turns, slide = (xp.array(part) for part in zip(*map(parts, chain.joints), strict=True))
-    turning = np.array([j.kind == REVOLUTE for j in chain.joints])
+    turning = np.array([j.kind != PRISMATIC for j in chain.joints])
     slide, turning = (None, None) if turning.all() else (slide, turning)
     mimic = None
     if [(j.coordinate, j.multiplier, j.offset) for j in chain.joints] != [(i, 1.0, 0.0) for i in range(chain.n)]:
@@ -199,6 +213,7 @@ def _model(chain: Chain) -> Model:
         axes=xp.array([j.axis for j in chain.joints], float),
         turning=turning,
         mimic=mimic,
+        balls=chain.balls,
         parents=chain.parents,
         tips=tuple(xp.array(matrix(t.offset.rotation, t.offset.position, 1.0)) for t in chain.tips),
         carriers=tuple(t.joint for t in chain.tips),

@@ -139,3 +139,15 @@ def half_turn(v):
     sine = _series(squared, *((-1) ** k / math.factorial(2 * k + 1) for k in range(terms)))
     cosine = _series(squared, *((-1) ** k / math.factorial(2 * k) for k in range(terms)))
     return cosine, 0.5 * sine * v
+
+
+def quaternion(v):
+    """Unit quaternion, w and (x, y, z), of rotation vectors (..., 3), finite with all derivatives at 0."""
+    xp = library(v)
+    squared = 0.25 * xp.sum(v * v, axis=-1)
+    small = squared < 1e-4
+    safe = xp.where(small, 1.0, squared)
+    half = xp.sqrt(safe)
+    cosine = 1 - squared / 2 * (1 - squared / 12 * (1 - squared / 30))
+    sine = 1 - squared / 6 * (1 - squared / 20 * (1 - squared / 42))
+    return xp.where(small, cosine, xp.cos(half)), 0.5 * xp.where(small, sine, xp.sin(half) / half)[..., None] * v

@@ -287,12 +287,13 @@ def _edge(file, joint) -> Edge:
     lower, upper, velocity, mimic = -math.inf, math.inf, math.inf, None
     if joint.type not in (*MOVING, "fixed", "floating", "planar"):
         raise bad(f"has type {joint.type!r}")
-    if joint.type in MOVING:
+    if joint.type in (*MOVING, "planar"):
         vector = joint.axis
         length = math.hypot(*vector)
         if not math.isfinite(length) or length == 0:
             raise bad(f"has axis {' '.join(f'{x:g}' for x in vector)}")
         axis = snapped(x / length for x in vector)
+    if joint.type in MOVING:
         if joint.limit is None and joint.type != "continuous" and joint.mimic is None:
             raise bad(f"is {joint.type} and has no <limit>")
         if joint.limit is not None:

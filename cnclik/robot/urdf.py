@@ -5,13 +5,14 @@ import re
 from collections.abc import Sequence
 
 from cnclik import errors
+from cnclik.robot.bases import BALL, BASES, grounded
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of, turn
 from cnclik.robot.fixed import Offset, compose, inverse, scale
 from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
 _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
-_MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
+_MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, "ball": BALL}
 
 
 def load_urdf(
@@ -49,7 +50,7 @@ def load_urdf(
 
 def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=None, freeze=None) -> Chain:
     """The robot of a tree that was read before. Args and raises: as `load_urdf`."""
-    base = tree.root if base is None else link_of(tree, "base", base)
+    tree, base = grounded(tree, base if base is None or base in BASES else link_of(tree, "base", base))
     if tips is None:
         end = tip_of(tree, tip, base)
         ends = {end: (end, Offset())}
@@ -92,8 +93,9 @@ def _walked(tree, base, links, frozen) -> tuple:
             if edge.type == "fixed":
                 at[there] = parent, _after(before, edge, turned)
                 continue
-            if edge.type not in _MOVING:
-                raise _odd(tree, link, edge, turned)
+            if edge.type == BALL and turned:
+                name = edge.name.rpartition("_")[0]
+                raise errors.fail("base", "be a link before a floating joint", f"is beyond {name!r}")
             kind, (leader, multiplier, offset) = _MOVING[edge.type], _leader(by_name, edge, leaders)
             if leader.name in frozen:
                 at[there] = parent, _after(before, edge, turned, multiplier * frozen[leader.name] + offset)
@@ -168,7 +170,7 @@ def _ends(tree, tips) -> dict:
 
 def _frozen(tree, freeze) -> dict:
     """{name of a joint that does not move: its value}, checked."""
-    moving = {e.name: e for e in tree.edges if e.type in _MOVING}
+    moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
     if not isinstance(freeze, (dict, type(None))):
         raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
     for name, value in (freeze or {}).items():
@@ -186,7 +188,7 @@ def _frozen(tree, freeze) -> dict:
 
 def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
     """The name of the last link: the one given, or the only one that can be meant. Args and raises: as `load_urdf`."""
-    base = tree.root if base is None else link_of(tree, "base", base)
+    base = tree.root if base is None or base in BASES else link_of(tree, "base", base)
     if tip is not None:
         return link_of(tree, "tip", tip)
     candidates = tree.tips(base)
@@ -240,16 +242,6 @@ def _leader(by_name, edge, known):
             )
         known[name] = leader, multiplier, offset
     return leader, multiplier, offset
-
-
-def _odd(tree, tip, edge, turned):
-    """The error of a way over a joint that is no coordinate; where the way goes on with joints it names their base."""
-    after = edge.parent if turned else edge.child
-    rest = [e for part in tree.way(tip, after) for e in part]
-    such = any(e.type in _MOVING for e in rest) and all(e.type in (*_MOVING, "fixed") for e in rest)
-    remedy = f"; base {after!r} begins after it" if such else ""
-    odd = f"joint {edge.name!r} on the way is {edge.type!r}{remedy}"
-    return errors.fail("tip", "be reached by revolute, prismatic and fixed joints", odd)
 
 
 def link_of(tree, name, link):

@@ -7,6 +7,7 @@ import numpy as np
 from cnclik.integrate.status import Status
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.quantities import plainly
+from cnclik.robot.chart import apart
 from cnclik.robot.posture import arm_length
 
 ARRIVED = 1e-3  # of the initial error: below, throughout the last quarter, a loop has settled
@@ -135,16 +136,19 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
         share=_share(*(np.asarray(v, float)[:bad][-2 * quarter :] for v in (run.x, run.e))),
         dtype=np.dtype(dtype),
         still=bool(quarter > 1 and (q[:bad][-quarter:] == q[:bad][-1]).all() and late.min() > least),
-        drift=2
-        * float(np.linalg.norm(np.diff([np.mean(v, axis=0) for v in np.array_split(q[:bad][-quarter:], 2)], axis=0)))
-        if quarter > 1
-        else 0.0,
+        drift=_drift(law.chain, q[:bad][-quarter:]) if quarter > 1 else 0.0,
         outside=np.maximum(q[:bad] - np.array(law.chain.upper), np.array(law.chain.lower) - q[:bad]).max(
             0, initial=0.0
         ),
         way=float(np.sum(np.linalg.norm(moved[:, law.task.lengths or slice(None)], axis=1))),
         bad=bad,
     )
+
+
+def _drift(chain, q):
+    """How far the joints (N, n) went, by their means over both halves."""
+    halves = [np.mean(v, axis=0) for v in np.array_split(np.asarray(apart(chain, q[0], q)), 2)]
+    return 2 * float(np.linalg.norm(halves[1] - halves[0]))
 
 
 def _share(x, e):

@@ -10,6 +10,7 @@ from cnclik.integrate.pace import path_waits
 from cnclik.integrate.pieces import piece_of
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.status import Status
+from cnclik.robot.chart import apart
 from cnclik.stability import trial
 
 STEPS = 32  # that are compared
@@ -43,7 +44,7 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     k = int(rough[0]) if len(rough) else k
     roundings = ROUNDINGS if pace is None else AT_A_PACE
     floor = roundings * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
-    stepped = np.abs(np.diff(q[: k + 1], axis=0) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
+    stepped = np.abs(_apart(law, q[:k], q[1 : k + 1]) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
     remembers = not (drive.absent and pace is None and method.steps == 1)
     if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
         return
@@ -56,13 +57,18 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
         return np.asarray(made.q)[: k + 1]
 
     made = again(q[0])
-    off = np.abs(q[: k + 1] - made).max(axis=1)
+    off = np.abs(_apart(law, made, q[: k + 1])).max(axis=1)
     if (off <= floor).all():
         return
     beside = again(q[0] + 4 * eps * (1 + np.abs(q[0])).astype(q.dtype))
-    spread = np.maximum.accumulate(np.abs(beside - made).max(axis=1))
+    spread = np.maximum.accumulate(np.abs(_apart(law, made, beside)).max(axis=1))
     if (other := np.isfinite(spread + off) & (off > floor + roundings * spread)).any():
         first = int(np.argmax(other))
         must = "be made by the loop that is described, with its drive, pace, noise, method and stage"
         found = f"at t = {t[first]:.4g} s its joints differ from that loop's by {off[first]:.2g} [rad, m]"
         raise errors.fail("run", must, found)
+
+
+def _apart(law, starts, several):
+    with jax.enable_x64(True) if several.dtype == np.float64 else contextlib.nullcontext():
+        return np.asarray(apart(law.chain, starts, several))

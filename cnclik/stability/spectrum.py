@@ -27,6 +27,7 @@ from cnclik.law.null import without
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import cast, record, replace
+from cnclik.robot import chart
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import modelled, one_off, standing
 from cnclik.robot.posture import arm_length
@@ -45,7 +46,8 @@ LANES = 128  # gains and sampling times looked at together: one shape for every 
 
 
 def one_step(law, reference, q, Ts, method, stage):
-    """∂q[k+1]/∂q[k] of the step from t = 0 (n, n), and the rows of the weighted task Jacobian at q (m, n). Pure.
+    """∂q[k+1]/∂q[k] of the step from t = 0 (n, n), in the chart at q, and the rows of the weighted task Jacobian at q
+    (m, n). Pure.
 
     Of a multistep method of p instants it is the map of all that they were, (q[k], …, q[k−p+1]), at rest at q:
     (p·n, p·n), the newest first.
@@ -53,18 +55,18 @@ def one_step(law, reference, q, Ts, method, stage):
     law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
     if law.null_velocity is None:  # with one an arm that is on its way to another posture has stages elsewhere
         law = replace(law, chain=standing(law.chain, q))
-    t, n, p = jnp.zeros_like(Ts), len(q), method.steps
+    t, n, p, chain = jnp.zeros_like(Ts), len(q), method.steps, law.chain
 
     def move(instants):
-        now, *past = instants.reshape(p, n)
+        now, *past = (chart.out(chain, q, y) for y in instants.reshape(p, n))
         history = blank(law, now, method)
         if past:
             history = primed(law, reference, past, t, Ts, method, history)
         made = advance(law, reference, now, t, Ts, method, stage, history)
-        return made.q
+        return chart.into(chain, q, made.q)
 
     rows = evaluate(law, reference, t, q).rows
-    moved = jax.jacfwd(move)(jnp.tile(q, p))
+    moved = jax.jacfwd(move)(jnp.tile(chart.centre(chain, q), p))
     if p > 1:
         moved = jnp.concatenate([moved, jnp.eye((p - 1) * n, p * n, dtype=q.dtype)])
     return moved, rows
@@ -256,11 +258,11 @@ def null_flow(law, held, q):
     """How the velocity at rest at q changes with q, ∂q̇/∂q (n, n), and the rows of the weighted J (m, n). Pure."""
     law, held = cast((modelled(law), held), q.dtype)
 
-    def flow(q):
-        found = evaluate(law, held, jnp.zeros_like(q[0]), q)
+    def flow(y):
+        found = evaluate(law, held, jnp.zeros_like(q[0]), chart.out(law.chain, q, y))
         return found.qdot, found.rows
 
-    return jax.jacfwd(flow, has_aux=True)(q)
+    return jax.jacfwd(flow, has_aux=True)(chart.centre(law.chain, q))
 
 
 null_flow_of_numbers = one_off(null_flow)

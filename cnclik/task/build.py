@@ -82,7 +82,7 @@ def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Ta
     """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
 
     Args:
-      names: of the joints; None: all.
+      names: of the joints; None: all but those of a free base.
       weights: (m,) positive weights, or None.
     """
     return _task(weights, Joints(wanted=None if names is None else _names("names", names)))

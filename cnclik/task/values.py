@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.record import record, replace
+from cnclik.robot import chart
 from cnclik.robot.rotations import library
 from cnclik.task.parts import At, Vector
 
@@ -34,8 +36,16 @@ class Joints(Vector):
         """The part of this robot."""
         if self.which is not None:
             return self
-        wanted = chain.joint_names if self.wanted is None else self.wanted
+        turned = {i + k for _, i in chain.balls for k in range(3)}
+        bodies = {i - k for i in turned for k in (0, 3)}  # of floating joints the places, too
+        wanted = self.wanted
+        if wanted is None:
+            wanted = tuple(name for i, name in enumerate(chain.joint_names) if i not in bodies)
         which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
+        if turned.intersection(which):
+            name = wanted[[i in turned for i in which].index(True)]
+            must = "leave out rotations, which ck.orientation(tip=...) of the link that turns is for"
+            raise errors.fail("joints", must, f"name {name}")
         return replace(self, wanted=tuple(wanted), which=which, units=tuple(chain.units[i] for i in which))
 
     def x(self, robot: At):
@@ -90,11 +100,15 @@ class Function(Vector):
         if self.its_rows is not None and aim is not None:
             return self._made("rows", self.its_rows, robot.chain, robot.q, aim, shape=robot.q.shape)
 
-        def taken(q):
-            at = At(robot.chain, q)
+        chain = robot.chain
+
+        def taken(start, y):
+            at = At(chain, chart.out(chain, start, y))
             return self.x(at) if aim is None or self.of_target is None else -self.error(at, aim)
 
-        made = jax.jacfwd(taken)
+        def made(q):
+            return jax.jacfwd(functools.partial(taken, q))(chart.centre(chain, q))
+
         return made(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(made)(robot.q))
 
     def velocity(self, robot: At, aim, motion):

@@ -272,7 +272,6 @@ ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "
         (ROW + '<link name="a"/>', "more than one link 'a'"),
         (ROW.replace("j3", "j2"), "more than one joint 'j2'"),
         (ROW.replace("revolute", "round"), "type 'round'"),
-        (ROW.replace("revolute", "planar"), "'planar'"),
         (ROW.replace("revolute", "fixed"), "no.*moving joint|has none"),
         (ROW.replace("0 0 1", "0 0 0"), "axis 0 0 0"),
         (ROW.replace("0 0 1", "0 0"), "joint 'j1' of robot.urdf has axis xyz '0 0', not three numbers"),
@@ -447,19 +446,6 @@ def test_a_files_text_is_read_like_the_file(tmp_path):
     assert str(of_file) == str(of_text) and of_file.joints[1].origin.position == of_text.joints[1].origin.position
     with pytest.raises(ck.ArgumentError, match="the text holds <html>, not <robot>"):
         ck.load_urdf("<html/>")
-
-
-def floating(kind):
-    rest = long_chain(3).partition(">")[2]
-    return f'''<robot name="dog"><link name="world"/><joint name="free" type="{kind}"><parent link="world"/>
-    <child link="l0"/></joint>{rest}'''
-
-
-@pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_base_behind_a_free_joint_is_named_and_works(kind):
-    with pytest.raises(ck.ArgumentError, match=f"joint 'free' on the way is '{kind}'; base 'l0' begins after it"):
-        ck.load_urdf(floating(kind))
-    assert ck.load_urdf(floating(kind), base="l0").n == ck.load_urdf(long_chain(3)).n
 
 
 def test_a_padded_name_is_found_without_its_spaces():

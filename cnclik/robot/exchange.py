@@ -1,0 +1,176 @@
+"""Exchange: joint values and velocities as Pinocchio's and MuJoCo's models have them, matched by the joints' names.
+
+Both write a free joint as a position and a unit quaternion, seven numbers, Pinocchio in the order x y z w, MuJoCo in
+w x y z; Pinocchio also writes the angle of a continuous joint, and of a planar one, as its cosine and sine. Velocities
+of a free joint: MuJoCo's are those of `cnclik.robot.chart`, ṗ along the world's axes and ω in the base's own;
+Pinocchio's are Rᵀṗ and ω, of a planar joint likewise Rᵀṗ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cnclik import errors
+from cnclik.robot.chain import Chain
+from cnclik.robot.poses import quaternions
+from cnclik.robot.rotations import quaternion, rotation_from_quaternion
+from cnclik.shapes import ArrayLike, Float
+
+_ROOTS = "root_joint", "floating_base_joint", "freejoint", ""  # what others call the joint that we name "base"
+_FREE, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "yaw")
+_REST = {"free": (0, 0, 0, 1, 0, 0, 0), "planar": (0, 0, 1, 0), "circle": (1, 0), "one": (0,), "ball": (1, 0, 0, 0)}
+
+
+class _Slot(NamedTuple):
+    """Where a joint of another's model is."""
+
+    name: str
+    kind: str  # a key of _REST
+    q: int  # index of its first value, and of its first velocity
+    v: int
+
+
+def to_pinocchio_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any = None) -> Any:
+    """q as a `pinocchio.Model` has it (..., model.nq), by names; joints that the robot hasn't are neutral.
+
+    Args:
+      q: (..., n) joint values of the robot.
+      qdot: (..., n) velocities, or None.
+    Returns: q, or where velocities are given (q, v).
+    """
+    return _to(robot, _of_pinocchio(model), q, qdot, (model.nq, model.nv), (1, 2, 3, 0), own=True)
+
+
+def from_pinocchio_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any = None) -> Any:
+    """Joint values (..., n) of a robot from a `pinocchio.Model`'s, by names, and velocities where they are given."""
+    return _from(robot, _of_pinocchio(model), q, v, (model.nq, model.nv), (1, 2, 3, 0), own=True)
+
+
+def to_mujoco_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any = None) -> Any:
+    """q as a `mujoco.MjModel` has it, qpos (..., model.nq). Args and returns: as `to_pinocchio_q`."""
+    return _to(robot, _of_mujoco(model), q, qdot, (model.nq, model.nv), (0, 1, 2, 3), own=False)
+
+
+def from_mujoco_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any = None) -> Any:
+    """Joint values (..., n) of a robot from a `mujoco.MjModel`'s qpos, by names; velocities from qvel, where given."""
+    return _from(robot, _of_mujoco(model), q, v, (model.nq, model.nv), (0, 1, 2, 3), own=False)
+
+
+# --- others' models -----------------------------------------------------------------------------------
+
+
+def _of_pinocchio(model) -> list:
+    kinds = {(7, 6): "free", (4, 3): "planar", (2, 1): "circle", (1, 1): "one"}
+    found = []
+    for name, joint in zip(model.names, model.joints, strict=True):
+        kind = "ball" if "Spherical" in joint.shortname() else kinds.get((joint.nq, joint.nv))
+        if joint.nq and kind is None:
+            raise errors.fail("model", "have joints of one kind each", f"has {name!r}, {joint.shortname()}")
+        if joint.nq:
+            found.append(_Slot(name, str(kind), joint.idx_q, joint.idx_v))
+    return found
+
+
+def _of_mujoco(model) -> list:
+    kinds = "free", "ball", "one", "one"
+    each = [model.joint(i) for i in range(model.njnt)]
+    return [_Slot(j.name, kinds[int(j.type[0])], int(j.qposadr[0]), int(j.dofadr[0])) for j in each]
+
+
+def _matched(robot, slots) -> Iterable:
+    """(slot, our coordinates of it or None) of each joint of a model."""
+    names = {name: i for i, name in enumerate(errors.kind("robot", robot, Chain).joint_names)}
+    for slot in slots:
+        parts = {"free": _FREE, "planar": _PLANAR}.get(slot.kind)
+        if parts is None:
+            yield slot, [names[slot.name]] if slot.name in names and slot.kind != "ball" else None
+            continue
+        called = [slot.name, *["base"] * (slot.name in _ROOTS)]
+        own = [[names.get(f"{name}_{part}") for part in parts] for name in called]
+        yield slot, next((places for places in own if None not in places), None)
+
+
+def _to(robot, slots, q, qdot, sizes, order, own):
+    q = np.asarray(errors.array("q", q, (robot.n,), (None, robot.n)), float)
+    found, speeds = np.zeros((*q.shape[:-1], sizes[0])), np.zeros((*q.shape[:-1], sizes[1]))
+    given = None if qdot is None else np.broadcast_to(np.asarray(qdot, float), q.shape)
+    for slot, places in _matched(robot, slots):
+        rest = np.array(_REST[slot.kind], float)
+        values, rotation = (rest, None) if places is None else _theirs(slot.kind, q[..., places])
+        if slot.kind in ("free", "ball"):
+            values = np.concatenate([values[..., :-4], values[..., -4:][..., list(order)]], -1)
+        found[..., slot.q : slot.q + len(rest)] = values
+        if given is not None and places is not None:
+            back = None if rotation is None or not own else np.swapaxes(rotation, -1, -2)
+            speeds[..., slot.v : slot.v + len(places)] = _turned(given[..., places], back)
+    return found if qdot is None else (found, speeds)
+
+
+def _from(robot, slots, q, v, sizes, order, own):
+    q = np.asarray(errors.array("q", q, (sizes[0],), (None, sizes[0])), float)
+    found, speeds = (np.full((*q.shape[:-1], robot.n), np.nan) for _ in range(2))
+    given = None if v is None else np.broadcast_to(np.asarray(v, float), (*q.shape[:-1], sizes[1]))
+    for slot, places in _matched(robot, slots):
+        if places is None:
+            continue
+        values = q[..., slot.q : slot.q + len(_REST[slot.kind])]
+        if slot.kind == "free":
+            values = np.concatenate([values[..., :3], values[..., 3:][..., np.argsort(order)]], -1)
+        found[..., places], rotation = _ours(slot.kind, values)
+        if given is not None:
+            speeds[..., places] = _turned(given[..., slot.v : slot.v + len(places)], rotation if own else None)
+    missing = [name for i, name in enumerate(robot.joint_names) if np.isnan(found[..., i]).all()]
+    if missing and not np.isnan(q).any():
+        raise errors.fail("model", "have the robot's joints", f"has no {', '.join(missing)}")
+    return found if v is None else (found, speeds)
+
+
+# --- one joint's values -------------------------------------------------------------------------------
+
+
+def _theirs(kind, mine):
+    """(a joint's values as others write them, with w x y z, and how it is turned) from ours."""
+    if kind == "one":
+        return mine, None
+    if kind in ("planar", "circle"):
+        c, s = np.cos(mine[..., -1:]), np.sin(mine[..., -1:])
+        return np.concatenate([mine[..., :-1], c, s], -1), _about_z(c, s)
+    w, v = quaternion(mine[..., 3:])
+    turned = _rotation(np.concatenate([w[..., None], v], -1))
+    return np.concatenate([mine[..., :3], quaternions(turned)], -1), turned
+
+
+def _ours(kind, values):
+    if kind == "one":
+        return values, None
+    if kind in ("planar", "circle"):
+        c, s = values[..., -2:-1], values[..., -1:]
+        return np.concatenate([values[..., :-2], np.arctan2(s, c)], -1), _about_z(c, s)
+    unit = values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True)
+    unit = np.where(unit[..., :1] < 0, -unit, unit)
+    size = np.linalg.norm(unit[..., 1:], axis=-1, keepdims=True)
+    tiny = size < 1e-100
+    share = np.where(tiny, 2.0, 2 * np.arctan2(size, unit[..., :1]) / np.where(tiny, 1.0, size))
+    return np.concatenate([values[..., :3], share * unit[..., 1:]], -1), _rotation(unit)
+
+
+def _rotation(unit):
+    return np.moveaxis(np.array(rotation_from_quaternion(np.moveaxis(unit, -1, 0))), (0, 1), (-2, -1))
+
+
+def _about_z(c, s):
+    zero = 0 * c[..., 0]
+    rows = [[c[..., 0], -s[..., 0], zero], [s[..., 0], c[..., 0], zero], [zero, zero, zero + 1]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _turned(velocity, rotation):
+    """A joint's velocity with its linear part turned."""
+    count = {6: 3, 3: 2}.get(velocity.shape[-1], 0)
+    if rotation is None or not count:
+        return velocity
+    linear = (rotation[..., :count, :count] @ velocity[..., :count, None])[..., 0]
+    return np.concatenate([linear, velocity[..., count:]], -1)

@@ -1,0 +1,106 @@
+"""Bases that move: kinematics against Pinocchio's and MuJoCo's free and planar joints, exchange, and the chart."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import cnclik as ck
+from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.tree import read_urdf
+from cnclik.robot.urdf import chain
+from tests.robot.test_trees import ROBOTS
+from tests.robot.test_urdf import ROOT, long_chain
+
+ON_BASES = ["g1", "talos", "tiago", "icub", "anymal"]
+JOINTS = {"free": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
+DOG = f'<robot name="dog"><link name="world"/>{{}}{long_chain(3).partition(">")[2]}'
+JOINT = '<joint name="{}" type="{}"><parent link="world"/><child link="l0"/>{}</joint>'
+
+
+def postures(robot, count, seed=0):
+    rng = np.random.default_rng(seed)
+    low, high = (np.clip(bound, -2.0, 2.0) for bound in (robot.lower, robot.upper))
+    q = rng.uniform(low, high, (count, robot.n))
+    for _, i in robot.balls:
+        q[:, i : i + 3] *= np.array([0.0, 1e-9, *[1.0] * count])[:count, None]
+    return q
+
+
+@pytest.mark.parametrize("base", ["free", "planar"])
+@pytest.mark.parametrize("name", ON_BASES)
+def test_robots_on_bases_are_pinocchios(name, base):
+    """Breaks for a base whose axes are others than told, and for values or velocities that are exchanged wrongly."""
+    path = ROOT / ROBOTS[name]
+    tree, model = read_urdf(path), pin.buildModelFromUrdf(str(path), JOINTS[base]())
+    robot = chain(tree, tips=[tree.root, *tree.tips()[:2]], base=base)
+    q, data, seen = postures(robot, 4), model.createData(), modelled(robot)
+    assert robot.n == chain(tree, tips=tree.tips()[:2]).n + {"free": 6, "planar": 3}[base]
+    qdot = np.random.default_rng(1).normal(size=q.shape)
+    theirs, v = ck.to_pinocchio_q(robot, model, q, qdot)
+    for row, rates, own, own_rates in zip(theirs, v, q, qdot, strict=True):
+        pin.forwardKinematics(model, data, row, rates)
+        pin.updateFramePlacements(model, data)
+        for i, tip in enumerate(robot.tips):
+            frame = model.getFrameId(tip.name, pin.FrameType.BODY)
+            at, spin = frames(seen, own, i), pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            np.testing.assert_allclose(at.position, data.oMf[frame].translation, atol=1e-12)
+            np.testing.assert_allclose(at.rotation, data.oMf[frame].rotation, atol=1e-12)
+            moved = jacobian_rows(seen, at, (0, 1, 2), (0, 1, 2)) @ own_rates
+            np.testing.assert_allclose(moved, spin.vector, atol=1e-11)
+    again, rates = ck.from_pinocchio_q(robot, model, theirs, v)
+    np.testing.assert_allclose(again, q, atol=1e-14)
+    np.testing.assert_allclose(rates, qdot, atol=1e-14)
+
+
+def test_mujoco_has_the_same_velocities():
+    text = """<mujoco><worldbody><body name="trunk"><freejoint name="base"/><geom size="1"/>
+    <body pos="0.1 0.2 0.3"><joint name="j0" axis="0 0 1"/><geom size="0.1"/><site name="tip" pos="0.4 0 0"/>
+    </body></body></worldbody></mujoco>"""
+    urdf = """<robot name="r"><link name="trunk"/><link name="arm"/>
+    <joint name="j0" type="continuous"><axis xyz="0 0 1"/><origin xyz="0.1 0.2 0.3"/>
+    <parent link="trunk"/><child link="arm"/></joint></robot>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    robot, data = ck.with_tool(ck.load_urdf(urdf, base="free"), [0.4, 0.0, 0.0]), mujoco.MjData(model)
+    q, qdot = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5, 0.7]), np.arange(1.0, 8)
+    data.qpos, data.qvel = ck.to_mujoco_q(robot, model, q, qdot)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.site("tip").xpos, ck.forward(robot, q).position, atol=1e-12)
+    found = np.zeros((3, 7))
+    mujoco.mj_jacSite(model, data, found, None, 0)
+    np.testing.assert_allclose(found @ data.qvel, ck.jacobian(robot, q)[:3] @ qdot, atol=1e-12)
+    again, rates = ck.from_mujoco_q(robot, model, data.qpos, data.qvel)
+    np.testing.assert_allclose(again, q, atol=1e-14)
+    np.testing.assert_allclose(rates, qdot)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_files_own_free_joint_is_a_base(kind):
+    text = DOG.format(JOINT.format("base", kind, '<axis xyz="0 0 1"/>'))
+    own, told = ck.load_urdf(text), ck.load_urdf(long_chain(3), base={"floating": "free"}.get(kind, kind))
+    assert own.joint_names == told.joint_names and own.units == told.units
+    q = np.linspace(0.1, 0.8, own.n)
+    np.testing.assert_array_equal(ck.jacobian(own, q), ck.jacobian(told, q))
+    assert ck.load_urdf(text, base="l0").n == ck.load_urdf(long_chain(3)).n
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0.6, -0.8), (0, 0, -1)])
+def test_a_planar_joint_moves_across_its_axis_and_turns_about_it(axis):
+    text = DOG.format(JOINT.format("base", "planar", f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'))
+    j = np.asarray(ck.jacobian(ck.load_urdf(text), np.zeros(3 + ck.load_urdf(long_chain(3)).n)))
+    np.testing.assert_allclose(axis @ j[:3, :2], 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.cross(*j[:3, :2].T), axis, atol=1e-15)
+    np.testing.assert_allclose(j[3:, 2], axis)
+
+
+def test_what_a_base_cannot_be_is_one_line():
+    text = DOG.format(JOINT.format("legs", "floating", ""))
+    with pytest.raises(
+        ck.ArgumentError, match="Argument `base` must be a link before a floating joint, but is beyond 'legs'"
+    ):
+        ck.load_urdf(text, tip="world", base="l0")
+    with pytest.raises(ck.ArgumentError, match="`base` must be one of"):
+        ck.load_urdf(long_chain(3), base="flying")
+    with pytest.raises(ck.ArgumentError, match="have the robot's joints, but has no base_x, base_y"):
+        model = pin.buildModelFromXML(long_chain(3))
+        ck.from_pinocchio_q(ck.load_urdf(long_chain(3), base="free"), model, pin.neutral(model))
