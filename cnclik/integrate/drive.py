@@ -171,12 +171,14 @@ def _check(name, value, *, zero):
     return value
 
 
-def check_drive(drive, n: int) -> Drive:
-    """The drive; raises ArgumentError unless it is a `Drive` whose arrays fit a chain of n joints."""
+def check_drive(drive, chain) -> Drive:
+    """The drive; raises ArgumentError unless it is a `Drive` that fits a chain."""
     errors.kind("drive", drive, Drive, "be Drive(...)")
+    if chain.balls and drive.steps_positions:
+        raise errors.fail("drive", "take velocities on a free base, whose positions are no sums", "takes positions")
     for name in _QUANTITIES:
         if np.ndim(getattr(drive, name)):
-            errors.array(name, getattr(drive, name), (n,))
+            errors.array(name, getattr(drive, name), (chain.n,))
     return drive
 
 

@@ -20,7 +20,7 @@ from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.targets import wanted_at
 from cnclik.record import replace
 from cnclik.robot import poses
-from cnclik.robot.chain import REVOLUTE, Chain
+from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.shapes import Array, Float
@@ -159,9 +159,9 @@ def _away(arm):
     bounded = np.isfinite(lower) & np.isfinite(upper)
     middle = np.where(bounded, np.where(bounded, lower, 0) / 2 + np.where(bounded, upper, 0) / 2, np.inf)
     size = [0.3] * chain.n
-    for joint in chain.joints:
-        if joint.kind != REVOLUTE:
-            size[joint.coordinate] = arm_length(chain) / 10
+    for i, unit in enumerate(chain.units):
+        if unit == "m":
+            size[i] = arm_length(chain) / 10
     xp = np if errors.concrete(q0) and all(map(errors.concrete, size)) else jnp
     size = xp.minimum(xp.stack([xp.asarray(s, float) for s in size]), (upper - lower) / 4)
     return _tip(chain, q0 + xp.where(middle >= q0, size, -size), *arm.tips)

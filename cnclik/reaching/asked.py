@@ -156,6 +156,8 @@ def asked_of(chain, *rest) -> Asked:
 
 
 def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
+    if chain.balls:
+        raise errors.fail("chain", "stand, or move in a plane, to be asked for joint values", "has a free base")
     if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     numbers = {"seeds": (seeds, MOST_SEEDS), "budget": (budget, (1 << 30) - 1)}

@@ -25,19 +25,22 @@ def load_urdf(
 ) -> Chain:
     """Chain from base to tip of a robot in a URDF file, or the tree from base to several tips, read without its meshes.
 
-    Revolute, continuous and prismatic joints become coordinates in order from the base, tip by tip; fixed joints are
-    folded in; side branches are left out. The way may lead up from the base to where tip and base part, such as from
-    a humanoid's foot to its hand: joints on the way up keep their values and limits, and act the other way around. A
-    mimic joint shares the coordinate of the joint it follows, with its multiplier and offset, also where that joint is
-    on a side branch; the limits are those of the joint that is followed (the mimics' own contradict it in files such as
-    PR2's). Omitted position limits mean none, as does a velocity limit of 0, which exporters write where they know
-    none.
+    Revolute, continuous and prismatic joints become coordinates in order from the base, tip by tip; a planar joint is
+    three of them, two ways and a turn, a floating one six, see `base`; fixed joints are folded in; side branches are
+    left out. The way may lead up from the base to where tip and base part, such as from a humanoid's foot to its hand:
+    joints on the way up keep their values and limits, and act the other way around. A mimic joint shares the coordinate
+    of the joint it follows, with its multiplier and offset, also where that joint is on a side branch; the limits are
+    those of the joint that is followed (the mimics' own contradict it in files such as PR2's). Omitted position limits
+    mean none, as does a velocity limit of 0, which exporters write where they know none.
 
     Args:
       path: the file, plain URDF (run xacro first), or the text of one, which begins with "<".
       tip: name of the last link; by default the only leaf link that the joints move.
-      base: name of the first link, by default the root; anywhere in the tree. Where the robot stands is told by
-        `with_base`.
+      base: how the root moves, "fixed" (by default), "planar" or "free"; or the name of the first link, anywhere in the
+        tree. A planar base is three joints base_x, base_y [m] and base_yaw [rad]; a free one base_x, base_y, base_z [m]
+        and base_rx, base_ry, base_rz [rad], its rotation vector; q̇ is then the velocity along the world's axes and the
+        angular velocity in the base's own. They have no limits; `replace(robot, velocity_limit=...)` takes one for each
+        axis. Where a robot stands is told by `with_base`.
       tips: in place of `tip`, names of links, or {name: link}, or {name: (link, where)}, where a (3,) position [m] or a
         pose as seen from the link, as for `with_tool`.
       freeze: {name of a joint: the value that it keeps [rad, m]}; it is no coordinate then.

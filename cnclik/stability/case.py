@@ -205,7 +205,8 @@ class Case:
         from cnclik.reaching.public import reach  # here: most runs end where nothing is asked of it
 
         chain, task = self.law.chain, replace(self.law.task, weights=None)
-        if not task.of_one_tip or task.m > chain.n or not all(map(errors.concrete, jax.tree.leaves(chain))):
+        able = task.of_one_tip and task.m <= chain.n and not chain.balls
+        if not able or not all(map(errors.concrete, jax.tree.leaves(chain))):
             return None
         position, rotation = np.zeros(3), np.eye(3) if self.turn is None else self.turn
         if target is not None:

@@ -12,7 +12,6 @@ import numpy as np
 
 from cnclik.integrate.status import Status
 from cnclik.quantities import plainly
-from cnclik.robot.chain import REVOLUTE
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import LEAST, NEARLY, PLENTY, UNSTABLE
 from cnclik.stability.observed import VISIBLE, rms
@@ -249,9 +248,7 @@ def _shakes(case):
 
 
 def _shaking(case, error):
-    joints, seen = case.law.chain.joints, case.seen
-    kinds = {j.kind for j in joints}
-    unit = "rad" if kinds == {REVOLUTE} else "m" if REVOLUTE not in kinds else "rad or m"
+    seen, unit = case.seen, " or ".join(sorted(set(case.law.chain.units), reverse=True))
     fast = f"joint velocities up to {plainly(seen.joint_speed)} {unit}/s go back and forth"
     fast += " within the limits of the pace" if case.pace is not None else ""
     fast += f", with the path at {case.advance:.2g} of its speed" if case.moving and case.advance < 1 else ""

@@ -163,5 +163,5 @@ def _held_at_start(one):
 def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
     """Args: as for `recommend`."""
     method, stage = checked(method, stage)
-    (law, held), drive = at_rest(law, reference, q), check_drive(drive, law.chain.n)
+    (law, held), drive = at_rest(law, reference, q), check_drive(drive, law.chain)
     return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})

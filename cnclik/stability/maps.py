@@ -61,7 +61,7 @@ def outcomes(
     """
     method, stage = checked(method, stage)
     check_loop(law, reference)
-    check_drive(drive, law.chain.n)
+    check_drive(drive, law.chain)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
     errors.progress(progress)

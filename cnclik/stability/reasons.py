@@ -5,7 +5,6 @@ import numpy as np
 from cnclik.integrate.status import Status
 from cnclik.quantities import plainly
 from cnclik.reaching.result import ReachStatus
-from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.posture import beyond_arm
 from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky
@@ -68,7 +67,7 @@ def outside(case) -> str:
     most = int(np.argmax(beyond))
     if beyond[most] <= INSIDE:
         return ""
-    unit = "rad" if law.chain.joints[most].kind == REVOLUTE else "m"
+    unit = law.chain.units[most]
     others = int(np.sum(beyond > INSIDE)) - 1
     more = f", and {others} more {'is' if others == 1 else 'are'} beyond theirs" if others else ""
     past = ": its drive takes it past what the law keeps" if keeps_positions(law) else ""

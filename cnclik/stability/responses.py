@@ -68,7 +68,7 @@ def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     method, stage = checked(method, stage)
     check_loop(law)
     errors.number("Ts", Ts, positive=True)
-    check_drive(drive, law.chain.n)
+    check_drive(drive, law.chain)
     drive = replace(drive, drive_velocity=None, drive_acceleration=None, joint_noise=0.0, resolution=0.0)
     long = int(np.ceil(10 * np.max(drive.late_by(float(Ts))) / float(Ts)))
     N = errors.integer("N", max(2 * PERIOD, long) if N is None else N, at_least=1, at_most=errors.MOST)

@@ -95,7 +95,7 @@ def together(case, times) -> Together | None:
     from cnclik.reaching.public import reach  # here: most runs end where nothing is asked of it
 
     law, chain = case.law, case.law.chain
-    if not all(map(errors.concrete, jax.tree.leaves(chain))):
+    if chain.balls or not all(map(errors.concrete, jax.tree.leaves(chain))):
         return None
     try:
         task, targets = wanted_at(case.reference, law.task, times)

@@ -111,7 +111,7 @@ def verdict(
     step = float(run.t[-1] - run.t[0]) / len(run.residual)
     if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
-    loop = law, reference, run, float(Ts), method, stage, check_drive(Drive() if drive is None else drive, law.chain.n)
+    loop = law, reference, run, float(Ts), method, stage, check_drive(Drive() if drive is None else drive, law.chain)
     check_path(pace, reference, run)
     if noise is None:
         check_made(*loop, pace)

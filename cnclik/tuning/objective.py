@@ -291,7 +291,7 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
     longest = steps_to(horizon, shortest)
     runs = scenarios(law, reference, q0, longest, goal.conditions)
     joints, limits = _limits(law.chain, goal.velocity_limit)
-    drive = check_drive(goal.conditions.drive, law.chain.n)
+    drive = check_drive(goal.conditions.drive, law.chain)
     if drive.order and any(p.name == "Ts" for p in parameters):
         raise errors.fail("over", "not hold Ts where the drive has a lag", "holds it")
     most = np.inf if goal.ringing else linear.largest_share(drive, float(Ts), goal.delay_margin, goal.noise_gain)

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.robot.chain import REVOLUTE
+from cnclik.robot.bases import BALL
+from cnclik.robot.chain import PRISMATIC, REVOLUTE
 from cnclik.robot.model import joint_frames, modelled
 from cnclik.robot.posture import arm_length
 from cnclik.show import style
@@ -53,7 +54,9 @@ def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
             shape = capsule(np.zeros(3), end, thick * (1.15 if frame == 0 else 1.0))
             found.append(Part(frame, *shape, GREY if frame == 0 else color))
     for i, joint in enumerate(chain.joints, 1):
-        axis = _numbers(joint.axis)
+        axis, anywhere = _numbers(joint.axis), np.isinf([chain.lower[joint.coordinate], chain.upper[joint.coordinate]])
+        if joint.kind == BALL or (joint.kind == PRISMATIC and anywhere.all()):  # of a base: there is nothing to be seen
+            continue
         if joint.kind == REVOLUTE:
             shape = rod(-1.2 * thick * axis, 1.2 * thick * axis, 1.3 * thick)
             found.append(Part(i, *shape, dark))

@@ -1,0 +1,219 @@
+"""Loops on a free base: the order of every method, gradients at any turn, limits, drives, long runs, rest.
+
+The truth is SciPy's, on a quaternion that it integrates itself.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from scipy.spatial.transform import Rotation
+
+import cnclik as ck
+from cnclik.robot.rotations import exp_so3
+from tests.integrate.test_exponential import by_steps
+from tests.integrate.test_orders import ORDERS, STEPS
+
+ROBOT = ck.load_urdf(
+    """<robot name="r"><link name="trunk"/><link name="arm"/><link name="hand"/>
+    <joint name="j0" type="continuous"><axis xyz="0 1 0"/><origin xyz="0.1 0.2 0.3" rpy="0.3 0 0"/>
+    <parent link="trunk"/><child link="arm"/></joint>
+    <joint name="j1" type="continuous"><axis xyz="1 0 0"/><origin xyz="0 0.1 0.4"/>
+    <parent link="arm"/><child link="hand"/></joint></robot>""",
+    tips={"hand": ("hand", [0.0, 0.0, 0.3]), "trunk": "trunk"},
+    base="free",
+)
+HAND = ck.pose(tip="hand")
+LAW = ck.Law(ROBOT, HAND, alpha=4.0)
+
+
+def about(axis, angle):
+    return exp_so3(jnp.zeros(3).at[axis].set(angle))
+
+
+def target(t):
+    place = jnp.stack([0.4 * jnp.sin(t), 0.2 * t, 0.7 + 0.1 * jnp.cos(1.3 * t)])
+    return ck.Pose(position=place, rotation=about(2, 1.5 * t) @ about(0, 0.3 * jnp.sin(1.1 * t)))
+
+
+def told(t):
+    """The target and its velocity, by hand: position, rotation, (v, ω)."""
+    place = np.array([0.4 * np.sin(t), 0.2 * t, 0.7 + 0.1 * np.cos(1.3 * t)])
+    turn = Rotation.from_rotvec([0, 0, 1.5 * t])
+    spin = np.array([0, 0, 1.5]) + turn.apply([0.33 * np.cos(1.1 * t), 0, 0])
+    velocity = [0.4 * np.cos(t), 0.2, -0.13 * np.sin(1.3 * t)]
+    return place, turn * Rotation.from_rotvec([0.3 * np.sin(1.1 * t), 0, 0]), np.concatenate([velocity, spin])
+
+
+PATH = ck.path(target)
+
+
+def start(away=0.0):
+    """A posture with the hand on the path at t = 0, or away from there."""
+    q = np.array([0.1, 0.2, -0.1, 0.4, -0.6, 0.3, 0.2, 0.5])
+    hand, trunk = (Rotation.from_matrix(ck.forward(ROBOT, q, tip=tip).rotation) for tip in ("hand", "trunk"))
+    place, turn, _ = told(0.0)
+    q[3:6] = (Rotation.from_rotvec(away * np.array([2.0, -1.0, 1.5])) * turn * hand.inv() * trunk).as_rotvec()
+    q[:3] += place + away * np.array([1.0, -0.8, 1.2]) - np.asarray(ck.forward(ROBOT, q, tip="hand").position)
+    return q
+
+
+def whole(q):
+    return np.concatenate([q[:3], Rotation.from_rotvec(np.array(q[3:6])).as_matrix().ravel(), q[6:]])
+
+
+@functools.cache
+def truth(away):
+    def slope(t, y):
+        turn, (place, wanted, velocity) = Rotation.from_quat(y[3:7]), told(t)
+        q = np.concatenate([y[:3], turn.as_rotvec(), y[7:]])
+        at, j = ck.forward(ROBOT, q, tip="hand"), np.asarray(ck.jacobian(ROBOT, q, tip="hand"))
+        left = (wanted * Rotation.from_matrix(np.array(at.rotation)).inv()).as_rotvec()
+        v = np.linalg.pinv(j) @ (velocity + 4.0 * np.concatenate([place - at.position, left]))
+        (u, s), w = (y[3:6], y[6]), v[3:6]
+        return np.concatenate([v[:3], 0.5 * (s * w + np.cross(u, w)), [-0.5 * u @ w], v[6:]])
+
+    q = start(away)
+    first = np.concatenate([q[:3], Rotation.from_rotvec(q[3:6]).as_quat(), q[6:]])
+    end = scipy.integrate.solve_ivp(slope, (0.0, 1.0), first, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return np.concatenate([end[:3], Rotation.from_quat(end[3:7]).as_matrix().ravel(), end[7:]])
+
+
+QUICK = [("RK4", "on its path"), ("AB4", "from off it"), ("EXP-AB2", "on its path")]
+
+
+@pytest.mark.parametrize(
+    ("name", "case"),
+    [
+        pytest.param(n, c, marks=[] if (n, c) in QUICK else pytest.mark.slow)
+        for n in ORDERS
+        for c in ("on its path", "from off it")
+    ],
+)
+def test_order(name, case):
+    """Breaks for slopes without dexp⁻¹, or slopes that are remembered as they were: order 2 at most."""
+    away = 0.1 * (case == "from off it")
+    N = min(STEPS.get((name, case), STEPS.get(name, 80)), 320)
+    ends = [whole(by_steps(LAW, PATH, start(away), 1 / n, n, name)[0][-1]) for n in (N, 2 * N)]
+    coarse, fine = (np.linalg.norm(end - truth(away)) for end in ends)
+    assert np.log2(coarse / fine) == pytest.approx(ORDERS[name][case], abs=0.15 if N < 320 else 0.25)
+
+
+@jax.jit
+def summary(q):
+    end = ck.solve(LAW, PATH, q, 0.02, 2, "MIDPOINT").q[-1]
+    return jnp.concatenate([end[:3], exp_so3(end[3:6]).ravel(), end[6:]]) @ jnp.arange(1.0, 15)
+
+
+def test_gradients_are_finite_and_right_at_any_turn():
+    """Breaks for a norm's derivative at 0, or a logarithm's at a half turn."""
+    reverse, forward = jax.jit(jax.grad(summary)), jax.jit(jax.jacfwd(summary))
+    half = np.pi * np.array([2.0, -1.0, 2.0]) / 3
+    for w in ([0, 0, 0], [1e-9, 0, 0], [0, 0, np.pi], half, half * (1 - 1e-9), [2, 1, -1]):
+        q = start()
+        q[3:6] = w
+        found = np.asarray(reverse(q))
+        np.testing.assert_allclose(found, forward(q), atol=1e-12)
+        for i in (2, 3, 4, 5, 7):
+            by = 1e-6 * np.eye(8)[i]
+            assert (summary(q + by) - summary(q - by)) / 2e-6 == pytest.approx(found[i], abs=1e-6)
+
+
+def test_lanes_step_and_jit_do_what_solve_does():
+    q = start(0.1)
+    run = ck.solve(LAW, PATH, q, 0.05, 8, "EXP-AB2")
+    many = ck.lanes(lambda q: ck.solve(LAW, PATH, q, 0.05, 8, "EXP-AB2").q[-1])(np.stack([q, start()]))
+    np.testing.assert_allclose(many[0], run.q[-1], atol=1e-13)
+    np.testing.assert_allclose(by_steps(LAW, PATH, q, 0.05, 8, "EXP-AB2")[0][-1], run.q[-1], atol=1e-13)
+
+
+def test_a_base_turns_for_ever_in_the_ball():
+    """Breaks for a rotation vector that grows with each turn. 1e6 steps are a slow test."""
+    _turned(20_000, 1)
+
+
+@pytest.mark.slow
+def test_a_million_steps():
+    _turned(100_000, 10)
+
+
+def _turned(N, runs):
+    law = ck.Law(ROBOT, ck.pose(tip="trunk"), alpha=4.0)
+    path = ck.path(
+        lambda t: ck.Pose(
+            position=jnp.stack([jnp.sin(t), jnp.cos(t), 0 * t]), rotation=about(2, 3 * t) @ about(1, 0.2 * jnp.sin(t))
+        )
+    )
+    q = np.zeros(8)
+    for k in range(runs):
+        run = ck.solve(law, path, q, 0.01, N, t0=k * N * 0.01)
+        w, q = np.asarray(run.q)[:, 3:6], np.array(run.q[-1])
+        assert np.linalg.norm(w, axis=1).max() <= np.pi + 1e-12
+        assert np.abs(np.asarray(run.e)[1000:]).max() < 1e-5
+        assert np.abs(np.diff(w, axis=0)).max() > 3.0  # and comes in again on the other side
+
+
+LIMITS = {
+    "scaling": ck.velocity_scaling,
+    "least norm": ck.weighted_least_norm,
+    "saturation": ck.saturation,
+    "bounded": ck.bounded,
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n == "bounded" else pytest.mark.slow) for n in LIMITS])
+def test_each_axis_of_a_base_has_its_own_velocity_limit(name):
+    most = np.array([0.3, 0.5, 0.4, 0.6, 0.7, 1.2, 1.0, 1.0])
+    robot = ck.replace(ROBOT, velocity_limit=tuple(most))
+    law = ck.Law(robot, HAND, alpha=4.0, inverse=ck.damped(0.02), limits=LIMITS[name]())
+    run = ck.solve(law, PATH, start(0.1), 0.01, 60)
+    ratio = np.abs(run.qdot) / most
+    assert ratio.max() == pytest.approx(1.0, abs=1e-9)
+    if name in ("bounded", "saturation"):
+        assert (ratio[:, :6].max(axis=0) > 0.999).sum() > 1
+
+
+def test_a_posture_draws_a_base_the_shorter_way():
+    rest = start()
+    rest[3:6] = [0.0, 0.0, 3.1]
+    law = ck.Law(ROBOT, ck.position("z", tip="hand"), alpha=4.0, null_velocity=ck.posture(rest, 2.0))
+    q = start()
+    q[3:6] = [0.0, 0.0, -3.1]
+    run = ck.solve(law, ck.hold_at(ROBOT, law.task, q), q, 0.05, 60)
+    assert np.abs(np.asarray(run.q)[:, 5]).min() > 3.05
+    assert run.q[-1][5] == pytest.approx(3.1, abs=0.02)
+
+
+def test_drives_move_a_base():
+    law = ck.replace(LAW, alpha=2.0)
+    run = ck.solve(law, PATH, start(0.1), 0.01, 300, "EE", drive=ck.Drive(delay=1.5, lag=0.02, joint_noise=1e-5))
+    assert np.abs(np.asarray(run.e)[-50:]).max() < 0.03
+    with pytest.raises(ck.ArgumentError, match="take velocities on a free base"):
+        ck.solve(law, PATH, start(), 0.01, 3, drive=ck.Drive(lag=0.02, command="position"))
+
+
+def test_rest_is_judged_in_the_chart():
+    """Breaks for a loop that is differentiated by the rotation vector: R(z) is then another in each posture."""
+    assert ck.spectral_radius(LAW, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
+    found = ck.recommend(LAW, None, start(), Ts=0.01, method="EE", drive=ck.Drive(delay=2))
+    assert found.largest == pytest.approx(61.8, abs=0.1)
+
+
+@pytest.mark.slow
+def test_rest_of_other_methods_and_what_is_said_of_a_run():
+    for method, factor in (("EXP-AB3", np.exp(-0.4)), ("RK4", 1 - 0.4 + 0.08 - 0.064 / 6 + 0.0256 / 24)):
+        assert ck.spectral_radius(LAW, None, start(), 0.1, method) == pytest.approx(factor, abs=1e-12)
+    law = ck.replace(LAW, alpha=230.0)
+    said = ck.verdict(law, PATH, ck.solve(law, PATH, start(0.1), 0.01, 50, "EE"), Ts=0.01, method="EE")
+    assert str(said).startswith("diverging") and "spectral radius at rest is 1.3" in str(said)
+
+
+def test_what_a_free_base_has_not_is_one_line():
+    with pytest.raises(ck.ArgumentError, match="`chain` must stand, or move in a plane"):
+        ck.reach(ROBOT, np.eye(4), task=HAND)
+    with pytest.raises(ck.ArgumentError, match="for, but name base_ry"):
+        ck.Law(ROBOT, ck.joints(["j0", "base_ry"]), alpha=1.0)
+    assert ck.Law(ROBOT, ck.joints(), alpha=1.0).task.names == ("j0", "j1")
