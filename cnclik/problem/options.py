@@ -49,7 +49,7 @@ OPTIONS = {
                     "(link lengths in m); or a name of robot_descriptions."),
     "tip": Option(NAME, "Last link of the chain. Required where the file has several (`cnclik robots FILE` lists "
                   "them)."),
-    "base": Option(NAME, "First link of the chain; default: the root of the file. Or planar or free: a base that moves."),
+    "base": Option(NAME, "First link of the chain; default: the root of the file. Or a base that moves: planar, free."),
     "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
     "task": Option(NAME, f"What to control: {_listed(TASKS)}, or coordinates such as xy or xyrz. Default: pose where "
                    "the robot has enough joints for it."),

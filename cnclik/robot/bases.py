@@ -6,26 +6,36 @@ import math
 from cnclik.robot.tree import NO_OFFSET, Edge, Tree
 
 BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # words for a base, and the joint that carries it
-BALL = "ball"  # one of the three joints that together are a rotation, with the rotation vector as their values
+BALL = "rotation"  # one of the three joints that together are a rotation, with the rotation vector as their values
 _X, _Y, _Z = NO_OFFSET[1]
+_ALONG, _ABOUT = ([(name, kind, axis) for name, axis in zip(names, (_X, _Y, _Z), strict=True)]
+                  for names, kind in (("xyz", "prismatic"), (("rx", "ry", "rz"), BALL)))  # fmt: skip
 
 
 def grounded(tree: Tree, base=None) -> tuple[Tree, str]:
-    """(the tree with joints of one coordinate each, its first link), on a base that is one of `BASES` or a link.
+    """(the tree, its first link), on a base that is one of `BASES` or a link."""
+    if base is None or base in tree.links:
+        return tree, base or tree.root
+    kind = BASES[base]
+    if kind is None:
+        return tree, tree.root
+    ground = next(name for name in ("world", "ground", "_world", "_ground") if name not in tree.links)
+    joint = _joint("base", kind, ground, tree.root, NO_OFFSET, _Z)
+    return dataclasses.replace(tree, root=ground, links=(*tree.links, ground), edges=(*tree.edges, joint)), ground
+
+
+def unfolded(tree: Tree, base, tips) -> Tree:
+    """The tree with the joints on the ways from its first link to the tips as joints of one coordinate each.
 
     A planar joint is P, P, R: two ways in the plane across its axis, then the turn about it. A floating one is P, P, P
-    along the axes of its place, then three that are one rotation. In between stand links without a shape.
+    along the axes of its place, then three that are one rotation, which a ball joint is alone. In between stand links
+    without a shape.
     """
-    edges, links, root = list(tree.edges), list(tree.links), tree.root
-    if BASES.get(base) is not None and base not in links:
-        root = next(name for name in ("world", "ground", "_world", "_ground") if name not in links)
-        links.append(root)
-        edges.append(_joint("base", BASES[base], root, tree.root, NO_OFFSET, _Z))
-    whole = [part for edge in edges for part in _parts(edge)]
-    if len(whole) > len(tree.edges):
-        links += [part.child for part in whole if part.child not in links]
-        tree = dataclasses.replace(tree, root=root, links=tuple(links), edges=tuple(whole))
-    return tree, base if base in tree.links else root
+    ways = {edge.name for tip in tips for way in tree.way(tip, base) for edge in way}
+    edges = tuple(part for edge in tree.edges for part in (_parts(edge) if edge.name in ways else [edge]))
+    known = set(tree.links)
+    more = tuple(edge.child for edge in edges if edge.child not in known)
+    return dataclasses.replace(tree, links=(*tree.links, *more), edges=edges) if more else tree
 
 
 def _joint(name, kind, parent, child, origin, axis):
@@ -39,9 +49,8 @@ def _parts(edge):
     if edge.type == "planar":
         across, along = _across(edge.axis)
         kinds = [("x", "prismatic", across), ("y", "prismatic", along), ("yaw", "continuous", edge.axis)]
-    elif edge.type == "floating":
-        kinds = [(name, "prismatic", axis) for name, axis in zip("xyz", (_X, _Y, _Z), strict=True)]
-        kinds += [("r" + name, BALL, axis) for name, axis in zip("xyz", (_X, _Y, _Z), strict=True)]
+    elif edge.type in ("floating", "ball"):
+        kinds = _ALONG * (edge.type == "floating") + _ABOUT
     else:
         return [edge]
     ends = [edge.parent, *(f"{edge.name}_{name}" for name, _, _ in kinds[:-1]), edge.child]

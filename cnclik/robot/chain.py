@@ -31,7 +31,7 @@ REVOLUTE, PRISMATIC = "revolute", "prismatic"
 class Joint:
     """One joint. Its value is `multiplier · q[coordinate] + offset`: mimic joints share a coordinate."""
 
-    kind: str  # "revolute", "prismatic", or "ball", of three in a row that are a rotation, see `cnclik.robot.chart`
+    kind: str  # "revolute", "prismatic", or "rotation", of three in a row that are one, see `cnclik.robot.chart`
     axis: Triple  # unit vector in the joint's own frame
     origin: Offset
     coordinate: int

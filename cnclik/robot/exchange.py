@@ -19,8 +19,8 @@ from cnclik.robot.poses import quaternions
 from cnclik.robot.rotations import quaternion, rotation_from_quaternion
 from cnclik.shapes import ArrayLike, Float
 
-_ROOTS = "root_joint", "floating_base_joint", "freejoint", ""  # what others call the joint that we name "base"
-_FREE, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "yaw")
+_TURNS = ("rx", "ry", "rz")
+_PARTS = {"free": ("x", "y", "z", *_TURNS), "planar": ("x", "y", "yaw"), "ball": _TURNS}
 _REST = {"free": (0, 0, 0, 1, 0, 0, 0), "planar": (0, 0, 1, 0), "circle": (1, 0), "one": (0,), "ball": (1, 0, 0, 0)}
 
 
@@ -77,19 +77,17 @@ def _of_pinocchio(model) -> list:
 def _of_mujoco(model) -> list:
     kinds = "free", "ball", "one", "one"
     each = [model.joint(i) for i in range(model.njnt)]
-    return [_Slot(j.name, kinds[int(j.type[0])], int(j.qposadr[0]), int(j.dofadr[0])) for j in each]
+    return [_Slot(j.name or f"joint{j.id}", kinds[int(j.type[0])], int(j.qposadr[0]), int(j.dofadr[0])) for j in each]
 
 
 def _matched(robot, slots) -> Iterable:
-    """(slot, our coordinates of it or None) of each joint of a model."""
+    """(slot, our coordinates of it or None) of each joint of a model; its only free or planar one is our base."""
     names = {name: i for i, name in enumerate(errors.kind("robot", robot, Chain).joint_names)}
+    alone = sum(slot.kind in ("free", "planar") for slot in slots) == 1
     for slot in slots:
-        parts = {"free": _FREE, "planar": _PLANAR}.get(slot.kind)
-        if parts is None:
-            yield slot, [names[slot.name]] if slot.name in names and slot.kind != "ball" else None
-            continue
-        called = [slot.name, *["base"] * (slot.name in _ROOTS)]
-        own = [[names.get(f"{name}_{part}") for part in parts] for name in called]
+        parts = _PARTS.get(slot.kind)
+        called = [slot.name, *["base"] * (alone and slot.kind in ("free", "planar"))]
+        own = [[names.get(f"{name}_{part}") for part in parts] if parts else [names.get(name)] for name in called]
         yield slot, next((places for places in own if None not in places), None)
 
 
@@ -104,7 +102,7 @@ def _to(robot, slots, q, qdot, sizes, order, own):
             values = np.concatenate([values[..., :-4], values[..., -4:][..., list(order)]], -1)
         found[..., slot.q : slot.q + len(rest)] = values
         if given is not None and places is not None:
-            back = None if rotation is None or not own else np.swapaxes(rotation, -1, -2)
+            back = None if rotation is None or not own or slot.kind == "ball" else np.swapaxes(rotation, -1, -2)
             speeds[..., slot.v : slot.v + len(places)] = _turned(given[..., places], back)
     return found if qdot is None else (found, speeds)
 
@@ -117,11 +115,13 @@ def _from(robot, slots, q, v, sizes, order, own):
         if places is None:
             continue
         values = q[..., slot.q : slot.q + len(_REST[slot.kind])]
-        if slot.kind == "free":
-            values = np.concatenate([values[..., :3], values[..., 3:][..., np.argsort(order)]], -1)
+        if slot.kind in ("free", "ball"):
+            values = np.concatenate([values[..., :-4], values[..., -4:][..., np.argsort(order)]], -1)
         found[..., places], rotation = _ours(slot.kind, values)
         if given is not None:
-            speeds[..., places] = _turned(given[..., slot.v : slot.v + len(places)], rotation if own else None)
+            speeds[..., places] = _turned(
+                given[..., slot.v : slot.v + len(places)], rotation if own and slot.kind != "ball" else None
+            )
     missing = [name for i, name in enumerate(robot.joint_names) if np.isnan(found[..., i]).all()]
     if missing and not np.isnan(q).any():
         raise errors.fail("model", "have the robot's joints", f"has no {', '.join(missing)}")
@@ -138,9 +138,9 @@ def _theirs(kind, mine):
     if kind in ("planar", "circle"):
         c, s = np.cos(mine[..., -1:]), np.sin(mine[..., -1:])
         return np.concatenate([mine[..., :-1], c, s], -1), _about_z(c, s)
-    w, v = quaternion(mine[..., 3:])
+    w, v = quaternion(mine[..., -3:])
     turned = _rotation(np.concatenate([w[..., None], v], -1))
-    return np.concatenate([mine[..., :3], quaternions(turned)], -1), turned
+    return np.concatenate([mine[..., :-3], quaternions(turned)], -1), turned
 
 
 def _ours(kind, values):
@@ -149,12 +149,12 @@ def _ours(kind, values):
     if kind in ("planar", "circle"):
         c, s = values[..., -2:-1], values[..., -1:]
         return np.concatenate([values[..., :-2], np.arctan2(s, c)], -1), _about_z(c, s)
-    unit = values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True)
+    unit = values[..., -4:] / np.linalg.norm(values[..., -4:], axis=-1, keepdims=True)
     unit = np.where(unit[..., :1] < 0, -unit, unit)
     size = np.linalg.norm(unit[..., 1:], axis=-1, keepdims=True)
     tiny = size < 1e-100
     share = np.where(tiny, 2.0, 2 * np.arctan2(size, unit[..., :1]) / np.where(tiny, 1.0, size))
-    return np.concatenate([values[..., :3], share * unit[..., 1:]], -1), _rotation(unit)
+    return np.concatenate([values[..., :-4], share * unit[..., 1:]], -1), _rotation(unit)
 
 
 def _rotation(unit):
@@ -168,7 +168,7 @@ def _about_z(c, s):
 
 
 def _turned(velocity, rotation):
-    """A joint's velocity with its linear part turned."""
+    """A joint's velocity with its linear part turned, of a free or a planar one."""
     count = {6: 3, 3: 2}.get(velocity.shape[-1], 0)
     if rotation is None or not count:
         return velocity

@@ -36,12 +36,13 @@ def load_mjcf(
     joint of it, where the coupling is linear. Masses are those of bodies that belong to something with joints, so that
     a table in the scene is none of the robot's.
 
-    A free joint, as of a humanoid's pelvis, and ball joints are no coordinates: take the body behind it as the base.
+    A free joint, as of a humanoid's pelvis, is a free base, see `load_urdf`; the body behind it as the base is one that
+    stands. A ball joint is three coordinates, its rotation vector, its velocity the angular one in the body's own axes.
 
     Args:
       model: the file, the text of one, which begins with "<", a `mujoco.MjSpec` or a `mujoco.MjModel`.
       tip: name of a body or a site; by default the only one at the end that the joints move.
-      base: name of the first body, by default the world.
+      base: name of the first body, by default the world; or how that moves, "planar" or "free", as for `load_urdf`.
       tips, freeze: as for `load_urdf`.
 
     Raises: ArgumentError as `load_urdf`; where MuJoCo is not installed, or can't read the model.
@@ -139,6 +140,7 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
         )
         origin = compose(at, Offset(position=vsub(place, before)))
         (leader, *mimic), bounds = coupled.get(joints[k], ("",)), (-math.inf, math.inf)
+        origin = Offset() if kind == "floating" else origin  # its values are the body's place, in the world
         if kind in MOVING:
             rest = (mimic[1] if leader is None else 0.0) - float(model.qpos0[model.jnt_qposadr[k]])
             origin = compose(origin, moved(kind, axis, rest))

@@ -5,14 +5,14 @@ import re
 from collections.abc import Sequence
 
 from cnclik import errors
-from cnclik.robot.bases import BALL, BASES, grounded
+from cnclik.robot.bases import BALL, BASES, grounded, unfolded
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of, turn
 from cnclik.robot.fixed import Offset, compose, inverse, scale
 from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
 _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
-_MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, "ball": BALL}
+_MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
 
 
 def load_urdf(
@@ -63,7 +63,7 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
         raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
     else:
         ends = _ends(tree, tips)
-    frozen = _frozen(tree, freeze)
+    frozen, tree = _frozen(tree, freeze), unfolded(tree, base, [link for link, _ in ends.values()])
     joints, at, followed = _walked(tree, base, [link for link, _ in ends.values()], frozen)
     for link, _ in ends.values():
         if at[link][0] < 0:

@@ -37,10 +37,10 @@ class Joints(Vector):
         if self.which is not None:
             return self
         turned = {i + k for _, i in chain.balls for k in range(3)}
-        bodies = {i - k for i in turned for k in (0, 3)}  # of floating joints the places, too
         wanted = self.wanted
-        if wanted is None:
-            wanted = tuple(name for i, name in enumerate(chain.joint_names) if i not in bodies)
+        if wanted is None:  # all but floating joints: of them the places, too
+            bodies = {name[:-2] + name[-1] for name in (chain.joint_names[i] for i in turned)}
+            wanted = tuple(name for i, name in enumerate(chain.joint_names) if i not in turned and name not in bodies)
         which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
         if turned.intersection(which):
             name = wanted[[i in turned for i in which].index(True)]

@@ -9,6 +9,7 @@ import cnclik as ck
 from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
+from tests.robot.test_mjcf import HUMANOID
 from tests.robot.test_trees import ROBOTS
 from tests.robot.test_urdf import ROOT, long_chain
 
@@ -53,25 +54,40 @@ def test_robots_on_bases_are_pinocchios(name, base):
     np.testing.assert_allclose(rates, qdot, atol=1e-14)
 
 
-def test_mujoco_has_the_same_velocities():
-    text = """<mujoco><worldbody><body name="trunk"><freejoint name="base"/><geom size="1"/>
-    <body pos="0.1 0.2 0.3"><joint name="j0" axis="0 0 1"/><geom size="0.1"/><site name="tip" pos="0.4 0 0"/>
-    </body></body></worldbody></mujoco>"""
-    urdf = """<robot name="r"><link name="trunk"/><link name="arm"/>
-    <joint name="j0" type="continuous"><axis xyz="0 0 1"/><origin xyz="0.1 0.2 0.3"/>
-    <parent link="trunk"/><child link="arm"/></joint></robot>"""
-    model = mujoco.MjModel.from_xml_string(text)
-    robot, data = ck.with_tool(ck.load_urdf(urdf, base="free"), [0.4, 0.0, 0.0]), mujoco.MjData(model)
-    q, qdot = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5, 0.7]), np.arange(1.0, 8)
+def test_free_and_ball_joints_of_a_model_are_mujocos():
+    """Poses, velocities, the centre of mass; breaks for a base whose place is told from the body's, as in a URDF."""
+    model = mujoco.MjModel.from_xml_string(HUMANOID)
+    robot, data = ck.load_mjcf(HUMANOID, tips=["sole", "head"]), mujoco.MjData(model)
+    assert robot.joint_names[:6] == tuple(f"root_{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
+    assert robot.joint_names[-3:] == ("neck_rx", "neck_ry", "neck_rz")
+    rng = np.random.default_rng(0)
+    q, qdot = rng.uniform(-1, 1, (2, robot.n))
     data.qpos, data.qvel = ck.to_mujoco_q(robot, model, q, qdot)
     mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(data.site("tip").xpos, ck.forward(robot, q).position, atol=1e-12)
-    found = np.zeros((3, 7))
-    mujoco.mj_jacSite(model, data, found, None, 0)
-    np.testing.assert_allclose(found @ data.qvel, ck.jacobian(robot, q)[:3] @ qdot, atol=1e-12)
+    for tip, seen in (("sole", data.site("sole")), ("head", data.body("head"))):
+        np.testing.assert_allclose(ck.forward(robot, q, tip=tip).position, seen.xpos, atol=1e-12)
+        np.testing.assert_allclose(np.ravel(ck.forward(robot, q, tip=tip).rotation), seen.xmat, atol=1e-12)
+        found = np.zeros((6, model.nv))
+        get = mujoco.mj_jacSite if tip == "sole" else mujoco.mj_jacBody
+        get(model, data, found[:3], found[3:], seen.id)
+        np.testing.assert_allclose(ck.jacobian(robot, q, tip=tip) @ qdot, found @ data.qvel, atol=1e-12)
+    np.testing.assert_allclose(ck.com(robot, q), data.subtree_com[0], atol=1e-12)
     again, rates = ck.from_mujoco_q(robot, model, data.qpos, data.qvel)
     np.testing.assert_allclose(again, q, atol=1e-14)
     np.testing.assert_allclose(rates, qdot)
+    assert ck.load_mjcf(HUMANOID, tip="sole", base="pelvis").joint_names == ("hip", "knee")
+
+
+def test_the_centre_of_mass_goes_with_the_base():
+    path = ROOT / ROBOTS["g1"]
+    model, tree = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()), read_urdf(path)
+    robot, data = chain(tree, tips=tree.tips(), base="free"), model.createData()
+    q, qdot = postures(robot, 4)[-1], np.random.default_rng(0).normal(size=robot.n)
+    theirs, v = ck.to_pinocchio_q(robot, model, q, qdot)
+    place = pin.centerOfMass(model, data, theirs, v)
+    np.testing.assert_allclose(ck.com(robot, q), place, atol=1e-12)
+    task = ck.center_of_mass().on(robot)
+    np.testing.assert_allclose(task.rows_at(modelled(robot), q) @ qdot, data.vcom[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])

@@ -9,7 +9,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.reading import read_bytes
-from cnclik.robot.bases import BALL, grounded
+from cnclik.robot.bases import BALL, grounded, unfolded
 from cnclik.robot.tree import MOVING, read_urdf
 from cnclik.show import style
 from cnclik.show.viewer.body import GREY, Part
@@ -51,7 +51,9 @@ def mesh_parts(file, tips=None, base=None, *, color=style.SKY, faces=MOST_FACES)
 def placed(tree, tips, base) -> dict:
     """{link: (frame, 4×4 in that frame)} of all links that hang together with the base."""
     tree, base = grounded(tree, base)
-    ways = [edge for tip in tips or tree.tips(base)[:1] for way in tree.way(tip, base) for edge in way]
+    tips = tips or tree.tips(base)[:1]
+    tree = unfolded(tree, base, tips)
+    ways = [edge for tip in tips for way in tree.way(tip, base) for edge in way]
     order = dict.fromkeys(id(edge) for edge in ways if edge.type in (*MOVING, BALL))  # as `load_urdf` has the joints
     frame_of = {edge: i for i, edge in enumerate(order, 1)}
     found, waiting = {base: (0, np.eye(4))}, [base]
