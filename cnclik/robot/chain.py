@@ -16,7 +16,7 @@ from cnclik import errors, markup
 from cnclik.record import record
 from cnclik.robot import poses
 from cnclik.robot.bases import BALL
-from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, rotation_about, vsub
+from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
 from cnclik.robot.masses import Mass
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.poses import PoseLike
@@ -389,15 +389,3 @@ def _unit(name, axis):
         return tuple(a / length for a in axis)
     length = sum(a * a for a in axis) ** 0.5
     return tuple(a / length for a in axis)
-
-
-def turn(axis, angle):
-    """Rotation by a fixed angle; sines of literal multiples of π/2 are made exact, so that they fold."""
-    if is_number(angle):
-        sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))
-        sine, cosine = (round(v) * 1.0 if abs(abs(v) - 1) < 1e-15 else v for v in (sine, cosine))
-    else:
-        import jax.numpy as jnp
-
-        sine, cosine = jnp.sin(angle), jnp.cos(angle)
-    return rotation_about(axis, sine, cosine)

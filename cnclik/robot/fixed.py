@@ -7,6 +7,7 @@ arm whose link lengths are parameters the rest of the geometry stays known; `rob
 from __future__ import annotations
 
 import functools
+import math
 
 from cnclik.record import record
 from cnclik.shapes import Number
@@ -77,6 +78,18 @@ def rotation_about(axis, sine, cosine):
     along, crossed, across = rotation_parts(axis)
     rows = zip(along, crossed, across, strict=True)
     return tuple(vadd(a, vadd(scale(cosine, c), scale(sine, s))) for a, s, c in rows)
+
+
+def turn(axis, angle):
+    """Rotation by a fixed angle; sines of literal multiples of π/2 are made exact, so that they fold."""
+    if is_number(angle):
+        sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))
+        sine, cosine = (round(v) * 1.0 if abs(abs(v) - 1) < 1e-15 else v for v in (sine, cosine))
+    else:
+        import jax.numpy as jnp
+
+        sine, cosine = jnp.sin(angle), jnp.cos(angle)
+    return rotation_about(axis, sine, cosine)
 
 
 @record

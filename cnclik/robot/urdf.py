@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from cnclik import errors
 from cnclik.robot.bases import BALL, BASES, grounded, unfolded
-from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of, turn
-from cnclik.robot.fixed import Offset, compose, inverse, scale
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of
+from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
 from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 

@@ -46,8 +46,7 @@ LANES = 128  # gains and sampling times looked at together: one shape for every 
 
 
 def one_step(law, reference, q, Ts, method, stage):
-    """∂q[k+1]/∂q[k] of the step from t = 0 (n, n), in the chart at q, and the rows of the weighted task Jacobian at q
-    (m, n). Pure.
+    """∂q[k+1]/∂q[k] of the step from t = 0 in the chart at q (n, n), and the rows of the weighted task Jacobian (m, n).
 
     Of a multistep method of p instants it is the map of all that they were, (q[k], …, q[k−p+1]), at rest at q:
     (p·n, p·n), the newest first.
