@@ -29,13 +29,13 @@ from cnclik.robot.kinematics import Pose
 
 
 def load(folder: str | os.PathLike, **parameters) -> "Compiled":
-    """What `export.c` wrote, built and ready to be called.
+    """Build what `export.c` wrote and return it, ready to be called.
 
     Args:
       folder: where it was written.
-      parameters: values of its parameters other than those that were exported.
+      parameters: values of its parameters that differ from the exported ones.
 
-    Returns: `Compiled`, called with what the C function's `input` holds, in that order or by name.
+    Returns: `Compiled`, called with the fields of the C function's `input`, in that order or by name.
     Raises: ArgumentError where there is no compiler, or the folder holds no export.
     """
     folder = errors.path("folder", folder)
@@ -62,9 +62,9 @@ _TO_READ = ("README.md", "example.c")  # of an export, which nothing is built fr
 
 
 def compiled(law: Law | Chain, reference: Reference | None = None, **options) -> "Compiled":
-    """`c` and `load` in one: the step as a native function, in a temporary folder that lives as long as it does.
+    """`c` and `load` in one: the step as a native function, in a temporary folder that exists as long as the function.
 
-    Args: those of `c` but `out`.
+    Args: those of `c` except `out`.
     """
     temporary = tempfile.TemporaryDirectory(prefix="cnclik-export-")
     made = load(c(law, reference, out=temporary.name, **options))

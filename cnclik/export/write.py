@@ -48,26 +48,25 @@ def c(
 ) -> pathlib.Path:
     """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
 
-    What is an array in the law's records (the gain, damping, an array of link lengths) is a field of `parameters` at
-    run time, what is a Python literal (a robot's geometry) is compiled in; `runtime` chooses among the former.
+    Arrays in the law's records (the gain, damping, an array of link lengths) become fields of `parameters` at run time;
+    Python literals (a robot's geometry) are compiled in. `runtime` selects among the former.
 
     Args:
-      law: the right-hand side; for "fk" and "jacobian" a `Chain` does.
-      reference: the path, a function of time then; None: position, rotation and velocity of the target are arguments.
-      out: the folder, made where it is not there.
+      law: the right-hand side; for "fk" and "jacobian" a `Chain` is enough.
+      reference: the path, a function of time; None: position, rotation and velocity of the target are arguments.
+      out: the folder; it is created if necessary.
       what: "step", "solve" (N steps in one call), "reach" (joint values for one target), "fk" or "jacobian".
       method, stage: as for `solve`.
       dtype: "float64" (double) or "float32" (float).
-      name: of the function and of the files; they begin with `clik_`, which is added where it is missing.
-      runtime: names of the parameters that may be set at run time, the others being compiled in; None: all.
-      batch: also the loop for many lanes by vector instructions, `NAME_batch.c`: True, or the names of the results
-        wanted of it, such as ("q", "e"); what is not wanted is not computed.
-      seeds: postures written into the source for "reach" to start from, after the joint values that it is given; 64
-        by default.
-      overwrite: write also into a folder that holds other files than those of an earlier export.
+      name: name of the function and of the files; `clik_` is prepended unless the name begins with it.
+      runtime: names of the parameters that can be set at run time; the others are compiled in. None: all.
+      batch: also write `NAME_batch.c`, which runs many loops at once with vector instructions: True, or the names of
+        the wanted results, such as ("q", "e"); others are not computed.
+      seeds: number of start postures in the source of "reach", used after the given joint values; default: 64.
+      overwrite: also write into a folder that holds files other than those of an earlier export.
 
     Returns: the folder's path.
-    Raises: ArgumentError for what does not fit, and for an operation that has no C form, named in one line.
+    Raises: ArgumentError for arguments that do not fit, and for an operation without a C form, named in one line.
     """
     request, name = checked(law, reference, what, method, stage, dtype, name, runtime, batch)
     out = errors.path("out", out)

@@ -1,4 +1,4 @@
-"""What the loop is asked to do: q̇ = f(q, t)."""
+"""The law q̇ = f(q, t) that the loop follows."""
 
 from cnclik.law.bounded import bounded
 from cnclik.law.inverse import (

@@ -310,25 +310,27 @@ def undamped(inverse):
 
 
 def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:
-    """Bounded least squares: of all joint velocities within bounds, those of the least weighted error.
+    """Bounded least squares: the joint velocities within bounds that have the least weighted error.
 
-    They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`, q̇₀ the null-space
-    velocity: inside of them what the law's damped inverse gives, and at them as near to the task as can be, its
-    direction aside. Of `levels` the lower give way first, and the first as (λ₁/λ₂)². A descent from face to face of the
-    box finds them, by projected Newton steps (Bertsekas 1982); derivatives are those of the least on its face.
+    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`; q̇₀ is the null-space velocity.
+    Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
+    possible, in a direction that may differ. With `levels` the lower levels give way first, and the first level by
+    about (λ₁/λ₂)². The minimum is found by a descent from face to face of the box, by projected Newton steps (Bertsekas
+    1982); derivatives are those of the minimum on its face.
 
-    It needs an inverse with damping, best a constant one, or levels: where joints at their bounds leave the others
-    singular, a damping by the whole arm's singular value is none, and joints may run from bound to bound.
+    It needs an inverse with damping, best a constant one, or levels. A damping that depends on the singular value of
+    the whole arm vanishes where joints at their bounds leave the others singular, and joints may then jump between
+    bounds.
 
     A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 
     Args:
       rate: see `saturation` [1/s].
-      passes: Newton steps at most. One to four are the rule; of 60,000 postures of an arm and of a humanoid none took
-        more than 17, and at levels of λ = 1e-4 and 0.1 none more than 28. With fewer than it takes velocities are
-        within bounds and cost no more than the clipped ones, but are not the least.
-      walls: that no part of the robot is to cross, see `wall`: they come before all levels of the task. Which of them
-        hold, and what walls that contradict each other or the bounds miss, `Trajectory.walls` says.
+      passes: largest number of Newton steps. One to four are usual; of 60,000 postures of an arm and of a humanoid none
+        took more than 17, and at levels of λ = 1e-4 and 0.1 none more than 28. With too few passes the velocities are
+        still within bounds and cost no more than clipped ones, but are not the minimum.
+      walls: walls that no part of the robot may cross, see `wall`. They come before all levels of the task.
+        `Trajectory.walls` says which of them are active, and by how much contradicting walls are missed.
     """
     if isinstance(walls, Wall) or not all(isinstance(one, Wall) for one in walls):
         raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")

@@ -248,9 +248,9 @@ def damped(damping: Number | dict[str, Number]) -> Damped | Levels:
 
 
 def error_damped(damping: Number) -> ErrorDamped:
-    """Damped by the error too: λ² = λ₀² + ½ eᵀ W² e, W the task's weights (Sugihara 2011, eq. 17).
+    """Damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the weights of the task (Sugihara 2011, eq. 17).
 
-    What is far, or out of reach, then pulls slowly, and what is near has little damping.
+    A distant or unreachable target then moves the joints slowly, and near the target the damping is small.
 
     Args:
       damping: λ₀ (not λ₀²), in the unit of J's singular values; positive.
@@ -259,16 +259,16 @@ def error_damped(damping: Number) -> ErrorDamped:
 
 
 def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
-    """Levels of priority: each task of a stack in one, the first before the second; J# = Jᵀ (J Jᵀ + D)⁻¹.
+    """Priority levels: each task of a stack is on one level, and the first level comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
 
-    D holds λ² of each row's level. That is the recursion of Siciliano & Slotine (1991) with damped inverses and the
-    projectors that match them: the block LDLᵀ of J Jᵀ + D. What a conflict leaks into level 1 goes as (λ₁/λ₂)²; next to
-    a singularity of its own, level 1 moves the joints by up to |v|/(2λ₁).
+    D holds λ² of each row's level. This equals the recursion of Siciliano & Slotine (1991) with damped inverses and the
+    matching projectors, as the block LDLᵀ factorization of J Jᵀ + D. A conflict disturbs level 1 by a share of about
+    (λ₁/λ₂)². Near a singularity of its own, level 1 moves the joints by up to |v|/(2λ₁).
 
     Args:
-      names: of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
-      damping: of each level λ (not λ²), or a damped(...), singular_damped(...), manipulability_damped(...),
-        error_damped(...) of its own.
+      names: names of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
+      damping: for each level λ (not λ²), or its own damped(...), singular_damped(...), manipulability_damped(...) or
+        error_damped(...).
     """
     lists = all(isinstance(some, (list, tuple)) for some in names)
     if not (names and lists and all(isinstance(name, str) for some in names for name in some)):

@@ -39,20 +39,20 @@ class Law:
 
     Args:
       chain: the robot.
-      task: what is controlled: position(...), orientation(...), pose(...) of a tip, joints(...), several of them
+      task: what is controlled: position(...), orientation(...) or pose(...) of a tip, joints(...), several of them
         joined by `&`, or a stack(name=task, ...).
-      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix; of a stack also one for each task,
-        by name. A rate, not the dimensionless gain per step of pink and mink, which is z = alpha·Ts.
+      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix; for a stack also {name of a task:
+        gain}. It is a rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
       inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
         error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), bounded(), or
-        None for not at all.
-      null_velocity: joint velocity q̇₀ asked for in the null space: (n,) [rad/s, m/s], or a function of q.
-      feedforward: factor of the desired velocity ẋ_d: 1 tracks, 0 is pure feedback.
-      error_clamp: (position [m], orientation [rad]) beyond which the error is shortened before the gain, or None.
-        A target out of reach, or far away, then pulls no harder than one at that distance; see `clamped`.
-      near_singular: steps whose least singular value of the task Jacobian (an estimate from below, within √m;
-        exact with the pseudoinverse of one or two rows) is under this are marked NEAR_SINGULAR [m or 1].
+        None.
+      null_velocity: desired joint velocity q̇₀ in the null space: (n,) [rad/s, m/s], or a function of q.
+      feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
+      error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
+        far away or out of reach then acts like one at that distance; see `clamped`.
+      near_singular: steps whose least singular value of the task Jacobian is below this are marked NEAR_SINGULAR [m or
+        1]. The value is an estimate from below, within √m; it is exact for the pseudoinverse of one or two rows.
 
     Raises: ArgumentError naming the argument that does not fit.
     """
@@ -145,10 +145,10 @@ def of_tasks(task: Task, values: dict):
 
 
 def _within_tasks(task: Task, alpha):
-    """The gain of a stack: a matrix within each of its tasks, symmetric, and of rows that weigh the same.
+    """The gain of a stack: a symmetric matrix within each of its tasks, for rows of equal weight.
 
-    Then the loop's rates are real, and between 0 and the largest gain, whatever tasks, weights and damping are; across
-    tasks a matrix may be unstable in any conflict.
+    The loop's rates are then real and between 0 and the largest gain, for any tasks, weights and damping. A gain matrix
+    across tasks may be unstable in a conflict.
     """
     if not task.tasks or alpha.ndim < 2 or not all(map(errors.concrete, (alpha, task.weights))):
         return alpha
@@ -229,14 +229,15 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
 
 
 def least_of_tasks(task: Task, rows):
-    """(tasks,) the least singular value of each task's own rows: conflicts of tasks are no singularity."""
+    """(tasks,) least singular value of each task's own rows: a conflict between tasks is no singularity."""
     return jnp.stack([least_of(rows[at]) for _, at in task.each])
 
 
 def metric(law: Law):
-    """What each coordinate's error counts, at most 1: its weight over the damping of its level.
+    """Factor of each coordinate's error, at most 1: its weight over the damping of its level.
 
-    In the norm of errors so scaled, a loop with one gain for all tasks never grows, whatever they ask of each other.
+    In the norm of errors scaled in this way, the error of a loop with one gain for all tasks never grows, even if the
+    tasks conflict.
     """
     weights = jnp.asarray(law.task.weight_of_each)
     if isinstance(law.inverse, Levels):

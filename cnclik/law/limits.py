@@ -52,10 +52,10 @@ class Scaled:
 
 
 def velocity_scaling() -> Scaled:
-    """All joint velocities times s = min(1, minᵢ Vᵢ/|q̇ᵢ|): the robot follows the same direction, slower.
+    """All joint velocities times s = min(1, minᵢ Vᵢ/|q̇ᵢ|): the robot moves in the same direction, more slowly.
 
-    V are the chain's velocity limits; the task velocity is scaled by the same s (Chiacchio, Chiaverini,
-    Sciavicco & Siciliano 1991). Position limits are not looked at.
+    V are the chain's velocity limits; the task velocity is scaled by the same s (Chiacchio, Chiaverini, Sciavicco &
+    Siciliano 1991). Position limits are ignored.
     """
     return Scaled()
 
@@ -287,15 +287,15 @@ def _share(a, b, low, high, locked):
 
 
 def saturation(rate: Number = 10.0) -> Saturated:
-    """Saturation in the null space, SNS (Flacco, De Luca & Khatib 2015, Algorithm 1), for position and velocity.
+    """Saturation in the null space, SNS (Flacco, De Luca & Khatib 2015, Algorithm 1), for position and velocity limits.
 
-    While some joint would exceed its bounds, the one that bounds the task most moves at its bound and the others
-    take over its share, (J W)# (ẋ − J q̇_N) + q̇_N; where they can't, the task velocity is scaled by the largest
-    share s ∈ [0, 1] that fits, so its direction is kept. Bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint nears
-    its limit exponentially, and one outside comes back, whatever the task asks.
+    While a joint would exceed its bounds, the joint that limits the task most moves at its bound and the others take
+    over its share, (J W)# (ẋ − J q̇_N) + q̇_N. Where they cannot, the task velocity is scaled by the largest share s ∈
+    [0, 1] that fits, so that its direction is kept. The bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint
+    approaches its limit exponentially, and a joint outside its limits comes back, whatever the task asks for.
 
-    Of a stack with `levels` each level has a share of its own, and changes nothing of those above (Algorithm 4); all
-    tasks of one level, and of a stack without, slow down alike.
+    In a stack with `levels` each level has its own share and changes nothing above it (Algorithm 4). All tasks of one
+    level, and of a stack without levels, slow down together.
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.

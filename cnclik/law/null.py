@@ -1,7 +1,7 @@
-"""Null-space terms: what a redundant arm does with the freedom that the task leaves.
+"""Null-space terms: how a redundant arm uses the freedom that the task leaves.
 
-A term is a record that maps q (n,) to a joint velocity q̇₀ (n,); the law projects it,
-(I − J# J) q̇₀ (Liégeois 1977; Siciliano et al. 2009, eq. 3.55).
+A term is a record that maps q (n,) to a joint velocity q̇₀ (n,); the law projects it, (I − J# J) q̇₀ (Liégeois 1977;
+Siciliano et al. 2009, eq. 3.55).
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def without(wanted, drift):
 
 
 def posture(rest: Float[ArrayLike, " n"], rate: Number = 1.0) -> Posture:
-    """Draw the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q).
+    """Move the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q).
 
     Args:
       rest: (n,) joint values [rad, m], such as the middle of the limits.

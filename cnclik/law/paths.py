@@ -201,9 +201,10 @@ def waypoints(
 
 
 def path(fn: Callable) -> Reference:
-    """Any differentiable function t -> position (array or tuple of d), or t -> `Pose`, as a reference.
+    """A reference from any differentiable function t -> position (array or tuple of length d), or t -> `Pose`.
 
-    It is a part of the programs that run it, as under `jax.jit`: what it closes over is read when they are made.
+    The function is compiled into the programs that use it, as under `jax.jit`: values that it closes over are read
+    then.
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")
@@ -211,11 +212,11 @@ def path(fn: Callable) -> Reference:
 
 
 def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
-    """The same path with an explicit task velocity (m,) in place of its own, constant in time.
+    """The same path with another feed-forward: a constant task velocity (m,) in place of the path's own.
 
-    Of a part in its tip's own frame all three components, in the base frame.
+    For a part in its tip's own frame the velocity has all three components, in the base frame.
 
-    For what a controller is told rather than what the path does: zeros for pure feedback, or a misprint.
+    It changes what the controller is told, not how the target moves: zeros for pure feedback, or a deliberate error.
     """
     errors.kind("reference", reference, Reference, A_REFERENCE)
     velocity = errors.array("velocity", velocity, (None,))
@@ -223,9 +224,9 @@ def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> 
 
 
 def causal(reference: Reference) -> Reference:
-    """The same path for a controller that doesn't know its future, such as a person's hand before a camera.
+    """The same path for a controller that does not know the future, such as a hand in front of a camera.
 
-    A step then sees x_d and ẋ_d at its start alone, and takes the target to move on with that velocity.
+    A step then uses x_d and ẋ_d at its start only, and assumes that the target continues with that velocity.
     """
     errors.kind("reference", reference, Reference, A_REFERENCE)
     return replace(reference, known=False)
@@ -234,11 +235,11 @@ def causal(reference: Reference) -> Reference:
 def hold_at(
     chain: Chain, task: Task, q: Float[ArrayLike, " n"], **others: Reference | References
 ) -> Reference | References:
-    """Stay where q (n,) has the robot: a held reference for each target of a task, and others by their names.
+    """Hold the pose at q (n,): a constant reference for each target of a task; other references are given by name.
 
-    `hold_at(robot, task, q0, hands=circle(...))` moves the hands alone.
+    `hold_at(robot, task, q0, hands=circle(...))` moves the hands only.
 
-    Returns: `Reference`, or `References` of a task with several targets.
+    Returns: `Reference`, or `References` for a task with several targets.
     """
     q, task = errors.array("q", q, (chain.n,)), task.on(chain)
     if all(map(errors.concrete, jax.tree.leaves((chain, q)))):

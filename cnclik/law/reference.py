@@ -1,7 +1,7 @@
-"""References: the desired path x_d(t) and, from it, its exact velocity.
+"""References: the desired path x_d(t) and its exact velocity.
 
 A curve is a function of time that returns a target: a position (d,), a rotation (3, 3), or both. Its velocity comes
-from `jax.jvp`, so path and feed-forward can't disagree, unless an explicit feed-forward overrides it.
+from `jax.jvp`, so that path and feed-forward agree, unless an explicit feed-forward replaces it.
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ REFERENCE = (Reference, References)
 
 
 def references(**by_name: Reference | References) -> References:
-    """References of a stack's tasks, by their names: `references(hands=circle(...), feet=hold(...))`.
+    """References for the tasks of a stack, by name: `references(hands=circle(...), feet=hold(...))`.
 
-    A task of several tips takes its own `references`, by the names of the tips (of joints(): "joints"); as does a law
-    whose task is joined of several by `&`.
+    A task of several tips takes its own `references`, by the names of the tips (for joints(): "joints"); so does a law
+    whose task consists of several parts joined by `&`.
     """
     for name, one in by_name.items():
         errors.kind(name, one, REFERENCE, A_REFERENCE)

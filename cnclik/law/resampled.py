@@ -1,4 +1,4 @@
-"""Resampled: targets that come more slowly than the loop runs, as a path of which nothing is used before it comes."""
+"""Resampled: targets that arrive more slowly than the loop runs, as a path that uses no target before it arrives."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ def resampled(
     kind: str = "spline",
     delay: Number | None = None,
 ) -> Reference:
-    """A stream of targets, such as a policy's at 30 Hz, for a loop at 1 kHz that knows only what has come.
+    """A stream of targets, such as a policy's at 30 Hz, as a path for a loop at 1 kHz that knows only past targets.
 
-    "hold": the last target; it jumps with every new one and has no velocity. "ramp": from target to target on straight
-    lines; the velocity jumps. "spline": the ramp, averaged over about a period: from the middle of a line to that of
-    the next, with continuous velocity; it cuts the corners at the targets, and evens out what they tremble. Each has
-    the velocity of its own motion for the feed-forward. The last target is held. Rotations are interpolated by
-    quaternions and normalised: for neighbours 20° apart the speed of a ramp varies by 0.8 %.
+    "hold": the last target; it jumps with each new one and has no velocity. "ramp": straight lines from target to
+    target; the velocity jumps. "spline": the ramp averaged over about a period, from the middle of a line to the middle
+    of the next one; its velocity is continuous, and it cuts corners and smooths jitter. Each kind uses the velocity of
+    its own motion for the feed-forward. The last target is held. Rotations are interpolated by normalized quaternions:
+    for neighbours 20° apart the speed of a ramp varies by 0.8 %.
 
     Args:
-      times: (K,) when the targets come [s], increasing.
+      times: (K,) arrival times of the targets [s], increasing.
       positions: (K, d) [m], or None.
       rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None.
       kind: "hold", "ramp" or "spline".
-      delay: how late the path is [s]: by default, and at least, what it takes that nothing is used before it comes:
-        0, 1 and 1.5 times the longest period.
+      delay: delay of the path [s]. The default, which is also the minimum, uses no target before it arrives: 0, 1 and
+        1.5 times the longest period.
 
-    Returns: `Reference` whose future a step doesn't look at, as `causal`.
+    Returns: `Reference` whose future a step does not use, as with `causal`.
     Raises: ArgumentError for shapes and values that do not fit.
     """
     errors.one_of("kind", kind, KINDS)

@@ -1,4 +1,4 @@
-"""Walls: what no part of the robot is to cross, as one-sided rows ∇h·q̇ ≥ −rate·h, h ≥ 0 the distance to a wall."""
+"""Walls: boundaries that no part of the robot may cross, as one-sided rows ∇h·q̇ ≥ −rate·h with the distance h ≥ 0."""
 
 from __future__ import annotations
 
@@ -79,21 +79,22 @@ def wall(
     rate: Number | None = None,
     name: str = "",
 ) -> Wall:
-    """A wall for `bounded(walls=[...])`: the task's coordinate stays above, or below, a number.
+    """A wall for `bounded(walls=[...])`: the coordinate of a task stays above, or below, a number.
 
-    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow over a table, `wall(joints(["knee"]), above=0.2)` a
-    knee bent, `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` a hand off a leg,
-    `wall(function(...), above=0.0)` the robot where a signed distance of one's own is positive. Of joint velocities
-    ∇h·q̇ ≥ −rate·h is asked, h the distance to the wall: it is neared exponentially, and who is behind it comes back.
+    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)`
+    keeps a knee bent, `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` keeps a hand off
+    a leg, and `wall(function(...), above=0.0)` keeps a signed distance of your own positive. Joint velocities satisfy
+    ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and from behind it the robot
+    comes back.
 
-    A velocity held over Ts passes the wall by κv²Ts/(2 rate), see `wall_margin`.
+    As a velocity is constant over Ts, a step may pass the wall by κv²Ts/(2 rate), see `wall_margin`.
 
     Args:
-      task: of one coordinate, or of several with a normal: positions, joints, distances, functions.
-      above, below: one of them [the coordinate's unit].
-      normal: (m,) of several coordinates what counts is normal·x; of unit length it makes h a distance.
-      rate: [1/s], at most 1/Ts; None: that of `bounded`. (1 − e^{−α Ts})/Ts does over a step what α does.
-      name: what it is called where it is spoken of; its number by default.
+      task: a task of one coordinate, or of several with a normal: positions, joints, distances, functions.
+      above, below: one of them [unit of the coordinate].
+      normal: (m,) for several coordinates: the wall is about normal·x; with unit length h is a distance.
+      rate: [1/s], at most 1/Ts; None: the rate of `bounded`. (1 − e^{−α Ts})/Ts acts over a step like α.
+      name: name of the wall in messages and results; default: its number.
     """
     task = errors.kind("task", task, Task)
     if any(part.turns or part.tied for part in task.parts):
@@ -110,7 +111,7 @@ def wall(
 
 
 def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray, "*lanes k"]:
-    """How far each wall is at joint values, h (..., k) [m, rad], negative behind it.
+    """Distance to each wall at given joint values, h (..., k) [m, rad]; negative behind it.
 
     Args: law: as for `wall_margin`.
     """
@@ -126,14 +127,15 @@ def support_polygon(
     margin: float = 0.0,
     rate: Number | None = None,
 ) -> tuple[Wall, ...]:
-    """Walls that keep the centre of mass over the feet: one for each edge of the convex hull of their corners.
+    """Walls that keep the centre of mass above the feet: one for each edge of the convex hull of their corners.
 
-    Over the polygon in the plane z = 0 of the base, or of a tip such as a foot, stands what stands still.
+    The robot does not tip while it stands still with its centre of mass above this polygon. The polygon is in the plane
+    z = 0 of the base, or of a tip such as a foot.
 
     Args:
-      corners: (k, 2) of all feet on the ground [m], in any order.
-      relative_to: the tip in whose frame they are; None: the base.
-      margin: by how much inside the edges it stays [m].
+      corners: (k, 2) corners of all feet on the ground [m], in any order.
+      relative_to: the tip in whose frame they are given; None: the base.
+      margin: distance that is kept from the edges [m].
       rate: as for `wall`.
     """
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
@@ -162,14 +164,14 @@ def _hull(points):
 
 
 def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
-    """By how much each wall may be passed because a velocity is held over a step [m, rad]: κ v² Ts/(2 rate).
+    """How far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
 
-    κ v² = −q̇ᵀ ∇²h q̇, the largest along the run; steadily and to first order in Ts it is what is passed, else more than
-    that. Walls that are to hold get so much of distance more.
+    κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. In steady motion and to first order in Ts the wall is passed by
+    this much; otherwise the value is an upper bound. Move a wall that must not be crossed by this distance.
 
     Args:
       law: with `bounded(walls=...)`.
-      run: a `Trajectory` of it, one or many lanes, that was stepped evenly.
+      run: a `Trajectory` of it, one or many lanes, with equal steps.
     """
     walls, rate = _walls_of(law)
     bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))

@@ -1,4 +1,4 @@
-"""Limits: how much of its limits of velocity, acceleration and jerk a motion takes, joint by joint."""
+"""Limits: how much of its limits of velocity, acceleration and jerk a motion uses, joint by joint."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _ROUNDING = 1e-6  # of a limit
 
 @record
 class LimitsTaken:
-    """The largest parts of their limits that joints take; see `check_limits`.
+    """The largest shares of their limits that the joints use; see `check_limits`.
 
     Attributes:
       velocity, acceleration, jerk: (n,) largest |value|/limit; 0 where there is no limit.
-      at: (3, n) when: the start of that sample, in the order of `QUANTITIES` [s].
+      at: (3, n) time of each, at the start of the sample, in the order of `QUANTITIES` [s].
       names: of the joints.
     """
 
@@ -51,15 +51,15 @@ class LimitsTaken:
 def check_limits(
     run: Trajectory | Float[ArrayLike, "N+1 n"], pace: Pace, *, chain: Chain | None = None, Ts: Number | None = None
 ) -> LimitsTaken:
-    """A motion against limits, as a robot's controller sees it: differences of sampled joint values, from rest.
+    """Check a motion against limits as a robot's controller does: by differences of sampled joint values, from rest.
 
-    q̇[k] = (q[k+1] − q[k])/Ts, q̈[k] = (q̇[k] − q̇[k−1])/Ts, q⃛[k] = (q̈[k] − q̈[k−1])/Ts, with q̇ and q̈ 0 before. In
-    float32 joint values are rounded, which at 1 kHz alone is a jerk of 100 rad/s³: check motions in float64.
+    q̇[k] = (q[k+1] − q[k])/Ts, q̈[k] = (q̇[k] − q̇[k−1])/Ts, q⃛[k] = (q̈[k] − q̈[k−1])/Ts, with q̇ and q̈ 0 before the
+    start. In float32 the rounding of joint values at 1 kHz alone makes a jerk of 100 rad/s³: check motions in float64.
 
     Args:
-      run: a `Trajectory` of one lane, whose own q̇ is taken; or joint values (N + 1, n) of any source [rad, m].
+      run: a `Trajectory` of one lane, whose own q̇ is used; or joint values (N + 1, n) from any source [rad, m].
       pace: the limits.
-      chain: for its velocity limits, if `pace` says so, and its joints' names.
+      chain: for its velocity limits, if `pace` refers to them, and its joint names.
       Ts: sampling time of joint values [s].
 
     Raises: ArgumentError for shapes and values that do not fit.

@@ -1,9 +1,9 @@
-"""Metrics: what one loop did, in numbers.
+"""Metrics: the result of one loop in numbers.
 
-Each metric is a pure function of a `Trajectory` and of the law and reference it ran with. Sweeps tabulate
-them and losses are built from them: norms have derivative 0 (not NaN) at 0, and counts have none. A value
-that is not finite counts as infinitely large, so that a diverged loop is never mistaken for a missing one;
-NaN means "not defined", and only where a metric's line says so.
+Each metric is a pure function of a `Trajectory` and of the law and reference of its run. Sweeps tabulate metrics, and
+losses are built from them: norms have derivative 0 (not NaN) at 0, and counts have none. A value that is not finite
+counts as infinitely large, so that a diverged loop is never mistaken for a missing one. NaN means "not defined", and
+occurs only where a metric's description says so.
 """
 
 from __future__ import annotations

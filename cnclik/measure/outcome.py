@@ -1,7 +1,7 @@
-"""Outcome: how a whole nonlinear loop ended over a stated horizon.
+"""Outcome: how a whole nonlinear loop ended within a given number of steps.
 
-A loop is judged by its last quarter, not by its last instant: a nonlinear map can stay bounded and wrong, and
-pass close to the target on its way.
+A loop is judged by its last quarter, not by its last instant: a nonlinear loop can stay bounded and wrong, and pass
+close to the target on the way.
 """
 
 from __future__ import annotations

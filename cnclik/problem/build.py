@@ -1,4 +1,4 @@
-"""A problem in plain names: what the command line, sweep files and Python say, turned into records."""
+"""Problem: the plain names and values of command line, sweep files and Python, turned into records."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they a
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What `solve` needs, `solve(*p.loop)`, what a robot adds to it, and its name; `run()` has all of it.
+    """The arguments of `solve`, `solve(*p.loop)`, the robot's drives and noise, and its name; `run()` uses all of it.
 
-    `drive` and `pace` are None where nothing was said of them. `noise` (m,) or a number is the standard deviation of
-    the measured error, or None, `seed` that of what is drawn. `tip` is what the robot's tip is called; `tables` are
-    those of a stack's tasks, as they were given, and `walls` of its walls.
+    `drive` and `pace` are None where no such option was given. `noise` (m,) or a number is the standard deviation of
+    the measured error, or None; `seed` is the seed of random numbers. `tip` is the name of the robot's tip. `tables`
+    are the given tables of a stack's tasks, and `walls` those of its walls.
     """
 
     name: str
@@ -103,14 +103,14 @@ def problem_from(
     walls: Mapping[str, Mapping[str, Any]] | None = None,
     **options: Any,
 ) -> Problem:
-    """A whole problem from a flat table of names and numbers, such as a sweep file's `[fixed]`.
+    """A whole problem from a flat table of names and numbers, such as the `[fixed]` table of a sweep file.
 
     Args:
       robot: a file or a name, as for `cnclik.load`, or a `Chain`.
-      tasks: of a stack {name of a task: {option: value}}, options of `cnclik.problem.OF_TASK`, as the tables of a
-        file have them that `stack` names.
-      walls: of a stack {name of a wall: {option: value}}, of `cnclik.problem.OF_WALL`.
-      options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which say what each means and its
+      tasks: for a stack {name of a task: {option: value}}, with options of `cnclik.problem.OF_TASK`, like the tables in
+        the file that `stack` names.
+      walls: for a stack {name of a wall: {option: value}}, with options of `cnclik.problem.OF_WALL`.
+      options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which contain their meaning and
         default; None is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be
         the record itself. Numbers may be traced.
 

@@ -1,4 +1,4 @@
-"""Where a robot can reach: the share of orientations that it can take, over a plane or a box of places."""
+"""Map of where a robot can reach: the share of orientations that it reaches, over a plane or a box of positions."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
 class Reachability(NamedTuple):
-    """What can be reached at each of the places of a grid."""
+    """What can be reached at each position of a grid."""
 
     axes: tuple  # names of the grid's axes, such as ("x", "z")
     places: tuple  # one vector of places [m] per axis
@@ -41,16 +41,16 @@ def reachability(
     span: float | None = None,
     **options: Any,
 ) -> Reachability:
-    """Reach every place of a grid in many orientations that fill the turns evenly.
+    """Reach every position of a grid in many orientations that are spread evenly.
 
     Args:
       where: a plane, "xy", "xz" or "yz", or "box".
-      task: "pose", or "position" for places alone.
-      cells: places along each axis.
-      orientations: how many at each place.
-      at: where on the third axis the plane lies [m].
-      span: half the width of the grid [m] about the first joint; by default a little more than the arm gets to.
-      options: of `cnclik.reach`, such as `tolerance` and `seeds`, 32 here.
+      task: "pose", or "position" for positions alone.
+      cells: number of positions along each axis.
+      orientations: number of orientations at each position.
+      at: position of the plane along the third axis [m].
+      span: half the width of the grid [m] around the first joint; default: a little more than the arm's reach.
+      options: of `cnclik.reach`, such as `tolerance` and `seeds` (32 here).
     """
     with_one_tip(chain)
     errors.one_of("where", where, (*PLANES, "box"))

@@ -44,40 +44,40 @@ def reach(
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> Reached:
-    """Joint values that put the tip, or several, at each of some targets, or the reason why none do.
+    """Find joint values that put the tip, or several tips, at each of some targets, or the reason why there are none.
 
-    Called with numbers it works in float64 whatever the setting, on all cores, and returns NumPy arrays; the same
-    numbers give the same answers. Where there is a C compiler the search is native, built when a chain is first asked
-    of, for a second; elsewhere JAX's programs do the same, several times as slowly. Under jit, vmap and grad it is
-    a pure function in JAX's dtype, in which the tolerance is at least 1e-5 where that is float32; derivatives with
-    respect to targets and geometry are those of the implicit function theorem, dq = J# de with the joints that are at
-    limits held.
+    Called with numbers it works in float64, whatever JAX's setting, on all cores, and returns NumPy arrays; the same
+    numbers give the same answers. With a C compiler the search is native code, which is built at the first call for a
+    chain, in about a second; otherwise JAX's programs do the same, several times more slowly. Under jit, vmap and grad
+    it is a pure function in JAX's dtype; in float32 the tolerance is at least 1e-5. Derivatives with respect to targets
+    and geometry are those of the implicit function theorem, dq = J# de, with joints at their limits held constant.
 
     Args:
       chain: the robot.
-      targets: one target or an array of them along a first axis: 4×4 transforms; position and quaternion
-        [x, y, z, w, x, y, z]; positions (3,) for a position task; rotations (3, 3) or quaternions (4,) for an
-        orientation task; a `Pose`; or a pair (positions, rotations). [m] Of several tips a dict of such targets by the
-        names of a stack's tasks, or of the tips; or held `references`. One target may be shared by a batch of others.
-      task: "pose", "position", "orientation" or a `Task` of tips, of which weights count for the nearest pose.
-      tolerance: of position [m] and orientation [rad], to search for.
-      accept: a wider pair: what is within it is ACCEPTED where the tolerance is not met.
-      near: joint values (n,) or (B, n) to search from, such as where the arm is now, within the limits or not;
-        "previous" for a path: each target from the answer before it, the first from a posture of its own.
-      jump: the most that any joint may be away from `near` [rad, m]; where there are answers, but none so near, the
-        status is JUMP.
-      solutions: how many different ones are wanted for each target: by 0.1 rad or m in some joint, whole turns apart,
-        or by 0.5 of a redundant arm. The record's arrays get an axis for them; of those found the nearest to `near`, or
-        to the middle of the limits, is first. Two take some 15 times as long as one, more than there are 400 times.
-      seeds: postures to start from, at most, for each target. Few are needed where there is an answer. Where none is
-        found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is said; with fewer it is OUT_OF_BUDGET.
-      budget: evaluations for each target, at most, while there is no answer.
-      limits: whether to keep the chain's joint limits. A joint that may turn more than once is given in the
-        turn that is nearest to `near` or 0.
-      explain: whether to find out, where there is no answer, why, and what the nearest pose is: most of the time that
-        such a target takes. Else its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without a q.
-      base: (4, 4) or (B, 4, 4), where the chain's base stands in the frame of the targets.
-      seed: another number starts from other seeds.
+      targets: one target, or several along a first axis: 4×4 transforms; position and quaternion [x, y, z, w, x, y, z];
+        positions (3,) for a position task; rotations (3, 3) or quaternions (4,) for an orientation task; a `Pose`; or a
+        pair (positions, rotations). [m] For several tips a dict of such targets by the names of a stack's tasks, or of
+        the tips; or constant `references`. One target may be shared by a batch of others.
+      task: "pose", "position", "orientation" or a `Task` of tips; its weights define the nearest pose.
+      tolerance: tolerance of position [m] and orientation [rad] for which the search aims.
+      accept: a wider pair; an answer within it that misses `tolerance` is ACCEPTED.
+      near: joint values (n,) or (B, n) from which to search, such as the present ones, within the limits or not;
+        "previous" for a path: each target from the answer before it, the first one from a default posture.
+      jump: largest distance of any joint from `near` [rad, m]; where all answers are farther away the status is JUMP.
+      solutions: number of different answers wanted for each target. They differ by 0.1 rad or m in some joint, beyond
+        whole turns, or by 0.5 for a redundant arm. The arrays of the result get an axis for them; the answer nearest to
+        `near`, or to the middle of the limits, is first. Two take some 15 times as long as one; more than there are,
+        400 times.
+      seeds: largest number of start postures for each target. Few are needed where there is an answer. Where none is
+        found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is reported; with fewer it is OUT_OF_BUDGET.
+      budget: largest number of evaluations for a target that has no answer yet.
+      limits: whether to keep the chain's joint limits. A joint that can turn more than once is given in the turn that
+        is nearest to `near` or 0.
+      explain: whether to find the reason and the nearest pose where there is no answer, which is most of the work for
+        such a target. Otherwise its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without joint
+        values.
+      base: (4, 4) or (B, 4, 4) pose of the chain's base in the frame of the targets.
+      seed: seed of the start postures.
       progress: called as progress(done, total).
 
     Returns: `Reached`.

@@ -1,4 +1,4 @@
-"""What a search for poses found, and how it went: one status per target, never a silent wrong answer."""
+"""Result of a search for poses: one status per target, never a silent wrong answer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cnclik.task.task import Task
 
 
 class ReachStatus(enum.IntEnum):
-    """How it went for a target; up to ACCEPTED the joint values are an answer."""
+    """Outcome for a target; up to ACCEPTED the joint values are an answer."""
 
     SOLVED = 0  # both errors within `tolerance`
     ACCEPTED = 1  # within `accept`, but not `tolerance`
@@ -70,9 +70,9 @@ class Reached:
 
     @property
     def least_singular_value(self) -> Float[np.ndarray, " *B"]:
-        """(B,) least singular value of the task's Jacobian at q, in the Jacobian's own units; NaN where q is.
+        """(B,) least singular value of the task's Jacobian at q, in the Jacobian's own units; NaN where q is NaN.
 
-        Worked out when it is asked for: it takes longer than the search.
+        It is computed on demand, as it takes longer than the search.
         """
         q = np.asarray(self.q, float)
         rows = task_jacobians(self.chain, self.task, q.reshape(-1, q.shape[-1]))
@@ -82,7 +82,7 @@ class Reached:
         return found.reshape(q.shape[:-1])
 
     def __getitem__(self, name: str) -> Missed:
-        """The errors of a task of a stack, or of a tip of several, by its name; worked out when they are asked for."""
+        """Errors of one task of a stack, or of one of several tips, by name; computed on demand."""
         names = [aim.path[0] for aim in aims(self.task)]
         errors.one_of("name", name, dict.fromkeys(names))
         some = [own for own, of in zip(self.each, names, strict=True) if of == name]

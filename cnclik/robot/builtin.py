@@ -1,4 +1,4 @@
-"""Two robots people own, from their makers' published parameters: no file needed."""
+"""Two built-in robots with their makers' published parameters; no file is needed."""
 
 import functools
 import math

@@ -1,8 +1,8 @@
-"""Chain: a robot from base to tip, or a tree with several tips, and the ways to build one.
+"""Chain: a robot from base to tip, or a tree with several tips, and the functions that build one.
 
-A joint is a fixed offset from the frame that carries it, then a rotation about (revolute) or a translation along
-(prismatic) an axis through its own origin. Geometry written in Python floats is compiled in; geometry given
-as arrays (link lengths to calibrate, a tool to sweep) stays a leaf. See `cnclik.record`.
+A joint is a fixed offset from the frame that carries it, followed by a rotation about an axis (revolute) or a
+translation along it (prismatic); the axis passes through the joint's own origin. Geometry in Python floats is compiled
+in. Geometry in arrays (link lengths to calibrate, a tool to sweep) stays a parameter. See `cnclik.record`.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ class Chain:
 
     @property
     def parents(self) -> tuple[int, ...]:
-        """Of each joint the index of the one that carries it, −1 for the base."""
+        """For each joint the index of the joint that carries it; −1 for the base."""
         return tuple(i - 1 if joint.parent is None else joint.parent for i, joint in enumerate(self.joints))
 
     @property
     def tip(self) -> Offset:
-        """Where the only tip is, as seen from its joint. Raises: ArgumentError where there are several."""
+        """Offset of the only tip from its joint. Raises: ArgumentError where there are several tips."""
         return self.tips[self.tip_number()].offset
 
     def tip_number(self, tip: str | None = None) -> int:
-        """Which of the tips has this name; None: the only one. Raises: ArgumentError."""
+        """Index of the tip with this name; None: the only tip. Raises: ArgumentError."""
         names = [t.name for t in self.tips]
         if tip is not None:
             return names.index(errors.one_of("tip", tip, names))
@@ -94,7 +94,7 @@ class Chain:
         return 0
 
     def way(self, tip: int) -> list[int]:
-        """Indices of the joints from the base to a tip, told by its number."""
+        """Indices of the joints from the base to a tip, given by its index."""
         found, parents, i = [], self.parents, self.tips[tip].joint
         while i >= 0:
             found.append(i)
@@ -114,7 +114,7 @@ class Chain:
 
     @property
     def periodic(self) -> tuple[bool, ...]:
-        """Of each coordinate whether a whole turn of it changes nothing: all its joints turn, by whole multiples."""
+        """For each coordinate whether a whole turn of it changes nothing: all its joints turn, by whole multiples."""
         slow = {j.coordinate for j in self.joints if j.kind != REVOLUTE or not _is_whole(j.multiplier)}
         return tuple(i not in slow for i in range(self.n))
 
@@ -359,7 +359,7 @@ def _kinds(kinds, n):
 
 
 def offset_of(name, transform, places=False) -> Offset:
-    """Offset of a pose, see `poses.whole`, or of a position (3,); None is the identity. Nested lists stay literal."""
+    """Offset of a pose (see `poses.whole`) or of a position (3,); None is the identity. Nested lists stay literal."""
     if transform is None:
         return Offset()
     if isinstance(transform, Offset):

@@ -1,4 +1,4 @@
-"""Files of robots: URDF or MJCF, told apart by what they hold; and the names that robot_descriptions knows."""
+"""Robot files: URDF or MJCF, recognized by their content; and the names of robot_descriptions."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def is_mjcf(robot) -> bool:
 
 
 def file_of(name: str) -> str | None:
-    """The file that a name means: itself, where it is a file or ends like one, or that of robot_descriptions, which
-    loads a known robot's from its makers; None of anything else.
+    """The file behind a name: the name itself if it is a file or ends like one, or a file of robot_descriptions, which
+    downloads known robots; None for anything else.
 
-    Raises: ArgumentError where robot_descriptions knows the name and can't load it.
+    Raises: ArgumentError where robot_descriptions knows the name and cannot load it.
     """
     if os.path.exists(name) or name.lower().endswith(ENDINGS):
         return name

@@ -1,7 +1,7 @@
-"""Fixed transforms: geometry as it is given, in which numbers stay numbers and traced values stay traced.
+"""Fixed transforms: geometry in which numbers stay numbers and traced values stay traced.
 
-Vectors are tuples of scalars and matrices tuples of rows. A product with a Python 0 or 1 leaves no trace, so that of an
-arm whose link lengths are parameters the rest of the geometry stays known; `robot.model` makes arrays of it.
+Vectors are tuples of scalars, matrices are tuples of rows. A product with a Python 0 or 1 leaves no trace: the rest of
+the geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the tip is and how it moves: pose, geometric Jacobian, manipulability."""
+"""Forward kinematics: pose of a tip, geometric Jacobian, manipulability."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cnclik.shapes import Array, ArrayLike, Float
 
 @record
 class Pose:
-    """Where the tip is, in the base frame."""
+    """Position and orientation of a tip in the base frame."""
 
     position: Float[Array, " 3"]  # [m]
     rotation: Float[Array, "3 3"]  # the columns are the tip's axes
@@ -64,7 +64,7 @@ def forward(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) 
       q: (n,) joint values [rad, m].
       tip: its name; None: the only one.
     Returns: `Pose`: position (3,) [m] and rotation (3, 3).
-    Raises: ArgumentError if q does not have shape (n,), and for a tip that is unknown or not named among several.
+    Raises: ArgumentError if q does not have shape (n,), for an unknown tip, and for a missing name among several tips.
     """
     position, rotation = _pose(chain, q, tip)
     return Pose(position=position, rotation=rotation)
@@ -73,8 +73,8 @@ def forward(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) 
 def jacobian(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) -> Float[Array, "6 n"]:
     """Geometric Jacobian J(q), (6, n): tip velocity (v, ω) = J q̇ in the base frame, linear rows first.
 
-    Column i is (aᵢ × (p − pᵢ), aᵢ) for a revolute joint and (aᵢ, 0) for a prismatic one (Siciliano et al.
-    2009, eq. 3.30). Units: m/s and rad/s per unit of q̇. A joint that does not move the tip has zeros.
+    Column i is (aᵢ × (p − pᵢ), aᵢ) for a revolute joint and (aᵢ, 0) for a prismatic one (Siciliano et al. 2009, eq.
+    3.30). Units: m/s and rad/s per unit of q̇. A joint that does not move the tip has a column of zeros.
 
     Args: q, tip: as for `forward`.
     Raises: as `forward`.

@@ -1,4 +1,4 @@
-"""Masses: what a robot's links weigh, by the joints that carry them, and where their centre is."""
+"""Masses: the mass that each joint carries, and its centre."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cnclik.shapes import Array, Float, Number
 
 @record
 class Mass:
-    """What a joint carries before the next one, or the base: a mass and its centre."""
+    """Mass and centre of mass of the links between a joint (or the base) and the next joints."""
 
     mass: Number = 0.0  # [kg]
     center: Triple = ZERO  # [m], as seen from the joint; of what the base carries from there

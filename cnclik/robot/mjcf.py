@@ -29,23 +29,24 @@ def load_mjcf(
     tips: Sequence[str] | dict | None = None,
     freeze: dict[str, float] | None = None,
 ) -> Chain:
-    """Chain from base to tip, or the tree from base to several tips, of a model in MJCF, as MuJoCo reads it.
+    """Load a robot from an MJCF model, as MuJoCo reads it: the chain from base to tip, or the tree to several tips.
 
-    Bodies and sites are the links. Hinges and slides become coordinates, whose values are MuJoCo's `qpos`, and keep
-    their ranges; MJCF has no velocity limits. A joint that an active equality constraint couples to another is a mimic
-    joint of it, where the coupling is linear. Masses are those of bodies that belong to something with joints, so that
-    a table in the scene is none of the robot's.
+    Bodies and sites are the links. Hinges and slides become coordinates with their ranges; their values are MuJoCo's
+    `qpos`. MJCF has no velocity limits. A joint that an active equality constraint couples linearly to another one is a
+    mimic joint of it. Masses are those of bodies that hang on joints, so that a table in the scene is not part of the
+    robot.
 
-    A free joint, as of a humanoid's pelvis, is a free base, see `load_urdf`; the body behind it as the base is one that
-    stands. A ball joint is three coordinates, its rotation vector, its velocity the angular one in the body's own axes.
+    A free joint, such as that of a humanoid's pelvis, is a free base, see `load_urdf`; with the body behind it as the
+    base the robot stands. A ball joint is three coordinates, its rotation vector; its velocity is the angular velocity
+    in the body's own axes.
 
     Args:
-      model: the file, the text of one, which begins with "<", a `mujoco.MjSpec` or a `mujoco.MjModel`.
-      tip: name of a body or a site; by default the only one at the end that the joints move.
-      base: name of the first body, by default the world; or how that moves, "planar" or "free", as for `load_urdf`.
+      model: the file, its text, which begins with "<", a `mujoco.MjSpec` or a `mujoco.MjModel`.
+      tip: name of a body or a site; default: the only leaf that the joints move.
+      base: name of the first body; default: the world; or how that moves, "planar" or "free", as for `load_urdf`.
       tips, freeze: as for `load_urdf`.
 
-    Raises: ArgumentError as `load_urdf`; where MuJoCo is not installed, or can't read the model.
+    Raises: ArgumentError as `load_urdf`, and where MuJoCo is not installed or cannot read the model.
     """
     return chain(read_mjcf(model), tip, base, tips=tips, freeze=freeze)
 

@@ -1,6 +1,6 @@
-"""Model: a chain as arrays, where its frames are, and the geometric Jacobian; the core that every loop runs on.
+"""Model: a chain as arrays, its frames and its geometric Jacobian; every loop runs on it.
 
-Joint i's transform is affine in the sine and cosine of its value and in the value itself,
+The transform of joint i is affine in the sine and cosine of its value v and in v itself,
 
   Tᵢ(v) = Aᵢ + sin(v) Bᵢ + cos(v) Cᵢ + v Dᵢ  (4×4).
 """

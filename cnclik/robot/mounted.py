@@ -16,19 +16,21 @@ def with_tip(chain: Chain, offset: Offset, tip: str | None = None) -> Chain:
 
 
 def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
-    """The chain with a fixed tool after its tip: a (3,) offset [m], or a pose: a 4×4 transform, [x, y, z, w, x, y, z],
-    a `Pose`, or an object with translation and rotation such as Pinocchio's SE3.
+    """The chain with a fixed tool after its tip.
 
-    Args: tip: the name of the tip that carries it; None: the only one.
+    The tool is a (3,) offset [m] or a pose: a 4×4 transform, [x, y, z, w, x, y, z], a `Pose`, or an object with
+    translation and rotation such as Pinocchio's SE3.
+
+    Args: tip: name of the tip that carries the tool; None: the only one.
     """
     before = errors.kind("chain", chain, Chain).tips[chain.tip_number(tip)].offset
     return with_tip(chain, compose(before, offset_of("tool", tool, places=True)), tip)
 
 
 def with_base(chain: Chain, base: PoseLike) -> Chain:
-    """The chain where it stands in the world: its base at a (3,) position [m] or a pose, as for `with_tool`.
+    """The chain with its base at a (3,) position [m] or a pose (as for `with_tool`) in the world frame.
 
-    Targets, Jacobians and the tips' poses are then in the world's frame.
+    Targets, Jacobians and tip poses are then in the world frame.
     """
     parents, place = errors.kind("chain", chain, Chain).parents, offset_of("base", base, places=True)
     return replace(chain, joints=_placed(chain.joints, parents, place), masses=put(chain.masses, place))
@@ -51,18 +53,18 @@ def join(
     prefix: str = "",
     keep: bool = False,
 ) -> Chain:
-    """A robot with another one mounted on a tip: an arm on a torso, a hand on an arm.
+    """Mount a robot on a tip of another one: an arm on a torso, a hand on an arm.
 
-    Its coordinates are those of `chain`, then those of `other`. Its tips are those of `chain`, but for the one that
-    carries `other` unless it is kept, then the tips of `other`.
+    The coordinates are those of `chain`, followed by those of `other`. The tips are those of `chain`, without the one
+    that carries `other` unless `keep` is true, followed by those of `other`.
 
     Args:
-      at: name of the tip of `chain` that carries it; None: the only one.
-      transform: where the base of `other` is, as seen from that tip: a (3,) position [m] or a pose, as for `with_tool`;
-        None: there.
-      prefix: before the names of other's joints and tips, such as "left_".
-      keep: whether the tip that carries it stays one, such as a torso's, for another arm.
-    Raises: ArgumentError where a name would stand twice.
+      at: name of the tip of `chain` that carries `other`; None: the only one.
+      transform: place of the base of `other` in the frame of that tip: a (3,) position [m] or a pose, as for
+        `with_tool`; None: at the tip.
+      prefix: text before the names of the joints and tips of `other`, such as "left_".
+      keep: whether the carrying tip remains a tip, such as a torso's, for another arm.
+    Raises: ArgumentError where a name would occur twice.
     """
     number = errors.kind("chain", chain, Chain).tip_number(at)
     errors.kind("other", other, Chain)

@@ -1,4 +1,4 @@
-"""Plausible: remarks on a robot whose numbers are probably in another unit: millimetres, degrees."""
+"""Remarks on a robot whose numbers probably have another unit, such as millimetres or degrees."""
 
 import math
 
@@ -10,7 +10,7 @@ FAST = 60.0, 720.0  # [rad/s] of a joint's velocity limit: beyond them, and wher
 
 
 def remark_on_robot(chain) -> None:
-    """Remarks on lengths and limits of a chain, as far as they are written in numbers; one of each kind at most."""
+    """Remark on implausible lengths and limits of a chain that are plain numbers; at most one remark of each kind."""
     places = [(f"joint {chain.joint_names[j.coordinate]!r}", j.origin) for j in chain.joints]
     places += [(f"tip {t.name!r}" if len(chain.tips) > 1 else "the tip", t.offset) for t in chain.tips]
     for what, origin in places:
@@ -31,7 +31,7 @@ def remark_on_robot(chain) -> None:
 
 
 def remark_on_angles(what: str, angles) -> bool:
-    """Whether an angle of several [rad] is more than a turn, which is remarked on. Args: what: whose they are."""
+    """Remark on angles [rad] of more than a turn; returns whether there is one. Args: what: whose angles they are."""
     most = max((a for a in angles if type(a) is float and math.isfinite(a)), key=abs, default=0.0)
     far = abs(most) > 2 * math.pi
     if far:

@@ -1,6 +1,6 @@
-"""Posture: how long an arm is, whether it is planar, how far postures are from singular, and where to start.
+"""Posture: length of an arm, whether it is planar, distance of postures from singularities, and start postures.
 
-Of a task, whose class is of a room above, `rows_at`, `lengths` and `each` are used.
+Of a task, whose class is in a later room, `rows_at`, `lengths` and `each` are used.
 """
 
 import functools
@@ -19,9 +19,9 @@ _FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
-    """Length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
+    """Length of the stretched arm [m]: the sum of distances from joint to joint to tip, at least 1 mm or `least`.
 
-    Of the tip of a number, or of several that of the farthest. A float; traced where the chain's geometry is.
+    For the tip of a given index, or for the farthest of several tips. A float, or traced where the geometry is.
     """
     ways = [
         [*(chain.joints[i].origin.position for i in chain.way(k)[1:]), tip.offset.position]
@@ -35,10 +35,10 @@ def arm_length(chain: Chain, least=1e-3, number=None):
 
 
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
-    """By how much points are farther from the first joint than the stretched arm is long [m], for sure.
+    """How far points lie beyond the stretched arm, measured from the first joint [m].
 
-    Args: points: (..., len(axes)), their coordinates along those axes. number: of the tip.
-    Returns: (...,), negative within reach; −∞ where a joint slides, as the arm has then no length of its own.
+    Args: points: (..., len(axes)), coordinates along those axes. number: index of the tip.
+    Returns: (...,), negative within reach; −∞ for arms with sliding joints, which have no fixed length.
     """
     way = [chain.joints[i] for i in chain.way(number)]
     if any(joint.kind != REVOLUTE for joint in way):
@@ -51,7 +51,7 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
 
 
 def is_planar(chain: Chain) -> bool:
-    """Whether the tip moves in the plane z = const and turns about z alone, seen from the chain's literals."""
+    """Whether the tip moves in a plane z = const and turns about z only, judged by the chain's literal geometry."""
     return all(
         joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == IDENTITY
         for joint in chain.joints
@@ -86,10 +86,10 @@ def evenly(count: int, n: int):
 
 
 def start_posture(chain: Chain, *tasks):
-    """A posture (n,) [rad, m] well inside the limits and away from singularities of the tasks, each of one tip.
+    """A posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip.
 
-    The middle of the limits (0 for joints without) if the task Jacobians are well conditioned there; else, of 256
-    fixed postures spread around it, the one with the largest least singular value, as a share of each task's largest.
+    The middle of the limits (0 for joints without limits) if the task Jacobians are well conditioned there. Otherwise,
+    of 256 fixed postures around it, the one with the largest least singular value relative to each task's largest.
     """
     postures, least = spread_postures(chain), np.ones(1)
     for task in tasks:

@@ -23,30 +23,30 @@ def load_urdf(
     tips: Sequence[str] | dict | None = None,
     freeze: dict[str, float] | None = None,
 ) -> Chain:
-    """Chain from base to tip of a robot in a URDF file, or the tree from base to several tips, read without its meshes.
+    """Load a robot from a URDF file, without its meshes: the chain from base to tip, or the tree to several tips.
 
-    Revolute, continuous and prismatic joints become coordinates in order from the base, tip by tip; a planar joint is
-    three of them, two ways and a turn, a floating one six, see `base`; fixed joints are folded in; side branches are
-    left out. The way may lead up from the base to where tip and base part, such as from a humanoid's foot to its hand:
-    joints on the way up keep their values and limits, and act the other way around. A mimic joint shares the coordinate
-    of the joint it follows, with its multiplier and offset, also where that joint is on a side branch; the limits are
-    those of the joint that is followed (the mimics' own contradict it in files such as PR2's). Omitted position limits
-    mean none, as does a velocity limit of 0, which exporters write where they know none.
+    Revolute, continuous and prismatic joints become coordinates, in order from the base and tip by tip. A planar joint
+    becomes three coordinates, two translations and a rotation; a floating joint six, see `base`. Fixed joints are
+    merged; side branches are left out. The chain may lead up towards the root and down again, such as from a humanoid's
+    foot to its hand; joints on the way up keep their values and limits but act in the opposite direction. A mimic joint
+    shares the coordinate of the joint that it follows, with its multiplier and offset, even if that joint is on a side
+    branch. Its limits are those of the followed joint, as the mimic's own contradict them in files such as PR2's. A
+    missing position limit means no limit, and so does a velocity limit of 0, which exporters write for unknown limits.
 
     Args:
-      path: the file, plain URDF (run xacro first), or the text of one, which begins with "<".
-      tip: name of the last link; by default the only leaf link that the joints move.
-      base: how the root moves, "fixed" (by default), "planar" or "free"; or the name of the first link, anywhere in the
-        tree. A planar base is three joints base_x, base_y [m] and base_yaw [rad]; a free one base_x, base_y, base_z [m]
-        and base_rx, base_ry, base_rz [rad], its rotation vector; q̇ is then the velocity along the world's axes and the
-        angular velocity in the base's own. They have no limits; `replace(robot, velocity_limit=...)` takes one for each
-        axis. Where a robot stands is told by `with_base`.
-      tips: in place of `tip`, names of links, or {name: link}, or {name: (link, where)}, where a (3,) position [m] or a
-        pose as seen from the link, as for `with_tool`.
-      freeze: {name of a joint: the value that it keeps [rad, m]}; it is no coordinate then.
+      path: a URDF file (run xacro first), or its text, which begins with "<".
+      tip: name of the last link; default: the only leaf link that the joints move.
+      base: how the root moves: "fixed" (default), "planar" or "free"; or the name of the first link, anywhere in the
+        tree. A planar base has the joints base_x, base_y [m] and base_yaw [rad]. A free base has base_x, base_y, base_z
+        [m] and base_rx, base_ry, base_rz [rad], its rotation vector; q̇ is then the velocity along the world's axes and
+        the angular velocity in the base's own axes. These joints have no limits; `replace(robot, velocity_limit=...)`
+        sets one for each axis. `with_base` sets the base's place.
+      tips: in place of `tip`: names of links, {name: link}, or {name: (link, place)}, where the place is a (3,)
+        position [m] or a pose in the link's frame, as for `with_tool`.
+      freeze: {name of a joint: its constant value [rad, m]}; such a joint is no coordinate.
 
-    Raises: ArgumentError, one line, for a file that cannot be read or is not a robot's tree, for unknown
-      links and joints, and where no single tip can be meant.
+    Raises: ArgumentError, one line, for a file that cannot be read or is not a robot's tree, for unknown links and
+      joints, and where the tip is ambiguous.
     """
     return chain(read_urdf(path), tip, base, tips=tips, freeze=freeze)
 
@@ -206,7 +206,7 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
 
 
 def _remark_on_a_jaw(tip, up, down):
-    """A tip that nobody chose, and that the last joint moves as a gripper's does its jaw, is hardly the one meant."""
+    """Remark on a default tip that the last joint moves like a gripper's jaw: it is probably not the wanted one."""
     moving = [edge for edge in (*up, *down) if edge.type != "fixed"]
     named = [_JAW.search(f"{edge.name} {edge.child}") is not None for edge in moving]
     if named and named[-1] and not named[0]:

@@ -1,4 +1,4 @@
-"""Advice: what an engineer would set on a robot: gains with their reason, what they cost, and the same elsewhere."""
+"""Advice for a robot: gains with their reason, what they cost, and settings for other libraries."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Region of attraction: how large an error may be at first, as a certificate and as measured.
+"""Region of attraction: how large the initial error may be, certified and simulated.
 
-The certificate is sufficient, not necessary: inside it every loop of explicit Euler with exact J# converges;
-outside it most still do, which is what the measurement is for. Exponential Euler is explicit Euler with 1 − e^{−z} in
-the place of z, so the better half of the certificate, up to z = 1, covers it at every gain.
+The certificate is sufficient, not necessary: within it every loop of explicit Euler with exact J# converges. Most loops
+outside it still do, which the simulation shows. Exponential Euler is explicit Euler with 1 − e^{−z} in place of z, so
+that the better half of the certificate, up to z = 1, covers it at every gain.
 """
 
 import math
@@ -49,10 +49,10 @@ def curvature_bound(chain) -> float:
 
 
 def attraction_radius(z, sigma, curvature):
-    """Largest ‖e₀‖ from which explicit Euler is certain to shrink the error at every step [m].
+    """Largest ‖e₀‖ from which explicit Euler is guaranteed to reduce the error in every step [m].
 
-    With σ_min(J) ≥ sigma wherever the loop goes, a step leaves |1 − z| ‖e‖ and at most L_H z² ‖e‖²/(2σ²), so
-    z ≤ 1: ‖e₀‖ < 2σ²/(z L_H); 1 ≤ z < 2: ‖e₀‖ < 2(2 − z)σ²/(z² L_H). Sufficient, not necessary.
+    With σ_min(J) ≥ sigma along the whole motion, a step leaves |1 − z| ‖e‖ and at most L_H z² ‖e‖²/(2σ²), so z ≤ 1:
+    ‖e₀‖ < 2σ²/(z L_H); 1 ≤ z < 2: ‖e₀‖ < 2(2 − z)σ²/(z² L_H). Sufficient, not necessary.
 
     Args:
       z: alpha·Ts, 0 < z; 1 − e^{−alpha·Ts} for exponential Euler.
@@ -105,14 +105,15 @@ def certified_radius(law, q0, *, Ts, method=EE) -> float:
 
 @in_float64
 def sampled_attraction(law, q0, *, radii, Ts, method=EE, stage=picard(5), directions=64, N=300, tolerance=1e-3, seed=0):
-    """Measured counterpart of the certificate: targets at each distance in many directions, and how loops ended.
+    """Simulated counterpart of the certificate: targets at each distance in many directions, and how the loops ended.
+
     In float64.
 
     Args:
-      law, q0, Ts, method, stage: the loop; targets lie about the tip's place at q0, orientations are kept.
+      law, q0, Ts, method, stage: the loop; targets lie around the tip's position at q0, orientations are kept.
       radii: (r,) initial errors ‖e₀‖ to try [m].
-      directions: how many directions: evenly around in a plane, drawn at random on the sphere.
-      N, tolerance: horizon and what counts as arrived, see `outcome`.
+      directions: number of directions: evenly spaced in a plane, random on the sphere.
+      N, tolerance: number of steps and what counts as converged, see `outcome`.
       seed: of the random directions.
     Returns: an xarray.Dataset over (radius, direction): `ending`, and `converged`, the fraction over (radius).
     """

@@ -1,4 +1,4 @@
-"""Limits and walls as loops of their own: what nears one at rate · (distance to it) has a gain too, and a dead time."""
+"""Limits and walls as loops of their own: an approach at rate · (distance to it) has a gain and a dead time, too."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class LimitAdvice:
 
 @record
 class WallAdvice:
-    """What a wall asks where a loop rests.
+    """A wall at the posture where a loop rests.
 
     Attributes:
-      distance: to it [`unit`]; who is behind it, where that is negative, comes back at its rate.
+      distance: distance to it [`unit`]; where it is negative, the robot comes back at the wall's rate.
       rate: [1/s]. z: rate·Ts.
-      passed: by how much steps may pass it because a velocity is held over Ts [`unit`], with the tips as fast as
-        asked for, in the worst direction of the task; see `wall_margin`. NaN where the task has no position.
+      passed: how far a step may pass the wall because a velocity is constant over Ts [`unit`], with the tips at the
+        given speed in the worst direction of the task; see `wall_margin`. NaN where the task has no position.
       unit: m or rad.
     """
 

@@ -1,8 +1,8 @@
-"""Driven: the linear loop through its drives, exactly: its factors, its limits, its responses, its margins.
+"""Driven: the linear loop through its drives, exactly: its factors, limits, responses and margins.
 
-A controller's step at rest is Δ = Σⱼ Dⱼ y[k−j] of the joint values y that it looks at, measured from where they are to
-be; explicit Euler has D₀ = −z. The sampled drive turns steps into motion (see `cnclik.integrate.drive`), and both
-together are one matrix. With one drive for all joints each eigenvector of Dⱼ is a loop of its own, a "mode".
+A controller's step at rest is Δ = Σⱼ Dⱼ y[k−j] of the joint values y that it uses, measured from their target; explicit
+Euler has D₀ = −z. The sampled drive turns steps into motion (see `cnclik.integrate.drive`), and both together are one
+matrix. With one drive for all joints each eigenvector of Dⱼ is a loop of its own, a "mode".
 """
 
 import numpy as np
@@ -167,13 +167,13 @@ def damping_ratio(steps, drive, Ts) -> float:
 
 @record
 class DrivenLimits:
-    """Up to which z = alpha·Ts a loop through its drives is stable; inf where there is no limit.
+    """Limits of z = alpha·Ts for a loop through its drives; inf where there is no limit.
 
     Attributes:
       stable: largest z that is stable.
       monotone: largest z without overshoot: the slowest factor is real, and a step overshoots by at most 1 %.
-      recommended: largest z without overshoot if the dead time were longer by a sample.
-      fastest, rate: z of the least spectral radius, and that.
+      recommended: largest z without overshoot with one more sample of dead time.
+      fastest, rate: z with the least spectral radius, and that radius.
     """
 
     stable: float

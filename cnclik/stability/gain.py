@@ -1,4 +1,4 @@
-"""Gain: what one gain does in a loop at rest, of its modes through their drives."""
+"""Gain: properties of a loop at rest with one gain, from its modes through their drives."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ KEPT = 1e-3  # share of a speed up to which a lag is settled
 
 @record
 class Gain:
-    """What one gain does in a loop: linear, at rest, the worst of the task's directions and of the joints' drives.
+    """Properties of a loop with one gain: linear, at rest, for the worst task direction and the worst drive.
 
     Attributes:
       alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
-      damping_ratio: of the slowest pair of factors, 1 where it is real and positive.
-      overshoot: of a step, as a share of it. settling_time: until it stays within 2 % of a step [s].
-      gain_margin: factor by which alpha may still grow. delay_margin: further dead time the loop tolerates [samples].
-      noise_gain: standard deviation of the motion per unit of white noise of what is measured; velocity_noise_gain:
-        of the commanded velocity per unit of it [1/s].
-      lag: how far a motion is behind a target at constant speed without feed-forward [s].
+      damping_ratio: of the slowest pair of factors; 1 where it is real and positive.
+      overshoot: of a step, as a share of it. settling_time: until the response stays within 2 % of a step [s].
+      gain_margin: factor by which alpha may still grow. delay_margin: additional dead time that the loop tolerates
+        [samples].
+      noise_gain: standard deviation of the motion per unit of white measurement noise. velocity_noise_gain: of the
+        commanded velocity per unit of it [1/s].
+      lag: delay behind a target at constant speed without feed-forward [s].
       lag_fed_forward: the same with feed-forward. start_error: largest error after a target starts at 1 m/s, with
-        feed-forward [s]; times a speed it is an error.
+        feed-forward [s]; multiplied by a speed it is an error.
     """
 
     alpha: float

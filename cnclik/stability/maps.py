@@ -1,4 +1,4 @@
-"""Maps: outcomes of whole nonlinear loops over alpha, Ts and M, with the linear boundary beside them."""
+"""Maps: outcomes of whole nonlinear loops over alpha, Ts and M, with the linear stability limit."""
 
 import math
 
@@ -47,16 +47,16 @@ def outcomes(
     chunk=CHUNK,
     progress=None,
 ) -> Outcome:
-    """Run a loop for every combination given and say how each ended, see `outcome`. In float64.
+    """Run a loop for every given combination and classify how each ended, see `outcome`. In float64.
 
     Args:
-      law, reference: the loop; a gain that is no scalar is scaled so that its largest |eigenvalue| is alpha.
-      q0: (..., n) start; alpha, Ts, M: (...); all are broadcast against each other, one loop each.
-      M: passes in place of the stage's own, or None.
-      drive: what lies between command and motion, see `Drive`; its dead time is in samples, all else in seconds.
-      N, tolerance, scale: horizon in steps and what counts as arrived.
+      law, reference: the loop; a gain that is not a scalar is scaled so that its largest |eigenvalue| is alpha.
+      q0: (..., n) start; alpha, Ts, M: (...). All are broadcast against each other, one loop each.
+      M: iterations in place of the stage's own, or None.
+      drive: model of the drives, see `Drive`; its dead time is in samples, all else in seconds.
+      N, tolerance, scale: number of steps, and what counts as converged.
       chunk: loops run between two calls of `progress`, on all cores.
-      progress: called as progress(loops done, of how many), or None.
+      progress: called as progress(loops done, loops in all), or None.
     Returns: `Outcome` of NumPy arrays (...).
     """
     method, stage = checked(method, stage)
@@ -137,13 +137,13 @@ def stability_map(
     rest=None,
     **options,
 ):
-    """Measured outcomes over the (alpha, Ts) plane, and the linear boundary of the same loop at rest. In float64.
+    """Outcomes of simulated loops over the (alpha, Ts) plane, and the linear limit of the loop at rest. In float64.
 
     Args:
-      law, reference, q0: the loop; the reference must hold still.
+      law, reference, q0: the loop; the reference must be constant.
       alpha: (a,) gains [1/s]. Ts: (b,) sampling times [s].
       method, stage: as for `solve`. drive: as for `outcomes`.
-      rest: where the loop comes to rest, if that is known; else `settle` finds it.
+      rest: posture at which the loop rests, if known; otherwise `settle` finds it.
       N, options: as for `outcomes`.
     Returns: an xarray.Dataset over (Ts, alpha), with `limit` (Ts,), the largest stable alpha by `recommend`.
     """
@@ -223,7 +223,9 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
 
 @in_float64
 def passes_map(law, reference, q0, *, z, M, Ts=0.1, method="CN", stage=picard(0), N=100, **options):
-    """Measured outcomes over z = alpha·Ts and the number of passes M, and the linear limit for each M. In float64.
+    """Outcomes of simulated loops over z = alpha·Ts and the number of iterations M, and the linear limit for each M.
+
+    In float64.
 
     Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts, and an implicit method.
     Returns: an xarray.Dataset over (M, z), with `limit` (M,) in z.

@@ -1,8 +1,8 @@
 """Spectrum: the one-step map of the whole loop, differentiated, and its eigenvalues.
 
-At rest (e = 0, target held) the loop's own `step` is differentiated as it is, passes one by one. With exact J# every
-task direction is then amplified by R(z) and every null-space direction by 1; damping, weights, gain matrices and
-null-space velocities come out by themselves.
+At rest (e = 0, constant target) the loop's own `step` is differentiated, including its iterations. With exact J# every
+task direction is multiplied by R(z) and every null-space direction by 1; damping, weights, gain matrices and null-space
+velocities need no special treatment.
 """
 
 from __future__ import annotations
@@ -139,17 +139,17 @@ def spectral_radius(
 ) -> Number:
     """Largest |λ| of the loop's one-step map at rest over the directions of the task; stable below 1.
 
-    Null-space directions, which an exact J# leaves alone (λ = 1), are told apart by J. Pure: jit, vmap and grad go
-    through for alpha, Ts, damping and geometry, in the caller's precision (it is not smooth where two eigenvalues
-    meet in size); called with numbers it is computed in float64. See `spectrum` for the eigenvalues themselves.
+    Null-space directions, which an exact J# leaves unchanged (λ = 1), are separated by J. Pure: jit, vmap and grad go
+    through for alpha, Ts, damping and geometry, in the caller's precision (it is not smooth where two eigenvalues have
+    the same size). Called with numbers it is computed in float64. See `spectrum` for the eigenvalues themselves.
 
     Args:
       law: the right-hand side, see `Law`.
-      reference: a held `Reference` with e = 0 at q, or None: hold where q is.
+      reference: a constant `Reference` with e = 0 at q, or None: hold the pose at q.
       q: (n,) joint values at rest [rad, m].
       Ts: sampling time [s].
       method, stage: as for `solve`.
-    Raises: ArgumentError where q is not at rest on the target, or Ts is no positive number.
+    Raises: ArgumentError where q is not at rest on the target, or Ts is not a positive number.
     """
     method, stage = checked(method, stage)
     Ts = 1.0 * errors.number("Ts", Ts, positive=True)
@@ -172,15 +172,15 @@ _radius_of_numbers = one_off(_radius, static_argnames=("method",))  # one progra
 
 @record
 class Spectrum:
-    """Eigenvalues of the one-step map; of a multistep method of p instants p times as many.
+    """Eigenvalues of the one-step map; a multistep method of p instants has p times as many.
 
     Attributes:
       task: (r,) complex, over the r = rank J directions in which the task moves, largest first.
       null: (n − r,) complex, over the null space of J.
-      lost: number of task directions J can't move at q; their error stays.
+      lost: number of task directions that J cannot move at q; their error remains.
       radius: largest |task|.
-      null_radius: largest |null|; exactly 1 where nothing acts in the null space. 0 where there is none.
-      direction: (m,) unit vector of task coordinates that belongs to the largest task eigenvalue (real part).
+      null_radius: largest |null|; exactly 1 where nothing acts in the null space, 0 without a null space.
+      direction: (m,) unit vector of task coordinates of the largest task eigenvalue (real part).
       coupling: how much motion in the null space disturbs the task in one step; 0 for exact J#.
     """
 
@@ -195,7 +195,7 @@ class Spectrum:
 
 @in_float64
 def spectrum(law, reference, q, Ts, method=DEFAULT, stage=picard(5)) -> Spectrum:
-    """Eigenvalues of the loop's one-step map at rest, task and null-space directions told apart. In float64.
+    """Eigenvalues of the loop's one-step map at rest, separated into task and null-space directions. In float64.
 
     Args: as for `spectral_radius`.
     Raises: as `spectral_radius`.
@@ -371,12 +371,12 @@ def error_of_numbers(law, reference, q):
 
 @in_float64
 def settle(law: Law, reference: ref.Reference, q0: Float[ArrayLike, " n"], *, N: int = 200) -> Float[np.ndarray, " n"]:
-    """Where the loop comes to rest on a held target: (n,) joint values, found by chord-solved implicit steps.
+    """Joint values (n,) at which the loop rests on a constant target, found by implicit steps with the chord stage.
 
-    Computed in float64, and returned as a NumPy array of that. Which of a redundant arm's resting places it is
-    depends on the path there, slightly; its stability does not.
+    Computed in float64 and returned as a NumPy array. The resting posture of a redundant arm depends slightly on the
+    path to it; its stability does not.
 
-    Raises: ArgumentError where the error doesn't vanish, as for a target out of reach.
+    Raises: ArgumentError where the error does not vanish, as for a target out of reach.
     """
     check_loop(law, reference)
     q0 = as_joint_values(law.chain, q0, "q0")

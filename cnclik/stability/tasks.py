@@ -31,17 +31,19 @@ CONFLICT = 0.9  # of what a task would get alone: with less in some direction it
 
 @record
 class TaskAdvice:
-    """What one task of a stack bears, and what it gets.
+    """Gains that one task of a stack tolerates, and how much of its motion it gets.
 
     Attributes:
       alpha: [1/s], its largest gain. z: alpha·Ts.
-      largest_stable_alpha: at this posture, with the other gains as they are; 0 where they alone are unstable.
-      fastest_monotone_alpha, recommended_alpha: the largest without overshoot, and without it were the dead time a
-        sample longer, whatever the posture and the other tasks.
-      got: how many of its coordinates it gets of those it asks for, in sum; alone: were there no other task.
-      least: share that it gets in its worst direction; least_alone: of that, alone; direction: (m,) the direction.
-      yields_to: the task that takes most of it there, or "".
-      now, recommended: `Gain` of it, the other tasks at rest, in directions that are not lost; None where unstable.
+      largest_stable_alpha: at this posture, with the other gains unchanged; 0 where they alone are unstable.
+      fastest_monotone_alpha, recommended_alpha: the largest without overshoot, and without overshoot with one more
+        sample of dead time, for any posture and any motion of the other tasks.
+      got: number of its coordinates that it gets, in sum. alone: the same without other tasks.
+      least: share that it gets in its worst direction. least_alone: the same without other tasks. direction: (m,) the
+        direction.
+      yields_to: the task that takes most of this direction, or "".
+      now, recommended: `Gain` of the task with the others at rest, in directions that are not lost; None where
+        unstable.
     """
 
     alpha: float
@@ -61,7 +63,7 @@ class TaskAdvice:
 
 @record
 class Leak:
-    """What a level lets through to one before it: `share` of what `source` asks for moves `into` [units over units]."""
+    """A leak from a level to an earlier one: `share` of what `source` asks for moves `into` [units over units]."""
 
     source: str
     into: str
@@ -70,14 +72,14 @@ class Leak:
 
 @record
 class StackAdvice:
-    """What a stack of tasks at rest bears.
+    """Gains and margins of a stack of tasks at rest.
 
     Attributes:
       tasks: {name: `TaskAdvice`}.
-      least_room: name of the task whose gain is nearest to its limit: it holds the stack back.
-      growth: by how much an error may grow on its way to 0, in the norm of weights and levels; 1 is not at all.
-        error_growth: the same of errors as they are [m, rad]. Without drives; inf where the loop is unstable.
-      leaks: of each two levels the largest `Leak`.
+      least_room: name of the task whose gain is nearest to its limit.
+      growth: factor by which an error may grow before it decays, in the norm of weights and levels; 1: it does not
+        grow. error_growth: the same for errors in [m, rad]. Without drives; inf where the loop is unstable.
+      leaks: for each pair of levels the largest `Leak`.
     """
 
     tasks: dict

@@ -1,4 +1,4 @@
-"""Check: a spec from what a TOML file holds; everything wrong with it is said before anything runs."""
+"""Check: makes a spec from the contents of a TOML file and reports every mistake before anything runs."""
 
 import dataclasses
 import functools

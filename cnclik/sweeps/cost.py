@@ -36,11 +36,11 @@ class Estimate:
 
 
 def estimate(spec, *, set=()) -> Estimate:
-    """Size, memory and time of a sweep: its first program is compiled, and one block of it run twice.
+    """Size, memory and time of a sweep: its first program is compiled, and one block of it is run twice.
 
     Args:
       spec: a `Spec`, or the path of its TOML file.
-      set: strings "name=value" that override what the file says.
+      set: strings "name=value" that replace values of the file.
     """
     spec = spec if isinstance(spec, Spec) else read(spec, set)
     begun = time.perf_counter()

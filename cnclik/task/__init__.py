@@ -1,4 +1,4 @@
-"""What is controlled: coordinates of tips and joints, their errors and their rows of the task Jacobian."""
+"""Tasks: coordinates of tips and joints, their errors and their rows of the task Jacobian."""
 
 from cnclik.task.build import joints, orientation, pose, position, stack
 from cnclik.task.shapes import capsule, distance, half_space, sphere

@@ -1,4 +1,4 @@
-"""The centre of mass: where it is, as a task, and kept over the feet by walls."""
+"""The centre of mass as a task; walls keep it above the feet."""
 
 from __future__ import annotations
 
@@ -55,20 +55,21 @@ class Center(Vector):
 def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights: Weights = None) -> Task:
     """The robot's centre of mass as a task, c = Σ mₖ cₖ / Σ mₖ over its links [m]; its target is hold([x, y]).
 
-    Of `load_urdf` and `load_mjcf`, which read masses. Links on joints that are no coordinates of the robot count where
-    those joints stand, see there. Its rows are Σ mₖ Jₖ / Σ mₖ (Sugihara, Nakamura & Inoue 2002, eq. 5), Jₖ those of cₖ.
+    Masses come from `load_urdf` and `load_mjcf`. Links on joints that are no coordinates of the robot count at the
+    position that these loaders give them. The rows are Σ mₖ Jₖ / Σ mₖ (Sugihara, Nakamura & Inoue 2002, eq. 5), Jₖ
+    those of cₖ.
 
     Args:
       axes: letters of "xyz" in that order: "xy" for balance.
-      relative_to: name of the tip in whose frame, and as seen from which, it is, such as a foot; None: the base.
+      relative_to: name of the tip, such as a foot, in whose frame the centre of mass is expressed; None: the base.
       weights: (m,) positive weights, or None.
-    Raises: ArgumentError by the law, or what else is told the robot, where it has no masses.
+    Raises: ArgumentError, when a law is made with it, for a robot without masses.
     """
     return with_weights(Task(parts=(Center(along=letters_of("axes", axes), to=relative_to),)), weights)
 
 
 def com(chain: Chain, q: Float[ArrayLike, " n"], *, relative_to: str | None = None) -> Float[Array, " 3"]:
-    """Where the centre of mass is at q (n,), as `center_of_mass` controls it: (3,) [m].
+    """Centre of mass at q (n,), (3,) [m], as `center_of_mass` controls it.
 
     Raises: ArgumentError for a robot without masses.
     """

@@ -29,10 +29,11 @@ def position(
     Args:
       axes: letters of "xyz" in that order, such as "xy".
       tip: its name; None: the robot's only one.
-      relative_to: name of the tip in whose frame, and as seen from which, it is; None: the base.
-      frame: whose axes they are: "base", or that of `relative_to`; or "tip": the tip's own. Then e = Rᵀ(p_d − p), where
-        the target is as the tip sees it: with the axes "xy" it gets onto the tip's z axis. Targets are as in "base".
-      weights: (m,) positive weights of the coordinates in the least-squares sense, or None.
+      relative_to: name of the tip in whose frame the position is expressed; None: the base.
+      frame: whose axes are used: "base", or that of `relative_to`; "tip": the tip's own. In the tip's frame e = Rᵀ(p_d
+        − p) is the target as the tip sees it: with the axes "xy" the target gets onto the tip's z axis. Targets are
+        given as with "base".
+      weights: (m,) positive least-squares weights of the coordinates, or None.
     """
     return _task(weights, _part(_PLACES, "axes", axes, tip, relative_to, frame))
 
@@ -102,14 +103,14 @@ def function(
     """A function of the joint values as a task, x = value(robot, q); its rows are its derivative, by JAX.
 
     Args:
-      value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point:
-        lambda robot, q: jnp.linalg.norm(ck.forward(robot, q, tip="hand").position - point)[None].
+      value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point: lambda robot, q:
+        jnp.linalg.norm(ck.forward(robot, q, tip="hand").position - point)[None].
       names, units: of the m coordinates.
-      error: (robot, q, target (k,)) to e (m,), 0 at what is wanted, where that is not target − value: of an angle the
-        shorter way, of a camera how far from its axis it sees a target that moves. Its derivatives are taken by JAX.
-      target: k, m by default.
-      rows: (robot, q, target) to (m, n), −∂e/∂q, where it is known in a form that is quicker.
-      velocity: (robot, q, target, its velocity (k,)) to (m,), ∂e/∂target times it, likewise.
+      error: (robot, q, target (k,)) to e (m,), 0 at the target, where the error is not target − value: for an angle the
+        shorter way round, for a camera the distance of a moving target from its axis. Its derivatives are taken by JAX.
+      target: k; default: m.
+      rows: (robot, q, target) to (m, n), −∂e/∂q, where a faster form is known.
+      velocity: (robot, q, target, its velocity (k,)) to (m,), ∂e/∂target times the velocity, likewise.
       weights: (m,) positive weights, or None.
     """
     given = {"value": value, "error": error, "rows": rows, "velocity": velocity}
@@ -127,11 +128,11 @@ def function(
 
 
 def stack(**tasks: Task) -> Task:
-    """Tasks with names, controlled together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
+    """Named tasks that are controlled together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
 
-    What they can't all have is shared by their weights, or by the levels of an inverse such as `levels`.
+    Conflicts between them are resolved by their weights, or by the levels of an inverse such as `levels`.
 
-    Raises: ArgumentError naming what is no task.
+    Raises: ArgumentError naming the argument that is no task.
     """
     if not tasks:
         raise errors.fail("tasks", "be at least one, such as hands=ck.pose(tip=...)", "are none")

@@ -1,6 +1,7 @@
-"""Shapes carried by links, and distances between them as coordinates of a task: of a wall, or to be controlled.
+"""Shapes carried by links, and distances between them as coordinates of a task, for walls or control.
 
-A sphere or a capsule is all points within a radius of one point, or of a segment; a half-space is all below a plane.
+A sphere or a capsule is the set of all points within a radius of a point or a segment; a half-space is all points below
+a plane.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def _on(segment, point):
 
 
 def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.0, 0.0, 0.0)) -> Rounded:
-    """A sphere on a link that is a tip of the robot, for `distance`.
+    """A sphere on a link, which must be a tip of the robot, for `distance`.
 
     Args:
       tip: its name; None: fixed in the base frame.
@@ -130,11 +131,11 @@ def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.
 
 
 def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end: Float[ArrayLike, " 3"]) -> Rounded:
-    """A capsule on a link that is a tip of the robot: all within a radius of a segment.
+    """A capsule on a link, which must be a tip of the robot: all points within a radius of a segment.
 
     Args:
       tip, radius: as for `sphere`.
-      start, end: (3,) of the segment, in the tip's frame [m].
+      start, end: (3,) ends of the segment in the tip's frame [m].
     """
     ends = [errors.array(name, value, (3,)) for name, value in (("start", start), ("end", end))]
     if all(map(errors.concrete, ends)) and not np.any(ends[0] != ends[1]):
@@ -144,10 +145,10 @@ def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end:
 
 
 def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpace:
-    """All below a plane of the base frame, such as a table: normal·p ≤ offset.
+    """All points below a plane of the base frame, such as a table: normal·p ≤ offset.
 
     Args:
-      normal: (3,) of unit length, else it is made so.
+      normal: (3,); it is normalized.
       offset: [m], along the unit normal.
     """
     normal = errors.array("normal", normal, (3,))
@@ -161,8 +162,9 @@ def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpac
 def distance(one: Rounded, other: Rounded | HalfSpace) -> Task:
     """The distance between two shapes as a task of one coordinate [m], negative where they overlap.
 
-    For `wall(distance(...), above=0.02)`; or to be controlled. A capsule that lies on a plane, or parallel to another,
-    has its nearest point anywhere: its row then jumps. Two spheres, or a wall for each end, have none of that.
+    Use it in `wall(distance(...), above=0.02)`, or control it. For a capsule that lies on a plane, or parallel to
+    another capsule, the nearest point is not unique and the row of the Jacobian jumps. Use two spheres, or a wall for
+    each end, to avoid that.
     """
     one = errors.kind("one", one, Rounded, "be ck.sphere(...) or ck.capsule(...)")
     known = "be ck.sphere(...), ck.capsule(...) or ck.half_space(...)"

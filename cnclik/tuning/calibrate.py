@@ -1,4 +1,4 @@
-"""Calibration: geometry from measured positions, by the descent that `tune` uses."""
+"""Calibration: geometry from measured positions, with the descent that `tune` uses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PositionObjective:
 
 
 class Calibrated(NamedTuple):
-    """Values of a calibration, and RMS distances to what was measured before and after [m]."""
+    """Calibrated values, and RMS distances to the measured positions before and after [m]."""
 
     values: tuple[np.ndarray, ...]
     rms_before: float
@@ -56,13 +56,13 @@ def calibrate(
     descent: Descent = Descent(steps=200, rounds=4),
     progress: Callable | None = None,
 ) -> Calibrated:
-    """Geometry from measured positions of the tip; computed in float64 whatever JAX's setting is.
+    """Estimate geometry from measured positions of the tip; computed in float64, whatever JAX's setting is.
 
     Args:
       build: function (value) -> Chain, such as `planar_arm` of link lengths; must take traced arrays.
       start: nominal value, an array, such as link lengths [m].
       q: (K, n) joint values [rad, m]. measured: (K, 3) positions of the tip there [m].
-      lower, upper: bounds, by default 0.5 below and above the start.
+      lower, upper: bounds; default: 0.5 below and above the start.
       descent, progress: as for `tune`; one start.
     Returns: `Calibrated`.
     Raises: ArgumentError for shapes that do not fit.

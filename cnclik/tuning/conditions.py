@@ -19,15 +19,15 @@ from cnclik.tuning.parameters import Adjustable, scaled_links, scheduled
 
 @record
 class Conditions:
-    """What a robot adds to a loop. As they are, none: the measured error is the true one, motion what was commanded.
+    """What a robot adds to a loop. By default nothing: the measured error is exact, and the motion equals the command.
 
     Attributes:
       noise: standard deviation of the measured error, a number or (m,) [m, rad].
-      drive: what lies between command and motion, see `Drive`. It counts in the loss and in the constraints.
-      model_error: relative error of the link lengths the law believes in.
-      draws: scenarios drawn of noise and model error for each path.
-      tolerance: what counts as arrived, for the loss "settling" [m, rad].
-      seed: of noise and model error; joint noise has that of the drive.
+      drive: model of the drives, see `Drive`. It enters the loss and the constraints.
+      model_error: relative error of the link lengths in the law's model.
+      draws: number of random scenarios of noise and model error for each path.
+      tolerance: error below which the tip has settled, for the loss "settling" [m, rad].
+      seed: of noise and model error; joint noise has the seed of the drive.
 
     Raises: ArgumentError for values that do not fit.
     """

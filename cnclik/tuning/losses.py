@@ -1,7 +1,7 @@
-"""Losses: what a tuning makes small, as smooth functions of a run.
+"""Losses: smooth functions of a run that a tuning minimizes.
 
-A loss maps a `View` to a number in the unit its line names; weighted sums of them are losses too. Times beyond the
-horizon have weight 0, so that loops with different sampling times are judged over the same time.
+A loss maps a `View` to a number in the unit that its description names; weighted sums of losses are losses, too. Times
+beyond the horizon have weight 0, so that loops with different sampling times are judged over the same time.
 """
 
 from __future__ import annotations

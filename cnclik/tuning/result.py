@@ -1,4 +1,4 @@
-"""Result: what a tuning found, as a record, as plain numbers for a file, and in words."""
+"""Result of a tuning: as a record, as plain numbers for a file, and in words."""
 
 from __future__ import annotations
 
@@ -53,19 +53,19 @@ _LITTLE_GAIN = (
 
 @record
 class Performance:
-    """How a loop does: largest numbers along its runs. What could not be computed is inf; the run is as it was.
+    """Performance of a loop: the largest numbers along its runs. A value that could not be computed is inf.
 
     Attributes:
-      loss: what was made small.
-      radius: spectral radius in the task's directions at rest, delay included: a small error shrinks by it per step.
-      null_radius: spectral radius in the null space of J; 1 where nothing acts there, or the null-space velocity leaves
-        a posture for another, 0 where there is none.
+      loss: the minimized loss.
+      radius: spectral radius in the task's directions at rest, delay included: the factor of a small error per step.
+      null_radius: spectral radius in the null space of J; 1 where nothing acts there or where the null-space velocity
+        leaves one posture for another, 0 without a null space.
       correction: share of a small error that one step removes, |1 − λ|: z for explicit Euler and exact J#.
-      noise_gain: standard deviation of the motion per unit of white noise of what is measured, by linear theory.
-      delay_margin: further dead time that the loop tolerates [samples]; inf for any.
+      noise_gain: standard deviation of the motion per unit of white measurement noise, by linear theory.
+      delay_margin: additional dead time that the loop tolerates [samples]; inf for any.
       speed: |q̇| over its limit; 0 where there are no limits.
-      violation: by how much the worst constraint is exceeded, relative to its bound; at most 0 where all are kept.
-      worst: which one that is.
+      violation: relative amount by which the worst constraint is exceeded; at most 0 where all are kept.
+      worst: name of this constraint.
       z: alpha·Ts (largest |eigenvalue| of a gain matrix, largest gain of a schedule).
       run: `Trajectory` of the first scenario.
     """

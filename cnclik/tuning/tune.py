@@ -1,10 +1,9 @@
-"""tune: the gains of a loop by gradient, with what a robot tolerates as constraints.
+"""Tune: the gains of a loop by gradient, with what a robot tolerates as constraints.
 
-A loss on the error alone drives the gain to the edge of what is allowed, so the edge is part of the problem: along the
-path a step doesn't overshoot, not even were the dead time a sample longer, noise is not magnified beyond a bound, and
-joint velocities keep their limits.
-While it descends, eigenvalues are bounded by smooth functions; at the end they are measured, and the result says what
-was found.
+A loss on the error alone would drive the gain to the edge of the allowed range, so the edge is part of the problem.
+Along the path a step does not overshoot, even with one more sample of dead time; noise is not amplified beyond a bound;
+and joint velocities keep their limits. During the descent eigenvalues are bounded by smooth functions; at the end they
+are computed exactly, and the result contains them.
 """
 
 from __future__ import annotations
@@ -52,23 +51,23 @@ def tune(
     progress: Callable | None = None,
     **goal: Any,
 ) -> Tuned:
-    """Tune a loop's gains by gradient: loss → min, no overshoot with a sample of dead time to spare, |q̇| ≤ limit.
+    """Tune the gains of a loop by gradient: minimize a loss, without overshoot for one more sample of dead time.
 
-    Computed in float64 whatever JAX's setting is.
+    Joint velocities keep their limits. Computed in float64, whatever JAX's setting is.
 
     Args:
-      law: where tuning starts. The shape of its alpha is what is tuned: a number, one per axis (m,), or a symmetric
-        positive definite (m, m).
+      law: where tuning starts. Its alpha is tuned in the shape that it has: a number, one per axis (m,), or a symmetric
+        positive definite matrix (m, m).
       reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n); the loss is the mean over them.
-      Ts: sampling time [s]. N: steps; N·Ts is the horizon, also where Ts is tuned.
+      Ts: sampling time [s]. N: number of steps; N·Ts is the horizon, even where Ts is tuned.
       method, stage: as for `solve`.
-      descent: how it descends, see `Descent`.
-      progress: called with (evaluations, of how many, loss in words) after each round, or None.
-      goal: over, bounds, loss, delay_margin, noise_gain, ringing, margin, velocity_limit, conditions, see `Goal`: by
-        default alpha, for the RMS error, no overshoot with a sample of dead time to spare, a noise gain of at most 0.5,
-        the robot's own joint velocities, and drives that follow at once.
+      descent: settings of the descent, see `Descent`.
+      progress: called with (evaluations, evaluations in all, loss in words) after each round, or None.
+      goal: over, bounds, loss, delay_margin, noise_gain, ringing, margin, velocity_limit, conditions, see `Goal`.
+        Default: alpha, for the RMS error, without overshoot for one more sample of dead time, with a noise gain of at
+        most 0.5, the robot's own velocity limits, and drives without delay.
 
-    Returns: `Tuned`; it keeps every constraint, or says by how much not.
+    Returns: `Tuned`; it keeps every constraint, or says by how much it does not.
     Raises: ArgumentError for arguments that do not fit.
     """
     errors.kind("descent", descent, Descent, "be Descent(...)")
