@@ -1,6 +1,6 @@
-"""How the loop moves in time.
+"""Integration: how the loop moves in time.
 
-The functions `solve` and `lanes` are offered by `cnclik` itself: here these names are the modules they live in.
+`cnclik` itself offers the functions `solve` and `lanes`; here these names are the modules that contain them.
 """
 
 from cnclik.integrate.advance import Step

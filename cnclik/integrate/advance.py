@@ -1,4 +1,4 @@
-"""advance: one step of the loop, by any method."""
+"""Advance: one step of the loop with any method."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ from cnclik.shapes import Array, Float, Int
 
 @record
 class Step:
-    """One step of the loop, as a record without the time axis of a `Trajectory`.
+    """One step of the loop: the fields of a `Trajectory` without the time axis.
 
     Attributes:
       q: (n,) joint values after the step [rad, m].
-      x: (m,) task coordinates of the tip before it [m, rad].
+      x: (m,) task coordinates before it [m, rad].
       e: (m,) error before it, x_d − x [m, rad].
-      qdot: (n,) joint velocity held during it [rad/s, m/s].
+      qdot: (n,) constant joint velocity during it [rad/s, m/s].
       residual: last change of the implicit stage, as a joint displacement; 0 for explicit methods.
-      contraction: ratio of its last two changes; at 1 or more it diverges.
-      least: least singular value of the task Jacobian before it, an estimate from below; of a stack's tasks the least.
+      contraction: ratio of the last two changes; at 1 or more the iteration diverges.
+      least: least singular value of the task Jacobian before it, an estimate from below; in a stack the least of its
+        tasks.
       status: bits of `Status`.
-      task_status: (tasks,) those that the tasks of a stack have of their own; None without a stack.
-      walls: (k,) how much faster each wall might be neared, see `Trajectory`; None without walls.
-      history: what a multistep method wants back with its next step; None for one-step methods.
+      task_status: (tasks,) bits that each task of a stack has alone; None without a stack.
+      walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
+      history: memory of a multistep method for its next step; None for one-step methods.
     """
 
     q: Float[Array, " n"]

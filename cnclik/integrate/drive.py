@@ -1,7 +1,7 @@
-"""Drive: what lies between a command and the motion, and between the motion and what the controller is told of it.
+"""Drive: the dynamics between a command and the motion, and the measurement that the controller gets.
 
-A command goes through the dead time, is held for a sample, and is followed by G(s): at once, with a lag, or as a
-second-order servo does. Each joint has its own. What is sampled here is exact for a held command; theory and loop use
+A command passes the dead time, is constant for a sample, and is followed by G(s): immediately, with a lag, or like a
+second-order servo. Each joint may have its own. The sampled model is exact for a constant command; theory and loop use
 the same matrices.
 """
 
@@ -34,28 +34,28 @@ _QUANTITIES = (  # of all joints or of each
 
 @record
 class Drive:
-    """What a robot does with a command. As it is, the ideal: motion is what was commanded, and known at once.
+    """Model of a robot's drives. The default is ideal: the motion equals the command and is known immediately.
 
-    A velocity command is held for a sample and followed by G(s) q̇_c; a position command steps from sample to sample
-    and is followed by G(s) q_c. G(s) = 1, 1/(lag s + 1), or ω₀²/(s² + 2ζω₀ s + ω₀²). A servo with gains k_p and k_v on
-    an inertia m has ω₀² = k_p/m and 2ζω₀ = k_v/m; a velocity servo with gain k_v on m the lag m/k_v.
+    A velocity command is constant for a sample and followed by G(s) q̇_c; a position command steps from sample to
+    sample and is followed by G(s) q_c. G(s) = 1, 1/(lag s + 1), or ω₀²/(s² + 2ζω₀ s + ω₀²). A servo with gains k_p and
+    k_v on an inertia m has ω₀² = k_p/m and 2ζω₀ = k_v/m; a velocity servo with gain k_v on m has the lag m/k_v.
 
     Attributes:
-      delay: dead time between command and motion [samples], not only whole ones; known, never traced.
-      measurement_delay: whole samples by which what is measured is late. It is time-stamped: the error that is fed back
-        is that of the target as it was then, so that a path that is known loses nothing. To stability both add up.
+      delay: dead time between command and motion [samples], also fractions; a known number, never traced.
+      measurement_delay: delay of the measurement [whole samples]. Measurements are time-stamped: the error that is fed
+        back is the error at the time of the measurement, so that a known path is followed without additional error. For
+        stability both delays add up.
       lag: time constant of a first-order drive [s], one number or one per joint (n,).
       natural_frequency, damping_ratio: ω₀ [rad/s] and ζ of a second-order drive, in place of a lag.
-      command: "velocity", or "position": the controller adds up its steps and sends joint values. Without lag both
-        are the same.
-      feedback: which joint values the controller looks at. "measured": the robot's own, what it has commanded being
-        added up for itself; "commanded": its own commands, so that it never learns of drive and dead time, nor of
-        joint noise and a measurement's delay; "rebased": measured, and each position command begins there, not at the
-        last command.
-      drive_velocity, drive_acceleration: beyond which the drive doesn't follow a command, a number or (n,)
-        [rad/s, m/s], [rad/s², m/s²]; None: none.
-      joint_noise: standard deviation of measured joint values, a number or (n,) [rad, m]; resolution: of the encoders
-        [rad, m]; seed: of the noise.
+      command: "velocity", or "position": the controller sums up its steps and sends joint values. Without lag both are
+        the same.
+      feedback: joint values that the controller uses. "measured": the robot's own, while commands are summed up
+        separately; "commanded": its own commands, so that drive, dead time, joint noise and measurement delay do not
+        enter the loop; "rebased": measured, and each position command starts from them instead of the last command.
+      drive_velocity, drive_acceleration: largest velocity and acceleration that the drive reaches, a number or (n,)
+        [rad/s, m/s], [rad/s², m/s²]; None: no limit.
+      joint_noise: standard deviation of measured joint values, a number or (n,) [rad, m]. resolution: of the encoders
+        [rad, m]. seed: of the noise.
 
     Raises: ArgumentError for values that do not fit.
     """
@@ -112,17 +112,17 @@ class Drive:
 
     @property
     def steps_positions(self) -> bool:
-        """Whether what is sampled is a position that steps, and not a velocity."""
+        """Whether the drive receives a position that steps, and not a velocity."""
         return self.command == "position" and self.order > 0
 
     @property
     def adds_up(self) -> bool:
-        """Whether the controller keeps the sum of its steps, which the loop then depends on."""
+        """Whether the loop depends on the sum of steps that the controller keeps."""
         return self.feedback == "commanded" or (self.steps_positions and self.feedback == "measured")
 
     @property
     def ideal(self) -> bool:
-        """Whether motion is what was commanded; what is measured may still be noisy."""
+        """Whether the motion equals the command; the measurement may still be noisy."""
         return self.order == 0 and self.delay == 0 and self.drive_velocity is self.drive_acceleration is None
 
     @property
@@ -137,18 +137,18 @@ class Drive:
 
     @property
     def lumped(self) -> Self:
-        """With all that is late in one place, the dead time: the same to stability."""
+        """The drive with all delays in one place, as dead time; stability is the same."""
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
 
     @property
     def exact(self) -> bool:
-        """Whether what is measured is the motion itself."""
+        """Whether the measurement equals the motion."""
         return _none(self.joint_noise) and _none(self.resolution)
 
     def late_by(self, Ts):
-        """How far a motion at constant speed is behind its command [s]: dead time, and the lag or 2ζ/ω₀.
+        """Delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
 
-        Half a sample less of positions that step, as each is sent at the beginning of its sample.
+        For stepping positions it is half a sample less, as each is sent at the start of its sample.
         """
         lag = 2 * self.damping_ratio / self.natural_frequency if self.order == 2 else self.lag
         return self.delay * Ts + lag - 0.5 * Ts * self.steps_positions
@@ -225,10 +225,10 @@ class Sampled:
 
 
 def sampled(drive: Drive, Ts) -> Sampled:
-    """The drive at a sampling time, exact for a command that is held (zero-order hold); NumPy's where all is known.
+    """The drive at a sampling time, exact for a constant command (zero-order hold); NumPy where all is known.
 
-    Γ₀ and Γ₁ are what a command does in the part of a sample that is left when it arrives, and in the part before
-    (Åström & Wittenmark 1997, Section 2.3).
+    Γ₀ and Γ₁ are the effects of a command in the part of the sample after its arrival, and of the previous command in
+    the part before (Åström & Wittenmark 1997, Section 2.3).
     """
     whole = math.floor(drive.delay)
     share = drive.delay - whole
@@ -342,7 +342,7 @@ def _within_limits(drive, u, before, Ts):
 
 
 def measured_joints(drive, q, k):
-    """What the controller is told of joint values q (n,) at step k: with noise, and in steps of the encoders."""
+    """Joint values that the controller gets at step k for joint values q (n,): with noise and encoder resolution."""
     if not _none(drive.joint_noise):
         key = jax.random.fold_in(
             jax.random.key(jnp.asarray(drive.seed).astype(jnp.uint32)), jnp.asarray(k).astype(jnp.int32)
@@ -355,7 +355,7 @@ def measured_joints(drive, q, k):
 
 
 def white_noise(sigma, N: int, m: int, seed=0):
-    """(N, m) independent normal errors of a measurement, the same for the same seed.
+    """(N, m) independent normal measurement errors; the same seed gives the same numbers.
 
     Args:
       sigma: standard deviation, a number or one per task coordinate (m,) [m, rad]; it may be traced, as may the seed.

@@ -1,8 +1,8 @@
-"""History: what a multistep method remembers of the steps before, and what makes it forget.
+"""History: what a multistep method remembers of past steps, and when it forgets.
 
-A history is dropped, and the order rises again step by step, where the past says nothing of the step to come: after a
-jump of the target, another sampling time, a step that a limit changed, or where J# has become another one. That costs
-no evaluation.
+A history is dropped, and the order rises again step by step, where the past says nothing about the next step: after a
+jump of the target, a change of the sampling time, a step that a limit changed, or a large change of J#. This costs no
+evaluation.
 """
 
 from __future__ import annotations

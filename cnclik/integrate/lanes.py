@@ -35,22 +35,22 @@ OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its v
 def lanes(
     fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None, quick: bool = False
 ) -> Callable:
-    """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but fast.
+    """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but faster.
 
-    Every argument is a tree of arrays with one leading batch axis of any size from 1 to tens of millions; what
-    all lanes share is best closed over. `fn` should return what is wanted of a loop (an error, a metric) and not
-    its whole trajectory: memory is that of inputs and results plus one block per core or device.
+    Every argument is a tree of arrays with one leading batch axis, of any size from 1 to tens of millions. Close over
+    what all lanes share. `fn` should return a small result of a loop (an error, a metric) and not the whole trajectory:
+    memory is needed for inputs and results plus one block per core or device.
 
     Args:
       fn: function of one lane, such as `lambda q0: cnclik.solve(law, reference, q0, 0.01, 100).e[-1]`.
-      tile: lanes per tile of XLA's programs on a CPU, by default 64. C has its own.
-      block: lanes per call of them, a multiple of `tile`; by default 32768. on a GPU the lanes of a tile, 2**18.
-      cores: how many cores of a CPU may work at once, by default all this process may use.
-      quick: for a batch that is run once: compiled in two thirds to a tenth of the time, for a CPU, and runs ten times
-        slower.
+      tile: lanes per tile of XLA's programs on a CPU; default: 64. C has its own tiles.
+      block: lanes per call of a program, a multiple of `tile`; default: 32768, on a GPU one tile of 2**18 lanes.
+      cores: number of CPU cores that may work at once; default: all that this process may use.
+      quick: for a batch that is run once on a CPU: compilation takes a tenth to two thirds of the time, and the program
+        runs ten times slower.
 
-    Under jit, vmap or grad it is part of that program: as C on JAX's own threads, by XLA on one core. Called with
-    arrays it uses all cores, or devices.
+    Under jit, vmap or grad it becomes part of that program: as C on JAX's threads, or through XLA on one core. Called
+    with arrays it uses all cores or devices.
     """
     on_cpu = jax.default_backend() == "cpu"
     tile = errors.integer("tile", TILE if tile is None else tile, at_least=1)

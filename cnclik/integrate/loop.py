@@ -1,10 +1,10 @@
-"""Loop: a loop in time is a state and a step, which measures, advances, paces, and goes through the robot's drives.
+"""Loop: the loop in time is a state and a step, which measures, advances, paces, and passes the robot's drives.
 
-`solve` runs it and keeps what happened, `outcome` folds it, tuning differentiates it, sweeps run many. Without drive,
-noise and pace a step is the law's own, `advance`.
+`solve` runs it and keeps the trajectory, `outcome` reduces it, tuning differentiates it, sweeps run many. Without
+drive, noise and pace a step is the law's own, `advance`.
 
-What is measured of the task acts through one number per step: the error that is fed back is the measured one, w[k]
-away from what the law's own chain would say. A step holds w[k], as a controller does that measures once per sample.
+A measurement acts through one vector per step: the measured error is w[k] away from the error that the law's own chain
+has. A step keeps w[k] constant, like a controller that measures once per sample.
 """
 
 from __future__ import annotations
@@ -123,9 +123,9 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
 def one(loop: Loop, starting, state: State, k):
     """(state after step k, `Step` with q, x and e before it). Pure.
 
-    The step after the last, k = N, has a length of 0: it changes nothing, and says what the last instant is like.
+    The extra step at the end, k = N, has length 0: it changes nothing and gives x and e at the last instant.
 
-    Args: starting: whether a step of the starting method is made, which multistep methods are begun with.
+    Args: starting: whether it is a step of the method that starts a multistep method.
     """
     law, Ts, q = loop.law, loop.Ts, state.q
     t = state.path if loop.waits else loop.t0 + k * Ts

@@ -31,15 +31,15 @@ from cnclik.integrate.stage import Count
 @jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Method:
-    """A (diagonally implicit) Runge-Kutta method, compiled in.
+    """A (diagonally implicit) Runge-Kutta method; it is compiled in.
 
     Attributes:
-      name: as written in the API, on the command line and in datasets.
-      A: rows of the lower triangular coefficient matrix, row i with i + 1 entries; without its last, 0, an entry less.
+      name: name in the API, on the command line and in datasets.
+      A: rows of the lower triangular coefficient matrix, row i with i + 1 entries; a last entry of 0 may be left out.
       b: weights of the slopes.
       c: times of the slopes, in units of Ts.
-      order: the order of accuracy on a moving target, stages solved exactly.
-      source: where it comes from.
+      order: order of accuracy on a moving target, with exactly solved stages.
+      source: its publication.
       exponential: whether the error decays by its exact factor over the step, see `exponential`.
     """
 
@@ -184,25 +184,25 @@ MethodLike = Method | Multistep | str  # or its name
 
 
 def named(method, argument="method") -> Method | Multistep:
-    """The method, or the one of that name. Raises: ArgumentError, naming `argument`, where there is none."""
+    """The method, or the one with this name. Raises: ArgumentError, naming `argument`, for an unknown name."""
     return method if isinstance(method, (Method, Multistep)) else METHODS[errors.one_of(argument, method, METHODS)]
 
 
 def exponential(method: MethodLike) -> Method | Multistep:
-    """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same price.
+    """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same cost.
 
-    The law's exact solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). So e is measured once, at the
-    step's start, and decays by its exact factor; the tableau integrates what is not known in closed form, the joints'
-    path (an exponential integrating-factor step, after Lawson 1967):
+    The law's exact solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). So e is measured once, at the step's
+    start, and decays by its exact factor. The tableau integrates what has no closed form, the path of the joints (an
+    exponential integrating-factor step, after Lawson 1967):
 
       kᵢ = J#(qᵢ) (ẋ_d(t + cᵢ·Ts) + w) + (I − J#J) q̇₀(qᵢ),   qᵢ = q + Ts Σⱼ Aᵢⱼ kⱼ,   q⁺ = q + Ts Σᵢ bᵢ kᵢ
       w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)
 
-    R(z) = e^{−z} for every z and every tableau. Of order above two, w follows the decay within the step, see
-    `cnclik.law.feedback.feedback_within`. The order is that of the method, or EXP-AB's two while an error decays, where
-    J# is exact; a damped J# lets the error decay more slowly than is taken for, and the order is one. See
-    `cnclik.law.feedback` for rotations and gain matrices. Of an Adams-Bashforth formula it is EXP-AB: one Jacobian a
-    step and a memory, see `cnclik.integrate.remember`.
+    R(z) = e^{−z} for every z and every tableau. For orders above two, w follows the decay within the step, see
+    `cnclik.law.feedback.feedback_within`. With exact J# the order is that of the method; that of EXP-AB methods is two
+    while an error decays. With a damped J# the error decays more slowly than assumed, and the order is one. Rotations
+    and gain matrices are explained in `cnclik.law.feedback`. An Adams-Bashforth formula becomes an EXP-AB method, with
+    one Jacobian per step and a memory, see `cnclik.integrate.remember`.
 
     Args:
       method: an explicit `Method` or an Adams-Bashforth `Multistep`, or its name.

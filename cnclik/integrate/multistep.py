@@ -1,9 +1,9 @@
-"""Multistep: one evaluation of f a step, and a memory of the steps before.
+"""Multistep methods: one evaluation of f per step, and a memory of the steps before.
 
   q[k+1] = Σⱼ aⱼ q[k−j] + Ts Σⱼ bⱼ f[k−j]
 
-Adams-Bashforth formulas remember slopes, the Taylor-type formulas of the zeroing-neural-network literature joint
-values. How large z = alpha·Ts may be follows from the roots of λᵖ = Σⱼ (aⱼ − z bⱼ) λᵖ⁻¹⁻ʲ, see
+Adams-Bashforth formulas remember slopes; the Taylor-type formulas of the zeroing-neural-network literature remember
+joint values. The limit of z = alpha·Ts follows from the roots of λᵖ = Σⱼ (aⱼ − z bⱼ) λᵖ⁻¹⁻ʲ, see
 `cnclik.stability.linear`.
 """
 
@@ -59,15 +59,15 @@ def check_order(order, b, left) -> int:
 @jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Multistep:
-    """An explicit linear multistep method, compiled in.
+    """An explicit linear multistep method; it is compiled in.
 
     Attributes:
-      name: as written in the API, on the command line and in datasets.
+      name: name in the API, on the command line and in datasets.
       a: weights of q[k], q[k−1], …; their sum is 1.
       b: weights of the slopes f[k], f[k−1], ….
-      order: the order of accuracy on a moving target.
-      source: where it comes from.
-      exponential: whether the error decays by its exact factor, and the memory is of J# and ẋ_d: see
+      order: order of accuracy on a moving target.
+      source: its publication.
+      exponential: whether the error decays by its exact factor and J# and ẋ_d are remembered, see
         `cnclik.integrate.remember`.
     """
 

@@ -1,17 +1,17 @@
-"""Pace: the steps of a loop, made as short as limits of velocity, acceleration and jerk ask for.
+"""Pace: a loop that slows down along its path to keep limits of velocity, acceleration and jerk.
 
-All joints of a step q̇ = f are scaled by one share s in [0, 1], so that the robot goes where the law sends it, but
-later. With path time τ, which advances by s·Ts in a sample,
+All joints of a step q̇ = f are scaled by one share s in [0, 1], so that the robot follows the law's path, only later.
+With the path time τ, which advances by s·Ts per sample,
 
     q̈ = s² f′ + ṡ f,    q⃛ = s³ f″ + 3 s ṡ f′ + s̈ f,    ′ = d/dτ
 
-so that f′ and f″, which are estimated from the steps as they come, say which s the path allows: a law that nears its
-target, f′ = −α f, has to be slowed down before the target as a turn before its apex. Time-optimal path following knows
-the same bounds (Bobrow, Dubowsky & Gibson 1985); here they are looked ahead by one order of the path.
+so that f′ and f″, which are estimated from the steps, determine the s that the path allows. A law that approaches its
+target, f′ = −α f, must slow down before the target, as in a bend before its apex. Time-optimal path following uses the
+same bounds (Bobrow, Dubowsky & Gibson 1985); here they look ahead by one order of the path.
 
-Where no share keeps the limits of acceleration and jerk, as after a jump of the target under way, the joints leave the
-path: each brakes, within its limits, towards the velocity that the law wants. The loop sees where it is and comes back.
-A joint that could not be stopped before a position limit after the step, if the law keeps those, brakes instead of it.
+Where no share keeps the limits of acceleration and jerk, as after a jump of the target during the motion, the joints
+leave the path: each brakes, within its limits, towards the velocity that the law asks for. The loop measures where it
+is and comes back. If the law keeps position limits, a joint that could no longer stop before its limit brakes instead.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ FAR = 1e6  # [s] stands for never: finite, so that derivatives are
 
 @record
 class Pace:
-    """Limits that a loop keeps: it goes slower along its path, and leaves the path where that is not enough.
+    """Limits that a loop keeps by slowing down along its path, and by leaving the path where that is not enough.
 
     Attributes:
-      velocity: [rad/s, m/s], a number or one per joint (n,); "chain": the chain's own; None: none.
-      acceleration: of the sampled motion, (q̇[k] − q̇[k−1])/Ts [rad/s², m/s²], a number or (n,); None: none.
-      jerk: its change per second [rad/s³, m/s³], a number or (n,); None: none.
-      wait: whether the path waits for the robot: its time then advances by share·Ts in a sample, and it is followed
-        late, not cut. None: where the future of the reference is known; a stream of targets (`causal`, `resampled`)
-        goes on by its own clock.
+      velocity: [rad/s, m/s], a number or one per joint (n,); "chain": the chain's own; None: no limit.
+      acceleration: of the sampled motion, (q̇[k] − q̇[k−1])/Ts [rad/s², m/s²], a number or (n,); None: no limit.
+      jerk: change of the acceleration per second [rad/s³, m/s³], a number or (n,); None: no limit.
+      wait: whether the path waits for the robot. Its time then advances by share·Ts per sample: the path is followed
+        later, without cutting corners. None: it waits where the future of the reference is known; a stream of targets
+        (`causal`, `resampled`) does not wait.
 
     Raises: ArgumentError for values that do not fit.
     """
@@ -70,21 +70,21 @@ class Pace:
 
     @property
     def smooth(self) -> bool:
-        """Whether joint velocities change a little at a time: their acceleration or jerk is limited."""
+        """Whether acceleration or jerk is limited, so that joint velocities change gradually."""
         return not self.acceleration is self.jerk is None
 
 
 @record
 class Pacing:
-    """Where a paced loop is: what `paced` takes and hands back.
+    """State of a paced loop, which `paced` takes and returns.
 
     Attributes:
-      velocity, acceleration: (n,) of the last sample, as it was paced [rad/s, rad/s²; m].
-      asked: (n,) velocity that the loop asked for; turn, bend: (n,) its derivatives f′, f″ along the path.
-      share: s of the last step; a path that waits has advanced by share·Ts. Off the path: the share of what the loop
-        asked for that the joints made.
-      excess: the largest part of an acceleration or jerk limit that the step would take with the best share; beyond 1
-        where none keeps them all, after a corner or a jump of the target: the joints then braked and left the path.
+      velocity, acceleration: (n,) paced velocity and acceleration of the last sample [rad/s, rad/s²; m].
+      asked: (n,) velocity that the loop asked for. turn, bend: (n,) its derivatives f′, f″ along the path.
+      share: s of the last step; a path that waits has advanced by share·Ts. Off the path: the share of the requested
+        motion that the joints made.
+      excess: largest share of an acceleration or jerk limit that the step needs with the best s. It is above 1 where no
+        s keeps all limits, after a corner or a jump of the target; the joints then braked and left the path.
       begun: whether a step was paced.
     """
 
@@ -99,7 +99,7 @@ class Pacing:
 
     @property
     def over(self) -> Bool[Array, ""]:
-        """Whether the joints left the path in the step, as no share keeps the limits of acceleration and jerk."""
+        """Whether the joints left the path in the step because no share keeps the limits of acceleration and jerk."""
         return self.excess > _whole(self.excess.dtype)
 
 
@@ -109,7 +109,7 @@ def _whole(dtype):
 
 
 def pace_at_rest(q: Float[ArrayLike, " n"]) -> Pacing:
-    """The state of a paced loop at rest at joint values q (n,)."""
+    """State of a paced loop that rests at joint values q (n,)."""
     zeros = jnp.zeros_like(_vector("q", q))
     one = jnp.ones((), zeros.dtype)
     state = dict.fromkeys(("velocity", "acceleration", "asked", "turn", "bend"), zeros)
@@ -125,17 +125,17 @@ def paced(
     stop: Number | None = None,
     sharpness: Number = 1.0,
 ) -> tuple[Float[Array, " n"], Pacing]:
-    """One step of any loop within its limits: for a control loop of one's own. Pure.
+    """One step of any loop, kept within its limits: for your own control loop. Pure.
 
     Args:
-      pace: its velocity limits as numbers.
-      state: from `pace_at_rest`, then what the call before handed back.
-      dq: (n,) step that the loop asks for, q̇·Ts [rad, m]; of q̇ from any library.
+      pace: with velocity limits as numbers.
+      state: from `pace_at_rest`, then the state that the previous call returned.
+      dq: (n,) step that the loop asks for, q̇·Ts [rad, m], with q̇ from any library.
       Ts: sampling time [s].
-      stop: path time until the path stops or has a corner [s], where that is known ahead: it is slowed down before.
-      sharpness: change of the path's velocity there, as a part of it.
+      stop: path time until the path stops or has a corner [s], where known: the motion slows down before it.
+      sharpness: relative change of the path's velocity there.
 
-    Returns: (dq, state): s·dq, `state.share` being s; or, where no s keeps the limits of acceleration and jerk, the
+    Returns: (dq, state): s·dq, where s is `state.share`; or, where no s keeps the limits of acceleration and jerk, a
       step that brakes the joints within them, and `state.over` is true.
     Raises: ArgumentError for shapes that do not fit.
     """

@@ -1,4 +1,4 @@
-"""Pieces: a long run as several of one length, so that one program serves runs of any number of steps."""
+"""Pieces: a long run in several pieces of equal length, so that one program serves runs of any number of steps."""
 
 import numpy as np
 

@@ -1,15 +1,15 @@
-"""Steps with a memory: one evaluation of f each, and what was evaluated at the instants before.
+"""Steps with a memory: one evaluation of f per step, combined with those of the instants before.
 
-Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep`. Exponential ones remember J# and
-ẋ_d, so that the feedback and the closure of this step act through the same mean of J#:
+Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep`. Exponential ones remember J# and ẋ_d,
+so that the feedback and the closure of this step act through the same mean of J#:
 
   q⁺ = q + Ts Σⱼ βⱼ J#[k−j] (v[k−j] + w),   v = ẋ_d,
   w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σⱼ βⱼ v[k−j].
 
-Where limits are respected, a step that its own evaluation or the combination would break one with is made from that
-evaluation alone, as an (exponential) Euler step, which respects what Euler respects. So is an exponential step where
-J# has become another one since the last: far from the target at a large gain, or near a singularity, the past
-foretells nothing.
+A step is made from its own evaluation alone, as an (exponential) Euler step, where that evaluation or the combination
+would violate a limit that the law respects; such a step respects what Euler respects. So is an exponential step where
+J# has changed much since the last one: far from the target at a large gain, or near a singularity, the past predicts
+nothing.
 """
 
 from __future__ import annotations

@@ -59,8 +59,9 @@ def solve(
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
-    It runs in the dtype of q0, and its arrays are of q0's kind: NumPy's, which can't be written to, or JAX's. The first
-    call of a kind compiles its program, for a second; other numbers, of any Python or NumPy type, use the same one.
+    It runs in the dtype of q0 and returns arrays of q0's kind: read-only NumPy arrays, or JAX arrays. The first call of
+    a kind compiles its program, which takes about a second; calls with other numbers, of any Python or NumPy type,
+    reuse it.
 
     Args:
       law: the right-hand side f(q, t), see `Law`.
@@ -68,14 +69,14 @@ def solve(
       q0: (n,) joint values at t0 [rad, m].
       Ts: sampling time [s], positive.
       N: number of steps, a Python integer.
-      method: EXP-MIDPOINT unless told; one of `METHODS`, by name, or a `Method` or `Multistep` of your own. A multistep
-        method begins with RK4 (EXP-RK4) steps.
-      stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods don't use it.
-      t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no steps of 1 ms.
-      drive: what lies between command and motion, see `Drive`; None: nothing.
-      pace: limits of velocity, acceleration and jerk that the loop keeps by going slower, see `Pace`; None: none.
+      method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method` or `Multistep`. A multistep method
+        starts with RK4 (EXP-RK4) steps.
+      stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods ignore it.
+      t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no resolution of 1 ms.
+      drive: model of the drives between command and motion, see `Drive`; None: ideal.
+      pace: limits of velocity, acceleration and jerk that the loop keeps by slowing down, see `Pace`; None: none.
 
-    Returns: `Trajectory`. Nothing is raised while it runs: look at `status`, or pass it to `require_ok`.
+    Returns: `Trajectory`. Nothing is raised during the run: check `status`, or pass the run to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
     return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, pace=pace)
@@ -84,15 +85,14 @@ def solve(
 def simulate(
     law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, pace=None, noise=None, plant=None, gained=None
 ) -> Trajectory:
-    """`solve` on a robot that is not as the law says: `q`, `e` and `qdot` are what truly happens.
+    """`solve` on a robot that differs from the law's model: `q`, `e` and `qdot` are those of the real robot.
 
-    The controller steps from the joint values that it looks at; what `Drive` says of them, and of the way from its
-    step to the motion, holds from rest at q0 on. No step is marked GROWING then: with noise an error grows and shrinks
-    by chance.
+    The controller steps from the joint values that it gets. `Drive` describes them, and the drives between its step and
+    the motion, from rest at q0 on. No step is marked GROWING: with noise an error grows and shrinks at random.
 
     Args:
       noise: (N, m) added to the measured error at each step [m, rad], or None.
-      plant: the chain as it really is, the law's being a model of it; None: the same.
+      plant: the real chain, of which the law's chain is a model; None: the same.
       gained: the law at time t, gained(law, t), where it changes; None: the same.
     """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
@@ -126,11 +126,11 @@ def step(
     stage: Stage = picard(5),
     history: History | None = None,
 ) -> Step:
-    """One step, for use inside a control loop of one's own: from q(t) to q(t + Ts).
+    """One step, for use in your own control loop: from q(t) to q(t + Ts).
 
-    Call it once before the loop begins: the first call compiles, for a second. A multistep method compiles once more
-    with its second step, the first that has a history; it is `step(..., history=made.history)` from then on, and
-    None starts it anew, with a step of RK4 (EXP-RK4).
+    Call it once before the loop starts: the first call compiles, for about a second. A multistep method compiles once
+    more with its second step, the first one with a history. From then on call `step(..., history=made.history)`; with
+    None it starts again with a step of RK4 (EXP-RK4).
 
     Args and raises: as `solve`, with q (n,) and t [s] in place of q0 and t0.
     Returns: `Step` with q (n,) after the step, qdot (n,) to send to the robot, e (m,) before the step.
@@ -192,9 +192,9 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
 
 
 def check_time(name, t, Ts, dtype, N: int = 1) -> None:
-    """Raise ArgumentError where the dtype of a run has no two instants a step apart at its times t … t + N·Ts.
+    """Raise ArgumentError where the dtype of a run cannot resolve a step at its times t … t + N·Ts.
 
-    With t such as time.time() in float32, spaced by 128 s there, every step would see the same target.
+    With t from time.time() in float32, whose spacing is 128 s there, every step would see the same target.
     """
     if not (errors.concrete(t) and errors.concrete(Ts)):
         return

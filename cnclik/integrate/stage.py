@@ -1,8 +1,8 @@
-"""Stage: how the slope of one implicit stage is found.
+"""Stage: how the slope of an implicit stage is found.
 
-An implicit slope solves k = g(k), g(k) = f(t + c·Ts, base + h·k), h = a·Ts. A stage is a record that,
-called with g and what is known at the step's start, runs a fixed number of passes (a `lax.scan`: pure,
-differentiable, the same length in every lane) and returns the slope with what is known of its convergence.
+An implicit slope solves k = g(k), g(k) = f(t + c·Ts, base + h·k), h = a·Ts. A stage is a record that is called with g
+and the quantities known at the step's start. It runs a fixed number of passes (a `lax.scan`: pure, differentiable, the
+same length in every lane) and returns the slope and its convergence.
 """
 
 from __future__ import annotations

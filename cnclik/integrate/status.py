@@ -1,4 +1,4 @@
-"""Status: what happened in each step, as bits; and the way to insist that nothing did."""
+"""Status: what happened in each step, as bits; and a function that insists on OK."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def level(status: ArrayLike) -> np.ndarray:
 
 
 def count(status: ArrayLike) -> dict[str, int]:
-    """How many steps bear each name; a step may bear several."""
+    """Number of steps with each status name; a step may have several."""
     status = np.asarray(status)
     counts = {"OK": int(np.sum(status == 0))}
     return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
@@ -80,10 +80,10 @@ def count(status: ArrayLike) -> dict[str, int]:
 
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
-    """The run itself if no step has a status beyond `allow` and RESTARTED, which is no defect; else StepError.
+    """Return the run if no step has a status beyond `allow` and RESTARTED, which is no defect; else raise StepError.
 
-    The message names the first bad step (and lane), its time, and the remedy. Values are looked at, so this
-    can't be used under jit.
+    The message names the first bad step (and lane), its time, and a remedy. The values are read, so this cannot be used
+    under jit.
     """
     if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is of a module above
         raise errors.fail("run", "be a Trajectory", f"is {type(run).__name__}")

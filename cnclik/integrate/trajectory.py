@@ -1,4 +1,4 @@
-"""Trajectory: what a loop did, instant by instant; put together, cut short, joined."""
+"""Trajectory: the motion of a loop, instant by instant; assembled, truncated, joined."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ class Trajectory:
     Attributes:
       t: (N + 1,) [s].
       q: (N + 1, n) joint values [rad, m].
-      x: (N + 1, m) task coordinates of the tip [m, rad].
-      e: (N + 1, m) error, x_d − x (rotations: vector of the turn that is left) [m, rad].
-      qdot: (N, n) joint velocity held during step k, (q[k+1] − q[k])/Ts [rad/s, m/s].
+      x: (N + 1, m) task coordinates [m, rad].
+      e: (N + 1, m) error, x_d − x (rotations: remaining rotation vector) [m, rad].
+      qdot: (N, n) constant joint velocity during step k, (q[k+1] − q[k])/Ts [rad/s, m/s].
       residual: (N,) last change of the implicit stage, as a joint displacement; 0 for explicit methods.
-      contraction: (N,) ratio of its last two changes; at 1 or more it diverges.
+      contraction: (N,) ratio of the last two changes; at 1 or more the iteration diverges.
       status: (N,) bits of `Status`.
-      evaluations: evaluations of f(q, t) in the whole run, each one a Jacobian and an inverse.
-      path_time: (N + 1,) time on the path where it waits for the robot, see `Pace` [s]; None where that is t.
-      tasks: of a stack (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is what one of them did.
-      task_status: (N, tasks) bits of `Status` that each has of its own, NEAR_SINGULAR and GROWING; None of no stack.
-      walls: (N, k) how much faster the joints might near each wall of `bounded`, ∇h·q̇ + rate·h [m/s, rad/s]: 0 where it
-        holds them, less than 0 where it is not kept, as walls contradict each other or the bounds; None without walls.
+      evaluations: number of evaluations of f(q, t) in the whole run, each with a Jacobian and an inverse.
+      path_time: (N + 1,) time on the path where the path waits for the robot, see `Pace` [s]; None where it equals t.
+      tasks: for a stack: (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is the run of one
+        task.
+      task_status: (N, tasks) bits of `Status` that each task has alone, NEAR_SINGULAR and GROWING; None without a
+        stack.
+      walls: (N, k) margin of the approach velocity at each wall of `bounded`, ∇h·q̇ + rate·h [m/s, rad/s]: 0 where the
+        wall is active, negative where it is not kept because walls contradict each other or the bounds; None without
+        walls.
     """
 
     t: Float[Array, "*lanes N+1"]
@@ -165,7 +168,7 @@ def _path_time(run):
 
 
 def join(parts) -> Trajectory:
-    """Runs end to end, as NumPy arrays: where one ends the next begins, and that instant is kept once."""
+    """Join runs end to end, as NumPy arrays; the instant at which one ends and the next starts is kept once."""
     parts = tuple(parts)
 
     def steps(name):
