@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from cnclik.robot.chain import Chain
     from cnclik.task.task import Task
 
+YIELDS = 1e-4  # weight of a level's squared errors, of those of the level before
 PERIOD = 10.0  # [s] of paths that say none, as of a loop of 1000 steps of 10 ms
 
 
@@ -85,9 +86,9 @@ def _given(args, chain, task):
         return _random(args, chain, task)
     each = []
     for k, aim in enumerate(every):
-        own, several = Task(parts=aim.parts), len(every) > 1
+        own, several = Task(parts=tuple(part.of_target() for part in aim.parts)), len(every) > 1
         names = {"number": k, "tip": (aim.label, aim.path[-1])} if several else {}
-        each.append(read_targets(file, own if several else task, **names))
+        each.append(read_targets(file, own, **names))
         if aim.linear and aim.to is None:
             places = transforms(read(each[-1], own)[0])[:, :3, 3]
             remark_on_places(Path(file).name, places, chain, own, aim.tip)
@@ -122,6 +123,23 @@ def _look_at_units(args, chain, task, given) -> None:
             remark_on_lengths({"target": values}, chain, Task(parts=aim.parts))
 
 
+def _upper_first(task, tables) -> tuple:
+    """The task with weights by which the nearest pose keeps upper levels, and a line that says so."""
+    import numpy as np
+
+    from cnclik.problem.stack import ranks_of
+    from cnclik.record import replace
+
+    ranks = ranks_of(tables, [name for name, _ in task.tasks])
+    if not any(ranks.values()):
+        return task, ()
+    weights = np.ones(task.m) if task.weights is None else np.array(task.weights, float)
+    for name, at in task.each:
+        weights[at] *= YIELDS ** ranks[name]
+    order = (", ".join(name for name in ranks if ranks[name] == k) for k in range(max(ranks.values()) + 1))
+    return replace(task, weights=weights), (f"Where not all can be had: {' before '.join(order)}.",)
+
+
 def _of_stack(args) -> Wanted:
     """The tips of a stack's tasks, and where its paths lead them, unless other targets are given."""
     import numpy as np
@@ -138,10 +156,12 @@ def _of_stack(args) -> Wanted:
     tables = tables_from(written, alone).tasks
     chain, tip = _robot(args, tips_of(written))
     stack = stack_from(tables, chain)
-    task, title = of_tips(stack), robot_and_task(robot_name(args.robot), tip, stack)
+    title = robot_and_task(robot_name(args.robot), tip, stack)
+    task, first = _upper_first(of_tips(stack), tables)
     left = [name for name, _ in stack.tasks if name not in dict(task.tasks)]
     left += written.walls
     lines = (f"Left out: {', '.join(left)}. Reach is of positions and orientations of tips.",) * bool(left)
+    lines += first
     _look_at_units(args, chain, task, {})
     if args.targets is not None or args.random:
         return Wanted(chain, task, title, _given(args, chain, task), lines)

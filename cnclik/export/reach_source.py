@@ -12,12 +12,13 @@ from cnclik import errors
 from cnclik.engine.routine import INT, Field, Routine
 from cnclik.export.cost import operations
 from cnclik.export.source import Names, signature, statements
-from cnclik.export.trace import Request
+from cnclik.export.trace import Request, targets
 from cnclik.reaching import asked, strategy
+from cnclik.reaching.aims import WIDTH, aims, of_tips
 from cnclik.reaching.native_source import lanes_of, look_of, search_source
 from cnclik.reaching.seeds import SETS, SIZE, compared, seeds
 from cnclik.reaching.units import of_joints
-from cnclik.robot.chain import REVOLUTE, with_one_tip
+from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
 
 SEEDS = 64  # postures that are written into the source, by default
@@ -33,25 +34,33 @@ class Reaching(NamedTuple):
     look: Routine  # of a lane of the search: look, and step on
     call: Routine  # what the exported function takes and gives, without a graph
     postures: np.ndarray  # (K, n) to start from
-    features: np.ndarray  # (sets, 13, K / sets) their tips, as `seeds.Compared` has them
+    features: np.ndarray  # (aims, sets, 13, K / sets) their tips, as `seeds.Compared` has them
+    before: tuple[str, ...]  # what stands before the names of each aim's arguments
 
 
 def trace_reach(request: Request, count: int) -> Reaching:
     """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
     errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
     law, least = request.law, LEAST * np.finfo(request.dtype).eps
-    with_one_tip(law.chain)
-    search = asked.asked_of(law.chain, law.task, TOLERANCE, None, None, count + 1, strategy.ENDLESS, 0, True, True)
+    search = asked.asked_of(
+        law.chain, of_tips(law.task), TOLERANCE, None, None, count + 1, strategy.ENDLESS, 0, True, True
+    )
     chain, task, sets = search.chain, search.task, next(sets for sets in SHIPPED if count % sets == 0)
-    n, p, turned, units = chain.n, len(task.position), bool(task.orientation), ", ".join(dict.fromkeys(law.chain.units))
-    features = compared(chain, task).features[0].transpose(0, 2, 1).reshape(-1, 13)[:count]
+    n, every, units = chain.n, aims(task), ", ".join(dict.fromkeys(law.chain.units))
+    before = tuple(word for word, parts in targets(law.task) if hasattr(parts.parts[0], "axes"))
+    features = compared(chain, task).features.transpose(0, 1, 3, 2).reshape(len(every), -1, 13)[:, :count]
     parameters = [
         Field("tolerance", (2,), about="of position [m] and orientation [rad]", value=np.maximum(TOLERANCE, least)),
         Field("tries", (), INT, about="starts, at most", value=count + 1),
     ]
     given = [Field("q", (n,), about=f"joint values to search from first, such as where the arm is [{units}]")]
-    given += [Field("position", (p,), about="the target's, in the task's coordinates [m]")] * bool(p)
-    given += [Field("rotation", (3, 3), about="the target's, row by row", value=np.eye(3))] * turned
+    for word, aim in zip(before, every, strict=True):
+        of, p = f" of {word[:-1]}" if word else "", len(_axes(aim))
+        frame = "in the base frame" if aim.own[0] else "in the task's coordinates"
+        about = f"the target's{of}, {frame} [m]"
+        given += [Field(f"{word}position", (p,), about=about)] * bool(p)
+        turn = Field(f"{word}rotation", (3, 3), about=f"the target's{of}, row by row", value=np.eye(3))
+        given += [turn] * bool(aim.angular)
     told = [
         Field("q", (n,), about=f"joint values of the answer, else of the nearest pose found [{units}]"),
         Field("position_error", (), about="[m]"),
@@ -64,8 +73,14 @@ def trace_reach(request: Request, count: int) -> Reaching:
         look=look_of(chain, task, request.dtype),
         call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": told}),
         postures=seeds(chain).postures[:count],
-        features=features.reshape(sets, -1, 13).transpose(0, 2, 1),
+        features=features.reshape(len(every), sets, -1, 13).transpose(0, 1, 3, 2),
+        before=before,
     )
+
+
+def _axes(aim) -> tuple:
+    """Which coordinates of a target's position are told."""
+    return (0, 1, 2) if aim.own[0] and aim.linear else aim.linear
 
 
 def most_operations(reaching: Reaching) -> dict:
@@ -77,7 +92,7 @@ def most_operations(reaching: Reaching) -> dict:
 
 def reach_source(reaching: Reaching, names: Names) -> tuple:
     """The text of all functions, and what `helpers` are for."""
-    of, (sets, _, size) = reaching.asked, reaching.features.shape
+    of, (_, sets, _, size) = reaching.asked, reaching.features.shape
     lines, used = statements(reaching.look, names, lambda _, f: f"s->{f.name}")
     told = {"W": 1, "LANE(v, i)": "(*(&(v) + (i)))", "SPLAT(x)": "(x)", "ENTRY": "static"}
     told["LIBM(name)"] = f"name##{names.suffix}" if names.suffix else "name"
@@ -94,22 +109,25 @@ def _call(reaching, names) -> str:
     tables = {"lower": lower, "upper": upper, "jump": np.full(of.chain.n, np.inf), "periods": of.periods}
     tables |= {"turns": of.turns(), "middle": known.middle, "width": known.width, "roots": roots}
     tables |= {"postures": reaching.postures, "own": own}
-    factors = compared(of.chain, of.task).factors[0]
+    factors = compared(of.chain, of.task).factors
     written = [_table(names, "Real", name, values) for name, values in tables.items()]
     written += [_table(names, "float", name, v) for name, v in (("features", reaching.features), ("factors", factors))]
-    pose = [f"  pose[{axis}] = input->position[{k}] * {c(1 / of.unit)};" for k, axis in enumerate(of.task.linear)]
-    if of.task.orientation:
-        pose.append("  for (int i = 0; i < 9; ++i) pose[3 + i] = input->rotation[i];")
+    pose = []
+    for a, (word, aim) in enumerate(zip(reaching.before, aims(of.task), strict=True)):
+        at = WIDTH * a
+        pose += [f"  pose[{at + i}] = input->{word}position[{k}] * {c(1 / of.unit)};" for k, i in enumerate(_axes(aim))]
+        turn = f"input->{word}rotation[i]" if aim.angular else "i % 4 == 0"
+        pose.append(f"  for (int i = 0; i < 9; ++i) pose[{at + 3} + i] = {turn};")
     arrays = {name: name for name in (*tables, "features", "factors", "pose", "near") if name != "own"}
     arrays |= {"low": "lower", "high": "upper", "made": "&made"}
     pointers = [f"  a.{name} = {value};" for name, value in arrays.items()]
     return f"""{signature(reaching.call, names)}
 {{
 {chr(10).join(written)}
-  Real pose[12] = {{0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1}}, near[N], row[2 * N + 5], away = 0;
+  Real pose[12 * AIMS] = {{0}}, near[N], row[2 * N + 5];
   Found made;
   Asked a;
-  int far;
+  int far = 0;
   memset(&a, 0, sizeof a);
   memset(&made, 0, sizeof made);
 {chr(10).join(pose + pointers)}
@@ -152,13 +170,16 @@ def _table(names, real, name, values) -> str:
 
 
 def _far(reaching, names) -> str:
-    """Statements that tell whether the target is farther from the first joint than the stretched arm is long."""
-    of, c = reaching.asked, names.number
-    if not all(joint.kind == REVOLUTE for joint in of.chain.joints):
-        return "  far = away > 0;"
-    least, center = LEAST * np.finfo(names.dtype).eps, of.chain.joints[0].origin.position
-    lines = [
-        f"  away += (pose[{k}] - {c(float(center[k]))}) * (pose[{k}] - {c(float(center[k]))});" for k in of.task.linear
-    ]
-    length = c((1 + least) * float(arm_length(of.chain)))
-    return "\n".join([*lines, f"  far = LIBM(sqrt)(away) > {length} + a.tolerance[0];"]).replace("- -", "+ ")
+    """Statements that tell whether a target is farther from the first joint than the stretched arm is long."""
+    of, c, lines = reaching.asked, names.number, []
+    least, chain = LEAST * np.finfo(names.dtype).eps, reaching.asked.chain
+    for a, aim in enumerate(aims(of.task)):
+        number = chain.tip_number(aim.tip)
+        way = [chain.joints[i] for i in chain.way(number)]
+        if not aim.placed or aim.to is not None or not all(joint.kind == REVOLUTE for joint in way):
+            continue
+        center, length = way[0].origin.position, c((1 + least) * float(arm_length(chain, number=number)))
+        off = [f"(pose[{WIDTH * a + k}] - {c(float(center[k]))})" for k in aim.placed]
+        away = " + ".join(f"{one} * {one}" for one in off).replace("- -", "+ ")
+        lines.append(f"  far |= LIBM(sqrt)({away}) > {length} + a.tolerance[0];")
+    return "\n".join(lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import operator
 import os
 import pathlib
@@ -240,6 +241,14 @@ def _check_order(tables, groups, each):
             name = next((n for n in groups[i] if "damping" in tables[n].given), groups[i][0])
             must = f"be larger than that of the level before, {before:g}, which has priority by its smaller damping"
             raise errors.fail(f"tasks.{name}.damping", must, f"is {now:g}")
+
+
+def ranks_of(tables, names) -> dict[str, int]:
+    """Which of some tasks come first, from 0: by their levels, or where none has one by their dampings."""
+    key = "level" if any("level" in one.given for one in tables.values()) else "damping"
+    values = {name: float(tables[name].given.get(key, math.inf)) for name in names}
+    order = sorted(set(values.values()))
+    return {name: order.index(value) for name, value in values.items()}
 
 
 def references_of(tables, chain: Chain, task: Task, q0, horizon) -> References:

@@ -25,11 +25,17 @@ class Aim:
     to: str | None  # the tip from which it is seen; None: the base
     linear: tuple[int, ...]  # axes of the position
     angular: tuple[int, ...]
+    own: tuple[bool, bool] = (False, False)  # whether those of position and orientation are the tip's own
 
     @property
     def label(self) -> str:
         """Its name as a text, such as "hands.left", or "right in left" of a tip as seen from another."""
         return ".".join(self.path) + (f" in {self.to}" if self.to else "")
+
+    @property
+    def placed(self) -> tuple[int, ...]:
+        """Axes of the targets' frame along which it says where the tip is: of some of the tip's own that is open."""
+        return () if self.own[0] and len(self.linear) < 3 else self.linear
 
     def way(self, chain: Chain) -> list[int]:
         """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
@@ -45,9 +51,8 @@ def aims(task: Task) -> tuple[Aim, ...]:
 def _aims(task):
     found = []
     for path, own in task.targets:
-        if not all(hasattr(part, "axes") and not part.tied for part in own.parts):
-            of = " in the tip's own frame" if hasattr(own.parts[0], "axes") else ""
-            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(own.names)}{of}")
+        if not all(hasattr(part, "axes") for part in own.parts):
+            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(own.names)}")
         if path in [aim.path for aim in found]:
             raise errors.fail("task", "have what it wants of a tip in one place", f"has {path[-1]} in two")
         tip, to = own.parts[0].tip, own.parts[0].to
@@ -55,7 +60,8 @@ def _aims(task):
         linear, angular = (tuple(map(int, of)) for of in axes)
         if len({*linear, *(3 + i for i in angular)}) < len(linear + angular):
             raise errors.fail("task", "have each axis of a tip once", f"has {', '.join(own.names)}")
-        found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular))
+        tied = tuple(any(part.tied for part in own.parts if part.turns == turns) for turns in (False, True))
+        found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular, own=tied))
     return tuple(found)
 
 

@@ -115,7 +115,8 @@ def _look(chain, task, q, target, roots):
     """The error, the rows of J, the error's squares, and the error by its weights' roots, as the rows are."""
     at = At(chain, q)
     each = [_error(part, at, aim) for part, aim in zip(task.parts, target, strict=True)]
-    e, j, squares = jnp.concatenate(each), rows(task, at), _squares(task, each)
+    j = rows(task, at, target if task.tied else None)
+    e, squares = jnp.concatenate(each), _squares(task, each)
     if roots is None:
         return e, j, squares, e
     return e, roots[:, None] * j, squares, roots * e
@@ -125,7 +126,8 @@ def _error(part, at, aim):
     """What is missing of a part, a turn as a chord."""
     if not part.turns:
         return part.error(at, aim)
-    return 2.0 * quaternion_from_rotation(aim @ at.rotation(part.tip, part.to).T)[1:][places(part.axes)]
+    turn, back = aim, at.rotation(part.tip, part.to).T
+    return 2.0 * quaternion_from_rotation(back @ turn if part.tied else turn @ back)[1:][places(part.axes)]
 
 
 def _squares(task, each):

@@ -86,7 +86,8 @@ def wanted_at(reference: Reference | References, task: Task, t):
         for part in aim.parts:
             value = next(values)
             rotation = value if part.turns else rotation
-            place |= {} if part.turns else {int(i): value[..., k] for k, i in enumerate(places(part.axes))}
+            axes = () if part.turns else range(3) if part.tied else places(part.axes)
+            place |= {int(i): value[..., k] for k, i in enumerate(axes)}
         position, xp = None, poses.library(*place.values())
         if place:  # what the task doesn't control may be anything
             anywhere = xp.zeros_like(next(iter(place.values())))

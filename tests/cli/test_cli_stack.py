@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 
@@ -183,6 +184,36 @@ def test_reach_of_several_tips(tmp_path, capsys):
     assert "2 targets" in capsys.readouterr().out
     main([*two[:-1], "pose", "--random", "7", "--json"])
     assert json.loads(capsys.readouterr().out)["status"] == {"SOLVED": 7}
+
+
+LEVELS = """
+[tasks.left]
+task = "position"
+tip = "left_gripper"
+target = [0.7, 0.3, 0.2]
+level = 1
+damping = 0.001
+[tasks.right]
+task = "position"
+tip = "right_gripper"
+relative_to = "left_gripper"
+target = [0.0, 0.0, 3.0]
+level = 2
+damping = 0.1
+[tasks.rest]
+task = "joints"
+level = 3
+damping = 1
+"""
+
+
+def test_the_nearest_pose_keeps_upper_levels(tmp_path, capsys):
+    (tmp_path / "levels.toml").write_text(LEVELS)
+    main(["reach", str(BAXTER), "--stack", str(tmp_path / "levels.toml")])
+    shown = capsys.readouterr().out
+    assert "Where not all can be had: left before right." in shown and "Left out: rest." in shown
+    missed = [float(v) for v in re.findall(r"gripper: (\S+) m", shown)]
+    assert missed[0] < 1e-3 < 1 < missed[1], shown
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from cnclik.cli import main
 from cnclik.reaching import strategy
 from cnclik.reaching.native_source import SEARCH
 from tests.export.combinations import arm
+from tests.robot.test_trees import BAXTER, GRIPPERS
 
 pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 ROBOTS = {"panda": ck.panda, "ur5": ck.ur5}
@@ -82,6 +83,26 @@ def test_too_far_is_said_with_the_nearest_pose(robot):
     assert (reach(np.zeros(chain.n), *target).q == few.q).all()
     reach.set(tries=many)
     assert few.evaluations < made.evaluations and few.position_error >= made.position_error - 1e-3
+
+
+def test_several_tips(tmp_path):
+    """Both hands at once, one of them as it sees its target itself; the stack's posture has no part in it."""
+    robot, (left, right) = ck.load_urdf(BAXTER, tips=GRIPPERS), GRIPPERS
+    hands = ck.pose(tip=left) & ck.position("xy", tip=right, frame="tip")
+    law = ck.Law(robot, ck.stack(hands=hands, rest=ck.joints()), alpha=1.0, inverse=ck.damped(0.1))
+    reach = ck.export.compiled(law, what="reach")
+    low, high = np.array(robot.lower), np.array(robot.upper)
+    for q in np.random.default_rng(6).uniform(low, high, (40, robot.n)):
+        at, other = (ck.forward(robot, q, tip=tip) for tip in GRIPPERS)
+        given = {"position": at.position, "rotation": at.rotation}
+        given = {f"hands_{left}_{name}": np.asarray(v) for name, v in given.items()}
+        made = reach(np.zeros(robot.n), **given, **{f"hands_{right}_position": np.asarray(other.position)})
+        assert made.status == ck.ReachStatus.SOLVED and (made.q >= low).all() and (made.q <= high).all()
+        there, see = (ck.forward(robot, made.q, tip=tip) for tip in GRIPPERS)
+        away = (np.asarray(other.position) - np.asarray(see.position)) @ np.asarray(see.rotation)
+        assert np.linalg.norm(there.position - at.position) < 2e-6 and np.linalg.norm(away[:2]) < 2e-6
+    given[f"hands_{left}_position"] = np.array([9.0, 0.0, 0.0])
+    assert reach(q, **given, **{f"hands_{right}_position": np.zeros(3)}).status == ck.ReachStatus.OUT_OF_REACH
 
 
 def test_what_is_not_known_is_not_claimed():

@@ -214,7 +214,6 @@ def test_a_camera_keeps_looking_at_what_moves():
         ),
         (lambda: _run(looking(), ck.hold(values=[0.4, 0.1])), r"`reference` must give 3 values \(across, down\)"),
         (lambda: _run(looking(), ck.hold_at(PANDA, looking(), Q)), "must give 3 values .*, but gives none"),
-        (lambda: ck.reach(PANDA, [0.4, 0.1, 0.4], task=TASKS["position"]), "has x, y, z in the tip's own frame"),
         (lambda: ck.function(abs, ["a"], ["m"], target=2), "`target` must come with an `error`"),
         (lambda: ck.function(abs, ["a"], ["m"], error=1), "`error` must be a function"),
         (
