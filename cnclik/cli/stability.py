@@ -21,8 +21,8 @@ from cnclik.problem.options import DRIVE
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     robot: str = option("planar-clockwise:1,1,1,1,1", positional=True)
-    """A URDF or MJCF file; panda, ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. Default: the
-    paper's 5-dof arm."""
+    """A URDF or MJCF file; panda, ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions.
+    planar-clockwise:1,1,1,1,1 is the paper's arm."""
     target: list[tuple[float, ...]] = option(list, unit="x")
     """Target at which the loop rests: position [m]; for a pose, optionally a quaternion w x y z after it. With --stack
     give it once for each tip."""

@@ -49,7 +49,7 @@ OPTIONS = {
                     "(link lengths in m); or a name of robot_descriptions."),
     "tip": Option(NAME, "Last link of the chain. Required where the file has several (`cnclik robots FILE` lists "
                   "them)."),
-    "base": Option(NAME, "First link of the chain; default: the root of the file. Or a base that moves: planar, free."),
+    "base": Option(NAME, "First link of the chain (default: the root of the file), or a moving base: planar or free."),
     "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
     "task": Option(NAME, f"What to control: {_listed(TASKS)}, or coordinates such as xy or xyrz. Default: pose where "
                    "the robot has enough joints for it."),
@@ -163,25 +163,25 @@ OF_TASK = {  # one task of a stack: a table in the stack's file
     **{name: OPTIONS[name] for name in ("reference", *PATH)},
 }  # fmt: skip
 
-OF_WALL = {  # of one wall of a stack: a table of a stack's file
+OF_WALL = {  # one wall of a stack: a table in the stack's file
     "task": OF_TASK["task"]._replace(help="Coordinates of the tip that stay on one side, such as z, or joints."),
     **{name: OF_TASK[name] for name in ("tip", "relative_to", "joints", "axes")},
-    "distance": Option(TABLES, "In place of a task: the two shapes whose distance stays above, tables of `OF_SHAPE`."),
-    "normal": Option(NUMBERS, "Of several coordinates what counts is normal·x."),
-    "above": Option(NUMBER, "What the coordinate stays above; 0 of a distance by default [rad, m].", unit="q"),
-    "below": Option(NUMBER, "Or what it stays below.", unit="q"),
-    "margin": Option(NUMBER, "By how much more.", unit="q", must="at least 0"),
-    "rate": Option(NUMBER, "Rate at which it may be neared [1/s]; --limit-rate by default.", unit="1/s",
+    "distance": Option(TABLES, "In place of a task: two shapes (tables of `OF_SHAPE`) whose distance is bounded."),
+    "normal": Option(NUMBERS, "For several coordinates x: the wall bounds normal·x."),
+    "above": Option(NUMBER, "Lower bound of the coordinate [rad, m]; default for a distance: 0.", unit="q"),
+    "below": Option(NUMBER, "Upper bound of the coordinate [rad, m].", unit="q"),
+    "margin": Option(NUMBER, "Additional distance from the bound [rad, m].", unit="q", must="at least 0"),
+    "rate": Option(NUMBER, "Rate at which the wall may be approached [1/s]; default: --limit-rate.", unit="1/s",
                    must="positive"),
 }  # fmt: skip
 OF_SHAPE = {  # a point, a sphere, a capsule, or a half-space
-    "tip": Option(NAME, "The tip that carries it; fixed in the base frame without one."),
-    "radius": Option(NUMBER, "Of a sphere or a capsule; 0 by default [m].", unit="m", must="at least 0"),
-    "center": Option(NUMBERS, "Of a sphere, as seen from the tip; 0 0 0 by default [m].", unit="m"),
-    "from": Option(NUMBERS, "Of a capsule: one end of its segment, as seen from the tip [m].", unit="m"),
-    "to": Option(NUMBERS, "Of a capsule: the other end.", unit="m"),
-    "normal": Option(NUMBERS, "Of a half-space, all points p with normal·p below the offset."),
-    "offset": Option(NUMBER, "Of a half-space, along the unit normal; 0 by default [m].", unit="m"),
+    "tip": Option(NAME, "Tip that carries the shape; without one it is fixed in the base frame."),
+    "radius": Option(NUMBER, "Sphere or capsule: radius [m]; default: 0.", unit="m", must="at least 0"),
+    "center": Option(NUMBERS, "Sphere: centre in the tip's frame [m]; default: 0 0 0.", unit="m"),
+    "from": Option(NUMBERS, "Capsule: first end of its segment in the tip's frame [m].", unit="m"),
+    "to": Option(NUMBERS, "Capsule: second end of its segment in the tip's frame [m].", unit="m"),
+    "normal": Option(NUMBERS, "Half-space: normal vector; its points p have normal·p below the offset."),
+    "offset": Option(NUMBER, "Half-space: offset along the unit normal [m]; default: 0.", unit="m"),
 }  # fmt: skip
 
 _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
