@@ -234,7 +234,7 @@ def _of_task(name, run, task):
 
 
 def _of_walls(run, law):
-    """Rows of how often a wall holds, and by how much it was passed, or how near it was."""
+    """Rows that say in how many steps each wall is active, and how near the robot came or how far it passed it."""
     import numpy as np
 
     from cnclik.integrate.status import rounding_of
@@ -246,13 +246,13 @@ def _of_walls(run, law):
     away, margin = wall_distance(law, q), wall_margin(law, run)
     for i, (name, wall) in enumerate(zip(names_of(walls), walls, strict=True)):
         unit, missed = wall.task.units[0], int(np.sum(room[:, i : i + 1] < -most))
-        said = f"holds in {int(np.sum(room[:, i : i + 1] <= most))} of {len(room)} steps"
+        said = f"active in {int(np.sum(room[:, i : i + 1] <= most))} of {len(room)} steps"
         first, least = away[0, i], away[:, i].min()
-        said += f", begun {aloud(-first, unit)} behind it" if first < 0 else ""
+        said += f", starts {aloud(-first, unit)} behind it" if first < 0 else ""
         said += f", nearest {aloud(least, unit)}" if least >= 0 else ""
         said += f", passed by up to {aloud(-least, unit)}" if least < min(first, 0.0) else ""
-        said += f"; held velocities may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
-        yield f"wall {name}", f"{said}; not kept in {missed}, see the status" if missed else said
+        said += f"; a step may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
+        yield f"wall {name}", f"{said}; not kept in {missed} steps, see the status" if missed else said
 
 
 def _counted(status) -> str:
