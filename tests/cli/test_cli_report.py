@@ -56,11 +56,11 @@ def test_stability_of_a_stack(tmp_path, capsys):
     asked = ["stability", "planar:1,0.8,0.5", "--stack", "s.toml", "--method", "EE", "--target", "1.0", "1.2"]
     text, shown = page([*asked, "--delay", "1"], capsys)
     assert (
-        "It rests at q = " in shown
+        "Linearized where it rests, at q = " in shown
         and "hold from 1 1.2 m." in shown
         and "(default)" not in shown.split("place:")[1][:99]
     )
-    for words in ("what the tasks do now", "rest has the least room"):
+    for words in ("With the present gains", "rest has the smallest margin"):
         assert words in text, words
     assert text.count("image/svg+xml") == 1
     main([*asked, "--json"])

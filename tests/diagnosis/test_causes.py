@@ -116,7 +116,7 @@ def test_a_lag_is_not_taken_for_dead_time(delay, lag, known):
             assert found.cause == "lag" and found.delay + found.lag / TS == pytest.approx(delay + lag, rel=0.15)
             assert found.factor * z > 0.6 * calm
         elif found.cause == "dead time":
-            assert found.confidence < 0.9 or "both possible" in str(found)
+            assert found.confidence < 0.9 or "are possible" in str(found)
 
 
 @pytest.mark.parametrize("delay", [0, 1, pytest.param(2, marks=pytest.mark.slow), 3])
