@@ -24,7 +24,8 @@ class Trajectory:
       q: (N + 1, n) joint values [rad, m].
       x: (N + 1, m) task coordinates [m, rad].
       e: (N + 1, m) error, x_d − x (rotations: remaining rotation vector) [m, rad].
-      qdot: (N, n) constant joint velocity during step k, (q[k+1] − q[k])/Ts [rad/s, m/s].
+      qdot: (N, n) constant joint velocity during step k, (q[k+1] − q[k])/Ts [rad/s, m/s]; for a free base the twist
+        that leads from one to the other.
       residual: (N,) last change of the implicit stage, as a joint displacement; 0 for explicit methods.
       contraction: (N,) ratio of the last two changes; at 1 or more the iteration diverges.
       status: (N,) bits of `Status`.
