@@ -212,8 +212,8 @@ def test_the_nearest_pose_keeps_upper_levels(tmp_path, capsys):
     main(["reach", str(BAXTER), "--stack", str(tmp_path / "levels.toml")])
     shown = capsys.readouterr().out
     assert "Where not all can be had: left before right." in shown and "Left out: rest." in shown
-    missed = [float(v) for v in re.findall(r"gripper: (\S+) m", shown)]
-    assert missed[0] < 1e-3 < 1 < missed[1], shown
+    missed = [(float(v), unit) for v, unit in re.findall(r"gripper: (\S+) (\S*m) and", shown)]
+    assert missed[0][1] in ("µm", "nm") and missed[1][0] > 1 and missed[1][1] == "m", shown
 
 
 @pytest.mark.parametrize(
