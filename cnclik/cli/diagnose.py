@@ -41,7 +41,7 @@ class Args(ComputeOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.diagnosis.recording import APART, clock, no_motion, sampling_time
+    from cnclik.diagnosis.recording import clock, no_motion, sampling_time
     from cnclik.problem.magnitudes import remark_on_times
     from cnclik.problem.tables import read_columns
     from cnclik.writing import output_folder
@@ -66,10 +66,21 @@ def run(args: Args) -> None:
     Ts, stamps = sampling_time(t, args.Ts), "--Ts"
     if args.Ts is None:
         stamps = f"{names[times[0]]}, read in {unit}"
-    elif t is not None and len(t) > 1 and abs((t[-1] - t[0]) / (len(t) - 1) / Ts - 1) > APART:
-        stamps = f"--Ts, though {names[times[0]]} says {1e3 * (t[-1] - t[0]) / (len(t) - 1):.4g} ms"
+    elif t is not None:
+        stamps = f"--Ts{_otherwise(t, Ts, names[times[0]])}"
     left_out = {*times, *no_motion(names, table)}
     (_step if args.step else _diagnose)(args, names, table, left_out, (Ts, stamps))
+
+
+def _otherwise(t, Ts, name) -> str:
+    """What stamps say against the sampling time that goes before them, such as that rows are missing, if anything."""
+    from cnclik.diagnosis.recording import APART, sampling_time
+
+    try:
+        own = sampling_time(t, None)
+    except errors.ArgumentError as error:
+        return f", though of {name} {str(error).partition(', but ')[2].rstrip('.')}"
+    return f", though {name} says {1e3 * own:.4g} ms" if abs(own / Ts - 1) > APART else ""
 
 
 def _diagnose(args, names, table, left_out, of):

@@ -44,6 +44,10 @@ UNFINISHED = (
     "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands: the "
     "gain cannot be judged. Record the loop at rest: push it and wait until it rests again."
 )
+HIDDEN = (
+    "Whether its gain is a little too large cannot be known from this noise: push the loop at rest by ten times as "
+    "much, and record that."
+)
 SLOW = "Slow motion is taken as a path; an error that grows as slowly looks alike. A longer recording decides."
 
 
@@ -247,7 +251,8 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
         made["note"] = UNFINISHED
     elif made["kind"] in (Kind.QUIET, Kind.NOISE):
         moved = np.ptp(found.path + found.parts.sum(0), axis=0)
-        made["note"] = SLOW if np.any(moved > ABOVE_NOISE * found.noise + STILL) else ""
+        slow = np.any(moved > ABOVE_NOISE * found.noise + STILL)
+        made["note"] = SLOW if slow else HIDDEN if kind is Kind.NOISE else ""
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(part.factor)), alpha, Ts)
     return made
@@ -331,7 +336,7 @@ def _noise_driven(seen, longest, alpha, Ts) -> dict:
     if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
         return {}
     basis, _ = orthogonal(trend(len(seen), longest if len(seen) > 3 * longest else None))
-    loops = excited(seen - within(basis, seen), Ts, None if alpha is None else alpha * Ts)
+    loops = excited(seen - within(basis, seen), Ts, None if alpha is None else alpha * Ts, basis.shape[1])
     return advice_excited(loops, alpha, Ts) if loops else {}
 
 

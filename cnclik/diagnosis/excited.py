@@ -17,6 +17,7 @@ LAGS = (0.7, 1.0, 1.4, 1.9, 2.4, 3.0, 3.8, 4.7, 6.0, 8.0, 10.0, 13.0, 20.0)  # i
 PARTS = (0.0, 0.25, 0.5, 0.75)  # of a sample of dead time
 DENSE = 7  # loops with a lag that weigh as much as one without, at each dead time
 COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
+WANDERS = (0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)  # θ of a random walk seen through noise
 FREE = (0, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: 0 is white noise, and
 # one of order 1 that swings is a loop without dead time
 PENALTY = 1.0  # on the logarithm of the number of rows, for each number
@@ -24,12 +25,15 @@ UNMODELLED_STEPS = 1e-3  # share of a recording's steps by which a real loop dif
 MAIN = 3  # parts of the columns that are looked at, at most
 NO_PART = 0.3  # share of the largest part, below which a part is none
 SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
+OVERSHOOT = 0.1  # of an error by which a loop lands beyond its target, from which on its gain is too large
+SURELY = 0.75  # share of the probability that loops which do that must have
+BETTER = 10.0  # by which one that hardly swings must be likelier than motion without a loop: so many are tried
 
 
-def excited(y, Ts, z=None) -> list:
-    """Loops, the likeliest first, that noise keeps swinging; empty where none explains the recording.
+def excited(y, Ts, z=None, path=0) -> list:
+    """Loops, the likeliest first, that noise keeps swinging, or that overshoot; empty where none explains a recording.
 
-    Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain where it is known.
+    Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain where it is known. path: numbers fitted to it.
     """
     y = _main(y)
     N = len(y)
@@ -50,10 +54,19 @@ def excited(y, Ts, z=None) -> list:
     if least > free or min(tried, key=lambda loop: loop.score).z <= 0:
         return []
     found = by_share([loop for loop in tried if loop.z > 0], DENSE / (len(LAGS) * len(PARTS)), z)
-    slowest = found[0].slowest(Ts)
-    turn = abs(np.angle(slowest))
-    swings = turn and np.abs(slowest) ** (2 * np.pi / turn) > SWINGS
-    return [loop for loop in found if loop.share > 1e-3] if swings else []
+    found = [loop for loop in found if loop.share > 1e-3]
+    if _left(found[0], 2 * np.pi, Ts) > SWINGS:
+        return found
+    over = sum(loop.share for loop in found if _left(loop, np.pi, Ts) > OVERSHOOT)
+    clear = least < min(free, _wandering(y, most + 3, floor) + number) - BETTER - path
+    return found if clear and over > SURELY * sum(loop.share for loop in found) else []
+
+
+def _left(loop, angle, Ts) -> float:
+    """Which share of an error is left of it when it has turned by an angle; 0 where it does not turn."""
+    factor = loop.slowest(Ts)
+    turn = abs(np.angle(factor))
+    return float(np.abs(factor) ** (angle / turn)) if turn else 0.0
 
 
 def _main(y):
@@ -105,6 +118,14 @@ def _over_dead_times(y, a, b, c, start, most, floor) -> list:
         start._replace(delay=delay + start.delay, z=float(gain), score=float(score))
         for delay, (gain, score) in enumerate(zip(z, scores, strict=True))
     ]
+
+
+def _wandering(y, first, floor) -> float:
+    """The criterion of a random walk, as of a hand or of drift, below the noise of what is measured."""
+    from scipy.signal import lfilter
+
+    left = [lfilter([1.0, -1.0], [1.0, -theta], y, axis=0)[first:] for theta in WANDERS]
+    return len(y[first:]) * min(float(np.sum(np.log(np.mean(v**2, axis=0) + floor))) for v in left)
 
 
 def _autoregression(y, order, first, floor) -> float:

@@ -193,18 +193,19 @@ def _made(fit, log, hides) -> DriveFit:
         explained=explained,
         largest_stable_alpha=stable,
         motion=made,
-        note=" ".join(_notes(_at_rest(log, gain, drive.command), structured, k, why, drive.command)),
+        note=" ".join(_notes(_at_rest(log, gain, drift, drive.command), structured, k, why, drive.command)),
     )
 
 
-def _at_rest(log, gain, command_kind):
+def _at_rest(log, gain, drift, command_kind):
     """Gains (k,), of position drives as they are in the end where commands and motions have come to rest: joints that
     swing together bend those that are fitted."""
     last = len(log.motion) // 10
     if command_kind != "position" or last < 2 or np.any(log.command[-2 * last :] != log.command[-1]):
         return gain
-    before, after = log.motion[-2 * last : -last].mean(0), log.motion[-last:].mean(0)
-    moved, sent = after - log.motion[0], log.command[-1] - log.command[0]
+    still = log.motion - np.arange(len(log.motion))[:, None] * log.Ts * drift
+    before, after = still[-2 * last : -last].mean(0), still[-last:].mean(0)
+    moved, sent = after - still[0], log.command[-1] - log.command[0]
     rests = (np.abs(after - before) < REST * np.abs(moved)) & (sent != 0)
     return np.where(rests, moved / np.where(rests, sent, 1.0), gain)
 

@@ -1,6 +1,7 @@
 """`cnclik diagnose` as a user meets it: a recording in, a sentence, numbers, a figure; one line for bad input."""
 
 import json
+import pathlib
 
 import numpy as np
 import pytest
@@ -94,6 +95,10 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     main(["diagnose", log, "--Ts", "0.001", "--json"])
     said = json.loads(capsys.readouterr().out)
     assert said["Ts"] == 0.001 and said["Ts_from"] == "--Ts, though time says 2 ms"
+    rows = pathlib.Path(log).read_text().splitlines(keepends=True)
+    (tmp_path / "gap.csv").write_text("".join(rows[:60] + rows[63:]))
+    main(["diagnose", str(tmp_path / "gap.csv"), "--Ts", "2ms"])
+    assert "(--Ts, though of time row 60 comes 0.008 s after the one before)" in capsys.readouterr().out
     rng, k = np.random.default_rng(0), np.arange(200)
     stamps = 1.7e18 + 2e6 * k + 4e5 * rng.standard_normal(200)
     q = 1 + 0.1 * loop(0.3, 4, 200)

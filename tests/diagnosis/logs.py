@@ -90,7 +90,7 @@ def drawn(rng, kind) -> Log:
         delay = int(rng.integers(kind == "late", 9 if not lag else 5)) + float(lag > 0) * rng.uniform()
         most, calm = limits(delay, lag)
         high = 0.93 if kind.startswith("excited") else 1.08
-        z = rng.uniform(min(1.8 * calm, 0.6 * most) if kind[0] != "e" else 0.65 * most, high * most)
+        z = rng.uniform(min(1.8 * calm, 0.6 * most) if kind[0] != "e" else 0.45 * most, high * most)
         if kind.startswith("excited"):
             noise = rng.standard_normal(4 * N)
             e = late_loop(z, delay, lag, 4 * N, 0.0, noise)

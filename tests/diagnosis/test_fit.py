@@ -145,6 +145,14 @@ def test_gain_and_drift_are_fitted_beside_the_drive(kind, gain, drift):
     assert ("times what is commanded" in str(fit)) == (abs(gain - 1) > 0.02)
 
 
+def test_a_gain_is_told_apart_from_a_drift():
+    """Of three joints × 0.95 that drift "0.914 to 0.975 times" was said: where they come to rest, drift and all."""
+    command = step(400, size=1.0)[:, None] * [0.12, -0.08, 0.06]
+    moved = np.stack([servo(c, TS, 5.0, lag=0.015) for c in command.T], 1)
+    fit = fit_drive(None, command, 0.95 * moved + 8e-6 * np.arange(400)[:, None], TS)
+    assert "Motion is 0.95 times what is commanded (joint 1, 2, 3)" in str(fit), str(fit)
+
+
 def test_what_no_drive_does_is_named():
     """A servo whose speed is limited: what is left of the motion has a structure."""
     command, limited = step(300, size=1.0), [0.5]
