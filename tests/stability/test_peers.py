@@ -104,9 +104,10 @@ def test_limits_and_damping_tasks_and_what_is_not_known():
 
 
 @pytest.mark.parametrize("delay", [0, 4])
-def test_advised_gains_are_quiet_in_mink_and_beyond_the_limit_errors_grow(delay):
+@pytest.mark.parametrize("name", ["Panda", "UR5", "xArm7"])
+def test_advised_gains_are_quiet_in_mink_and_beyond_the_limit_errors_grow(name, delay):
     mink, mujoco = pytest.importorskip("mink"), pytest.importorskip("mujoco")
-    arm = importlib.import_module("tests.bench.loops_arms").Arm("Panda")
+    arm = importlib.import_module("tests.bench.loops_arms").Arm(name)
     configuration = mink.Configuration(mujoco.MjSpec.from_string(arm.text).compile(), arm.q)
     tasks = [mink.FrameTask(arm.tip, "body", position_cost=1.0, orientation_cost=0.5, gain=0.2)]
     tasks.append(mink.PostureTask(configuration.model, cost=0.1, gain=0.05))

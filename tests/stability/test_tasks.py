@@ -110,10 +110,13 @@ def random_stack(rng):
 
 @pytest.mark.slow
 def test_random_stacks(monkeypatch):
-    """No gain that is called safe grows, none called unstable by more than 1 % decays: explicit Euler, run in NumPy."""
+    """No gain that is called safe grows, none called unstable by more than 1 % decays: explicit Euler, run in NumPy.
 
-    rng = np.random.default_rng(0)
-    for _ in range(150):
+    Without what gains do in time, which has no part in it and takes 0.8 of the 0.9 s of a stack.
+    """
+    monkeypatch.setattr(tasks, "gain_of", lambda *_: None)
+    rng, looked = np.random.default_rng(0), 0
+    for _ in range(2000):
         rows, root, alpha, sizes = random_stack(rng)
         columns, delay = rows.T @ np.linalg.inv(rows @ rows.T + np.diag(root**2)), int(rng.integers(0, 6))
         ends = np.cumsum([0, *sizes])
@@ -142,8 +145,10 @@ def test_random_stacks(monkeypatch):
                 for _ in range(15):  # 2, 4, 8, ... steps
                     run = run @ run
                     seen.append(np.abs(step @ run[:n]).max())
-            grew = not seen[-1] <= max(seen[-2], 1e-12)
+            grew = not seen[-1] <= max(seen[-2], 1e-6)  # what is left of 1 is rounding of all these products
             assert grew == (factor > 1), (i, most, delay)
+            looked += 1
+    assert looked > 3000
 
 
 def test_arms_of_their_own_share_nothing_and_two_tasks_of_one_tip_share_it():
