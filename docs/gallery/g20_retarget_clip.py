@@ -1,0 +1,76 @@
+"""
+A motion clip on G1: how close can it follow?
+=============================================
+
+A person's motion, or here G1's own with noise, stands in a CSV file: a row for each frame, and for each of 14 links
+its position and quaternion in columns such as ``left_knee_link.x``. Any motion-capture tool can write one. G1 follows
+it on a free base with two steps a frame. Its feet come first, and its joints stay within their limits.
+"""
+
+import importlib.metadata
+import pathlib
+import tempfile
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import cnclik as ck
+
+jax.config.update("jax_enable_x64", True)
+installed = importlib.metadata.files("example-robot-data") or []
+file = pathlib.Path(next(one for one in installed if one.name == "g1_29dof_rev_1_0.urdf").locate())
+sides, parts = ("left", "right"), ("hip_roll", "knee", "shoulder_yaw", "elbow", "wrist_yaw")
+feet = [f"{side}_ankle_roll_link" for side in sides]
+body = ["pelvis", "torso_link", *(f"{side}_{part}_link" for side in sides for part in parts)]
+g1 = ck.load_urdf(file, tips=feet + body, base="free")
+fps, t = 30.0, np.arange(300) / 30.0  # 10 s
+
+# %%
+# The clip: G1 steps in place and waves.
+q = np.zeros((len(t), g1.n))
+step, wave = np.sin(2 * np.pi * 0.9 * t), np.clip(t - 3, 0, 1) * np.clip(8 - t, 0, 1)
+q[:, g1.joint_names.index("base_z")] = 0.76
+moves = {"right_shoulder_pitch": -1.2 * wave, "right_shoulder_roll": -0.9 * wave, "right_elbow": wave * np.sin(9 * t)}
+for side, lifted in zip(sides, (np.maximum(step, 0), np.maximum(-step, 0)), strict=True):
+    moves |= {f"{side}_hip_pitch": -0.3 - 0.5 * lifted, f"{side}_knee": 0.6 + 0.9 * lifted}
+    moves |= {f"{side}_ankle_pitch": -0.3 - 0.4 * lifted}
+for name, values in moves.items():
+    q[:, g1.joint_names.index(f"{name}_joint")] = values
+places = jax.jit(jax.vmap(lambda q: {tip: ck.forward(g1, q, tip=tip) for tip in feet + body}))
+seen, rng = places(q), np.random.default_rng(0)
+
+# %%
+# As a file: 5 mm of noise, and the columns of each link.
+columns = {"time": t}
+for tip, at in seen.items():
+    noisy = np.asarray(at.position) + 0.005 * rng.normal(size=(len(t), 3))
+    turned = np.asarray(ck.robot.poses.quaternions(np.asarray(at.rotation)))
+    named = {f"{tip}.{name}": value for name, value in zip("xyz", noisy.T, strict=True)}
+    columns |= named | {f"{tip}.q{name}": value for name, value in zip("wxyz", turned.T, strict=True)}
+clip = pathlib.Path(tempfile.mkdtemp()) / "clip.csv"
+np.savetxt(clip, np.stack([*columns.values()], 1), delimiter=",", header=",".join(columns), comments="", fmt="%.6g")
+
+# %%
+# Retargeted: z = alpha·Ts = 1, and two steps a frame. Orientations weigh less than positions.
+pose = {"task": "pose", "reference": str(clip), "weights": [1.0] * 3 + [0.22] * 3}
+tasks = {
+    "feet": pose | {"tip": feet, "level": 1, "damping": 0.02},
+    "body": pose | {"tip": body, "level": 2, "damping": 0.05},
+}
+loop = dict(Ts=0.5 / fps, N=2 * len(t) - 2, alpha=2 * fps, method="EE", limits="bounded", limit_rate=2 * fps)
+problem = ck.problem_from(file, base="free", tasks=tasks, q0=q[0], **loop)
+run = problem.run()
+
+# %%
+# How far the links are off their true places, and how much room joints have.
+found, order = np.asarray(run.q)[::2], [problem.law.chain.joint_names.index(name) for name in g1.joint_names]
+moved = places(found[:, order])
+off = {tip: 1e3 * np.linalg.norm(moved[tip].position - seen[tip].position, axis=1) for tip in feet + body}
+room = np.minimum(found - np.array(problem.law.chain.lower), np.array(problem.law.chain.upper) - found).min()
+figure, axes = plt.subplots(figsize=(7, 3.5))
+axes.plot(t, np.mean([off[tip] for tip in feet], 0), label="feet")
+axes.plot(t, np.mean([off[tip] for tip in body], 0), label="other links")
+axes.set(xlabel="time [s]", ylabel="off the true place [mm]")
+axes.legend()
+print(f"RMS {np.sqrt(np.mean(np.square([*off.values()]))):.2g} mm; least room to a joint limit {room:.2g} rad")
