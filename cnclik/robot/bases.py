@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+from cnclik import errors
 from cnclik.robot.tree import NO_OFFSET, Edge, Tree
 
 BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # words for a base, and the joint that carries it
@@ -13,12 +14,18 @@ _ALONG, _ABOUT = ([(name, kind, axis) for name, axis in zip(names, (_X, _Y, _Z),
 
 
 def grounded(tree: Tree, base=None) -> tuple[Tree, str]:
-    """(the tree, its first link), on a base that is one of `BASES` or a link."""
+    """(the tree, its first link), on a base that is one of `BASES` or a link.
+
+    Raises: ArgumentError for a base that moves where the file has a joint of its own for that.
+    """
     if base is None or base in tree.links:
         return tree, base or tree.root
     kind = BASES[base]
     if kind is None:
         return tree, tree.root
+    if own := next((e.name for e in tree.below[tree.root] if e.type in ("floating", "planar")), None):
+        must = f"be left out for {tree.file}, where joint {own!r} already moves what it carries"
+        raise errors.fail("base", must, f"is {base!r}")
     ground = next(name for name in ("world", "ground", "_world", "_ground") if name not in tree.links)
     joint = _joint("base", kind, ground, tree.root, NO_OFFSET, _Z)
     return dataclasses.replace(tree, root=ground, links=(*tree.links, ground), edges=(*tree.edges, joint)), ground

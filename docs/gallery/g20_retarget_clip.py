@@ -58,8 +58,18 @@ tasks = {
     "feet": pose | {"tip": feet, "level": 1, "damping": 0.02},
     "body": pose | {"tip": body, "level": 2, "damping": 0.05},
 }
-loop = dict(Ts=0.5 / fps, N=2 * len(t) - 2, alpha=2 * fps, method="EE", limits="bounded", limit_rate=2 * fps)
-problem = ck.problem_from(file, base="free", tasks=tasks, q0=q[0], **loop)
+problem = ck.problem_from(
+    file,
+    base="free",
+    tasks=tasks,
+    q0=q[0],
+    Ts=0.5 / fps,
+    N=2 * len(t) - 2,
+    alpha=2 * fps,
+    method="EE",
+    limits="bounded",
+    limit_rate=2 * fps,
+)
 run = problem.run()
 
 # %%

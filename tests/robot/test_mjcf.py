@@ -191,6 +191,7 @@ def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
     ("call", "says"),
     [
         (lambda: ck.load_mjcf(HUMANOID, tip="soles", base="pelvis"), "`tip` must be one of .* 'soles' .did you mean"),
+        (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="free"), "`base` must be left out .* joint 'root' already"),
         (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but the text: "),
         (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
         (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
