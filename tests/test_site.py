@@ -166,7 +166,7 @@ def test_a_script_of_the_gallery_asks_a_question(script):
 
 
 def test_there_is_a_gallery():
-    assert 12 <= len(SCRIPTS) <= 20
+    assert 12 <= len(SCRIPTS) <= 24
 
 
 def test_tutorials_are_notebooks_with_cells():
