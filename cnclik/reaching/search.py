@@ -17,6 +17,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
+from cnclik.hints import few_lanes
 from cnclik.reaching.aims import aims, owners
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
@@ -174,11 +175,15 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     own = Try(at, jnp.zeros_like(number), most, ~plain, free, ~there, jnp.zeros_like(there))
     roots, order = None if of.asked.task.weights is None else phase.roots, jnp.arange(together)
 
+    alike = pose, near, bounds, of.asked.tolerance, roots
+    shared = jax.tree.map(lambda v: jnp.broadcast_to(v, (together, *jnp.shape(v))), alike)
+
     def first(own):
         return jnp.min(jnp.where(own.found, order, together))
 
     def once(own):
-        return jax.vmap(lambda own: of.advance(pose, near, bounds, of.asked.tolerance, roots, own))(own)
+        with few_lanes(together):
+            return jax.vmap(of.advance)(*shared, own)
 
     own = lax.while_loop(lambda own: (~own.over & (order < first(own))).any(), once, own)
     at, won, counted = own.at, first(own), order <= first(own)

@@ -27,6 +27,7 @@ from cnclik.task.task import rows
 from cnclik.threads import cores, side_by_side
 
 BLOCK = 32  # targets that one call answers, one after the other
+HARD = 200  # targets without an answer after sixteen tries, from which on further ones have a quick program, too
 ONE_BY_ONE = 2000, 128  # targets, at most, that are sooner searched for so; and of a chain that is asked of often
 CAPACITY, TILE = 1024, 64  # targets of a call that makes their first tries side by side
 
@@ -41,23 +42,21 @@ def traced(asked, pose, near):
 
     def one(pose, near):
         made = nothing((), asked.chain.n, pose.dtype, jnp)
-        return answer(asked, postures, to, pose, near, made, jnp.int32(0), traced=True)
+        by = native if in_c() else None  # steps in C where there is a compiler
+        return answer(asked, postures, to, pose, near, made, jnp.int32(0), by, derivative=True)
 
     made = jax.vmap(one, (0, None if near is None else 0))(pose, near)
     return Reached(**made, chain=asked.chain, task=asked.task)
 
 
-def answer(asked, postures, to, pose, near, made, done, traced=False) -> dict:
-    """Fields of the record of one target, of which so many tries have been `made`.
-
-    Args: traced: in a program of the user's: with its derivatives, and with looks in C where there is a compiler.
-    """
+def answer(asked, postures, to, pose, near, made, done, by=None, derivative=False) -> dict:
+    """Fields of the record of one target, of which so many tries have been `made`; by: as `search.given` has it."""
     dtype = pose.dtype
     chain, held_pose, held_near = lax.stop_gradient((asked.chain, pose, near))
-    of = given(replace(asked, chain=chain), postures, to, dtype, native if traced and in_c() else None)
+    of = given(replace(asked, chain=chain), postures, to, dtype, by)
     made, _, sure, why = concluded(of, held_pose, held_near, made, done)
     q, found = made.q, made.found != 0
-    if traced:
+    if derivative:
         low, high, jump = (jnp.asarray(v, dtype) for v in phases(asked, jnp)[0][:3])
         low, high = narrowed(low, high, jump, held_near, jnp)
         held = (q <= low + TOUCHING) | (q >= high - TOUCHING)
@@ -89,21 +88,22 @@ def refined(chain, task, target, q, held, found):
 # --- without a compiler ----------------------------------------------------------------------------------
 
 
-def _rows(asked, postures, to, pose, near, made, done, count, at=None, begins=False):
+def _rows(asked, postures, to, pose, near, made, done, count, at=None, begins=False, by=None):
     """The rows of the record for the first `count` of some targets (K, t), and the last answer.
 
     Args:
       made: what so many tries came to for each (`done`).
       at: joint values to begin at, of a path: each target's answer is searched for from the one before it. begins:
         whether they begin the path: what is nearest to the first waypoint is not held to `jump`.
+      by: as `search.given` has it. With `scalars` hard targets take a tenth of the time, and compiling twice.
     """
 
     def one(i, carry):
         at, rows = carry
-        mine, by = asked, at if near is None else near[i]
+        mine, about = asked, at if near is None else near[i]
         if at is not None and asked.jump is not None:
             mine = replace(asked, jump=jnp.where(begins & (i == 0), FAR, asked.jump))
-        row = answer(mine, postures, to, pose[i], by, jax.tree.map(lambda v: v[i], made), done)
+        row = answer(mine, postures, to, pose[i], about, jax.tree.map(lambda v: v[i], made), done, by)
         if at is not None:
             at = jnp.where(row["status"] <= int(ReachStatus.ACCEPTED), row["q"], at)
         row = {name: jnp.asarray(v, pose.dtype) for name, v in row.items()}
@@ -126,7 +126,7 @@ def _one_try(asked, postures, phase, made, pose, near, number, seed, count, by=N
     return tiled(one, TILE, phase, made, pose, number, seed, *(() if near is None else (near,)), count=count)
 
 
-_some = quick_jit(_rows, compiler=LIGHT_COMPILE)  # runs in a third of the time of QUICK_COMPILE's
+_some = quick_jit(_rows, compiler=LIGHT_COMPILE, static_argnames="by")  # runs in a third of the time of QUICK_COMPILE's
 batch = quick_jit(_one_try, compiler=LIGHT_COMPILE, static_argnames="by")
 
 
@@ -137,7 +137,7 @@ class Programs:
         """soon: whether the chain has been asked of so often that the quickest program is worth its compiling."""
         task, chain = asked.task, asked.chain
         name = f"_seeds_of_{told_apart(task)}"
-        self.asked, self.soon, self.first = asked, soon, phases(asked)[0]
+        self.asked, self.soon, self.first, self.hard = asked, soon, phases(asked)[0], 0
         with jax.enable_x64(True):
             self.shared = (
                 placed(asked),
@@ -153,7 +153,8 @@ class Programs:
             own = None if near is None else filled(near[ids], BLOCK)
             some = Found(*(filled(v[ids], BLOCK) for v in made))
             given = filled(pose[ids], BLOCK), own, some, np.int32(done), np.int32(len(ids))
-            rows[ids] = np.asarray(_some(*self.shared, *given)[1])[: len(ids)]
+            by = scalars if self.hard > HARD else None
+            rows[ids] = np.asarray(_some(*self.shared, *given, by=by)[1])[: len(ids)]
 
         if ONE_BY_ONE[self.soon] < B:
             which, done = asked.finite(pose, near) & (asked.downhill | ~asked.too_far(pose)), int(self.first.tries)
@@ -167,6 +168,7 @@ class Programs:
             q, squares, _, steep, looks, found, *_ = made
             rows[:] = as_rows(fields(asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)))
             left = np.flatnonzero(found == 0)
+            self.hard += len(left)
         _on_all_cores(search, left, BLOCK, progress and (lambda count: progress(B - len(left) + count, B)))
         return from_rows(asked.chain, asked.task, rows)
 

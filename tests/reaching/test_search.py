@@ -8,7 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik.engine.compiler import can_build
 from cnclik.hints import shares_threads
-from cnclik.reaching import native, search, strategy
+from cnclik.reaching import native, search, single, strategy
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.seeds import SETS, compared, seeds
 from cnclik.reaching.single import Programs
@@ -58,3 +58,18 @@ def test_each_try_comes_to_what_it_comes_to_in_c(near):
             assert (found[0].found == found[1].found).mean() >= 0.95
     again = [made.descended(there, at, drawn(WRIST, 40, seed=2)) for made in (one, other)]
     assert (again[0].found == again[1].found).mean() >= 0.95 and again[0].found.sum() > 10
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not can_build(), reason="there is no C compiler")
+def test_hard_targets_have_the_statuses_that_c_finds(monkeypatch):
+    """Of the program that an arm without a compiler has for its later tries once many were hard."""
+    monkeypatch.setattr(single, "HARD", -1)
+    held = ck.replace(WRIST, lower=(-1.0,) * 6, upper=(1.0,) * 6)
+    within, beyond = tips(held, drawn(held, 20, seed=3)), tips(WRIST, drawn(WRIST, 20))
+    targets, near = np.concatenate([within, beyond]), drawn(held, 40, seed=4)
+    for given in ({}, {"near": near}, {"near": near, "jump": 0.3}):
+        one = ck.reach(held, targets, **given)
+        with ck.use_engine("xla"):
+            other = ck.reach(held, targets, **given)
+        assert (one.solved == other.solved).all() and (one.status == other.status).mean() >= 0.95
