@@ -1,8 +1,8 @@
 """Fit: the drive between recorded commands and the recorded motion, by least squares over its exact samples.
 
-A row of a recording is a sample: motion that is measured at t[k], and the command that is sent then. Before the first
-row the first command holds. Each joint has an offset, and where the recording asks for them a gain and a drift: motion
-= gain · (drive's motion) + offset + drift · t. These are linear: the search leaves them out (Golub & Pereyra 1973).
+A row of a recording is a sample: the motion measured at t[k], and the command sent then. Before the first row the first
+command is constant. Each joint has an offset and, where the recording needs them, a gain and a drift: motion = gain ·
+(drive's motion) + offset + drift · t. These are linear, so that the search eliminates them (Golub & Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -48,13 +48,14 @@ class DriveFit:
     """A drive that was fitted to a recording.
 
     Attributes:
-      drive: a `Drive`; its numbers are of all joints, or of each where they differ by more than their uncertainty.
-      uncertainty: {name: standard deviation} of its numbers; of a joint alike the largest.
-      gain: (k,) motion per commanded motion; drift: (k,) [rad/s, m/s] of what moves without a command.
-      rms: (k,) what the fit leaves of each motion [rad, m]. explained: share of the motions' variance.
-      largest_stable_alpha: (low, high) [1/s] between which explicit Euler with measured joints becomes unstable, as far
-        as the fit knows; None where the recording doesn't say.
-      motion: (N, k) of the fit. note: what else is to be said.
+      drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
+        uncertainty.
+      uncertainty: {name: standard deviation} of its numbers; the largest one over the joints.
+      gain: (k,) motion per commanded motion. drift: (k,) [rad/s, m/s] motion without a command.
+      rms: (k,) RMS residual of each motion [rad, m]. explained: share of the motions' variance.
+      largest_stable_alpha: (low, high) [1/s]: the range in which explicit Euler with measured joints becomes unstable;
+        None where the recording does not determine it.
+      motion: (N, k) of the fit. note: further remarks.
     """
 
     drive: Drive
@@ -103,19 +104,19 @@ def fit_drive(
     kind: str | None = None,
     command_kind: str = "position",
 ) -> DriveFit:
-    """The drive behind recorded commands and motion, as of a step: dead time, and a lag or a second-order servo.
+    """Fit a drive to recorded commands and motion, such as of a step: dead time, and a lag or a second-order servo.
 
     Each order is fitted by least squares with the exactly sampled drive, with and without a gain and a drift of each
-    joint; the simplest is taken that none beats by much in an information criterion (Schwarz 1978). The first command
-    is taken to have held for long.
+    joint. The simplest one is chosen unless another is much better by an information criterion (Schwarz 1978). The
+    first command is assumed to be constant for a long time before the recording.
 
     Args:
-      t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: what was sent at t,
-        joint values or velocities, and the joint values that were measured then [rad, m].
-      Ts: sampling time [s]; of t by default. kind: "delay", "lag" or "second-order"; None: the simplest that
-        explains the recording.
+      t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: the joint values or
+        velocities sent at t, and the joint values measured then [rad, m].
+      Ts: sampling time [s]; default: from t. kind: "delay", "lag" or "second-order"; None: the simplest that explains
+        the recording.
       command_kind: "position" or "velocity".
-    Raises: ArgumentError for a recording without motion, or with one that the command doesn't explain.
+    Raises: ArgumentError for a recording without motion, or with motion that the command does not explain.
     """
     errors.one_of("command_kind", command_kind, COMMANDS)
     orders = range(3) if kind is None else (KINDS.index(errors.one_of("kind", kind, KINDS)),)

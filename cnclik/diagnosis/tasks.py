@@ -1,8 +1,8 @@
 """Tasks: which gain of a stack to change, from the recorded errors of its tasks.
 
-A stack's loop at rest is e[k+1] = e[k] − Ts J J# K e[k−d], one dead time for all. Where K^½ J J# K^½ u = z u (weighted,
-symmetric), a mode's z changes with the gain k of a task by ∂ log z/∂ log k = the task's part of ‖u‖², which is that of
-K e²: the task that has most of it makes the mode, and others swing along.
+A stack's loop at rest is e[k+1] = e[k] − Ts J J# K e[k−d], with one dead time for all. Where K^½ J J# K^½ u = z u
+(weighted, symmetric), a mode's z changes with the gain k of a task by ∂ log z/∂ log k = the task's part of ‖u‖², which
+is that of K e²: the task with the largest part causes the mode, and others oscillate with it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class TaskDiagnosis:
     """What the errors of one task show.
 
     Attributes:
-      found: `Diagnosis` of them alone. share: of the mode in which it swings, 1 where no other task does: so many per
-        cent z changes with one per cent of its gain, of tasks in one unit and with equal weights.
-      along: the task with which it swings, whose gain is to be changed, or "".
-      alpha, recommended_alpha: [1/s] now, if given, and then; factor: by which it is to be multiplied. None of what
-        may stay, or is not known.
+      found: `Diagnosis` of them alone. share: its share of the mode in which it oscillates; 1 where no other task does.
+        z changes by this many per cent for one per cent of its gain, for tasks in one unit and with equal weights.
+      along: the task with which it oscillates, whose gain should be changed, or "".
+      alpha, recommended_alpha: present gain, if given, and recommended one [1/s]. factor: their ratio. None where the
+        gain may be kept or nothing is known.
       words: what to do.
     """
 
@@ -48,8 +48,8 @@ class StackDiagnosis:
     """What a recording of several tasks shows.
 
     Attributes:
-      tasks: {name: `TaskDiagnosis`}. change: names of those whose gain is to be changed, the first most.
-      delay: dead time behind what swings most [samples], or None.
+      tasks: {name: `TaskDiagnosis`}. change: names of the tasks whose gain should be changed, most important first.
+      delay: dead time of the largest oscillation [samples], or None.
     """
 
     tasks: dict
@@ -116,7 +116,7 @@ def _seen(name, each, gains, sizes) -> TaskDiagnosis:
 
 
 def _borne(one, lead) -> TaskDiagnosis:
-    """A task beside what the dead time of the one that swings most bears: as much as any task."""
+    """Compare a task with the limit by the dead time of the largest oscillation; it is the same for all tasks."""
     if one.alpha is None:
         return one
     most, now = lead.recommended, one.alpha * lead.Ts

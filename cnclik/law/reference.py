@@ -37,7 +37,7 @@ class Reference:
 
     @property
     def still(self) -> bool:
-        """Whether the target stands, whatever a controller is told of its velocity."""
+        """Whether the target stands still, whatever velocity a controller is given."""
         return isinstance(self.curve, Hold)
 
     def __repr__(self):

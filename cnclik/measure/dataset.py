@@ -74,7 +74,7 @@ def to_dataset(
     some = {
         "path_time": (instant, about("time on the path, which waits", "s")),
         "task_status": ((*step, "task"), about("status bits of each task", "1") | flags),
-        "walls": ((*step, "wall"), about("how much faster a wall might be neared", "m/s or rad/s")),
+        "walls": ((*step, "wall"), about("margin of the approach velocity at a wall", "m/s or rad/s")),
     }
     variables |= {k: (d, getattr(run, k), words) for k, (d, words) in some.items() if getattr(run, k) is not None}
     labels = {

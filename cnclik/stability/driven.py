@@ -376,9 +376,9 @@ def open_loop(steps, drive: Drive, Ts: float, omega):
 
 
 def delay_margin(steps, drive, Ts) -> float:
-    """Samples of dead time that the modes (r, p) bear beyond what there is: least phase margin over its frequency.
+    """Additional samples of dead time that the modes (r, p) tolerate: the least phase margin over its frequency.
 
-    inf where the loop's gain is nowhere 1, as for commanded feedback, which knows no dead time.
+    inf where the loop's gain is nowhere 1, as with commanded feedback, which does not depend on dead time.
     """
     if drive.feedback == "commanded":
         return np.inf

@@ -1,9 +1,9 @@
-"""Tasks of a stack at rest: which gain each bears, what it gets of what it asks for, and what it costs the others.
+"""Tasks of a stack at rest: the gains that each tolerates, its share of the motion that it asks for, and its effect.
 
 With J# = Jᵀ (J Jᵀ + D)⁻¹ the rates of the loop, the eigenvalues of J#KJ, are those of the product of two symmetric
-matrices, one with its spectrum in [0, 1]: real, between 0 and the largest gain, whatever tasks ask of each other. So
-what a loop of one task bears, each task bears at any posture; what it bears at one, with the other gains as they are,
-may be more.
+matrices, one with its spectrum in [0, 1]. They are real and between 0 and the largest gain, even if tasks conflict. So
+the limits of a loop with one task hold for each task at any posture; at one posture, with the other gains unchanged,
+the limit may be higher.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def shares_of(loop, Ts: float) -> Shares:
 
 
 def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
-    """What the tasks of a loop at rest bear.
+    """Gains and margins of the tasks of a loop at rest.
 
     Args:
       loop: `LoopAtRest`, of `bounded_rates`. safe: the drive for which a gain is recommended: the loop's own, if known.

@@ -1,4 +1,4 @@
-"""sweep and run_spec: one study over a labelled grid, or a spec's question, as an xarray.Dataset."""
+"""Sweep: a study over a labelled grid, or a spec's question, as an xarray.Dataset."""
 
 import json
 import os
@@ -32,25 +32,25 @@ def sweep(
 ) -> "xr.Dataset":
     """Run a study over the grid of some axes, in float64 whatever JAX's own precision is.
 
-    Axes and all that the study makes of them are float64; so are records built from Python numbers and lists. Only
-    a jax.Array that was made in float32 before the call, and that the study reaches for, keeps its precision, and
-    a loop that starts from one is a float32 loop; the attribute `dtype` tells. Give such values as NumPy arrays.
+    Axes and all that the study makes of them are float64; so are records built from Python numbers and lists. Only a
+    jax.Array that was made in float32 before the call and is used by the study keeps its precision, and a loop that
+    starts from it runs in float32; the attribute `dtype` says so. Give such values as NumPy arrays.
 
     Args:
-      study: a pure function of the named values, returning a record, a dict or `Metrics` of scalars (or of
-        arrays: further dimensions), such as a function that calls `solve` and `measure`.
-      axes: name=values, in the order of the dimensions wanted. Numbers in a list or an array, integers too, run
-        inside one compiled program: alpha=[1, 5, 10] is one axis of floats. M stays an integer, for
-        picard(M, maximum=...); so does a range or an array of integers. An array of shape (S, ...) is S values
-        of shape (...). Compiled in, one program each, are N, delay, strings, objects with a name (methods), and the
-        values of a dict {label: value}, such as M={1: 1, 5: 5}.
-      units: {name: unit} of axes and results that don't bring their own.
+      study: a pure function of the named values, returning a record, a dict or `Metrics` of scalars (or of arrays:
+        further dimensions), such as a function that calls `solve` and `measure`.
+      axes: name=values, in the order of the wanted dimensions. Numbers in a list or an array, also integers, run inside
+        one compiled program: alpha=[1, 5, 10] is one axis of floats. M stays an integer, for picard(M, maximum=...); so
+        does a range or an array of integers. An array of shape (S, ...) is S values of shape (...). Compiled in, with
+        one program each, are N, delay, strings, objects with a name (methods), and the values of a dict {label: value},
+        such as M={1: 1, 5: 5}.
+      units: {name: unit} of axes and results that have no unit of their own.
       attrs: further attributes of the dataset.
-      lanes: most points in one block; by default as many as fit.
+      lanes: largest number of points in one block; default: as many as fit.
       progress: called with (points done, points in all).
 
     Returns: `xarray.Dataset` with the axes as dimensions, `units` on every variable, the configuration in attrs.
-    Raises: ArgumentError for an axis that can't be read.
+    Raises: ArgumentError for an axis that cannot be read.
     """
     if not callable(study):
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
@@ -71,15 +71,14 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
 
     Args:
       spec: a `Spec`, or the path of its TOML file.
-      out: folder for a store, `data.zarr`, which goes on where an interrupted run ended; None keeps the data in
-        memory.
-      set: strings "name=value" that override what the file says, as --set of `cnclik sweep`.
-      fresh: start over, even where `out` holds results.
+      out: folder for a store, `data.zarr`, which continues an interrupted run; None keeps the data in memory.
+      set: strings "name=value" that replace values of the file, as --set of `cnclik sweep`.
+      fresh: start again, even if `out` holds results.
       progress: called with (points done, points to do).
 
     Returns: `xarray.Dataset` with the axes as dimensions and, where linear theory has one for the spec's laws, the
-    coordinate `limit`, the largest stable z = alpha·Ts; from a store, loaded on use.
-    Raises: ArgumentError for what can't be run, or a folder that holds something else.
+      coordinate `limit`, the largest stable z = alpha·Ts; from a store, loaded on use.
+    Raises: ArgumentError for what cannot be run, or a folder that holds something else.
     """
     errors.progress(progress)
     errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")

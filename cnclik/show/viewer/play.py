@@ -1,4 +1,4 @@
-"""Play: a slider over time with play and speed, and what is told of the instant that is shown."""
+"""Play: a slider over time with play and speed, and the status of the instant that is shown."""
 
 import threading
 import time
