@@ -157,7 +157,7 @@ def brief(value) -> str:
 
 
 def _in_short(self) -> str:
-    given = ", ".join(f"{f.name}={brief(getattr(self, f.name))}" for f in dataclasses.fields(self))
+    given = ", ".join(f"{f.name}={brief(getattr(self, f.name))}" for f in dataclasses.fields(self) if f.repr)
     return f"{type(self).__name__.strip('_')}({given})"
 
 

@@ -30,7 +30,7 @@ class Posture:
 
     rest: Float[Array, " n"]
     rate: Number
-    balls: tuple[tuple[int, int], ...] = ()  # of the robot, once it is known
+    balls: tuple[tuple[int, int], ...] = dataclasses.field(default=(), repr=False)  # of the robot, once it is known
 
     def on(self, chain):
         """The term of this robot."""

@@ -184,7 +184,7 @@ def test_a_posture_draws_a_base_the_shorter_way():
     q = start()
     q[3:6] = [0.0, 0.0, -3.1]
     run = ck.solve(law, ck.hold_at(ROBOT, law.task, q), q, 0.05, 60)
-    assert np.abs(np.asarray(run.q)[:, 5]).min() > 3.05
+    assert np.abs(np.asarray(run.q)[:, 5]).min() > 3.05 and "balls" not in repr(law)
     assert run.q[-1][5] == pytest.approx(3.1, abs=0.02)
 
 
