@@ -119,7 +119,7 @@ def prepare(folder, less):
         spec.write_text(SPEC, encoding="utf-8")
     rows = ("time,x,y,z,qw,qx,qy,qz", "0,0.4,0.0,0.4,0,1,0,0", "2,0.45,0.1,0.4,0,1,0,0", "4,0.4,0.0,0.4,0,1,0,0")
     (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    for name, page in (("stack", "robots"), ("tray", "stacks")):
+    for name, page in (("stack", "stack-file"), ("tray", "stacks")):
         (folder / f"{name}.toml").write_text(written_stack(page), encoding="utf-8")
     walls = written_stack("stacks") + written_stack("stacks", "walls")
     (folder / "walls.toml").write_text(walls, encoding="utf-8")
@@ -134,10 +134,10 @@ def written_stack(page, kind="tasks"):
 
 
 def test_every_option_of_a_stack_is_explained():
-    page = (ROOT / "docs/robots.md").read_text("utf-8").partition("## Several tasks")[2].partition("## ")[0]
+    page = (ROOT / "docs/stack-file.md").read_text("utf-8").partition("## Keys of a task")[2].partition("## ")[0]
     told = {word for row in re.findall(r"^\| ([a-z_, ]+) \|", page, re.M) for word in row.split(", ")}
     assert told - {"key"} == set(OF_TASK)
-    page = (ROOT / "docs/robots.md").read_text("utf-8").partition("#### Walls of a file")[2].partition("## ")[0]
+    page = (ROOT / "docs/walls.md").read_text("utf-8").partition("## Walls of a file")[2].partition("## ")[0]
     told = {word for row in re.findall(r"^\| ([a-z_, ]+) \|", page, re.M) for word in row.split(", ")}
     assert told - {"key"} == set(OF_WALL | OF_SHAPE)
 
