@@ -234,7 +234,7 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
         found, rounds = at
         missing, size = walls.floor - walls.rows @ found.qdot, walls.size(found.qdot)
         much = 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
-        return (rounds < _ROUNDS) & found.settled & jnp.any(missing > much)
+        return (rounds < _ROUNDS) & (found.settled & jnp.any(missing > much))  # as C has a bound of its rounds
 
     first = descent(of.behind(walls, of.low >= of.high), start, passes)
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]

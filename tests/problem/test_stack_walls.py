@@ -9,6 +9,7 @@ import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.engine.compiler import can_build
 from cnclik.measure.files import plain
 from cnclik.problem import OF_SHAPE, OF_WALL
 from cnclik.sweeps.spec import read
@@ -118,6 +119,17 @@ def test_what_walls_do_is_said(tmp_path, capsys):
     main(["stability", *loop, "--delay", "2", "--speed", "0.5"])
     shown = capsys.readouterr().out
     assert "Walls, with tips at 0.5 m/s" in shown and "Wall side with rate = 30 1/s (z = 0.3) lets the" in shown
+
+
+@pytest.mark.skipif(not can_build(), reason="no C compiler")
+def test_a_step_behind_a_wall_is_exported(tmp_path):
+    """Breaks where the rounds of descents behind walls have no bound that C knows."""
+    (tmp_path / "stack.toml").write_text(STACK)
+    made = ck.problem_from("planar:1,1,1", stack=tmp_path / "stack.toml", q0=[-1.2, 0.4, 0.4], N=150, method="EE")
+    run, step = made.run(), ck.export.compiled(made.law, made.reference, method="EE")
+    assert np.sum(np.abs(run.walls[:, 0]) < 1e-6) > 20
+    for k in range(0, 150, 5):
+        close(step(run.q[k], run.t[k], made.Ts).q, run.q[k + 1], atol=1e-9)
 
 
 def test_what_steps_pass_is_the_margin_of_the_worst_direction():
