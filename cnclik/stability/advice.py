@@ -54,8 +54,8 @@ class Advice:
       settings: {where: what to set there, or why no gain is named, in words}; empty where explicit Euler is stable
         with no gain.
       notes: what limits these numbers, in sentences; measured in results/loops.
-      stack: `StackAdvice`, the gains that each task of a stack tolerates; None for one task. The gains above are then those of
-        the task with the largest gain, all gains scaled in proportion.
+      stack: `StackAdvice`, the gains that each task of a stack tolerates; None for one task. The gains above are then
+        those of the task with the largest gain, all gains scaled in proportion.
       limits: `LimitAdvice`, how fast joints may near their limits; None where the law has none, or no rate.
       walls: {name: `WallAdvice`}; {} where the law has none.
       analysis: `Analysis`, on which this rests.
