@@ -1,6 +1,7 @@
 """Small dense linear algebra: what a task of a few rows needs."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -69,7 +70,8 @@ def packed(lower):
 
 def packed_solve(vector, b):
     """`cholesky_solve` with a factor that is `packed`, for a vector: without a root or a division."""
-    both = jnp.zeros((len(b), len(b)), vector.dtype).at[np.tril_indices(len(b))].set(vector)
+    ends = np.cumsum(np.arange(len(b) + 1))  # row by row: of a scatter into many cells the engine has no C
+    both = jnp.stack([jnp.pad(vector[i:j], (0, len(b) - (j - i))) for i, j in itertools.pairwise(ends)])
     half = jnp.diagonal(both) * triangular(both, b, unit=True)
     return triangular(both, half, transposed=True, unit=True)
 

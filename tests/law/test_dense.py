@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cnclik.engine.reader import read
+from cnclik.engine.tracing import to_be_read
 from cnclik.hints import equations
 from cnclik.law import dense
 from tests.oracles import central_differences, close
@@ -267,3 +269,14 @@ def test_packed_factors_solve_as_numpy_does(m):
         return dense.packed_solve(packed, b)
 
     np.testing.assert_allclose(solved(jnp.asarray(rows), jnp.asarray(b)), np.linalg.solve(matrix, b), rtol=1e-8)
+
+
+def test_a_packed_factor_of_many_rows_has_a_c_form():
+    """Of 14 rows on: breaks for a scatter into many cells within a loop, with which EXP-AB2 of a stack lost its C."""
+    m = 14
+
+    def fn(vector, b):
+        return jax.lax.scan(lambda b, _: (dense.packed_solve(vector, b), None), b, None, length=2)[0]
+
+    with to_be_read():
+        read(fn, *(jax.ShapeDtypeStruct((size,), np.float64) for size in (m * (m + 1) // 2, m)))
