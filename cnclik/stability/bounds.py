@@ -69,8 +69,8 @@ def wall_advice(loop, Ts: float, speed: float) -> dict[str, WallAdvice]:
     return found
 
 
-_LIMITS = "limits", "keeps joints within their limits", "takes joints past their limits"
-_WALLS = "keeps the robot on its side", "lets the robot pass"
+_LIMITS = "joint limits", "joints stay within them", "joints pass them"
+_WALLS = "the robot stays on its side", "the robot passes it"
 
 
 def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
@@ -86,12 +86,12 @@ def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
     rate, (what, keeps, passes) = max(rates)
     stable, fastest, recommended = (z / Ts for z in least_limits("EE", None, Ts, drive).values())
     late = drive.lumped.delay
-    through = f" through these drives, {in_samples(late, Ts)} late" if late else ""
+    through = f" with {in_samples(late, Ts)} of dead time" if late else ""
     kinds = (
-        (rate > stable, f"is UNSTABLE{through}: what is held there swings; at most {stable:.3g} 1/s is stable"),
-        (rate > fastest * (1 + 1e-9), f"{passes}{through}; up to {fastest:.3g} 1/s does not"),
-        (rate > recommended * (1 + 1e-9), f"{keeps}, but not with a sample more of dead time"),
-        (True, f"{keeps}, even with a sample more of dead time"),
+        (rate > stable, f"UNSTABLE{through}: what is held there swings; rates up to {stable:.3g} 1/s are stable"),
+        (rate > fastest * (1 + 1e-9), f"{passes}{through}, but not at rates up to {fastest:.3g} 1/s"),
+        (rate > recommended * (1 + 1e-9), f"{keeps}, but not with one more sample of dead time"),
+        (True, f"{keeps}, even with one more sample of dead time"),
     )
     words = next(said for holds, said in kinds if holds)
     if rate > recommended:
@@ -102,5 +102,5 @@ def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
         largest_stable_rate=stable,
         fastest_rate=fastest,
         recommended_rate=recommended,
-        words=f"{what} with rate = {rate:g} 1/s (z = {np.round(rate * Ts, 6):g}) {words}",
+        words=f"{what}, rate = {rate:g} 1/s (z = {np.round(rate * Ts, 6):g}): {words}",
     )

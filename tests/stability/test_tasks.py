@@ -195,7 +195,7 @@ def test_a_task_beside_one_that_is_unstable_has_no_stable_gain():
 
 def test_limits_are_loops_of_their_own():
     arm = ck.load_urdf(robot_file("panda"), tip="panda_hand")
-    for rate, said in ((5.0, "even with a sample more"), (9.0, "past their limits"), (60.0, "UNSTABLE")):
+    for rate, said in ((5.0, "even with one more sample"), (9.0, "joints pass them"), (60.0, "UNSTABLE")):
         law = ck.Law(arm, ck.position(), alpha=2.0, inverse=ck.damped(0.05), limits=ck.bounded(rate=rate))
         q = np.array([0.0, 0.3, 0.0, -1.8, 0.0, 2.0, 0.7])
         found = ck.advise(law, None, q, Ts=TS, drive=ck.Drive(delay=4)).limits
@@ -205,7 +205,7 @@ def test_limits_are_loops_of_their_own():
     table = ck.wall(ck.position("z"), above=0.05, rate=30.0)
     law = ck.Law(arm, ck.position(), alpha=2.0, inverse=ck.damped(0.05), limits=ck.bounded(rate=5.0, walls=[table]))
     found = ck.advise(law, None, q, Ts=TS, drive=ck.Drive(delay=4)).limits
-    assert found.rate == 30.0 and found.words.startswith("wall 1 with rate = 30 1/s (z = 0.3) lets the robot pass")
+    assert found.rate == 30.0 and found.words.startswith("wall 1, rate = 30 1/s (z = 0.3): the robot passes it")
 
 
 FILE = """
