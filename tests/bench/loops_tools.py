@@ -248,13 +248,13 @@ def _measured(tool, case):
         return about | {name: float(v) for name, v in found._asdict().items()}
 
     if tool in MADE:
-        z = number(line, "(?:gain|target) ")
+        z = number(line, "(?:gain=|target )")
         for way, posture_gain in (("as told", z), ("posture at its default, 1", 1.0)):
             yield row(way, z, ran(MADE[tool](z, posture_gain, Ts), real, Ts, 2.5 * settles))
         seconds = 40 * Ts + 12 * real.late_by(Ts)
         own = ran(MADE[tool](0.25, 0.25, Ts), real, Ts, seconds, own=True)
         yield row("0.25 of the last command", 0.25, own, None)
-    elif tool == "Isaac Lab" and "k_val is" in line:
+    elif tool == "Isaac Lab" and "no k_val" in line:
         return  # none is named
     elif tool == "Isaac Lab":
         k_val, when = number(line, "k_val"), re.search(r"2 % in ([\d.]+) s", line)
