@@ -47,6 +47,8 @@ SMALLER_REACH = {"--random": ["--random", "12"], "--map": ["--cells", "3", "--or
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 HEAVY = ("saturation",)  # linear programs of seven joints compile for half a minute: with `-m slow` only
+# Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
+LONG = "bases drives pace reach stability stack-file stack-gains stacks sweeps tuning walls".split()
 NO_FILES = ("robots", "solve", "stability", "diagnose")  # without --out nothing on a page reads what they write
 NEEDS_OTHER_MACHINES = ("srun", "ssh", "--distributed")
 # In the place of every spec: what the pages read from sweeps/plane.toml is in it.
@@ -176,7 +178,9 @@ def read_aloud(page, folder, less):
             assert not left.code, f"{text} ended with {left.code}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG)) for p in PAGES], ids=lambda p: p.name
+)
 def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
     needs_viser(page)
     monkeypatch.chdir(tmp_path)

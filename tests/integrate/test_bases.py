@@ -109,6 +109,7 @@ def summary(q):
     return jnp.concatenate([end[:3], exp_so3(end[3:6]).ravel(), end[6:]]) @ jnp.arange(1.0, 15)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_and_right_at_any_turn():
     """Breaks for a norm's derivative at 0, or a logarithm's at a half turn."""
     reverse, forward = jax.jit(jax.grad(summary)), jax.jit(jax.jacfwd(summary))
@@ -123,6 +124,7 @@ def test_gradients_are_finite_and_right_at_any_turn():
             assert (summary(q + by) - summary(q - by)) / 2e-6 == pytest.approx(found[i], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_lanes_step_and_jit_do_what_solve_does():
     q = start(0.1)
     run = ck.solve(LAW, PATH, q, 0.05, 8, "EXP-AB2")

@@ -408,6 +408,7 @@ def test_jit_vmap_and_the_implicit_derivative():
     )
 
 
+@pytest.mark.slow
 def test_derivative_with_respect_to_geometry():
     def q_of(lengths):
         return ck.reach(
