@@ -125,6 +125,7 @@ def prepare(folder, less):
         (folder / f"{name}.toml").write_text(written_stack(page), encoding="utf-8")
     walls = written_stack("stacks") + written_stack("stacks", "walls")
     (folder / "walls.toml").write_text(walls, encoding="utf-8")
+    (folder / "study.toml").write_text(SPEC, encoding="utf-8")
     rings = "\n".join(f"{1.5 + 0.1 * (-0.8) ** k:.9f}" for k in range(60))
     (folder / "log.csv").write_text(f"q1\n{rings}\n", encoding="utf-8")
     (folder / "targets.csv").write_text("0.5,0.1,0.4,0,1,0,0\n0.3,-0.4,0.5,0,1,0,0\n", encoding="utf-8")

@@ -73,12 +73,16 @@ def check_limits(
     else:
         q = np.asarray(errors.array("run", run, (None, None)), float)
         Ts = float(errors.number("Ts", Ts, positive=True))
-        moved = np.diff(q, axis=0) if chain is None else np.asarray(apart(chain, q[:-1], q[1:]))
+        moved = (
+            np.diff(q, axis=0)
+            if chain is None
+            else np.asarray(apart(errors.kind("chain", chain, Chain), q[:-1], q[1:]))
+        )
         qdot, t = moved / Ts, np.arange(len(q)) * Ts
     n = qdot.shape[1]
     if not len(qdot):
         raise errors.fail("run", "have a step", "has none")
-    if chain is not None and errors.kind("chain", chain, Chain).n != n:
+    if chain is not None and chain.n != n:
         raise errors.fail("chain", f"have the run's {n} joints", f"has {chain.n}")
     pace = check_pace(pace, n, chain)
     if isinstance(pace.velocity, str):

@@ -33,7 +33,7 @@ def test_a_step_is_a_step(step):
     for name in ("q", "x", "e", "qdot", "residual", "contraction", "status"):
         assert np.allclose(getattr(made, name), getattr(wanted, name), rtol=0, atol=1e-13), name
     assert made.least > 0 and made.history is None
-    assert len(jax.tree.leaves(made)) == 7 and np.allclose(ck.replace(made, q=Q).q, Q)
+    assert len(jax.tree.leaves(made)) == 8 and np.allclose(ck.replace(made, q=Q).q, Q)
     first = made.q.copy()
     step(Q + 1)
     assert (made.q == first).all()  # a result is one's own

@@ -118,7 +118,7 @@ def test_what_walls_do_is_said(tmp_path, capsys):
     assert head.endswith(",status,status_place,wall_side,wall_bend") and ",4," in rows[-2]
     main(["stability", *loop, "--delay", "2", "--speed", "0.5"])
     shown = capsys.readouterr().out
-    assert "Walls, with tips at 0.5 m/s" in shown and "Wall side with rate = 30 1/s (z = 0.3) lets the" in shown
+    assert "Walls, with tips at 0.5 m/s" in shown and "Wall side, rate = 30 1/s (z = 0.3): the robot passes it" in shown
 
 
 @pytest.mark.skipif(not can_build(), reason="no C compiler")

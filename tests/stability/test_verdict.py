@@ -318,7 +318,7 @@ def test_a_null_space_velocity_that_pulls_at_the_task_is_named():
     for less in ({"inverse": ck.damped(0.02)}, {"null_velocity": ck.posture(start + 0.5, 3.0)}):
         assert judge(ck.replace(made, **less), place, 400, start, Ts=0.05).error < 0.5 * found.error
     said = advise(made, None, start, Ts=0.05, method="EE").notes
-    assert any("pulls at the task" in note for note in said)
+    assert any("the null-space velocity disturbs the task" in note for note in said)
 
 
 def test_a_null_space_velocity_too_fast_for_the_joints_is_named():
