@@ -48,7 +48,19 @@ SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven 
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 HEAVY = ("saturation",)  # linear programs of seven joints compile for half a minute: with `-m slow` only
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
-LONG = "bases drives pace reach stability stack-file stack-gains stacks sweeps tuning walls".split()
+LONG = [
+    "bases",
+    "drives",
+    "pace",
+    "reach",
+    "stability",
+    "stack-file",
+    "stack-gains",
+    "stacks",
+    "sweeps",
+    "tuning",
+    "walls",
+]
 NO_FILES = ("robots", "solve", "stability", "diagnose")  # without --out nothing on a page reads what they write
 NEEDS_OTHER_MACHINES = ("srun", "ssh", "--distributed")
 # In the place of every spec: what the pages read from sweeps/plane.toml is in it.
