@@ -176,7 +176,7 @@ def _conflict(name, one, found) -> str:
     most = [names[i] for i in np.argsort(-size)[:2] if size[i] > 0.3]
     return (
         f"{name} yields to {one.yields_to}: along {' and '.join(most)} it gets {100 * one.least:.2g} % of the motion "
-        f"that it asks for, and would get {100 * one.least_alone:.2g} % alone."
+        f"that it asks for, and would get {100 * one.least_alone:.3g} % alone."
     )
 
 

@@ -269,7 +269,9 @@ def slower_path(case, share, mends="error") -> tuple:
 def slower_joints(case) -> tuple:
     """What to do about a loop that asks for more than its joints can."""
     law, excess = case.law, case.seen.excess
-    found = [Remedy(change={"limits": "velocity-scaling"}, words="use limits velocity_scaling()", mends="velocity")]
+    name = "saturation" if law.task.tasks else "velocity-scaling"  # that slows a stack for the sake of one slow joint
+    words = f"use limits {name.replace('-', '_')}()"
+    found = [Remedy(change={"limits": name}, words=words, mends="velocity")]
     found = [] if law.limits is not None else found
     within = reasons.null_excess(case)
     if case.seen.fast_singular:
