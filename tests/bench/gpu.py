@@ -25,8 +25,8 @@ import numpy as np
 import cnclik as ck
 from cnclik.integrate.method import evaluations_per_step
 from tests.bench import cases
+from tests.bench.engine import OF_GRADIENT, STEPS, case, forward, value
 
-STEPS, OF_GRADIENT = 50, 20
 LANES, MANY = 1 << 16, (10_000, 100_000, 1_000_000, 10_000_000)
 SECONDS, FEW = 0.4, 256  # of repeated runs; lanes that are compared
 WAYS = ("lanes", "jit(vmap)", "plain")
@@ -44,27 +44,22 @@ class Row:
     dtype: str = "float32"
 
 
-def panda(**changes):
-    made = cases.ROBOTS["panda"]()
-    return made._replace(law=dataclasses.replace(made.law, **changes))
-
-
 def end(name, method="EE", stage=None, batch=LANES, dtype="float32", **changes):
     """A row of the Panda's pose loop, of which the end alone is kept."""
     stage = stage or ck.picard(5)
-    case, method = panda(**changes), ck.METHODS[method]
-    inputs = functools.partial(cases.inputs, case)
+    arm, method = case(**changes), ck.METHODS[method]
+    inputs = functools.partial(cases.inputs, arm)
     each = STEPS * evaluations_per_step(method, stage, 7)
 
     def one(q0, position, rotation):
-        return ck.solve(case.law, ck.hold(position, rotation), q0, cases.TS, STEPS, method, stage).q[-1]
+        return ck.solve(arm.law, ck.hold(position, rotation), q0, cases.TS, STEPS, method, stage).q[-1]
 
     return Row(name, one, inputs, each, batch, dtype)
 
 
 def two_arms(name):
     """A row of two Pandas on one turning base, the poses of both hands in one stack, damped: 12 rows, 15 joints."""
-    arm = panda()
+    arm = case()
     base = ck.planar_arm([0.1])
     left = ck.join(base, arm.law.chain, prefix="left_", transform=(0.0, 0.4, 0.0), keep=True)
     robot = ck.join(left, arm.law.chain, at="tip", prefix="right_", transform=(0.0, -0.4, 0.0))
@@ -89,26 +84,13 @@ def two_arms(name):
     return Row(name, one, inputs, STEPS)
 
 
-def losses(alpha, q0, position, rotation):
-    return cases.tracking_loss(panda(), OF_GRADIENT, ck.EE, ck.picard(5))(alpha, q0, position, rotation)
-
-
-def value(q0, position, rotation):
-    return losses(jnp.asarray(cases.ALPHA, q0.dtype), q0, position, rotation)
-
-
-def forward(q0, position, rotation):
-    alpha = jnp.asarray(cases.ALPHA, q0.dtype)
-    return jax.jvp(lambda a: losses(a, q0, position, rotation), (alpha,), (jnp.ones_like(alpha),))
-
-
 def gradient(name, fn):
-    return Row(name, fn, functools.partial(cases.inputs, panda()), OF_GRADIENT)
+    return Row(name, fn, functools.partial(cases.inputs, case()), OF_GRADIENT)
 
 
 def rows() -> list[Row]:
     """All rows."""
-    arm = panda()
+    arm = case()
     return [
         end("EE"),
         end("EE, float64", dtype="float64"),
