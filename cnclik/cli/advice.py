@@ -15,7 +15,8 @@ def tables_of(found, said, written) -> list:
     """[(title, columns, rows)] of the advice. Args: written: names of the options that the user wrote."""
     if said.stack is None:
         return [("Gains", COLUMNS, gains_of(found, said, written))]
-    tables: list = [("Gains of the tasks [1/s]", TASK_COLUMNS, gains_of_tasks(found, said))]
+    prompt = "; largest stable and no overshoot as if drives had no delay" * (said.assumed_dead_time is not None)
+    tables: list = [(f"Gains of the tasks [1/s]{prompt}", TASK_COLUMNS, gains_of_tasks(found, said))]
     tables.append(("With the present gains", DOES_COLUMNS, does_of_tasks(found, said)))
     walls = (f"Walls, with tips at {said.speed:g} m/s", WALL_COLUMNS, walls_of(said))
     return [*tables, walls] if said.walls else tables
@@ -131,13 +132,14 @@ def lines_of_stack(found, said) -> list:
     """What the numbers of a stack mean, in sentences."""
     stack = said.stack
     lines = [f"Recommended for each task: {said.reason}, at any posture and for any motion of the other tasks."]
-    tightest = stack.tasks[stack.least_room]
-    if tightest.largest_stable_alpha < math.inf and exact(found.drive):
-        often = tightest.largest_stable_alpha / tightest.alpha
-        room = f"may grow by a factor of {often:.3g}" if often > 1 else f"is UNSTABLE above {often:.3g} times its value"
-        lines.append(f"{stack.least_room} has the smallest margin: with the other gains unchanged, its gain {room}.")
-    else:
-        lines += [NOT_KNOWN] * (not exact(found.drive))
+    known, on = exact(found.drive), " on the assumed drives" * (said.assumed_dead_time is not None)
+    if stack.unstable:
+        lines.append(f"UNSTABLE{on}: {_unstable(stack.unstable, known)}")
+    now = stack.tasks[stack.least_room].now
+    if now is not None and now.gain_margin < math.inf and known:
+        room = f"with the other gains unchanged, its gain may grow by a factor of {now.gain_margin:.3g}"
+        lines.append(f"{stack.least_room} has the smallest margin{on}: {room}.")
+    lines += [NOT_KNOWN] * (not known)
     over = [name for name, one in stack.tasks.items() if one.alpha > one.recommended_alpha * (1 + 1e-9)]
     if over:
         lines.append(f"Above the recommended gain: {', '.join(over)}.")
@@ -153,6 +155,16 @@ def lines_of_stack(found, said) -> list:
             f"{stack.growth:.3g} as weights and levels count them."
         )
     return lines if said.limits is None else [*lines, _sentence(said.limits.words)]
+
+
+def _unstable(unstable, known) -> str:
+    """Which gains make the loop unstable; where the largest stable ones are known, what they hold for."""
+    *some, last = unstable
+    names = f"{', '.join(some)} and {last}" if some else last
+    s, are, them = ("s", "are", "them") if some else ("", "is", "it")
+    others = f"the other gains unchanged, except for {names}, which {are} then at the recommended gain{s}"
+    largest = f" Each largest stable gain holds with {others}." * known
+    return f"the gain{s} of {names} {are} too large. Lower {them} first.{largest}"
 
 
 def walls_of(said) -> list:

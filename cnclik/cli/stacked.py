@@ -51,7 +51,8 @@ def runs_of_stack(found, rest, said) -> list:
     wanted = {name: min(one.alpha, one.recommended_alpha) for name, one in stack.tasks.items()}
     beyond: tuple = ({}, "as they are")
     if math.isfinite(most := tight.largest_stable_alpha):
-        beyond = {stack.least_room: 1.1 * most}, f"{stack.least_room} a tenth beyond its largest stable gain"
+        lowered = {name: wanted[name] for name in stack.unstable}
+        beyond = lowered | {stack.least_room: 1.1 * most}, f"{stack.least_room} a tenth beyond its largest stable gain"
     for gains, name in ((wanted, "none above what is recommended"), beyond):
         alpha = np.broadcast_to(np.asarray(law.alpha, float), (law.task.m,) * max(np.ndim(law.alpha), 1)).copy()
         for task, value in gains.items():

@@ -35,15 +35,16 @@ class TaskAdvice:
 
     Attributes:
       alpha: [1/s], its largest gain. z: alpha·Ts.
-      largest_stable_alpha: at this posture, with the other gains unchanged; 0 where they alone are unstable.
+      largest_stable_alpha: at this posture, with the other gains unchanged, but those that are `unstable` lowered to
+        the recommended ones.
       fastest_monotone_alpha, recommended_alpha: the largest without overshoot, and without overshoot with one more
-        sample of dead time, for any posture and any motion of the other tasks.
+        sample of dead time, for any posture and any motion of the other tasks, if none of them is above it.
       got: number of its coordinates that it gets, in sum. alone: the same without other tasks.
       least: share that it gets in its worst direction. least_alone: the same without other tasks. direction: (m,) the
         direction.
       yields_to: the task that takes most of this direction, or "".
       now, recommended: `Gain` of the task with the others at rest, in directions that are not lost; None where
-        unstable.
+        unstable, the other gains as for `largest_stable_alpha`.
     """
 
     alpha: float
@@ -76,13 +77,17 @@ class StackAdvice:
 
     Attributes:
       tasks: {name: `TaskAdvice`}.
-      least_room: name of the task whose gain is nearest to its limit.
+      unstable: names of the tasks whose gains make the loop unstable, () where it is stable. With these gains lowered
+        to the recommended ones it is stable, without any of them it is not; where nothing is known of the drives, on
+        those that are assumed.
+      least_room: name of the task whose gain is nearest to its limit, or farthest beyond it.
       growth: factor by which an error may grow before it decays, in the norm of weights and levels; 1: it does not
         grow. error_growth: the same for errors in [m, rad]. Without drives; inf where the loop is unstable.
       leaks: for each pair of levels the largest `Leak`.
     """
 
     tasks: dict
+    unstable: tuple
     least_room: str
     growth: float
     error_growth: float
@@ -117,6 +122,22 @@ class Shares(NamedTuple):
     def radius(self, scale, drive):
         """Spectral radius (k,) with the gains times a scale (k, m), through a drive."""
         return radius(self.rates.driven(self.taken(scale), self.loop.method, self.loop.stage, drive), drive, self.Ts)
+
+    def lowered(self, gains, but="") -> np.ndarray:
+        """Scales (m,) that give some tasks gains {name: z}, and leave those of all others and of one as they are."""
+        scale = np.ones(len(self.root))
+        for name in gains.keys() - {but}:
+            scale[self.loop.law.task.of(name)] = gains[name] / self.z(name)
+        return scale
+
+    def z(self, name) -> float:
+        """alpha·Ts of a task, of its largest gain."""
+        return float(np.max(self.rates.alpha[self.loop.law.task.of(name)])) * self.Ts
+
+    def fastest(self, scale):
+        """Sensitivities (m,) of the largest rate to the gains, d ln(rate)/d ln(gain): the squares of its vector."""
+        root = np.sqrt(np.abs(self.taken(scale)))
+        return np.linalg.eigh(root[:, None] * self.shares * root)[1][:, -1] ** 2
 
     def own(self, at, scale):
         """Modes (r, p) of one task, the others at rest, in its directions that are not lost."""
@@ -191,25 +212,57 @@ def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
       limits: z without overshoot, and recommended, see `at_any_posture`.
     """
     law, here = loop.law, shares_of(loop, Ts)
-    tasks = {name: _task(here, name, at, safe, limits) for name, at in law.task.each}
-    room = {name: one.largest_stable_alpha / one.alpha for name, one in tasks.items() if one.alpha}
-    stable = bool(here.radius(np.ones((1, 1)), Drive())[0] <= 1 + SLACK)
+    gains = _to_lower(here, safe, limits[1])
+    tasks = {name: _task(here, name, at, safe, limits, gains) for name, at in law.task.each}
+    room = {
+        name: (name not in gains, one.now.gain_margin if one.now else one.largest_stable_alpha / one.alpha, -one.alpha)
+        for name, one in tasks.items()
+        if one.alpha
+    }
+    stable = not gains and bool(here.radius(np.ones((1, 1)), Drive())[0] <= 1 + SLACK)
     growth, error_growth = here.growth() if stable else (np.inf, np.inf)
     return StackAdvice(
         tasks=tasks,
-        least_room=min(room, key=lambda name: (room[name], -tasks[name].alpha)),
+        unstable=tuple(name for name in tasks if name in gains),
+        least_room=min(room, key=lambda name: room[name]),
         growth=growth,
         error_growth=error_growth,
         leaks=tuple(_leaks(here, law)),
     )
 
 
-def _task(here, name, at, safe, limits) -> TaskAdvice:
-    Ts, loop, task = here.Ts, here.loop, here.loop.law.task
-    alpha = float(np.max(here.rates.alpha[at]))
+def _to_lower(here, drive, recommended) -> dict:
+    """{name: its recommended z} of the tasks whose gains make a loop unstable, see `StackAdvice`.
+
+    If no gain is above the limit of a loop with one task, the stack is stable. Of the tasks above it the first is the
+    one on whose gain the largest rate depends most; then the same with this gain lowered, until the loop is stable.
+    """
+
+    def stable(gains):
+        return bool(here.radius(here.lowered(gains)[None], drive)[0] <= 1 + SLACK)
+
+    found: dict = {}
+    if stable(found):
+        return found
+    loop, task = here.loop, here.loop.law.task
+    limit = least_limits(loop.method, loop.stage, here.Ts, drive)["stable"]
+    left = [name for name, _ in task.each if here.z(name) > limit]
+    while left and not stable(found):
+        depends = here.fastest(here.lowered(found))
+        left.remove(name := max(left, key=lambda name: depends[task.of(name)].sum()))
+        found[name] = recommended
+    for name in tuple(found):
+        if stable(without := {other: z for other, z in found.items() if other != name}):
+            found = without
+    return found
+
+
+def _task(here, name, at, safe, limits, gains) -> TaskAdvice:
+    Ts, loop = here.Ts, here.loop
+    alpha, others = here.z(name) / here.Ts, here.lowered(gains, but=name)
 
     def scale(z):
-        changed = np.ones((len(z), task.m))
+        changed = np.tile(others, (len(z), 1))
         changed[:, at] = (z / (alpha * Ts))[:, None]
         return changed
 
@@ -227,7 +280,7 @@ def _task(here, name, at, safe, limits) -> TaskAdvice:
     least, vectors = np.linalg.eigh(share)
     worst = vectors[:, 0]
     direction = here.rates.turned[at, at] @ worst * here.root[at] / here.weights[at]
-    monotone, recommended = (min(z, most) for z in limits)
+    monotone, recommended = limits
     return TaskAdvice(
         alpha=alpha,
         z=alpha * Ts,
@@ -241,7 +294,7 @@ def _task(here, name, at, safe, limits) -> TaskAdvice:
         direction=direction / np.linalg.norm(direction),
         yields_to=_taker(here, name, worst, least[0], alone),
         now=does(alpha * Ts) if alpha * Ts < borne else None,
-        recommended=does(recommended),
+        recommended=does(recommended) if recommended < borne else None,
     )
 
 
