@@ -109,8 +109,13 @@ class Chain:
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
-        kinds = {j.coordinate: j.kind for j in reversed(self.joints)}
-        return tuple("m" if kinds.get(i) == PRISMATIC else "rad" for i in range(self.n))
+        return tuple("m" if kind == PRISMATIC else "rad" for kind in self._kinds)
+
+    @property
+    def _kinds(self) -> tuple[str, ...]:
+        """What each coordinate is: the kind of the first joint it drives."""
+        kinds = {j.coordinate: "rotation vector" if j.kind == BALL else j.kind for j in reversed(self.joints)}
+        return tuple(kinds.get(i, REVOLUTE) for i in range(self.n))
 
     @property
     def periodic(self) -> tuple[bool, ...]:
@@ -129,19 +134,17 @@ class Chain:
         lines = [f"Chain of {self.n} joints{tips}"]
         for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
             low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
-            kind = REVOLUTE if unit == "rad" else PRISMATIC
             room = f"{low:.5g} to {high:.5g} {unit}" if math.isfinite(low) or math.isfinite(high) else "no limits"
             fast = f", up to {speed:.5g} {unit}/s" if math.isfinite(speed) else ""
-            lines.append(f"  {name}: {kind}, {room}{fast}")
+            lines.append(f"  {name}: {self._kinds[i]}, {room}{fast}")
         return "\n".join(lines)
 
     def _repr_html_(self):
         """In a notebook: a table of the joints."""
         rows = []
         for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
-            kind = REVOLUTE if unit == "rad" else PRISMATIC
             bounds = (self.lower[i], unit), (self.upper[i], unit), (self.velocity_limit[i], f"{unit}/s")
-            rows.append((name, kind, *(f"{v:.5g} {u}" if math.isfinite(v) else "—" for v, u in bounds)))
+            rows.append((name, self._kinds[i], *(f"{v:.5g} {u}" if math.isfinite(v) else "—" for v, u in bounds)))
         return markup.table(("joint", "type", "lower", "upper", "velocity"), rows, left=2)
 
 
