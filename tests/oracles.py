@@ -27,6 +27,7 @@ def robot_file(name) -> pathlib.Path:
         "baxter": "baxter_description/urdf/baxter.urdf",
         "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
         "pr2": "pr2_description/urdf/pr2.urdf",
+        "tiago": "tiago_description/robots/tiago_no_hand.urdf",
         "talos": "talos_data/robots/talos_full_v2.urdf",
     }
     return robots() / files[name]

@@ -126,7 +126,8 @@ def fewer(argv):
 
 def prepare(folder, less):
     """What the pages speak of: robots' files, specs, waypoints."""
-    for name, file in {"panda": "panda", "robot": "ur5", "g1": "g1", "allegro": "allegro", "baxter": "baxter"}.items():
+    named = {"panda": "panda", "robot": "ur5"} | {name: name for name in ("g1", "allegro", "baxter", "tiago")}
+    for name, file in named.items():
         shutil.copy(robot_file(file), folder / f"{name}.urdf")
     shutil.copytree(ROOT / "sweeps", folder / "sweeps")
     for spec in folder.glob("sweeps/*.toml") if less else ():
