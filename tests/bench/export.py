@@ -1,7 +1,7 @@
-"""`python -m tests.bench.export`: the exported step beside Pinocchio C++ and JAX, its worst call, its size on ARM.
+"""`python -m tests.bench.export`: the exported step beside Pinocchio C++ and JAX, its worst call, its numbers on ARM.
 
-Into results/export (5 minutes); docs/export.md shows the table. Needs g++, Eigen and the extra `bench`; the size needs
-arm-none-eabi-gcc, the numbers on ARM arm-linux-gnueabihf-gcc and qemu-arm (aarch64 likewise), all from Debian.
+Into results/export (5 minutes); docs/export.md shows the table. Needs g++, Eigen and the extra `bench`; the numbers on
+ARM need arm-linux-gnueabihf-gcc and qemu-arm (aarch64 likewise), from Debian. `budget.py` has its size there.
 """
 
 import argparse
@@ -27,7 +27,6 @@ from tests.bench import export_lines as export
 from tests.bench.pinocchio_cpp import PinocchioCpp
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "export"
-M7 = "-std=c99 -mcpu=cortex-m7 -mthumb -mfpu=fpv5-sp-d16 -mfloat-abi=hard -Os -fno-math-errno -fstack-usage"
 LANES = 8192  # of Pinocchio's batches
 
 
@@ -69,17 +68,12 @@ def histogram(calls):
 
 
 def on_arm(folder) -> dict:
-    """Bytes of code, constants and stack on a Cortex-M7, and whether ARM gives the same numbers (under qemu)."""
+    """Whether ARM gives the same numbers (under qemu)."""
     law, found = cases.ROBOTS["panda"]().law, {}
     for runtime, name in ((None, "all parameters at run time"), ((), "all compiled in")):
         at = ck.export.c(
             law, out=folder / f"arm{runtime is None}", method="EE", dtype="float", runtime=runtime, batch=True
         )
-        if shutil.which("arm-none-eabi-gcc"):
-            _run(f"arm-none-eabi-gcc {M7} -c clik_step.c -o m7.o", at)
-            text, data, bss, *_ = _run("arm-none-eabi-size m7.o", at).splitlines()[1].split()
-            stack = max(int(line.split("\t")[1]) for line in (at / "m7.su").read_text().splitlines())
-            found[f"Cortex-M7, float, -Os, {name}"] = {"code": int(text), "data": int(data) + int(bss), "stack": stack}
         for cpu in ("arm-linux-gnueabihf", "aarch64-linux-gnu"):
             emulator = "qemu-" + cpu.split("-")[0]
             if shutil.which(f"{cpu}-gcc") and shutil.which(emulator):
@@ -126,10 +120,7 @@ def table(found) -> str:
     worst = f"{calls.max() / np.median(calls):.3g}× ({calls.max() / 1e3:.3g} and {np.median(calls) / 1e3:.3g} µs)"
     rows.append(("worst of 1e6 calls over their median, on one core", "reported", worst))
     for name, value in found["arm"].items():
-        said = value.get("example") or "{code} bytes of code and constants, {data} of data, {stack} of stack".format(
-            **value
-        )
-        rows.append((name, "reported", said))
+        rows.append((name, "reported", value["example"]))
     return markdown(("what", "to reach", "measured"), rows, left=3)
 
 
