@@ -1,10 +1,12 @@
 // A weighted damped step of a stack of poses on a tree, with Pinocchio and Eigen: q̇ = (JᵀW²J + λ²)⁻¹ JᵀW²(alpha e); of
 // positions where the weight of orientations is 0.
-// The tree is given as arrays, so that no file is parsed: of each joint its parent, axis (0, 1, 2) and placement.
+// The tree is given as arrays, so that no file is parsed: of each joint its parent, kind and placement. Kinds: 0, 1, 2
+// turn about x, y, z; 3, 4, 5 slide along them; 6 is a ball joint, whose value is a quaternion x, y, z, w.
 
 #include <pinocchio/multibody.hpp>
 #include <pinocchio/algorithm/frames.hpp>
 #include <pinocchio/algorithm/jacobian.hpp>
+#include <pinocchio/algorithm/joint-configuration.hpp>
 #include <pinocchio/algorithm/kinematics.hpp>
 #include <ctime>
 #include <string>
@@ -22,28 +24,34 @@ struct Stack {
   Data data;
   std::vector<FrameIndex> tips;
   Eigen::MatrixXd J, own, H;
-  Eigen::VectorXd e, x;
+  Eigen::VectorXd e, x, moved;
   Eigen::LLT<Eigen::MatrixXd> llt;
 
-  Stack(int joints, const int *parents, const int *axes, const double *places, int count, const int *carriers,
+  Stack(int joints, const int *parents, const int *kinds, const double *places, int count, const int *carriers,
         const double *offsets) {
     for (int i = 0; i < joints; ++i) {
       const std::string name = "joint" + std::to_string(i);
       const JointIndex parent = parents[i] + 1;
       const SE3 at = placed(places + 16 * i);
-      if (axes[i] == 0) model.addJoint(parent, JointModelRX(), at, name);
-      else if (axes[i] == 1) model.addJoint(parent, JointModelRY(), at, name);
-      else model.addJoint(parent, JointModelRZ(), at, name);
+      switch (kinds[i]) {
+        case 0: model.addJoint(parent, JointModelRX(), at, name); break;
+        case 1: model.addJoint(parent, JointModelRY(), at, name); break;
+        case 2: model.addJoint(parent, JointModelRZ(), at, name); break;
+        case 3: model.addJoint(parent, JointModelPX(), at, name); break;
+        case 4: model.addJoint(parent, JointModelPY(), at, name); break;
+        case 5: model.addJoint(parent, JointModelPZ(), at, name); break;
+        default: model.addJoint(parent, JointModelSpherical(), at, name);
+      }
     }
     for (int k = 0; k < count; ++k)
       tips.push_back(model.addFrame(
           Frame("tip" + std::to_string(k), carriers[k] + 1, 0, placed(offsets + 16 * k), OP_FRAME)));
     data = Data(model);
-    own.resize(6, model.nv), H.resize(model.nv, model.nv), x.resize(model.nv);
+    own.resize(6, model.nv), H.resize(model.nv, model.nv), x.resize(model.nv), moved.resize(model.nq);
   }
 
   void step(double *q, const double *targets, double alpha, double damping, const double *weights, double Ts) {
-    Eigen::Map<Eigen::VectorXd> at(q, model.nv);
+    Eigen::Map<Eigen::VectorXd> at(q, model.nq);
     computeJointJacobians(model, data, at);
     updateFramePlacements(model, data);
     const Eigen::Index rows = weights[1] > 0 ? 6 : 3;
@@ -64,18 +72,20 @@ struct Stack {
     llt.compute(H);
     x.noalias() = J.transpose() * e;
     llt.solveInPlace(x);
-    at += Ts * x;
+    x *= Ts;
+    integrate(model, at, x, moved);
+    at = moved;
   }
 };
 
 extern "C" {
-void *stack_new(int joints, const int *parents, const int *axes, const double *places, int count, const int *carriers,
+void *stack_new(int joints, const int *parents, const int *kinds, const double *places, int count, const int *carriers,
                 const double *offsets) {
-  return new Stack(joints, parents, axes, places, count, carriers, offsets);
+  return new Stack(joints, parents, kinds, places, count, carriers, offsets);
 }
 void stack_delete(void *stack) { delete static_cast<Stack *>(stack); }
 
-// N steps of each of `batch` loops from q (batch, n), in place; targets (batch, tips, 4, 4). CPU seconds.
+// N steps of each of `batch` loops from q (batch, nq), in place; targets (batch, tips, 4, 4). CPU seconds.
 double stack_run(void *stack, int batch, int N, double *q, const double *targets, double alpha, double damping,
                  const double *weights, double Ts) {
   Stack &own = *static_cast<Stack *>(stack);
@@ -83,7 +93,7 @@ double stack_run(void *stack, int batch, int N, double *q, const double *targets
   clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &a);
   for (int i = 0; i < batch; ++i)
     for (int k = 0; k < N; ++k)
-      own.step(q + std::size_t(i) * own.model.nv, targets + std::size_t(i) * 16 * own.tips.size(), alpha, damping,
+      own.step(q + std::size_t(i) * own.model.nq, targets + std::size_t(i) * 16 * own.tips.size(), alpha, damping,
                weights, Ts);
   clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &b);
   return (b.tv_sec - a.tv_sec) + 1e-9 * (b.tv_nsec - a.tv_nsec);

@@ -1,37 +1,48 @@
 """`python -m tests.bench.stacks [ROBOT ...]`: steps of stacks on one core, beside Pinocchio's C++, pink and mink.
 
-The same step for all: poses of several tips, of the hand positions, weighted, damped, explicit Euler; all are compared
-first, to 1e-9. By CPU
-time, in one run, in turn; medians. `pin`, Eigen's headers (`EIGEN3_INCLUDE_DIR`), pin-pink, mink and daqp are needed,
-and example-robot-data; what is not installed is left out. Five minutes.
+The same step for all: poses of several tips, of the hand positions, weighted, damped, explicit Euler; the C++ is
+compared first, to 1e-9, and the texts of `users` by where their tips end. By CPU time, in one run, in turn; medians.
+`pin`, Eigen's headers (`EIGEN3_INCLUDE_DIR`), pin-pink, mink, daqp (Placo: see `users`) and example-robot-data are
+needed; what is not installed is left out. Ten minutes.
 """
 
 import argparse
 import ctypes
 import statistics
 import time
+from xml.etree import ElementTree
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.integrate.solve import end
+from cnclik.measure.files import markdown
+from cnclik.robot.bases import BALL
+from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.model import modelled
+from tests.bench import users
+from tests.bench.bodies import FEET, TIPS, spent
 from tests.bench.pinocchio_cpp import HERE, compiled
 from tests.oracles import robots
 
 ALPHA, DAMPING, WEIGHTS, TS = 10.0, 0.05, (1.0, 0.5), 0.01
 LANES, STEPS, ROUNDS, ALONE = 8192, 10, 5, 200
 G1 = "g1_description/urdf/g1_29dof_rev_1_0.urdf"
-FEET, HANDS = [f"{side}_ankle_roll_link" for side in ("left", "right")], ["left_rubber_hand", "right_rubber_hand"]
-MORE = [f"{side}_{part}_link" for side in ("left", "right") for part in ("knee", "elbow", "shoulder_yaw", "hip_yaw")]
+HANDS = ["left_rubber_hand", "right_rubber_hand"]
 HAND = "Allegro, 4 fingertips"
-ROBOTS = {
-    "Baxter, both arms": ("baxter_description/urdf/baxter.urdf", ["left_gripper", "right_gripper"]),
-    "G1, 5 tips": (G1, [*FEET, *HANDS, "torso_link"]),
-    "G1, 13 frames": (G1, [*FEET, *HANDS, "torso_link", *MORE]),
-    HAND: ("allegro_hand_description/urdf/allegro_right_hand.urdf", [f"link_{i}.0_tip" for i in (3, 7, 11, 15)]),
+ROBOTS = {  # file, tips, base
+    "TIAGo on its base": ("tiago_description/robots/tiago_no_hand.urdf", ["arm_tool_link", "head_2_link"], "planar"),
+    "Baxter, both arms": ("baxter_description/urdf/baxter.urdf", ["left_gripper", "right_gripper"], "fixed"),
+    "G1, free base, 5 tips": (G1, [*FEET, *HANDS, "torso_link"], "free"),
+    "G1, free base, 14 frames": (G1, TIPS, "free"),
+    HAND: (
+        "allegro_hand_description/urdf/allegro_right_hand.urdf",
+        [f"link_{i}.0_tip" for i in (3, 7, 11, 15)],
+        "fixed",
+    ),
 }
 
 
@@ -39,16 +50,19 @@ class Case:
     """A robot with tips, starts (B, n) and targets (B, tips, 4, 4) a little off them."""
 
     def __init__(self, name, batch=LANES):
-        file, tips = ROBOTS[name]
+        file, tips, self.base = ROBOTS[name]
         self.name, self.path, self.tips = name, robots() / file, tips
-        self.robot = ck.load_urdf(self.path, tips=tips)
+        self.robot = ck.load_urdf(self.path, tips=tips, base=self.base)
         self.weights = (WEIGHTS[0], 0.0) if name == HAND else WEIGHTS
         self.task = ck.stack(**{f"tip{i}": self._one(tip) for i, tip in enumerate(tips)})
         self.law = ck.Law(self.robot, self.task, alpha=ALPHA, inverse=ck.damped(DAMPING))
+        self.limited = ck.replace(self.law, limits=ck.bounded(rate=1 / TS))
         rng = np.random.default_rng(0)
         low, high = (np.clip(np.array(b), -1.0, 1.0) for b in (self.robot.lower, self.robot.upper))
+        inside = (np.array(b) for b in (self.robot.lower, self.robot.upper))
         self.q = rng.uniform(0.5 * low, 0.5 * high, (batch, self.robot.n))
-        off = self.q + 0.1 * rng.normal(size=self.q.shape)
+        self.q[0, : {"fixed": 0, "planar": 3, "free": 6}[self.base]] = 0.0
+        off = np.clip(self.q + 0.1 * rng.normal(size=self.q.shape), *inside)
         self.targets = np.asarray(jax.jit(jax.vmap(self._tips))(off))
 
     def _one(self, tip):
@@ -68,11 +82,25 @@ class Case:
         holds = {f"tip{i}": ck.hold(targets[i, :3, 3], targets[i, :3, :3]) for i in range(len(self.tips))}
         return ck.references(**holds)
 
-    def loop(self, N):
+    def given(self, limits):
+        """What the texts of `users` are told of the first start."""
+        speeds = dict(zip(self.robot.joint_names, self.robot.velocity_limit, strict=True))
+        root = ElementTree.parse(self.path).getroot()
+        inner = {joint.find("child").get("link") for joint in root.findall("joint")}
+        (top,) = {link.get("name") for link in root.findall("link")} - inner
+        return dict(
+            URDF=str(self.path), BASE=self.base, ROOT=top, TIPS=self.tips, WEIGHTS=self.weights, LIMITS=limits,
+            TARGETS=self.targets[0].tolist(), ALPHA=ALPHA, TS=TS, DAMPING=DAMPING, N=ALONE,
+            START={n: v for n, v in zip(self.robot.joint_names, self.q[0].tolist(), strict=True) if v},
+            SPEEDS={name: speed for name, speed in speeds.items() if np.isfinite(speed)},
+        )  # fmt: skip
+
+    def loop(self, N, limits=False):
         """(q, targets) to q after N steps."""
 
         def run(q, targets):
-            return end(self.law, self.reference(targets), q, TS, N, ck.METHODS["EE"], ck.picard(1))[0]
+            law = self.limited if limits else self.law
+            return end(law, self.reference(targets), q, TS, N, ck.METHODS["EE"], ck.picard(1))[0]
 
         return run
 
@@ -89,27 +117,37 @@ class Pinocchio:
         self._run.restype = real
         self._run.argtypes = [pointer, whole, whole, pointer, pointer, real, real, pointer, real]
         self._delete.restype, self._delete.argtypes = None, [pointer]
-        # Each joint turns about an axis of its own frame; a frame turned so that this is one of x, y, z.
-        axes = np.array([j.axis for j in chain.joints])
-        which = np.abs(axes).argmax(axis=1)
-        turns = [_onto(axis, k) for axis, k in zip(axes, which, strict=True)]
+        # Each joint moves about an axis of its own frame; a frame turned so that this is one of x, y, z. Three joints
+        # that are one rotation are a ball joint, a quaternion in q.
+        kept = [i for i, joint in enumerate(chain.joints) if joint.kind != BALL or i in {f for f, _ in chain.balls}]
+        number = {i: k for k, i in enumerate(kept)} | {f + j: kept.index(f) for f, _ in chain.balls for j in (1, 2)}
+        joints = [chain.joints[i] for i in kept]
+        which = np.abs([j.axis for j in joints]).argmax(axis=1)
+        turns = [np.eye(4) if j.kind == BALL else _onto(j.axis, w) for j, w in zip(joints, which, strict=True)]
+        kinds = [6 if j.kind == BALL else w + 3 * (j.kind == PRISMATIC) for j, w in zip(joints, which, strict=True)]
         origins = np.asarray(model.transforms[0]) + np.asarray(model.transforms[2])  # A + C: where the value is 0
-        before = [np.eye(4) if p < 0 else turns[p].T for p in chain.parents]
-        places = np.stack([b @ o @ t for b, o, t in zip(before, origins, turns, strict=True)])
-        offsets = np.stack([turns[c].T @ np.asarray(t) for c, t in zip(model.carriers, model.tips, strict=True)])
+        parents = [number.get(chain.parents[i], -1) for i in kept]
+        before = [np.eye(4) if p < 0 else turns[p].T for p in parents]
+        places = np.stack([b @ origins[i] @ t for b, i, t in zip(before, kept, turns, strict=True)])
+        carriers = [number[c] for c in model.carriers]
+        offsets = np.stack([turns[c].T @ np.asarray(t) for c, t in zip(carriers, model.tips, strict=True)])
         self._kept = [np.ascontiguousarray(v) for v in (
-            np.array(chain.parents, np.int32), which.astype(np.int32), places,
-            np.array(model.carriers, np.int32), offsets,
+            np.array(parents, np.int32), np.array(kinds, np.int32), places, np.array(carriers, np.int32), offsets,
         )]  # fmt: skip
-        parents, which, places, carriers, offsets = (v.ctypes.data for v in self._kept)
-        self._stack = self._new(len(chain.joints), parents, which, places, len(case.tips), carriers, offsets)
-        self._weights = np.array(case.weights)
+        parents, kinds, places, carriers, offsets = (v.ctypes.data for v in self._kept)
+        self._stack = self._new(len(joints), parents, kinds, places, len(case.tips), carriers, offsets)
+        self._weights, self._balls = np.array(case.weights), [c for _, c in chain.balls]
 
     def run(self, q, targets, N):
         """(q after N steps, CPU seconds)"""
         q, targets = np.array(q), np.ascontiguousarray(targets)
+        for c in self._balls[::-1]:
+            q = np.concatenate([q[:, :c], Rotation.from_rotvec(q[:, c : c + 3]).as_quat(), q[:, c + 3 :]], axis=1)
         given = q.ctypes.data, targets.ctypes.data, ALPHA, DAMPING, self._weights.ctypes.data, TS
-        return q, self._run(self._stack, len(q), N, *given)
+        seconds = self._run(self._stack, len(q), N, *given)
+        for c in self._balls:
+            q = np.concatenate([q[:, :c], Rotation.from_quat(q[:, c : c + 4]).as_rotvec(), q[:, c + 4 :]], axis=1)
+        return q, seconds
 
 
 def _onto(axis, k):
@@ -123,70 +161,6 @@ def _onto(axis, k):
         cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
         made[:3, :3] = np.eye(3) + cross + cross @ cross / (1 + c)
     return made
-
-
-def pink_step(case):
-    """() to q̇ of the first start, with daqp; None where pink is not installed."""
-    try:
-        import pink
-        import pinocchio as pin
-    except ImportError:
-        return None
-    model = pin.buildModelFromUrdf(str(case.path))
-    full = pin.neutral(model)
-    full[[model.joints[model.getJointId(name)].idx_q for name in case.robot.joint_names]] = case.q[0]
-    tasks = [pink.FrameTask(tip, *case.weights, gain=ALPHA * TS) for tip in case.tips]
-    for task, target in zip(tasks, case.targets[0], strict=True):
-        task.set_target(pin.SE3(target[:3, :3], target[:3, 3]))
-    configuration = pink.Configuration(model, model.createData(), full)
-
-    def step():
-        configuration.update(full)
-        return pink.solve_ik(configuration, tasks, TS, "daqp", damping=DAMPING**2, limits=[])
-
-    return step
-
-
-def mink_step(case):
-    """The same with mink; None where it is not installed, or MuJoCo can't read the file."""
-    try:
-        import mink
-        import mujoco
-    except ImportError:
-        return None
-    try:
-        spec = mujoco.MjSpec.from_string(_without_meshes(case.path))
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError):
-        return None
-    full = np.zeros(model.nq)
-    full[[model.joint(name).qposadr[0] for name in case.robot.joint_names]] = case.q[0]
-    bodies = [tip for tip in case.tips if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip) >= 0]
-    if len(bodies) < len(case.tips):  # links without mass are joined with the ones that carry them
-        return None
-    tasks = [mink.FrameTask(tip, "body", *case.weights, gain=ALPHA * TS) for tip in case.tips]
-    for task, target in zip(tasks, case.targets[0], strict=True):
-        task.set_target(mink.SE3.from_matrix(target))
-    configuration = mink.Configuration(model)
-
-    def step():
-        configuration.update(full)
-        return mink.solve_ik(configuration, tasks, TS, "daqp", damping=DAMPING**2, limits=[])
-
-    return step
-
-
-def _without_meshes(path):
-    """A robot's file with its links' masses and nothing to be seen, whose meshes MuJoCo would want."""
-    from xml.etree import ElementTree
-
-    root = ElementTree.parse(path).getroot()
-    for link in root.iter("link"):
-        for shown in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(shown)
-    compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
-    compiler.attrib.update(fusestatic="false", balanceinertia="true", discardvisual="true", strippath="false")
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def cpu(call, least=0.2):
@@ -207,29 +181,25 @@ def compare(case, peer):
 
 
 def measure(name):
-    """Rows (contender, µs a step, times Pinocchio's)."""
+    """(case, rad off Pinocchio, rows (contender, µs a step, times Pinocchio's; seconds of a first call))."""
     case = Case(name)
     peer = Pinocchio(case)
     off = compare(case, peer)
     assert off < 1e-9, f"{name}: {off:g} rad off Pinocchio"
     rows: dict = {}
     found, calls = {}, {}
-    for dtype in ("float64", "float32"):
+    for dtype, limits in (("float64", False), ("float32", False), ("float64", True)):
         given = case.q.astype(dtype), case.targets.astype(dtype)
-        begun, made = time.perf_counter(), ck.lanes(case.loop(STEPS), cores=1)
+        begun, made = spent(), ck.lanes(case.loop(STEPS, limits), cores=1)
         made(*given)
-        rows[f"first call of lanes, {dtype} [s]"] = time.perf_counter() - begun
-        calls[f"cnclik in lanes, {dtype}"] = (lambda made=made, given=given: made(*given)), LANES * STEPS
+        row = f"{dtype}, limits" if limits else dtype
+        rows[f"first call of lanes, {row} [s]"] = spent() - begun
+        calls[f"cnclik in lanes, {row}"] = (lambda made=made, given=given: made(*given)), LANES * STEPS
     reference = case.reference(case.targets[0])
     whole = lambda: ck.solve(case.law, reference, case.q[0], TS, ALONE, "EE")  # noqa: E731
-    one = lambda: ck.step(case.law, reference, case.q[0], 0.0, TS, "EE")  # noqa: E731
     with ck.use_engine("native"):
-        whole(), one()
+        whole()
     calls["cnclik, one loop, a step of 200"] = whole, ALONE
-    calls["cnclik, `step` from Python"] = one, 1
-    for peer_name, make in (("pink, daqp", pink_step), ("mink, daqp", mink_step)):
-        if (step := make(case)) is not None:
-            calls[peer_name] = step, 1
     for _ in range(ROUNDS):
         found.setdefault("Pinocchio C++", []).append(peer.run(case.q[:512], case.targets[:512], STEPS)[1] / 512 / STEPS)
         for row, (call, steps) in calls.items():
@@ -240,6 +210,20 @@ def measure(name):
         ratio = statistics.median(b / s for b, s in zip(base, seconds, strict=True))
         rows[row] = (1e6 * statistics.median(seconds), ratio)
     return case, off, rows
+
+
+def beside(case, rounds) -> str:
+    """What users' texts tell of the first start of a case, as Markdown."""
+    rows = []
+    for name in users.TEXTS:
+        told = [users.run(name, case.given(limits), rounds) for limits in (False, True)]
+        if None in told:
+            continue
+        free, held = told
+        times = (f"{free.first:.2f}", f"{free.again:.2f}", f"{1e6 * free.step:.1f}", f"{1e6 * held.step:.1f}")
+        rows.append((name, *times, f"{1e3 * free.off:.2g}", f"{1e3 * held.off:.2g}", users.lines(name)))
+    head = ("", "first answer [s]", "next process [s]", "a step [µs]", "with limits [µs]", "off [mm]")
+    return markdown((*head, "with limits, off [mm]", "lines"), rows)
 
 
 def gradients(batch=2048, N=20):
@@ -279,6 +263,7 @@ def main(argv=None):
     parser = argparse.ArgumentParser(prog="python -m tests.bench.stacks", description=__doc__)
     parser.add_argument("robots", nargs="*", help=", ".join(ROBOTS))
     parser.add_argument("--gradients", action="store_true", help="of a loss of 20 steps of G1's arms, alone")
+    parser.add_argument("--rounds", type=int, default=3, help="processes of each user's text, cold and again")
     args = parser.parse_args(argv)
     if args.gradients:
         rows, wrong = gradients()
@@ -293,6 +278,8 @@ def main(argv=None):
             print(
                 f"  {row:<36}" + (f"{found:8.2f}" if isinstance(found, float) else "{:8.3f} µs {:7.2f}".format(*found))
             )
+        if name != HAND:
+            print(beside(case, args.rounds), flush=True)
 
 
 if __name__ == "__main__":
