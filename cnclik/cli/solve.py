@@ -193,21 +193,18 @@ def _summary(made, trajectory, seconds):
     from cnclik.quantities import aloud, plainly
 
     law = made.law
-    found = measure_run(trajectory, law, made.reference, ["max_qdot", "velocity_ratio", "chatter"])
+    found = measure_run(trajectory, law, made.reference, ["chatter"])
     if law.task.tasks:
         each = [(f"{name} ", trajectory[name], law.task.alone(name)) for name, _ in law.task.tasks]
     else:
         each = [("", trajectory, law.task)]
-    rows = [row for one in each for row in _of_task(*one)]
+    rows = [row for one in each for row in task_rows(*one)]
     rows += [] if trajectory.walls is None else _of_walls(trajectory, law)
     if trajectory.path_time is not None:
         done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
         rows.append(("path", f"{done:.4g} s of the path in {whole:.4g} s; the path waits for the robot"))
     rows.append(("steps", _counted(trajectory.status)))
-    unit, share = found.units["max_qdot"], float(found.velocity_ratio)
-    part = f"{100 * share:.3g} % of" if share < 10 else f"{plainly(share)} times"
-    of = f", {part} a joint's limit" if np.isfinite(law.chain.velocity_limit).any() else ", no limits"
-    rows.append(("joint velocity", f"up to {plainly(found.max_qdot)} {unit}{of}"))
+    rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     if made.pace is None or not made.pace.smooth:  # else no step reverses a velocity
         rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
@@ -215,14 +212,32 @@ def _summary(made, trajectory, seconds):
     return rows
 
 
-def _of_task(name, run, task):
+def fastest(chain, qdot):
+    """The fastest joint, and that which has the largest share of its limit, in words."""
+    import numpy as np
+
+    from cnclik.quantities import plainly
+
+    most = np.nan_to_num(np.abs(qdot), nan=np.inf).max(axis=0)
+    share = most / np.maximum(np.array(chain.velocity_limit, float), 1e-12)
+    i, k = int(np.argmax(most)), int(np.argmax(share))
+    fast = f"up to {plainly(most[i])} {chain.units[i]}/s ({chain.joint_names[i]})"
+    if not np.isfinite(chain.velocity_limit).any():
+        return f"{fast}, no limits"
+    part = f"{100 * share[k]:.3g} % of" if share[k] < 10 else f"{plainly(share[k])} times"
+    return f"{fast}, {part} {'its limit' if i == k else f'the limit of {chain.joint_names[k]}'}"
+
+
+def task_rows(name, run, task):
     """Rows with the errors of a task and, in a stack, the number of steps with each status that the task has alone."""
     import numpy as np
 
     from cnclik.integrate.status import OWN
     from cnclik.quantities import aloud
 
-    kinds = ("joint", "joint") if hasattr(task.parts[0], "wanted") else ("position", "orientation")
+    kinds = ("position", "orientation")
+    if hasattr(task.parts[0], "wanted"):
+        kinds = ("prismatic joint", "revolute joint") if task.lengths and task.angles else ("joint", "joint")
     for part, unit, some in zip(kinds, ("m", "rad"), (task.lengths, task.angles), strict=True):
         if some:
             size = np.linalg.norm(np.asarray(run.e, float)[:, some], axis=1)

@@ -233,7 +233,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] * np.asarray(law.task.weight_of_each, float)
     rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
-    advance = _advance(t, len(seen.late), Ts)
+    advance = 1.0 if run.path_time is None else _advance(t, len(seen.late), Ts)  # times are rounded
     return Case(
         law=law,
         reference=reference,

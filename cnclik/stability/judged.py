@@ -145,7 +145,7 @@ def _moving(case, error):
     if case.radius > UNSTABLE and not (follows and (case.radius_at(case.start) <= UNSTABLE or _slow_enough(case))):
         return _unstable(case, error)
     if seen.often(Status.AT_LIMIT) and case.law.limits is not None and not follows and not seen.shrinks:
-        what = f"{reasons.at_limits(case) or 'joints are at their velocity limits'}, and {error}"
+        what = f"{_held_by(case) or 'limits hold the joints back'}, and {error}"
         slower = remedies.slower_path(case, 0.8 * seen.share)
         if case.covered >= 1:
             return Behaviour.AT_LIMIT, what, slower
@@ -171,7 +171,7 @@ def _moving(case, error):
         return _out_of_reach(case, error)
     if _shakes(case):
         return _shaking(case, error)
-    behind = "" if case.waits else f", {lag / case.behind * case.loop[0]:.3g} s behind a target that moves on"
+    behind = "" if case.waits else f", a lag of {lag / case.behind * case.loop[0]:.3g} s"
     what = f"{error}{behind}; {_radius(case)}"
     limited = case.law.limits is not None and bool(np.any(seen.status & Status.AT_LIMIT))
     if limited:  # more velocity may be more than they let through
@@ -203,16 +203,23 @@ def _stack(case, error):
     of_tips = any(one.of_tips for one in left)
     if of_tips and reasons.unreachable(case):
         return _out_of_reach(case, said)
-    if at := reasons.at_limits(case):
-        return Behaviour.AT_LIMIT, f"{at}, and {said}", ()
+    at = _held_by(case) if case.moving else reasons.at_limits(case)
+    if at and (of_tips or len(left) == len(each)):
+        return Behaviour.AT_LIMIT, f"{at}, and {said}", remedies.freer(case)
     if case.moving and float(case.law.feedforward) != 1.0:
         return Behaviour.LAGGING, said, (_fed_forward(),)
     all_left = Behaviour.LAGGING if case.moving else Behaviour.STALLED
     kind = all_left if len(left) == len(each) else Behaviour.PARTLY
     known = of_tips and case.reached is not None and case.reached.solved
+    held = f"; {at}" if at else ""
     why = "" if not of_tips else f"; {TOGETHER if known else UNKNOWN}"
     found = remedies.elsewhere(case) if known and not case.moving else ()
-    return kind, f"{said}; {SHARED}{why}; {_radius(case)}", found
+    return kind, f"{said}{held}; {SHARED}{why}; {_radius(case)}", found
+
+
+def _held_by(case):
+    """What the limits of the law do to the joints, in words."""
+    return ", ".join(filter(None, (reasons.at_limits(case), reasons.too_slow(case))))
 
 
 def _fed_forward():
@@ -251,7 +258,7 @@ def _shaking(case, error):
     seen, unit = case.seen, " or ".join(sorted(set(case.law.chain.units), reverse=True))
     fast = f"joint velocities up to {plainly(seen.joint_speed)} {unit}/s go back and forth"
     fast += " within the limits of the pace" if case.pace is not None else ""
-    fast += f", with the path at {case.advance:.2g} of its speed" if case.moving and case.advance < 1 else ""
+    fast += f", with the path at {case.advance:.2g} of its speed" if case.waits and case.advance < NEARLY else ""
     if case.null_unstable and seen.arrived:
         inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
         return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case, case.null_radius)

@@ -18,6 +18,8 @@ FALLEN = 0.5  # ratio of the largest, and of the middle, errors of two quarters 
 FADING = 0.3  # ratio of the joint speeds of two quarters below which motion fades
 OFTEN = 0.5  # share of the last quarter's steps with a status bit that counts
 
+ROUNDED = 1e-6  # share of a velocity limit that is a rounding
+
 
 class Observed(NamedTuple):
     """What a run did, in numbers."""
@@ -35,6 +37,8 @@ class Observed(NamedTuple):
     status: np.ndarray  # of the late steps
     too_fast: int  # steps, of the whole run, in which a joint is faster than its limit
     excess: float  # largest joint velocity over its limit
+    fastest: str  # the joint that has it
+    at_velocity: np.ndarray  # (n,) whether a joint moves at its velocity limit in most of the late steps
     by_error: bool  # whether it was the error, more than the path's own speed, that asked for the largest velocity
     fast_singular: bool  # whether a joint is faster than that next to a singularity
     share: float  # of the target's motion that the tip made, over the last two quarters
@@ -84,9 +88,8 @@ class Observed(NamedTuple):
         """That joints are too fast, in words; empty where they are not."""
         if not self.too_fast:
             return ""
-        most = f", up to {plainly(self.excess)} times it" if self.excess > 1 else ""  # a drive may be slower
-        steps = f"{self.too_fast} of {len(self.size) - 1} steps"
-        return f"{steps} ask for more than a joint's velocity limit{most}"
+        steps = f"{self.too_fast} of {len(self.size) - 1} steps ask for more than a joint's velocity limit"
+        return f"{steps}, {self.fastest} for up to {plainly(self.excess)} times it" if self.excess > 1 else steps
 
     def often(self, bit):
         return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)
@@ -129,6 +132,8 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
         status=status[-quarter:],
         too_fast=int(np.sum(status & Status.OVER_VELOCITY != 0)),
         excess=float(ratio.max(initial=0.0)),
+        fastest=law.chain.joint_names[int(np.argmax(ratio.max(0)))],
+        at_velocity=np.mean(ratio[-quarter:] > 1 - ROUNDED, axis=0) >= OFTEN,
         by_error=bool(
             np.max(np.abs(np.asarray(law.alpha, float))) * Ts * size[k] > np.linalg.norm(moved[min(k, len(moved) - 1)])
         ),

@@ -32,6 +32,14 @@ def at_limits(case) -> str:
     return ", ".join(at)
 
 
+def too_slow(case) -> str:
+    """Which joints move at their velocity limits, in words; empty where the law keeps none, or the joints keep them."""
+    if not case.held_back or not case.seen.at_velocity.any():
+        return ""
+    names = [n for n, is_there in zip(case.law.chain.joint_names, case.seen.at_velocity, strict=True) if is_there]
+    return f"{', '.join(names)} {'moves at its velocity limit' if len(names) == 1 else 'move at their velocity limits'}"
+
+
 def open_ended(case) -> str:
     """Why nobody knows how long a run decides, in words; empty where the loop's time constants tell."""
     if case.held_back:
@@ -68,8 +76,8 @@ def outside(case) -> str:
     if beyond[most] <= INSIDE:
         return ""
     unit = law.chain.units[most]
-    others = int(np.sum(beyond > INSIDE)) - 1
-    more = f", and {others} more {'is' if others == 1 else 'are'} beyond theirs" if others else ""
+    others = [law.chain.joint_names[i] for i in np.argsort(-beyond) if i != most and beyond[i] > INSIDE]
+    more = f", and {', '.join(others)} {'is' if len(others) == 1 else 'are'} beyond theirs" if others else ""
     past = ": its drive takes it past what the law keeps" if keeps_positions(law) else ""
     return f"joint {law.chain.joint_names[most]} is up to {beyond[most]:.3g} {unit} beyond its limit{more}{past}"
 

@@ -8,6 +8,7 @@ import numpy as np
 from cnclik.integrate.stage import Picard
 from cnclik.law.bounded import Bounded
 from cnclik.law.inverse import Levels, Transpose
+from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
@@ -269,10 +270,11 @@ def slower_path(case, share, mends="error") -> tuple:
 def slower_joints(case) -> tuple:
     """What to do about a loop that asks for more than its joints can."""
     law, excess = case.law, case.seen.excess
-    name = "saturation" if law.task.tasks else "velocity-scaling"  # that slows a stack for the sake of one slow joint
-    words = f"use limits {name.replace('-', '_')}()"
-    found = [Remedy(change={"limits": name}, words=words, mends="velocity")]
-    found = [] if law.limits is not None else found
+    names = () if law.limits is not None else ("velocity-scaling",) * (not reasons.outside(case)) + ("saturation",)
+    found = [
+        Remedy(change={"limits": name}, words=f"use limits {name.replace('-', '_')}()", mends="velocity")
+        for name in names
+    ]
     within = reasons.null_excess(case)
     if case.seen.fast_singular:
         return *gentle(case, "velocity"), *found
@@ -284,6 +286,15 @@ def slower_joints(case) -> tuple:
         return *(() if case.seen.by_error else slower_path(case, 0.8 / excess, "velocity")), *found
     words = f"reduce {_words(law, 0.9 / excess, 'to')}"
     return *found, Remedy(change={"alpha": _gain(law, 0.9 / excess)}, words=words, mends="velocity")
+
+
+def freer(case) -> tuple:
+    """What keeps the tasks of a stack nearer to their targets within the limits: joints that share the motion, or a
+    path that asks for less."""
+    shared = Remedy(change={"limits": "saturation"}, words="use limits saturation()")
+    slows = not isinstance(case.law.limits, (Saturated, Bounded)) and case.seen.at_velocity.any()
+    slower = slower_path(case, 0.5) if case.moving and case.path and case.seen.at_velocity.any() else ()
+    return ((shared,) if slows else ()) + slower
 
 
 def inside(case) -> tuple:

@@ -53,14 +53,25 @@ class Together(NamedTuple):
 
 def each_task(case) -> list[TaskSeen]:
     """What each task of a case did. Errors below a thousandth of the stack's largest count as none."""
-    task, first = case.law.task, max(ARRIVED * case.seen.size.max(), case.seen.floor)
+    first = max(ARRIVED * case.seen.size.max(), case.seen.floor)
+    return [_seen(case, *own, enough=first) for own in _tasks(case.law.task)]
+
+
+def _tasks(task) -> list[tuple[str, Task, np.ndarray]]:
+    """[(name, its parts, which coordinates)] of each task."""
     if task.tasks:
-        own = [(name, task.alone(name), np.arange(task.m)[at]) for name, at in task.each]
-    else:
-        ends = np.cumsum([parts.m for _, parts in task.targets])[:-1]
-        some = np.split(np.arange(task.m), ends)
-        own = [(path[-1], parts, at) for (path, parts), at in zip(task.targets, some, strict=True)]
-    return [_seen(case, name, parts, some, first) for name, parts, some in own]
+        return [(name, task.alone(name), np.arange(task.m)[at]) for name, at in task.each]
+    ends = np.cumsum([parts.m for _, parts in task.targets])[:-1]
+    some = np.split(np.arange(task.m), ends)
+    return [(path[-1], parts, at) for (path, parts), at in zip(task.targets, some, strict=True)]
+
+
+def kinds(task) -> list:
+    """Which coordinates are of one task, or tip, and of one unit; those of joints only where there are no others: a
+    posture that yields is no error."""
+    units, every = np.array(task.units), _tasks(task)
+    tips = [one for one in every if not all(hasattr(part, "wanted") for part in one[1].parts)]
+    return [some[units[some] == unit] for _, _, some in tips or every for unit in sorted(set(units[some]))]
 
 
 def _seen(case, name, parts, some, enough) -> TaskSeen:

@@ -26,6 +26,7 @@ from cnclik.shapes import AnyArray, ArrayLike, Float
 from cnclik.stability.case import brief
 from cnclik.stability.observed import ARRIVED, back_and_forth, observe
 from cnclik.stability.reasons import INSIDE
+from cnclik.stability.stacked import kinds
 
 LEAST_TRIED = 1 << 12  # steps that a trial takes, at least; another power of two where more are asked for
 MOST_TRIED = 1 << 15  # and at most, or as many as the run that is judged has
@@ -40,6 +41,7 @@ FARTHER = 1.1  # ratio of how far two loops get along a path that waits, from wh
 AS_GOOD = 2.0  # and of their errors, up to which they are no worse in kind
 LEAST_WAY = 1e-9  # [m, rad]
 HUGE = 1e300  # stands for what is not finite
+VAIN = "and no better"
 PLACES = ("center", "start", "end")  # what a shift moves of a path
 
 
@@ -64,12 +66,13 @@ class _Altered:
     """A path that is moved, and followed at another speed."""
 
     curve: Callable
-    shift: Float[AnyArray, " 3"]
+    shift: Float[AnyArray, " 3"] | None
     speed: Float[AnyArray, ""]
 
     def __call__(self, t):
         position, rotation = self.curve(self.speed * t)
-        return (position if position is None else position + self.shift[: len(position)]), rotation
+        moved = position is not None and self.shift is not None
+        return (position + self.shift[: len(position)] if moved else position), rotation
 
 
 def changed(run: Run, change: dict) -> Run:
@@ -106,14 +109,16 @@ def _path(run, change):
     )
 
 
-def _changed_path(reference, shift=np.zeros(3), speed=np.ones(()), period=None):
-    curve = reference.curve
+def _changed_path(reference, shift=None, speed=np.ones(()), period=None):
+    curve, shifted = reference.curve, shift is not None and shift.any()
+    if getattr(reference, "still", False) and not shifted:
+        return reference
     fields = [name for name in PLACES if getattr(curve, name, None) is not None]
-    if speed != 1 or (shift.any() and not fields):
+    if speed != 1 or (shifted and not fields):
         told = reference.feedforward
         reference = replace(reference, feedforward=None if told is None else told * speed)
         curve = _Altered(curve=curve, shift=shift, speed=speed)
-    elif shift.any():
+    elif shifted:
         moved = {name: np.asarray(getattr(curve, name), float) for name in fields}
         curve = replace(curve, **{name: at + shift[: len(at)] for name, at in moved.items()})
     if period is not None:
@@ -168,27 +173,41 @@ class Trials:
         return bool(np.allclose(end, other, rtol=1e-3, atol=1e-3, equal_nan=True))
 
     def possible(self, remedy) -> bool:
-        """Whether a remedy can be tried: errors of other coordinates are other errors, those of several tasks are no
-        single number that gets better, and long runs take long.
-        """
+        """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""
         N = self.case.steps
-        if remedy.mends == "error" and not self.case.law.task.of_one_tip:
-            return False
         return "task" not in remedy.change and remedy.change.get("N", N) <= max(MOST_TRIED, N)
 
-    def better(self, remedy) -> bool:
-        """Whether the loop does better with a remedy: in the run's own steps, or in the end."""
+    def vain(self, remedy) -> str:
+        """Why a remedy is none, in words; empty where the loop does better with it, in the run's own steps or in the
+        end, and nothing else gets worse.
+        """
         change, N, given = remedy.change, self.case.steps, self.case.seen
         after = change.get("N", N)
         if "dtype" in change:  # trials are in float64
-            return self._late(self.unchanged(whole_trial(N))) < given.largest
-        made = changed(self.given, change)
-        if remedy.mends in ("velocity", "limits"):
-            seen = self._seen(self.mended(remedy, after))
-            slower = not seen.too_fast or max(seen.excess, 1.0) < SLOWER * max(given.excess, 1.0)
-            return slower if remedy.mends == "velocity" else float(seen.outside.max()) <= INSIDE
+            return "" if self._late(self.unchanged(whole_trial(N))) < given.largest else VAIN
         steps = whole_trial(max(N, after))
         was, now = self.unchanged(steps), self.mended(remedy, steps)
+        seen = self._seen(truncate(now, after))
+        if remedy.mends == "velocity":
+            better = not seen.too_fast or max(seen.excess, 1.0) < SLOWER * max(given.excess, 1.0)
+        elif remedy.mends == "limits":
+            better = float(seen.outside.max()) <= INSIDE
+        else:
+            better = self._nearer(remedy, was, now, after)
+        if not better:
+            return VAIN
+        if remedy.mends in ("velocity", "limits"):
+            return "but with a larger error" if self._farther_off(was, now, after) else ""
+        strains = not only_longer(change, self.case.period) and _strains(given, seen)
+        return "but with joints farther beyond their limits" if strains else ""
+
+    def _nearer(self, remedy, was, now, after) -> bool:
+        """Whether the error, or how the joints move, gets better. Args: after: steps of the run with the remedy."""
+        change, N, given = remedy.change, self.case.steps, self.case.seen
+        made, longer = changed(self.given, change), only_longer(change, self.case.period)
+        if remedy.mends == "error" and not self.case.law.task.of_one_tip:
+            least = self._ratios(was, now, after)[:, :2].min()
+            return bool(least < (GONE if longer else BETTER)) and not self._farther_off(was, now, after)
         was_here, now_here = truncate(was, N), truncate(now, after)
         gone = max(ARRIVED * given.size[0], given.floor)
 
@@ -197,7 +216,6 @@ class Trials:
 
         # Along a path errors come and go: the last quarter may be that in which nothing happens.
         in_the_end = max(ratio(was, now, quarters=k) for k in ((1, 2) if self.case.moving else (1,)))
-        longer = only_longer(change, self.case.period)
         if self.case.waits and not longer:  # a loop that shakes crawls along its path, with a small error
             gained = self._seen(now_here).way / max(self._seen(was_here).way, LEAST_WAY)
             least = max(gone, self.case.behind)  # what is less than a sample behind follows
@@ -216,6 +234,27 @@ class Trials:
         if longer:
             return here < GONE
         return here < BETTER and (in_the_end <= 1 or bool({"shift", "period", "speed"} & set(change)))  # another path
+
+    def _ratios(self, was, now, after):
+        """(late in the run's own steps, late in the end) of the errors with a remedy, over those without, of each task
+        [m] or [rad]; along a path at any time, too."""
+        case, N = self.case, self.case.steps
+        least, found = max(ARRIVED * case.seen.size.max(), case.seen.floor, case.behind), []
+        for some in kinds(case.law.task):
+            was_all, all_ = (np.linalg.norm(np.asarray(run.e, float)[:, some], axis=1) for run in (was, now))
+            own_was, own = was_all[: N + 1], all_[: after + 1]
+            spans = [
+                (one[3 * len(one) // 4 :], other[3 * len(other) // 4 :])
+                for one, other in ((own_was, own), (was_all, all_))
+            ]
+            spans += [(own_was, own), (was_all[len(was_all) // 2 :], all_[len(all_) // 2 :])] if case.moving else []
+            sizes = np.nan_to_num([[one.max(), other.max()] for one, other in spans], nan=HUGE, posinf=HUGE)
+            found.append(np.divide(*np.maximum(sizes, least).T[::-1]))
+        return np.array(found)
+
+    def _farther_off(self, was, now, after) -> bool:
+        """Whether a task's error gets worse in kind: in the end, or along a path at any time."""
+        return bool(self._ratios(was, now, after)[:, not self.case.moving :].max() > AS_GOOD)
 
     def _seen(self, run):
         return observe(self.case.law, run, self.Ts, self.case.seen.dtype)
@@ -249,6 +288,12 @@ class Trials:
         seen = self._seen(run)
         largest = max(seen.largest, seen.before.max()) if quarters > 1 else seen.largest
         return HUGE if seen.bad is not None else min(largest, HUGE)
+
+
+def _strains(given, seen) -> bool:
+    """Whether joints go farther beyond their limits, of velocity or of position, than they did."""
+    faster = bool(seen.too_fast) and seen.excess > FARTHER * max(given.excess, 1.0)
+    return faster or bool(np.any(seen.outside > FARTHER * given.outside + INSIDE))
 
 
 def only_longer(change, period):

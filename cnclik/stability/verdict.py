@@ -212,15 +212,19 @@ def _tried(case, trials, found):
             kept += made
         elif not trials.possible(one):
             kept.append(_untried(one))
-        elif trials.better(one):
-            kept.append(one)
+        elif any(one.mends == other.mends and set(one.change) == set(other.change) for other in kept):
+            continue  # another value of an option of which one helps
+        elif why := trials.vain(one):
+            vain.append((why, one))
         else:
-            vain.append(one)
+            kept.append(one)
     said = f"; runs of up to N = {N} steps were tried, and which one is long enough is not known" if N else ""
     mended = {one.mends for one in kept}
-    if left := [one.words for one in vain if one.mends not in mended]:
-        said += f"; tried, and no better: {', '.join(left)}"
-    return tuple(kept), said
+    left = {}
+    for why, one in vain:
+        if one.mends not in mended:
+            left.setdefault(why, []).append(one.words)
+    return tuple(kept), said + "".join(f"; tried, {why}: {', '.join(words)}" for why, words in left.items())
 
 
 def _long_enough(case, trials, one):
@@ -232,7 +236,7 @@ def _long_enough(case, trials, one):
             break
         N = one.change["N"]
         if one.mends == "error":
-            enough = trials.better(one) and trials.repeats(N)
+            enough = not trials.vain(one) and trials.repeats(N)
         else:
             kind = _decided(_longer(case, trials, N), trials)[1]
             enough = kind in _UNSTABLE_KINDS or (kind != Behaviour.UNDECIDED and trials.repeats(N))

@@ -429,6 +429,27 @@ def chatter(loop, run):
     return float(np.max(np.where(v[1:] * v[:-1] < 0, np.minimum(np.abs(v[1:]), np.abs(v[:-1])), 0.0), initial=0.0))
 
 
+def duration(loop):
+    """Time that a loop's path takes, 0 of a held target."""
+    curve = loop.reference.curve
+    return float(getattr(curve, "period", getattr(curve, "duration", 0.0)))
+
+
+def farther(loop, run, whole, after, whole_after):
+    """Whether the error is larger in the end, or, along a path, in the run's own last quarter: of several times."""
+    floor = max(ARRIVED * float(np.linalg.norm(whole.e, axis=1).max()), 1e-9)
+    path = moving(loop, run.target_time[round(0.75 * loop.N)])
+    floor += float(np.linalg.norm(np.diff(whole.x, axis=0), axis=1).max()) if path else 0.0  # a step behind
+    pairs = [(whole, whole_after), (run, after)][: 1 + path]
+    return any(late(other) > 2.5 * max(late(one), floor) for one, other in pairs)
+
+
+def strains(law, run, after):
+    """Whether joints go farther beyond their limits than they did."""
+    faster = excess(law, after) > 1.2 * max(excess(law, run), 1.0)
+    return faster or outside(law, after) > 1.2 * outside(law, run) + 1e-6
+
+
 def improves(remedy, loop, run, whole, other, after, whole_after, of):
     """Whether what a remedy is to mend is better in the run that it makes."""
     if remedy.mends == "verdict":
@@ -437,10 +458,12 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
         return False
     if not np.isfinite(run.e).all():
         return True
-    if remedy.mends == "velocity":
-        return excess(loop.law, after) < 0.8 * excess(loop.law, run)
-    if remedy.mends == "limits":
-        return outside(loop.law, after) < 1e-6 < 1e3 * outside(loop.law, run)
+    if remedy.mends in ("velocity", "limits"):
+        slower = excess(loop.law, after) < 0.8 * excess(loop.law, run)
+        kept = outside(loop.law, after) < 1e-6 < 1e3 * outside(loop.law, run)
+        return (slower if remedy.mends == "velocity" else kept) and not farther(loop, run, whole, after, whole_after)
+    if not only_longer(remedy.change, duration(loop)) and strains(loop.law, run, after):
+        return False
     waits = loop.pace is not None and run.path_time is not None
     as_near = late(after) <= max(2 * late(run), ARRIVED * np.linalg.norm(run.e[0]))
     if waits and as_near and way(after) > 1.1 * way(run):  # a loop that crawls along its path has a small error
@@ -453,8 +476,7 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
         return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]), 1e-9)
     if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
         return True
-    curve = loop.reference.curve
-    longer = only_longer(remedy.change, float(getattr(curve, "period", getattr(curve, "duration", 0.0))))
+    longer = only_longer(remedy.change, duration(loop))
     return late(after) < (0.3 if longer else 0.95) * late(run) or arrived(after)
 
 
