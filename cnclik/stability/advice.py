@@ -122,7 +122,8 @@ def advise(
         z_largest = min(z_largest, removing(loop, stable, Ts))
     at_any = None
     if bounded_rates(law):  # elsewhere tasks may get more of what they ask for than here
-        at_any, euler_at_any = (at_any_posture(one, Ts, recommended) for one in (loop, by))
+        at_any = at_any_posture(loop, Ts, recommended)
+        euler_at_any = at_any if euler is gains else at_any_posture(by, Ts, recommended)
         chosen, by_euler = min(chosen, at_any[1]), min(by_euler, euler_at_any[1])
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:

@@ -24,6 +24,7 @@ WORK = 1e6  # of eigenvalues looked at together: their number times the cube of 
 POINTS = 128  # values of z that are looked at together, at most
 FAR = 1e12  # times the input, beyond which a response is not followed
 LONGEST = 20_000  # samples of a response
+INPUTS = 4  # of a loop: noise, target, by how much that moves, and what is fed forward
 
 
 # --- a loop as a matrix -------------------------------------------------------------------------------
@@ -42,29 +43,32 @@ def increments(method, stage, z):
     return found
 
 
-def loop_matrix(steps, drive: Drive, Ts: float):
+def loop_matrix(steps, drive: Drive, Ts: float, inputs: bool = False):
     """The matrix (..., S, S) of a loop whose step is Σⱼ Dⱼ y[k−j], D (..., p, n, n): what its own code makes of unit
     vectors. Pure: D may be traced.
 
     The state is the drives' (n, s), the sum of the steps where the loop depends on it, the commands under way, and
-    the joint values that the method remembers.
+    the joint values that the method remembers. With inputs they come after it: noise of this measurement alone, the
+    target, by how much it moves, a step that is fed forward; and a last row is the controller's step.
     """
     model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], library(steps)
     if several(drive):  # beside them are the modes; then come unit vectors and joints
         model = model.beside(2)
-    count = model.size + drive.adds_up + model.remembered + p - 1
+    count = model.size + drive.adds_up + model.remembered + p - 1 + INPUTS * inputs
     units = np.eye(n * count)
     x = units[:, : n * model.size].reshape(-1, n, model.size)
     rest = list(np.moveaxis(units[:, n * model.size :].reshape(n * count, -1, n), 1, 0))
+    noise, target, moves, fed = [rest.pop() for _ in range(INPUTS)][::-1] if inputs else np.zeros(INPUTS)
     sent = rest.pop(0) if drive.adds_up else 0.0
     line, older = tuple(rest[: model.remembered]), rest[model.remembered :]
-    seen = sent if drive.feedback == "commanded" else x[..., 0]
-    past = [seen, *older]
-    step = sum(v @ xp.swapaxes(steps[..., j, :, :], -1, -2) for j, v in enumerate(past))
+    seen = sent if drive.feedback == "commanded" else x[..., 0] + noise
+    past = [seen - target, *older]
+    step = sum(v @ xp.swapaxes(steps[..., j, :, :], -1, -2) for j, v in enumerate(past)) + fed
     sent = (seen if drive.feedback == "rebased" else sent) + step
     u = sent if drive.steps_positions else step / Ts
     x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
     parts = [x.reshape(*x.shape[:-2], -1), *[sent] * drive.adds_up, *line, *past[: p - 1]]
+    parts += [0.0 * noise, target + moves, moves, fed, step] if inputs else []
     shape = np.broadcast_shapes(*(v.shape[:-1] for v in parts))
     return xp.swapaxes(xp.concatenate([xp.broadcast_to(v, (*shape, v.shape[-1])) for v in parts], -1), -1, -2)
 
@@ -258,33 +262,29 @@ def least_limits(method, stage, Ts: float, drive: Drive) -> dict:
 # --- responses ----------------------------------------------------------------------------------------
 
 
-def respond(steps, drive: Drive, Ts: float, target, forward=0.0, noise=None):
-    """A mode in time, from rest at 0: motion q (N + 1,), and steps (N,); of several modes (N + 1, r), (N, r), and of
-    several drives (N + 1, d, r), (N, d, r).
+def respond(steps, drive: Drive, Ts: float, N: int, *, target=0.0, speed=0.0, forward=0.0, noise=0.0):
+    """Modes (r, p) in time, from rest at 0: motion (N + 1, r) and steps (N, r); through several drives (N + 1, d, r).
 
     Args:
-      steps: (p,) D of the mode, or (r, p). target: (N,) where it is to be. forward: velocity that is fed forward, a
-        number or (r,). noise: (N,) added to what is measured, or None.
+      target: where they are to be, at first. speed: of the target. forward: velocity that is fed forward, a number or
+        (r,). noise: of the first measurement.
     """
-    drive, each, one = drive.lumped, np.atleast_2d(np.asarray(steps, float)).T, np.ndim(steps) == 1
-    model, N = sampled(drive, Ts), len(target)
-    shape = np.broadcast_shapes(model.now.shape[:-1], each.shape[1:])
-    x, sent = np.zeros((*shape, model.size)), np.zeros(shape)
-    line, past = (np.zeros(shape),) * model.remembered, [np.zeros(shape)] * len(each)
-    q, asked = np.zeros((N + 1, *shape)), np.zeros((N, *shape))
+    steps = np.asarray(steps, float)
+    matrix = loop_matrix(steps[..., None, None], drive.lumped, Ts, inputs=True)
+    power, rows = matrix[..., :-1, :], matrix[..., [0, -1], :]
+    x = np.zeros((*power.shape[:-1], 1))
+    x[..., -INPUTS - steps.shape[-1] + 1 : -INPUTS, 0] = -target
+    for i, value in enumerate((noise, target, speed * Ts, np.multiply(forward, Ts))):
+        x[..., i - INPUTS, 0] = value
     with np.errstate(all="ignore"):  # what grows ends as inf
-        for k in range(N):
-            seen = sent if drive.feedback == "commanded" else x[..., 0]
-            looked = seen if noise is None or drive.feedback == "commanded" else seen + noise[k]
-            now = looked - target[k]
-            past = [now, *past[:-1]] if k else [now] * len(past)
-            asked[k] = sum(d * e for d, e in zip(each, past, strict=True)) + forward * Ts
-            sent = (looked if drive.feedback == "rebased" else sent) + asked[k]
-            u = sent if drive.steps_positions else asked[k] / Ts
-            x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
-            q[k + 1] = x[..., 0]
-        found = tuple(np.where(np.abs(v) < FAR, v, np.inf) for v in (q, asked))
-    return (found[0][:, 0], found[1][:, 0]) if one else found
+        while rows.shape[-2] ** 2 < 4 * N:  # rows of two for each of so many samples
+            rows, power = np.concatenate([rows, rows @ power], -2), power @ power
+        while rows.shape[-2] * x.shape[-1] < 2 * N:
+            x, power = np.concatenate([x, power @ x], -1), power @ power
+        found = (rows @ x).reshape(*rows.shape[:-2], -1, 2, x.shape[-1])
+    found = np.moveaxis(found, (-1, -3, -2), (1, 2, 0)).reshape(2, -1, *rows.shape[:-2])[:, :N]
+    q, asked = np.where(np.abs(found) < FAR, found, np.inf)
+    return np.concatenate([np.zeros_like(q[:1]), q]), asked
 
 
 def until_settled(steps, drive, Ts, share=1e-3) -> int:
@@ -299,7 +299,7 @@ def until_settled(steps, drive, Ts, share=1e-3) -> int:
 def _answers(steps, drive, Ts):
     """What each of the modes (r, p), through each drive, makes of a step of the target (d·r, N + 1)."""
     N = until_settled(steps, drive, Ts) if len(steps) else 0
-    return respond(steps.real, drive, Ts, np.ones(N))[0].reshape(N + 1, -1).T
+    return respond(steps.real, drive, Ts, N, target=1.0)[0].reshape(N + 1, -1).T
 
 
 def overshoot(steps, drive, Ts) -> float:
@@ -329,7 +329,7 @@ def noise_gain(steps, drive, Ts) -> tuple:
     if not len(those):
         return 0.0, 0.0
     N = until_settled(those, drive, Ts)
-    q, asked = respond(those.real, drive, Ts, np.zeros(N), noise=np.eye(1, N)[0])
+    q, asked = respond(those.real, drive, Ts, N, noise=1.0)
     return tuple(float(np.linalg.norm(v, axis=0).max()) for v in (q, asked / Ts))
 
 
@@ -364,9 +364,9 @@ def noise_limit(most: float, drive: Drive, Ts: float) -> float:
 
 
 def open_loop(steps, drive: Drive, Ts: float, omega):
-    """L(e^{iω}) (k,) of a mode (p,), 1 + L = 0 being its characteristic equation; ω in radians per sample."""
+    """L(e^{iω}) (..., k) of modes (..., p), 1 + L = 0 being its characteristic equation; ω in radians per sample."""
     model, zeta = sampled(looked_at_drive(drive), Ts), np.exp(1j * np.asarray(omega))
-    d = sum(v * zeta**-j for j, v in enumerate(steps))
+    d = sum(v[..., None] * zeta**-j for j, v in enumerate(np.moveaxis(steps, -1, 0)))
     motion = model.transfer(zeta)
     if not drive.steps_positions or drive.feedback == "commanded":
         return -d * motion / Ts
@@ -383,10 +383,8 @@ def delay_margin(steps, drive, Ts) -> float:
     if drive.feedback == "commanded":
         return np.inf
     least = np.inf
-    omega = np.geomspace(1e-6, np.pi, 20_001)
-    for one in outermost(steps):
-        gain = open_loop(one, drive, Ts, omega)
-        size = np.abs(gain)
+    omega, those = np.geomspace(1e-6, np.pi, 20_001), outermost(steps)
+    for one, size in zip(those, np.abs(open_loop(those, drive, Ts, omega)), strict=True):
         cross = np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) <= 0)
         for i in cross:
             share = (np.log(size[i])) / (np.log(size[i]) - np.log(size[i + 1]) + EPS)

@@ -75,9 +75,8 @@ def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
 def _following(steps, drive, Ts) -> tuple:
     """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]; of some modes."""
     N, r = until_settled(steps, drive, Ts, KEPT), len(steps)
-    target = Ts * np.arange(N + 1)
-    q = respond(np.concatenate([steps, steps]).real, drive, Ts, target[:-1], np.repeat([0.0, 1.0], r))[0]
-    late = target.reshape(-1, *(1,) * (q.ndim - 1)) - q
+    q = respond(np.concatenate([steps, steps]).real, drive, Ts, N, speed=1.0, forward=np.repeat([0.0, 1.0], r))[0]
+    late = Ts * np.arange(N + 1).reshape(-1, *(1,) * (q.ndim - 1)) - q
     most = np.abs(late[..., r:]).max(0)
     at_last = np.where(np.abs(late[-1, ..., r:]) < KEPT * most, 0.0, late[-1, ..., r:])
     return float(late[-1, ..., :r].max()), float(at_last.max()), float(most.max())

@@ -15,9 +15,10 @@ from cnclik.diagnosis.blocks import orthogonal, triangle
 from cnclik.diagnosis.late import LateLoop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
-from cnclik.stability.driven import driven_limits, respond
+from cnclik.stability.driven import driven_limits
 from tests.diagnosis.logs import late_loop
 from tests.diagnosis.recordings import loop, monotone, servo, stable
+from tests.stability.test_driven import in_time
 
 TS = 0.002
 ROOT = pathlib.Path(__file__).parents[2]
@@ -70,7 +71,7 @@ def test_commands_and_joints_of_a_loop_with_noise_in_it():
     """Recorded by the library's own loops: a mode of the linear theory, and a whole arm."""
     rng = np.random.default_rng(5)
     for d, z in ((2, 0.5), (5, 0.22)):
-        q, asked = respond([-z], Drive(delay=d), TS, np.ones(200), noise=0.001 * rng.standard_normal(200))
+        q, asked = in_time([-z], Drive(delay=d), TS, np.ones(200), noise=0.001 * rng.standard_normal(200))
         assert about(diagnose(q, TS), z, d) and about(diagnose(asked, TS), z, d)
     arm = ck.planar_arm([1.0, 0.8])
     law = ck.Law(arm, ck.position("xy"), alpha=40.0)
@@ -155,7 +156,7 @@ def test_a_drive_that_lags_is_found_by_the_gain():
     drive = Drive(delay=2, lag=0.01)
     limits = driven_limits("EE", Ts=TS, drive=drive)
     z = 0.8 * limits.stable
-    q, _ = respond([-z], drive, TS, np.ones(300))
+    q, _ = in_time([-z], drive, TS, np.ones(300))
     found = diagnose(q, TS, alpha=z / TS)
     assert not found.pure and found.delay == pytest.approx(2, abs=0.05) and found.lag == pytest.approx(0.01, rel=0.02)
     assert found.recommended_alpha == pytest.approx(limits.recommended / TS, rel=0.02)
@@ -257,7 +258,7 @@ def test_no_decomposition_is_so_large_that_blas_parts_it_among_threads(monkeypat
     t = TS * np.arange(4000)
     path = np.outer(np.sin(t), rng.uniform(-1, 1, 20))
     ringing = np.tile(loop(0.3, 4, 1000), 4)
-    swinging, _ = respond([-0.28], Drive(delay=4), TS, np.ones(4000), noise=0.01 * rng.standard_normal(4000))
+    swinging, _ = in_time([-0.28], Drive(delay=4), TS, np.ones(4000), noise=0.01 * rng.standard_normal(4000))
     for e in (ringing, swinging):
         y = path + np.outer(e[:4000], rng.uniform(0.1, 1, 20)) + 3e-4 * rng.standard_normal((4000, 20))
         assert diagnose(y, TS).rings
@@ -334,7 +335,7 @@ def test_what_moved_before_as_it_does_now_does_not_grow(seed):
     rng = np.random.default_rng(seed)
     t = TS * np.arange(4000)
     path = np.outer(np.sin(t), rng.uniform(-1, 1, 20))
-    e, _ = respond([-0.28], Drive(delay=4), TS, np.ones(4000), noise=0.01 * rng.standard_normal(4000))
+    e, _ = in_time([-0.28], Drive(delay=4), TS, np.ones(4000), noise=0.01 * rng.standard_normal(4000))
     y = path + np.outer(e[:4000], rng.uniform(0.1, 1, 20)) + 3e-4 * rng.standard_normal((4000, 20))
     assert diagnose(y, TS).kind in (Kind.RINGING, Kind.SUSTAINED)
     growing = np.outer(1e-3 * loop(1.05 * stable(4), 4, 400), [0.1, -0.04]) + 1e-6 * rng.standard_normal((400, 2))

@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
-from cnclik.integrate.drive import Drive
+from cnclik.integrate.drive import Drive, sampled
 from cnclik.stability import advise, analyse, delay_limit, driven_limits, recommend
 from cnclik.stability.driven import (
     damping_ratio,
@@ -24,7 +24,7 @@ from cnclik.stability.driven import (
     respond,
     settling,
 )
-from cnclik.stability.drives import each_drive, side_by_side
+from cnclik.stability.drives import each_drive, own_drives, side_by_side
 
 Ts = 0.002
 SERVO = Drive(natural_frequency=23.25, damping_ratio=2.325, command="position")
@@ -125,6 +125,43 @@ def responses_of(modes, drive):
             *noise_gain(modes, drive, Ts))  # fmt: skip
 
 
+def in_time(steps, drive, Ts, target, forward=0.0, noise=0.0):
+    """A mode (p,) sample by sample, from rest at 0 and at its target for long: motion (N + 1,) and steps (N,)."""
+    drive, N = drive.lumped, len(target)
+    model, noise = sampled(drive, Ts), np.broadcast_to(noise, N)
+    x, sent, line = np.zeros(model.size), np.float64(0.0), (np.float64(0.0),) * model.remembered
+    past, q, asked = [-target[0]] * len(steps), np.zeros(N + 1), np.zeros(N)
+    for k in range(N):
+        seen = sent if drive.feedback == "commanded" else x[0] + noise[k]
+        past = [seen - target[k], *past[:-1]]
+        asked[k] = np.dot(steps, past) + forward * Ts
+        sent = (seen if drive.feedback == "rebased" else sent) + asked[k]
+        u = sent if drive.steps_positions else asked[k] / Ts
+        x, line = model.moved(x, line, u), (u, *line)[: model.remembered]
+        q[k + 1] = x[0]
+    return q, asked
+
+
+@pytest.mark.parametrize("method", ["EE", "AB2"])
+@pytest.mark.parametrize("drive", [*DRIVES.values(), *SEVERAL.values()])
+def test_responses_are_those_of_a_loop_that_goes_sample_by_sample(drive, method):
+    N = 300
+    D, t = increments(method, None, np.array([0.01, 0.03])), Ts * np.arange(N)
+    cases = (
+        ({"target": 1.0}, (np.ones(N),)),
+        ({"speed": 1.0, "forward": np.array([1.0, 0.0])}, (t, None)),
+        ({"noise": 1.0}, (np.zeros(N), 0.0, np.eye(1, N)[0])),
+    )
+    for inputs, (target, *others) in cases:
+        q, asked = respond(D, side_by_side(drive), Ts, N, **inputs)
+        for i, one in enumerate(each_drive(drive)):
+            for j in range(2):
+                at = (..., i, j) if own_drives(drive) else (..., j)
+                wanted = in_time(D[j], one, Ts, target, *([1.0 - j] if others == [None] else others))
+                np.testing.assert_allclose(q[at], wanted[0], atol=1e-9)
+                np.testing.assert_allclose(asked[at], wanted[1], atol=1e-9)
+
+
 @pytest.mark.parametrize("name", DRIVES)
 def test_limits_are_where_loops_in_time_begin_to_grow(name):
     """Within 1 %, of a robot's whole loop; no overshoot up to the monotone limit, and more beyond."""
@@ -176,7 +213,7 @@ def test_margins_and_noise_are_what_happens():
         assert near[0] < 1 < near[1], name
         motion, speed = noise_gain(D, drive, Ts)
         noise = np.random.default_rng(0).normal(size=20_000)
-        q, asked = respond(D[0], drive, Ts, np.zeros(20_000), noise=noise)
+        q, asked = in_time(D[0], drive, Ts, np.zeros(20_000), noise=noise)
         assert np.std(q) == pytest.approx(motion, rel=0.15) and np.std(asked) / Ts == pytest.approx(speed, rel=0.1)
     assert noise_gain(steps(0.5), Drive(), Ts)[0] == pytest.approx(np.sqrt(0.5 / 1.5), rel=1e-3)
     assert noise_limit(0.5, Drive(), Ts) == pytest.approx(2 * 0.25 / 1.25, rel=1e-3)
@@ -202,8 +239,7 @@ def test_what_factors_say_happens(z, delay, lag, kind):
     }[kind]
     drive = Drive(delay=round(delay, 1), **made)
     size = float(np.abs(driven_factors(steps(z), drive, Ts)).max())
-    q, _ = respond(steps(z)[0], drive, Ts, np.ones(3000))
-    e = np.abs(q - 1)
+    e = np.abs(respond(steps(z), drive, Ts, 3000, target=1.0)[0][:, 0] - 1)
     if size > 1.01:
         assert not e[-1] < e[:100].max()
     elif size < 0.99:
