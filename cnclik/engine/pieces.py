@@ -1,74 +1,64 @@
 """Pieces: a long block as several C functions, since a compiler's time grows faster than a function's length.
 
-What goes from one to another lies in an array of the function around them.
+What goes from one to another lies in the work memory, each number as long as it is read.
 """
 
 from cnclik.engine.graph import Node
 from cnclik.engine.operations import is_operation
 from cnclik.engine.row_texts import all_items
 
-_ARGUMENTS = "(char *restrict env, const void *const *in, const int64_t *stride, int64_t first, int64_t n, char *work)"
+_ARGUMENTS = "(const void *const *in, const int64_t *stride, int64_t first, int64_t n, char *restrict work)"
 
 
 def in_pieces(writer, items, ending):
     """Writes the items of a block as functions of some statements each; loops and branches stay outside."""
     groups = _groups(items, writer.piece)
-    home = {n.number: k for k, group in enumerate(groups) for n in group if isinstance(n, Node) and len(group) > 1}
-    home |= {n.number: k for k, group in enumerate(groups) for n in group if isinstance(n, Node)}
-    places, size = {}, 0
+    home = {n.number: k for k, group in enumerate(groups) for item in group for n in _made_by(item)}
+    own = {k for k, group in enumerate(groups) if _is_plain(group[0])}  # those that become functions
+    last = {n.number: len(groups) for n in ending}  # the group that reads a number last
+    passed = {n.number: n for n in ending if home.get(n.number) in own}
     for k, group in enumerate(groups):
-        for item in group:
-            for n in _scalars(item):
-                inside = _is_inline(group) and n.number not in home
-                if n.number not in places and not n.known and home.get(n.number) != k and not inside:
-                    places[n.number] = n, size
-                    size += -(-writer.vector_bytes(n.dtype) // 256) * 256
-    for n in ending:
-        if n.number in home and n.number not in places:
-            places[n.number] = n, size
-            size += -(-writer.vector_bytes(n.dtype) // 256) * 256
-    env = writer.new("env")
-    writer.line(f"char {env}_[{size + 256}], *{env} = (char *)(((uintptr_t){env}_ + 255) & ~(uintptr_t)255);")
-
-    def place(number, var):
-        n, at = places[number]
-        return f"(*({writer.type(n)} *)({var} + {at}))"
-
-    for number, (n, _) in places.items():  # what is there already
-        if number not in home and number in writer.names:
-            writer.line(f"{place(number, env)} = {writer.of(n)};")
+        for n in (n for item in group for n in _scalars(item) if not n.known):
+            at = home.get(n.number)
+            last[n.number] = max(last.get(n.number, k), k)
+            if at != k and {at, k} & own:
+                passed[n.number] = n
+    begin, end = ([[] for _ in range(len(groups) + 2)] for _ in range(2))
+    for n in passed.values():
+        if n.number not in writer.kept:
+            begin[home.get(n.number, -1)].append(n)
+            end[last[n.number]].append(n)
+    unused: dict = {}  # places, by type
+    for n in begin[-1]:  # what is there already
+        _keep(writer, n, unused)
     for k, group in enumerate(groups):
-        if _is_inline(group):
-            _outside(writer, group[0], places, place, env)
-        else:
-            before = [m for m in places if home.get(m, -1) < k]
-            _function(writer, group, before, places, lambda m: place(m, "env"))
-            writer.line(f"{writer.parts[-1][0]}({env}, in, stride, first, n, work);")
-            writer.names |= {n.number: place(n.number, env) for n in group if n.number in places}
+        if k in own:
+            lines, names, writer.lines, writer.names = writer.lines, writer.names, [], {}
+            writer.scopes.append([])
+        writer.items(group)
+        for n in end[k]:
+            unused.setdefault(n.dtype, []).append(writer.kept.pop(n.number))
+        for n in begin[k]:
+            _keep(writer, n, unused)
+        if k in own:
+            writer.leave()
+            name, body = f"piece{len(writer.parts)}", "\n".join(writer.lines)
+            writer.parts.append((name, f"static void __attribute__((noinline)) {name}{_ARGUMENTS}\n{{\n{body}\n}}\n"))
+            writer.lines, writer.names = lines, names
+            writer.line(f"{name}(in, stride, first, n, work);")
 
 
-def _outside(writer, item, places, place, env):
-    """A region, or what reads rows: where it stands, in the function around the pieces."""
-    writer.items([item])
-    for n in [item] if isinstance(item, Node) else item.outs:
-        if n.number in places and n.number in writer.names:
-            writer.line(f"{place(n.number, env)} = {writer.of(n)};")
-            writer.names[n.number] = place(n.number, env)
+def _keep(writer, n, unused):
+    """Puts a number where all that follows finds it."""
+    places = unused.get(n.dtype)
+    place = places.pop() if places else f"*{writer.room(n.dtype, 1)}"
+    writer.line(f"{place} = {writer.of(n)};")
+    writer.kept[n.number] = place
 
 
-def _function(writer, group, before, places, place):
-    lines, names, writer.lines = writer.lines, writer.names, []
-    writer.names = {m: place(m) for m in before}
-    writer.scopes.append([])
-    writer.items(group)
-    for n in group:
-        if n.number in places:
-            writer.line(f"{place(n.number)} = {writer.of(n)};")
-    writer.leave()
-    name = f"piece{len(writer.parts)}"
-    body = "\n".join(writer.lines)
-    writer.parts.append((name, f"static void __attribute__((noinline)) {name}{_ARGUMENTS}\n{{\n{body}\n}}\n"))
-    writer.lines, writer.names = lines, names
+def _made_by(item):
+    """Nodes that are known once an item is written."""
+    return [item] if isinstance(item, Node) else item.outs
 
 
 def _is_plain(item) -> bool:
@@ -78,14 +68,10 @@ def _is_plain(item) -> bool:
     return is_operation(item) or item.op == "pick" or (item.op == "index" and item.args[0].op == "input")
 
 
-def _is_inline(group) -> bool:
-    return not _is_plain(group[0])
-
-
 def _groups(items, most):
     groups = []
     for item in items:
-        if groups and _is_plain(item) and not _is_inline(groups[-1]) and len(groups[-1]) < most:
+        if groups and _is_plain(item) and _is_plain(groups[-1][0]) and len(groups[-1]) < most:
             groups[-1].append(item)
         else:
             groups.append([item])

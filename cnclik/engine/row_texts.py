@@ -4,6 +4,7 @@ import numpy as np
 
 from cnclik.engine.graph import Node, Scan, UnsupportedError
 from cnclik.engine.operations import is_operation, number, scalar
+from cnclik.engine.stacks import Rows
 
 _PLACED = ("stacked", "array")  # rows of which any entry can be named
 
@@ -63,6 +64,31 @@ def places_needed(graph, needed) -> set:
     return found
 
 
+def cells_of(out) -> list:
+    """All nodes of a result."""
+    return list(out.cells.flat if isinstance(out, Rows) else out.flat if isinstance(out, np.ndarray) else [out])
+
+
+def whole_results(outs) -> dict:
+    """{number: (scan, first round, how many, nodes of one)} of results that are rounds of what a scan stacks up."""
+    found = {}
+    for k, out in enumerate(outs):
+        cells = cells_of(out) if isinstance(out, Rows) else []
+        rounds = {_rounds(c) for c in cells if not c.known}
+        if len(rounds) == 1 and None not in rounds:
+            ((r, start),) = rounds
+            ys = [c if c.known else r.ys[(c.args[0] if c.op == "slid" else c).value[2]] for c in cells]
+            found[k] = r, start, out.length, ys
+    return found
+
+
+def _rounds(row):
+    """(scan, first round) of a row that is what a scan in no other region stacks up, or a part of it; else None."""
+    row, start = (row.args[0], row.params[0]) if row.op == "slid" and row.params[1] == 1 else (row, 0)
+    stacked = row.op == "stacked" and len(row.shape) == 1 and row.block.parent is None
+    return (row.value[0], start) if stacked else None
+
+
 class RowTexts:
     """The part of a writer that knows rows."""
 
@@ -83,8 +109,7 @@ class RowTexts:
         self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
         self.scopes.append([])
         self.line(f"{array}[{k}] = {self.row(n, k, {})};")
-        for key in self.scopes.pop():
-            self.names.pop(key, None)
+        self.leave()
         self.line("}")
         self.where[n.number] = lambda k: f"{array}[{k}]"
 

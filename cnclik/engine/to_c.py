@@ -10,12 +10,11 @@ import numpy as np
 from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation, number, text, vector
 from cnclik.engine.pieces import in_pieces, read_for
-from cnclik.engine.row_texts import RowTexts, needed_rows, places_needed
+from cnclik.engine.row_texts import RowTexts, cells_of, needed_rows, places_needed, whole_results
 from cnclik.engine.stacks import Rows
 
 HEAVY = 60  # operations from which on a branch is left out where no lane needs it
 REGION_WEIGHT = 1000
-ALIGNED = 256  # bytes
 
 
 class Writer(RowTexts):
@@ -37,11 +36,12 @@ class Writer(RowTexts):
         self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
         self.reads, self.writes, self.shared = reads, writes, shared
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
+        self.kept: dict = {}  # of numbers that all functions find in the work memory, the place
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
         self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
         ends = [node for out in outs for node in cells_of(out)]
         self.needed = live(ends)
-        self.direct = _direct(outs)
+        self.direct = whole_results(outs)
         others = [node for k, out in enumerate(outs) if k not in self.direct for node in cells_of(out)]
         self.stored = needed_rows(graph, self.needed, others)
         self.material = places_needed(graph, self.needed)
@@ -68,6 +68,9 @@ class Writer(RowTexts):
         if node.known:
             words = number(node.value, node.dtype)
             return f"({words})" if plain else self.splat(node.dtype, words)
+        if node.number not in self.names:  # once: a compiler searches all stores before each load for one of its place
+            self.names[node.number] = self.variable(node, self.kept[node.number], "t")
+            self.scopes[-1].append(node.number)
         return self.names[node.number]
 
     def splat(self, dtype, words) -> str:
@@ -89,7 +92,9 @@ class Writer(RowTexts):
 
     def room(self, dtype, entries) -> str:
         """An array of so many vectors of a dtype, in the work memory."""
-        place, self.work = self.work, self.work + -(-entries * self.vector_bytes(dtype) // ALIGNED) * ALIGNED
+        size = self.vector_bytes(dtype)
+        place = -(-self.work // size) * size
+        self.work = place + entries * size
         return f"AT({vector(dtype)}, {place})"
 
     def vector_bytes(self, dtype) -> int:
@@ -229,9 +234,10 @@ class Writer(RowTexts):
         for y, node in stores:
             self.line(f"{self.where[node.number](k)} = {self.of(y)};")
         for o, start, length, ys in direct:
+            words = list(map(self.of, ys))
             if length < r.length:
                 self.line(f"if ({k} >= {start} && {k} < {start + length}) {{")
-            self.store(o, list(map(self.of, ys)), f"({k} - {start}) * {len(ys)} + ")
+            self.store(o, words, f"({k} - {start}) * {len(ys)} + ")
             if length < r.length:
                 self.line("}")
         self.move_on(r, names)
@@ -357,9 +363,11 @@ class Writer(RowTexts):
                 continue
             if isinstance(out, Rows):
                 self.line(f"for (int64_t k = 0; k < {out.length}; ++k) {{")
+                self.scopes.append([])
                 memo = {}
                 self.store(o, [self.row(c, "k", memo) for c in out.cells.flat], f"k * {out.cells.size} + ")
                 self.line("}")
+                self.leave()
             else:
                 self.store(o, list(map(self.of, cells_of(out))))
         self.leave()
@@ -373,28 +381,3 @@ class Writer(RowTexts):
             at = min(at, len(texts) - some)
             self.line(self.writes[o](f"{offset}{at}", *texts[at : at + some]))
             at += some
-
-
-def cells_of(out) -> list:
-    """All nodes of a result."""
-    return list(out.cells.flat if isinstance(out, Rows) else out.flat if isinstance(out, np.ndarray) else [out])
-
-
-def _direct(outs) -> dict:
-    """{number: (scan, first round, how many, nodes of one)} of results that are rounds of what a scan stacks up."""
-    found = {}
-    for k, out in enumerate(outs):
-        cells = cells_of(out) if isinstance(out, Rows) else []
-        rounds = {_rounds(c) for c in cells if not c.known}
-        if len(rounds) == 1 and None not in rounds:
-            ((r, start),) = rounds
-            ys = [c if c.known else r.ys[(c.args[0] if c.op == "slid" else c).value[2]] for c in cells]
-            found[k] = r, start, out.length, ys
-    return found
-
-
-def _rounds(row):
-    """(scan, first round) of a row that is what a scan in no other region stacks up, or a part of it; else None."""
-    row, start = (row.args[0], row.params[0]) if row.op == "slid" and row.params[1] == 1 else (row, 0)
-    stacked = row.op == "stacked" and len(row.shape) == 1 and row.block.parent is None
-    return (row.value[0], start) if stacked else None

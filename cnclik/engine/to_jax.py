@@ -16,10 +16,10 @@ from jax.extend.core import jaxpr_as_fun
 from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation
 from cnclik.engine.reader import read
-from cnclik.engine.row_texts import all_items
+from cnclik.engine.row_texts import all_items, cells_of
 from cnclik.engine.sines import sincos
 from cnclik.engine.stacks import Rows
-from cnclik.engine.to_c import HEAVY, REGION_WEIGHT, cells_of
+from cnclik.engine.to_c import HEAVY, REGION_WEIGHT
 from cnclik.engine.tracing import to_be_read
 from cnclik.hints import hints_on, one_function
 

@@ -4,7 +4,7 @@ from collections import Counter
 
 from cnclik.engine.graph import Cond, Node, Scan, UnsupportedError, live
 from cnclik.engine.operations import COST, is_operation
-from cnclik.engine.to_c import cells_of
+from cnclik.engine.row_texts import cells_of
 
 _KINDS = ("arithmetic", "division and root", "library")
 

@@ -1,5 +1,7 @@
 """Programs: loops, branches, stacks, derivatives and odd shapes, by jax.vmap and as C."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -248,6 +250,23 @@ def test_long_bodies_are_written_in_pieces(monkeypatch):
     monkeypatch.setattr(source, "LONG", 50)
     monkeypatch.setattr(source, "PIECE", 20)
     check(fn, *given, ulps=50)
+
+
+def test_pieces_pass_numbers_on_in_memory_that_does_not_grow_with_their_number(monkeypatch):
+    from cnclik.engine import source
+
+    def work(rounds):
+        def fn(x):
+            for _ in range(rounds):
+                x = jnp.sin(A @ x)
+            return x
+
+        graph, given, outs, (shapes, _) = read(fn, jax.ShapeDtypeStruct((3,), np.float32))
+        return int(re.search(r"define WORK .*\)(\d+)", write(graph, given, outs, shapes)[0])[1])
+
+    monkeypatch.setattr(source, "LONG", 50)
+    monkeypatch.setattr(source, "PIECE", 20)
+    assert 0 < work(10) == work(40)
 
 
 @NEEDS_C
