@@ -38,11 +38,11 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     with output_folder(out, overwrite=overwrite, files=files) as folder:
         found = everything(progress)
         judged = _write(folder, found)
-        from cnclik.paper import figures, story  # by now the data are safe
+        from cnclik.paper import figures, tables  # by now the data are safe
 
         pictures = figures.figures(*found, shown)
         captions = {name: about.get("Title", "") for name, (_, about) in pictures.items()}
-        folder.write_text("claims.md", story.story(judged, found.trajectories, found.methods, shown, captions))
+        folder.write_text("claims.md", tables.page(judged, found, shown, captions))
     draw(pictures, out, progress=progress, overwrite=overwrite)
     return found
 

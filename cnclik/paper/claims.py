@@ -88,14 +88,6 @@ def picard(passes) -> list:
     return found
 
 
-def in_full(judged) -> list:
-    """(arm, reading) under which (a), (b) and (c), the last in both cases and for IE and CN, all hold."""
-    held = {}
-    for record in (*judged["rows"], *judged["picard"]):
-        held.setdefault((record["arm"], record["reading"]), []).append(record["holds"])
-    return [where for where, verdicts in held.items() if all(verdicts)]
-
-
 def _needed(worst, tolerance):
     """First pass from which the residual stays within the tolerance."""
     above = np.flatnonzero(~(worst <= tolerance))

@@ -32,8 +32,7 @@ from cnclik.task.build import position
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
 
 PAPER = ("EE", "IE", "CN")
-EXPONENTIAL = ("EXP-MIDPOINT", "EXP-AB2")
-BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", *EXPONENTIAL)
+BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT", "EXP-AB2")
 
 
 class Arm(NamedTuple):

@@ -1,9 +1,11 @@
-"""The tables of `cnclik reproduce`, for the terminal (80 columns) and for claims.md."""
+"""The tables of `cnclik reproduce`, for the terminal (80 columns) and for the page `claims.md`."""
 
 import itertools
+import pathlib
 from typing import NamedTuple
 
 from cnclik.measure import files
+from cnclik.paper import claims
 from cnclik.paper import readings as paper
 from cnclik.paper.readings import ARMS
 
@@ -21,6 +23,21 @@ class Table(NamedTuple):
     def markdown(self) -> str:
         """The table without its title."""
         return files.markdown(self.header, self.rows, left=self.left).strip()
+
+
+def page(judged, found, reading, captions) -> str:
+    """`claims.md`: the explanation beside this file, with the tables of a run.
+
+    Args: found: the run's data. reading: that of the figures. captions: {file: what it shows}.
+    """
+    text = pathlib.Path(__file__).with_name("claims.md.in").read_text(encoding="utf-8")
+    return text.format(
+        reading=reading,
+        method_table=method_table(found.methods).markdown(),
+        claim_table=claim_table(judged, claims.undetermined(found.trajectories)).markdown(),
+        picard_table=picard_table(judged).markdown(),
+        figures="\n".join(f"- `{name}`: {caption}" for name, caption in captions.items()),
+    )
 
 
 def claim_table(judged, undetermined) -> Table:

@@ -14,7 +14,7 @@ import cnclik as ck
 from cnclik import paper
 from cnclik.cli import main
 from cnclik.errors import ArgumentError
-from cnclik.paper import claims, readings, story
+from cnclik.paper import claims, readings, tables
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
 from cnclik.writing import LIST, output_folder
@@ -110,18 +110,31 @@ def test_committed_claims_follow_from_committed_data(results):
     again = claims.judge(results.trajectories, results.passes)
     assert [r["mean_error"] for r in judged["rows"]] == [r["mean_error"] for r in again["rows"]]
     captions = {name: about["Title"] for name, (_, about) in pictures.figures(*results, READING).items()}
-    text = story.story(judged, results.trajectories, results.methods, READING, captions)
+    text = tables.page(judged, results, READING, captions)
     assert text == (COMMITTED / "claims.md").read_text(encoding="utf-8")
 
 
-def test_sentences_follow_from_the_data(results):
-    """Where IE and CN change places, so do verdicts and sentences."""
-    other = results.trajectories.sel({"method": ["EE", "CN", "IE"]}).assign_coords(method=["EE", "IE", "CN"])
-    judged = claims.judge(other, results.passes)
-    text = story.story(judged, other, results.methods, READING, {})
-    assert "IE slowest: no, CN; CN fastest: no, EE" in text
-    assert "No: under no reading" in text and "and the runs do not agree" in text
-    assert "EE and IE do not stray to opposite sides" in text
+def test_numbers_of_the_page_are_those_of_the_data(results):
+    text = " ".join((COMMITTED / "claims.md").read_text(encoding="utf-8").split())
+    runs, first = results.trajectories.sel(reading=READING), results.methods.isel(Ts=0)
+    mean, final = runs.mean_error, results.trajectories.final_error
+    for arm, name in (("2dof", "2-dof"), ("5dof", "5-dof")):
+        reach, track = (claims.by_method(mean.sel(arm=arm, case=case)) for case in ("reach", "track"))
+        assert f"{name}: {', '.join(f'{m} {v:.4f}' for m, v in reach.items())}" in text
+        assert f"{min(track['EE'], track['IE']) / track['CN']:.1f} times ({name})" in text
+    at = dict(case="track", method="CN")
+    for method in ("TRAPEZOID", "HEUN", "RK4", "EXP-MIDPOINT", "EXP-AB2"):
+        rms = [claims.by_method(first.rms_error.sel(case="track", arm=arm)) for arm in ("2dof", "5dof")]
+        assert " and ".join(f"{one['CN'] / one[method]:.2g}" for one in rms) + f" for {method}" in text
+    twice = claims.by_method(final.sel(arm="2dof", case="track", reading="on-path/twice/consistent"))
+    assert f"They end at {twice['IE']:.3f} m and {twice['CN']:.3f} m" in text
+    off = final.sel(case="track", reading="on-path/once/printed").values
+    assert f"the runs end at {off.min():.3f} to {off.max():.3f} m" in text
+    judged = claims.picard(results.passes)
+    for reading, contraction in ((READING, "measured 0.51"), ("on-path/twice/consistent", "measured 0.052")):
+        one = next(r for r in judged if (r["arm"], r["reading"]) == ("5dof", reading) and r.items() >= at.items())
+        assert contraction == f"measured {one['contraction']:.2g}" and contraction in text
+        assert f"{one['residual_max'][readings.M]:.0e} rad, and {one['needed']['1e-06']} passes are needed" in text
 
 
 @pytest.mark.slow
