@@ -218,15 +218,19 @@ def ending(name: str, path, *endings) -> str:
     return found
 
 
-# What the field calls methods that have short names here.
+# What the field calls methods and options that have short names here.
 _ALIAS = {"euler": "ee", "forward euler": "ee", "explicit euler": "ee", "backward euler": "ie", "implicit euler": "ie"}
+_ALIAS |= dict.fromkeys(("dt", "timestep", "hz", "rate", "freq", "frequency"), "ts")
+_ALIAS |= {"gain": "alpha", "kp": "alpha", "latency": "delay", "dead-time": "delay", "lambda": "damping"}
 
 
 def nearest(value, names) -> str:
     """Which of the names may have been meant, to stand behind a wrong one; nothing where none is near."""
     alike = {str(name).casefold(): name for name in names}
     folded = str(value).casefold()
-    folded = _ALIAS[folded] if _ALIAS.get(folded) in alike else folded
+    word = folded.lstrip("-")
+    alias = folded.removesuffix(word) + _ALIAS.get(word, word)
+    folded = alias if alias in alike else folded
     near = difflib.get_close_matches(folded, alike, n=1, cutoff=0.6)
     return f" (did you mean {alike[near[0]]!r}?)" if near else ""
 

@@ -153,7 +153,7 @@ def _split(named, argv):
         name = "--" + typed.lstrip("-").replace("_", "-")
         one = (named | off).get(name)
         if one is None or not typed.startswith("--"):
-            raise _unknown(named, typed)
+            raise _unknown(named, typed, value if equals else "".join(queue[:1]))
         values = [value] if equals else _values(one, queue)
         queue = queue if equals else queue[len(values) :]
         if not values and not one.switch:
@@ -180,7 +180,8 @@ def _in_own_units(one, values, Ts):
     try:
         found = quantities.read(" ".join(values), one.unit, Ts)
     except ValueError as error:
-        raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but {error}.") from None
+        rate = _as_time(" ".join(values)) if one.field == "Ts" else ""
+        raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but {error}.{rate}") from None
     if not any(found.written) and len(found) == len(values):
         return values, found.written
     return [f"{v:.0f}" if v.is_integer() and abs(v) < 1e15 else repr(v) for v in found], found.written
@@ -190,11 +191,20 @@ def _is_option(token) -> bool:
     return token.startswith("-") and len(token) > 1 and not _NUMBER.match(token)
 
 
-def _unknown(named, found):
+def _unknown(named, found, value):
+    """The error for an option that there is not. Args: value: what stands behind it."""
+    rate = _as_time(f"{value}Hz") if "--Ts" in named and found.lstrip("-") in ("hz", "rate", "frequency") else ""
     try:
         errors.one_of("Option", found, list(named))
     except errors.ArgumentError as error:
-        return errors.ArgumentError(str(error).replace("Argument `Option`", "Option", 1))
+        return errors.ArgumentError(str(error).replace("Argument `Option`", "Option", 1) + rate)
+
+
+def _as_time(text) -> str:
+    """The sentence that says a rate, such as "250Hz", as a sampling time; "" for what is none."""
+    rate = re.fullmatch(r"([0-9.]+) *(?:Hz)+", text, re.IGNORECASE)
+    hertz = (quantities.number(rate[1]) if rate else None) or 0.0
+    return f" A rate of {hertz:g} Hz is --Ts {1e3 / hertz:.6g}ms." if hertz > 0 else ""
 
 
 # --- types --------------------------------------------------------------------------------------------

@@ -88,6 +88,17 @@ def test_options_are_named_as_they_are_typed():
     with pytest.raises(errors.ArgumentError, match="--from, --to,") as caught:
         arguments.parse(Solve, ["panda", "--zzz", "1"], prog="x", description="x")
     assert "--robot" not in str(caught.value)
+    for argv, says in (
+        (["--hz", "250"], "(did you mean '--Ts'?). A rate of 250 Hz is --Ts 4ms."),
+        (["--rate=500Hz"], "(did you mean '--Ts'?). A rate of 500 Hz is --Ts 2ms."),
+        (["--Ts", "250Hz"], "(units: s, ms, us). A rate of 250 Hz is --Ts 4ms."),
+        (["--dt", "0.01"], "(did you mean '--Ts'?)."),
+        (["--gain", "5"], "(did you mean '--alpha'?)."),
+        (["--latency", "5"], "(did you mean '--delay'?)."),
+    ):
+        with pytest.raises(errors.ArgumentError) as caught:
+            arguments.parse(Solve, ["panda", *argv], prog="x", description="x")
+        assert str(caught.value).endswith(says)
     from cnclik.cli.export import Args as Export
 
     with pytest.raises(errors.ArgumentError, match="Option `--out` must be given, but is not"):
