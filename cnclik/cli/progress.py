@@ -41,7 +41,7 @@ def bar(unit: str, total=None, quiet=False):
 
             def report(done, total, note=""):
                 last[:] = [done, total, note]
-                text = words(unit, done, total, clock(total), note)
+                text = words(unit, done, total, clock(done, total), note)
                 shown.update(task, completed=done, total=total or None, description=text)
 
             def wait(phase):
@@ -77,27 +77,30 @@ def _phases(tell):
         monitoring.unregister_event_time_span_listener(ended)
 
 
-def words(unit, done, total, seconds, note="", phase="compiling") -> str:
+def words(unit, done, total, rate, note="", phase="compiling") -> str:
     """What a report says: "120 of 4,000 loops, 60/s, EE"."""
     counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
     parts = [counted if done else "" if note else f"{phase}, {unit}"]
-    if done and seconds > 0 and done / seconds >= 1:
-        parts.append(f"{done / seconds:,.0f}/s")
+    if done and rate >= 1:
+        parts.append(f"{rate:,.0f}/s")
     return ", ".join(part for part in (*parts, note) if part)
 
 
 class _Clock:
-    """Seconds since something was first counted toward this total: another total is another phase."""
+    """How many are done per second since the first were: what comes before these is compiling.
+
+    Another total is another phase.
+    """
 
     def __init__(self):
-        self.total, self.begun = None, time.perf_counter()
+        self.total = self.first = None
 
-    def __call__(self, total):
+    def __call__(self, done, total) -> float:
         now = time.perf_counter()
-        if self.total not in (None, total):
-            self.begun = now
-        self.total = total
-        return now - self.begun
+        if total != self.total or not self.first:
+            self.total, self.first = total, (done, now) if done else None
+        count, begun = self.first or (0, now)
+        return (done - count) / (now - begun) if now > begun else 0.0
 
 
 class _Lines:
@@ -107,9 +110,9 @@ class _Lines:
         self.unit, self.clock, self.last = unit, _Clock(), time.perf_counter()
 
     def __call__(self, done, total, note=""):
-        now, seconds = time.perf_counter(), self.clock(total)
+        now, rate = time.perf_counter(), self.clock(done, total)
         if now - self.last < _BETWEEN_LINES:
             return
         self.last = now
-        left = f", {(total - done) * seconds / done:,.0f} s left" if total and done and seconds else ""
-        print(words(self.unit, done, total, seconds, note) + left, file=sys.stderr, flush=True)
+        left = f", {(total - done) / rate:,.0f} s left" if total and rate else ""
+        print(words(self.unit, done, total, rate, note) + left, file=sys.stderr, flush=True)

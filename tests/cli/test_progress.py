@@ -13,34 +13,40 @@ from cnclik.cli import progress
     [
         ((0, 40, 3.0), "compiling, loops"),
         ((0, 40, 3.0, "compiling EE"), "compiling EE"),
-        ((10, 4000, 2.0), "10 of 4,000 loops, 5/s"),
-        ((30, None, 60.0, "loss 0.1"), "30 loops, loss 0.1"),
-        ((1, 2, 50.0, "the 5-dof arm"), "1 of 2 loops, the 5-dof arm"),
+        ((10, 4000, 5.0), "10 of 4,000 loops, 5/s"),
+        ((30, None, 0.5, "loss 0.1"), "30 loops, loss 0.1"),
+        ((1, 2, 0.02, "the 5-dof arm"), "1 of 2 loops, the 5-dof arm"),
     ],
 )
 def test_words(given, says):
     assert progress.words("loops", *given) == says
 
 
-def test_lines_without_a_terminal(capsys, monkeypatch):
+def lines(monkeypatch, capsys, reports):
     now = [0.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
     with progress.bar("loops") as report:
-        for now[0], done in ((1.0, 5), (11.0, 10), (12.0, 20), (22.0, 80)):
-            report(done, 100, "EE")
-    assert capsys.readouterr().err.splitlines() == [
-        "10 of 100 loops, EE, 99 s left",
+        for now[0], *said in reports:
+            report(*said)
+    return capsys.readouterr().err.splitlines()
+
+
+def test_lines_without_a_terminal(capsys, monkeypatch):
+    reports = [(1.0, 5, 100, "EE"), (11.0, 10, 100, "EE"), (12.0, 20, 100, "EE"), (22.0, 80, 100, "EE")]
+    assert lines(monkeypatch, capsys, reports) == [
+        "10 of 100 loops, EE, 180 s left",
         "80 of 100 loops, 4/s, EE, 6 s left",
     ]
 
 
+def test_compiling_before_the_first_are_done_is_no_work(capsys, monkeypatch):
+    reports = [(0.0, 0, 400), (50.0, 100, 400), (60.0, 200, 400)]
+    assert lines(monkeypatch, capsys, reports) == ["100 of 400 loops", "200 of 400 loops, 10/s, 20 s left"]
+
+
 def test_another_total_is_another_phase(capsys, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
-    with progress.bar("done") as report:
-        for now[0], done, total in ((100.0, 2, 2), (100.0, 0, 16), (112.0, 8, 16)):
-            report(done, total)
-    assert capsys.readouterr().err.splitlines() == ["2 of 2 done, 0 s left", "8 of 16 done, 12 s left"]
+    reports = [(100.0, 2, 2), (100.0, 0, 16), (104.0, 4, 16), (112.0, 8, 16)]
+    assert lines(monkeypatch, capsys, reports) == ["2 of 2 loops", "8 of 16 loops, 16 s left"]
 
 
 def test_quiet_is_silent(capsys, monkeypatch):
