@@ -77,7 +77,7 @@ def _report(args, spec, data, grid, seconds) -> None:
     """The page: the question, its numbers and figures, and the best and the worst loop on their robots."""
     from cnclik.show.sweeps import drawings
     from cnclik.show.viewer.swept import loops_of
-    from cnclik.sweeps.summary import texts
+    from cnclik.sweeps.summary import best, texts
 
     header, *cells = texts(data, digits=4)
     figures = {f"{name}.png": (make, {"Title": name}) for name, make in drawings(data, spec.figures).items()}
@@ -86,6 +86,7 @@ def _report(args, spec, data, grid, seconds) -> None:
         f"{grid.size:,} loops in {seconds:.1f} s. Expected: {spec.expectation}",
         facts=[("grid", str(grid)), ("dead time", _dead_time(spec)), ("metrics", ", ".join(spec.metrics))],
         figures=figures,
+        lines=best(data),
         tables=[("Metrics over the numeric axes", header, cells)],
         motions=lambda: loops_of(data, spec),
     )
@@ -108,8 +109,8 @@ def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:
         summary.write(data, folder)
         if export:
             folder.write(f"data.{export}", lambda path: summary.export(data, path.parent, export))
-    for file in folder.made:
-        print(f"Wrote {out / file}")
+    for line in (*(f"Wrote {out / file}" for file in folder.made), *summary.best(data)):
+        print(line)
     if figures is not None:
         draw(data, out, tables=figures, overwrite=overwrite)
 

@@ -1,6 +1,7 @@
-"""Summary: the scalar metrics of a sweep as one small table, and its exports to other formats."""
+"""Summary: the scalar metrics of a sweep as one small table, its best loops, and its exports to other formats."""
 
 import functools
+import itertools
 import json
 import pathlib
 
@@ -10,6 +11,60 @@ from cnclik import errors
 from cnclik.measure.files import save_csv, save_netcdf
 
 FILES = ("summary.csv", "config.json")
+HISTORY = ("time", "step")
+_WRONG = ("non_finite", "diverged", "growing", "over_velocity")  # counts of steps, 0 for a safe loop
+_APART = ("case", "robot")  # whose errors are not compared with each other
+
+
+def scalars(data) -> list:
+    """Variables with one number for each loop."""
+    return [name for name in data.data_vars if not set(data[name].dims) & set(HISTORY)]
+
+
+def main_value(data):
+    """The metric that a sweep is judged by: its first error, else its first number."""
+    names = scalars(data)
+    return next((n for n in names if n.endswith("error")), names[0] if names else None)
+
+
+def best(data) -> list:
+    """Sentences that name the safe loop with the least error, for each case and robot; no sentence without an error.
+
+    Starts and seeds count by their worst. Safe is a loop whose error is finite and which, as far as the sweep measured
+    it, does not diverge or grow, keeps the velocity limits and ends stable.
+    """
+    name = main_value(data)
+    if name is None or not name.endswith("error"):
+        return []
+    drawn = [d for d in data[name].dims if d == "seed" or f"{d}_value" in data.coords]
+    value = data[name].fillna(np.inf).max(drawn)
+    safe = np.isfinite(value)
+    for other in (n for n in _WRONG if n in data):
+        safe &= (data[other] == 0).all(drawn)
+    if "stable" in data:
+        safe &= (data.stable == 1).all(drawn)
+    apart, said = [d for d in _APART if d in value.dims], []
+    for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
+        where = dict(zip(apart, labels, strict=True))
+        own, fine = value.sel(where), safe.sel(where)
+        of = f"{', '.join(f'{d} {label}' for d, label in where.items())}: " * bool(where)
+        count = f"{int(fine.sum()):,} of {own.size:,} loops are safe"
+        if not fine.any():
+            said.append(f"{of}none of {own.size:,} loops is safe.")
+            continue
+        place = np.unravel_index(np.argmin(np.where(fine, own, np.inf)), own.shape)
+        at = {d: data[d].values[i] for d, i in zip(own.dims, place, strict=True)}
+        axes = [f"{d} {_text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]
+        axes += [f"z = {_text(at['alpha'] * at['Ts'])}"] if {"alpha", "Ts"} <= set(at) else []
+        least = f"{own.values[place]:.3g} {data[name].attrs.get('units', '')}".strip()
+        same = int(((own == own.values[place]) & fine).sum())
+        least += f", as {same - 1:,} others" * (same > 2)
+        said.append(f"{of}{count}, the best by {name} ({least}): {', '.join(axes) or 'the only one'}.")
+    return [line[0].upper() + line[1:] for line in said]
+
+
+def _text(value) -> str:
+    return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def table(data):
@@ -19,9 +74,8 @@ def table(data):
     mean (over finite values) and finite (the share of values that are).
     """
     inner = [d for d in data.dims if d in data.coords and (data[d].dtype.kind == "f" or f"{d}_value" in data.coords)]
-    names = [n for n in data.data_vars if not set(data[n].dims) & {"time", "step"}]
     rows = []
-    for name in names:
+    for name in scalars(data):
         values = data[name]
         outer = [d for d in values.dims if d not in inner]
         moved = values.transpose(*outer, ...).values.reshape(*(values.sizes[d] for d in outer), -1)

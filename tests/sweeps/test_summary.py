@@ -78,3 +78,31 @@ def test_exports_hold_every_number(data, tmp_path):
         assert len(list(csv.DictReader(file))) == 1  # no axis at all
     with pytest.raises(ArgumentError, match="`export` must be one of nc, csv"):
         export(data, tmp_path, "xlsx")
+
+
+def judged(**changes):
+    """Errors of two cases over two starts, two gains and two sampling times; the first start is the easier one."""
+    dims, shape = ("case", "q0", "alpha", "Ts"), (2, 2, 2, 2)
+    error = np.arange(16.0).reshape(shape) + 1
+    fields = {"final_error": error, "over_velocity": np.zeros(shape, int), "stable": np.ones(shape)} | changes
+    coords = {"case": ["a", "b"], "q0": [0, 1], "alpha": [2.0, 5.0], "Ts": [0.01, 0.1]}
+    data = xarray.Dataset({name: (dims, value) for name, value in fields.items()}, coords)
+    data = data.assign_coords(q0_value=(("q0", "q0_0"), np.zeros((2, 3))))
+    data.final_error.attrs["units"], data.alpha.attrs["units"], data.Ts.attrs["units"] = "m", "1/s", "s"
+    return data
+
+
+def test_the_best_loop_is_safe_and_judged_by_its_worst_start():
+    fast = np.zeros((2, 2, 2, 2), int)
+    fast[0, 1, 0, 0] = fast[1] = 3  # of case a one start of one loop; of case b every loop
+    assert summary.best(judged(over_velocity=fast)) == [
+        "Case a: 3 of 4 loops are safe, the best by final_error (6 m): alpha 2 1/s, Ts 0.1 s, z = 0.2.",
+        "Case b: none of 4 loops is safe.",
+    ]
+    lost = judged(final_error=np.full((2, 2, 2, 2), np.nan), stable=np.zeros((2, 2, 2, 2)))
+    assert summary.best(lost)[0] == "Case a: none of 4 loops is safe."
+    same = summary.best(judged(final_error=np.ones((2, 2, 2, 2))).isel(case=0, drop=True))
+    assert same == [
+        "4 of 4 loops are safe, the best by final_error (1 m, as 3 others): alpha 2 1/s, Ts 0.01 s, z = 0.02."
+    ]
+    assert summary.best(judged().drop_vars("final_error")) == []

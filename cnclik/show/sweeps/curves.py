@@ -4,8 +4,8 @@ import numpy as np
 import xarray
 
 from cnclik.show import style
-from cnclik.show.sweeps.layout import HISTORY
 from cnclik.show.sweeps.panels import Panels, axis_label, lines, value_scale
+from cnclik.sweeps.summary import HISTORY
 
 BAND = 8  # histories of more loops than this show their spread
 

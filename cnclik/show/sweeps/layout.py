@@ -10,8 +10,8 @@ from cnclik import errors
 from cnclik.show import style
 from cnclik.show.sweeps.panels import text
 from cnclik.sweeps.check import ROLES
+from cnclik.sweeps.summary import HISTORY, main_value, scalars
 
-HISTORY = ("time", "step")
 LONGEST = 8  # a dimension of more values gets no panels and no figures of its own
 
 
@@ -40,11 +40,6 @@ class Layout(NamedTuple):
     boundary: bool = True
 
 
-def scalars(data) -> list:
-    """Variables with one number for each loop."""
-    return [name for name in data.data_vars if not set(data[name].dims) & set(HISTORY)]
-
-
 def numeric(data) -> list:
     """Dimensions with numbers along them."""
     return [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and f"{d}_value" not in data.coords]
@@ -55,14 +50,9 @@ def samples(data) -> list:
     return [d for d in data.dims if f"{d}_value" in data.coords]
 
 
-def _main_value(data):
-    names = scalars(data)
-    return next((n for n in names if n.endswith("error")), names[0] if names else None)
-
-
 def defaults(data) -> list:
     """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
-    axes, starts, value = numeric(data), samples(data), _main_value(data)
+    axes, starts, value = numeric(data), samples(data), main_value(data)
     methods = data.sizes.get("method", 1)
     costs = data["evaluations"].values if "Ts" in data.dims and "evaluations" in scalars(data) else []
     out = []
@@ -91,7 +81,7 @@ def arrange(data, table: dict) -> Layout:
     Raises: ArgumentError for a variable or dimension that the data don't have, or a figure without its axes.
     """
     kind, select = table["kind"], table.get("select", {})
-    value = table.get("value") or ("error" if kind == "convergence" else _main_value(data))
+    value = table.get("value") or ("error" if kind == "convergence" else main_value(data))
     errors.one_of("figure.value", value, list(data.data_vars))
     if kind == "work":
         errors.one_of("figure.value", "evaluations", list(data.data_vars))
