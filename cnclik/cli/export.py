@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.heading import robot_and_task
+from cnclik.cli.heading import loop_in_words, robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import ProblemOptions, problem, table
 
 
@@ -60,15 +60,24 @@ def run(args: Args) -> None:
             runtime=() if args.compiled_in else args.runtime,
             **{name: getattr(args, name) for name in ("out", "what", "dtype", "name", "batch", "seeds", "overwrite")},
         )
+    print(*_heading(args, made, along), sep="\n")
+    told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    print(f"Wrote {', '.join(sorted([*told['files'], MANIFEST]))} to {folder}/.")
+    print(f"Build and test: {BUILD.format(sources=told['name'] + '.c example.c')} && ./example")
+
+
+def _heading(args, made, along) -> list:
+    """What was asked."""
+    title = f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}"
+    if args.what not in ("step", "solve"):
+        return [title]
     if made.tables is None:
         where = f"along {args.reference}" if along else "to a target that is an argument"
     else:
         where = "along its tasks' paths" if along else "to targets that are arguments"
-    of = f", {made.method} {where}" if args.what in ("step", "solve") else ""
-    print(f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}{of}")
-    told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    print(f"Wrote {', '.join(sorted([*told['files'], MANIFEST]))} to {folder}/.")
-    print(f"Build and test: {BUILD.format(sources=told['name'] + '.c example.c')} && ./example")
+    loop = f"{loop_in_words(made, args.written)} with Ts = {1e3 * made.Ts:g} ms{unless_given(args.written, 'Ts')}"
+    paths = start_and_target(made, table(args)) if along else []
+    return [f"{title}, {made.method} {where}", f"{loop[0].upper()}{loop[1:]}; Ts is an argument.", *paths]
 
 
 def _has_path(given) -> bool:

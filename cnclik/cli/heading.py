@@ -19,6 +19,21 @@ def robot_and_task(name, tip, task) -> str:
     return f"{name_and_tip(name, tip)}, task {' '.join(task.names)}"
 
 
+def loop_in_words(made, written) -> str:
+    """Method, stage, inverse, gain and gain per step, such as "CN by picard(5), damped, alpha = 5 1/s, z = 0.05"."""
+    import numpy as np
+
+    from cnclik.record import in_words
+
+    stage = f" by {made.stage}" * made.method.implicit
+    head = f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}"
+    if made.tables is not None:  # each of its tasks says its gain
+        return head
+    gain = np.asarray(made.law.alpha, float)
+    alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
+    return f"{head}, alpha = {alpha} 1/s{unless_given(written, 'alpha')}, z = alpha·Ts = {z}"
+
+
 def unless_given(written, *names) -> str:
     """The text " (default)" where none of the options was given. Args: written: names of the given ones."""
     return "" if any(name in written for name in names) else " (default)"

@@ -72,12 +72,26 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
 def run(args: Args) -> None:
     _check(args)
     wanted = wanted_of(args)
+    asked = [wanted.title, *wanted.lines, _search(args, wanted.chain)]
     if not args.json:
-        print("\n".join([wanted.title, *wanted.lines]))
+        print(*asked, sep="\n")
     if args.map:
         _map(args, wanted.chain, wanted.task)
     else:
-        _answers(args, wanted.chain, wanted.task, wanted.targets)
+        _answers(args, wanted, asked)
+
+
+def _search(args, chain) -> str:
+    """A sentence: how near, from where and within which limits answers are searched for."""
+    from cnclik.cli.heading import unless_given
+    from cnclik.quantities import aloud
+    from cnclik.record import in_words
+
+    near = "" if args.near is None else f" from {in_words(args.near)} {', '.join(dict.fromkeys(chain.units))}"
+    near = ", each from the answer before it" if args.path else near
+    exact = " and ".join(aloud(v, unit) for v, unit in zip(args.tolerance, ("m", "rad"), strict=True))
+    limits = "within the joint limits" if args.limits else "without joint limits"
+    return f"Search {limits}{near}, to {exact}{unless_given(args.written, 'tolerance')}."
 
 
 def _check(args):
@@ -103,7 +117,7 @@ def _options(args, *names):
     return {name: getattr(args, name) for name in names}
 
 
-def _answers(args, chain, task, targets):
+def _answers(args, wanted, asked):
     from cnclik.measure.answers import ENDINGS, answers, save, transforms
     from cnclik.reaching.public import reach
     from cnclik.reaching.result import fields
@@ -111,6 +125,7 @@ def _answers(args, chain, task, targets):
     from cnclik.record import replace
     from cnclik.writing import checked_file, output_folder
 
+    chain, task, targets = wanted.chain, wanted.task, wanted.targets
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
@@ -131,7 +146,7 @@ def _answers(args, chain, task, targets):
         again = time.perf_counter() - begun
     summary = _summary(made, first, again)
     if args.json:
-        print_json(summary)
+        print_json({"asked": asked} | summary)
     else:
         _tell(made, summary, first)
         if args.out is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.heading import dead_time, robot_and_task, start_and_target, unless_given
+from cnclik.cli.heading import dead_time, loop_in_words, robot_and_task, start_and_target
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
 
@@ -51,7 +51,7 @@ def run(args: Args) -> None:
     given = table(args)
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
-    loop = "; ".join(filter(None, (_loop(made, args.written), along, drive_words(made) or dead_time(made))))
+    loop = "; ".join(filter(None, (loop_in_words(made, args.written), along, drive_words(made) or dead_time(made))))
     where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
@@ -111,21 +111,6 @@ def _kept(made, args, config):
             raise
         refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
     return trajectory, seconds, data, folder.made, refused
-
-
-def _loop(made, written) -> str:
-    """Method, stage, inverse, gain and gain per step, such as "CN by picard(5), damped, alpha = 5 1/s, z = 0.05"."""
-    import numpy as np
-
-    from cnclik.record import in_words
-
-    stage = f" by {made.stage}" * made.method.implicit
-    head = f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}"
-    if made.tables is not None:  # each of its tasks says its gain
-        return head
-    gain = np.asarray(made.law.alpha, float)
-    alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
-    return f"{head}, alpha = {alpha} 1/s{unless_given(written, 'alpha')}, z = alpha·Ts = {z}"
 
 
 def _march(made, report):

@@ -50,9 +50,16 @@ def wanted_of(args) -> Wanted:
             labels = ", ".join(aim.label for aim in every)
             raise errors.fail("target", f"be given once for each tip ({labels})", f"is given {len(args.target)} times")
         _look_at_units(args, chain, task, {"target": args.target})
-        return made._replace(targets=by_name(task, [[one] for one in args.target]))
+        several = len(every) > 1
+        of = [
+            f"{aim.label} " * several + " ".join(f"{v:.5g}" for v in v_d)
+            for aim, v_d in zip(every, args.target, strict=True)
+        ]
+        lines = (f"Target {'; '.join(of)} m{', quaternion w x y z' * (max(map(len, args.target)) > 3)}.",)
+        return made._replace(targets=by_name(task, [[one] for one in args.target]), lines=lines)
     _look_at_units(args, chain, task, {})
-    return made._replace(targets=_given(args, chain, task))
+    drawn = f"{args.random:,} random reachable ones, seed {args.seed}" if args.random else f"those of {args.targets}"
+    return made._replace(targets=_given(args, chain, task), lines=(f"Targets: {drawn}.",))
 
 
 def _robot(args, tips):

@@ -42,6 +42,29 @@ def test_what_nobody_gave_is_said_and_called_default(verb, capsys, tmp_path, mon
     assert "q0 = [0.5, 1] rad." in shown and "Target x y = 0.3 1.2 m." in shown
 
 
+def test_reach_and_export_begin_with_what_was_asked(capsys, tmp_path):
+    main(["reach", "planar:1,1", "--target", "1", "0.5", "0", "--near", "0", "1", "--json"])
+    assert json.loads(capsys.readouterr().out)["asked"][1:] == [
+        "Target 1 0.5 0 m.",
+        "Search within the joint limits from [0, 1] rad, to 1 µm and 1 µrad (default).",
+    ]
+    main(["reach", "planar:1,1", "--random", "3", "--path", "--tolerance", "1mm", "1mrad"])
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith("planar:1,1, tip end of the last link, task ")
+    assert shown[1:3] == [
+        "Targets: 3 random reachable ones, seed 0.",
+        "Search within the joint limits, each from the answer before it, to 1 mm and 1 mrad.",
+    ]
+    main(
+        ["export", "planar:1,1", "--damping", "0.1", "--method", "EE", "--reference", "circle", "--out", str(tmp_path)]
+    )
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].endswith("step in double, EE along circle")
+    loop = "EE, damped, alpha = 5 1/s (default), z = alpha·Ts = 0.05 with Ts = 10 ms (default); Ts is an argument."
+    assert shown[1] == loop
+    assert shown[2].startswith("Start: q0 = ") and shown[3].startswith("Path circle, from x y")
+
+
 def test_the_gain_that_nobody_gave_is_no_gain_that_the_loop_has_now(capsys):
     main(["stability", "planar:1,1"])
     assert re.search(r"default +│ +5 │", capsys.readouterr().out)
