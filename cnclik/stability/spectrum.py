@@ -38,7 +38,7 @@ from cnclik.stability.linear import checked
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
 LEAVING = 1e-6  # [1/s]: a motion of the null space that grows faster leaves the posture
 MEETING = 1e-6  # of a factor of the null space above 1 that is none: where two meet, rounding parts them
-SMALL = 6  # rows from which on lanes are looked at one after the other: batches of LAPACK may wait for each other
+ALONE_FROM = 6  # rows from which on lanes are looked at one after the other: batches of LAPACK may wait for each other
 LANES = 128  # gains and sampling times looked at together: one shape for every question, compiled once for a loop
 
 
@@ -76,7 +76,7 @@ def step_maps(law, reference, q, scale, Ts, method, stage, often=False):
 
     Args: often: whether many more of this loop are asked for.
     """
-    count, lanes = len(scale), 1 if law.task.m > SMALL else LANES
+    count, lanes = len(scale), 1 if law.task.m > ALONE_FROM else LANES
     pad = (0, -count % lanes)
     scale, Ts = (np.pad(np.asarray(v, float), pad, mode="edge") for v in (scale, Ts))
     tile = _tiles_run_often if often and method.implicit else _tiles
@@ -91,7 +91,7 @@ def _tile(law, reference, q, scale, Ts, method, stage):
     def one(scale, Ts):
         return one_step(replace(law, alpha=law.alpha * scale), reference, q, Ts, method, stage)
 
-    if law.task.m > SMALL:
+    if law.task.m > ALONE_FROM:
         moved, rows = jax.lax.map(lambda each: one(*each), (scale, Ts))
     else:
         moved, rows = jax.vmap(one)(scale, Ts)
