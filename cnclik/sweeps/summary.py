@@ -27,22 +27,32 @@ def main_value(data):
     return next((n for n in names if n.endswith("error")), names[0] if names else None)
 
 
-def best(data) -> list:
-    """Sentences that name the safe loop with the least error, for each case and robot; no sentence without an error.
+def judged(data):
+    """(error of each loop, whether it is safe): its first error, infinite where it is none; None without an error.
 
-    Starts and seeds count by their worst. Safe is a loop whose error is finite and which, as far as the sweep measured
-    it, does not diverge or grow, keeps the velocity limits and ends stable.
+    Safe is a loop whose error is finite and which, as far as the sweep measured it, does not diverge or grow, keeps the
+    velocity limits and ends stable.
     """
     name = main_value(data)
     if name is None or not name.endswith("error"):
-        return []
-    drawn = [d for d in data[name].dims if d == "seed" or f"{d}_value" in data.coords]
-    value = data[name].fillna(np.inf).max(drawn)
+        return None
+    value = data[name].fillna(np.inf)
     safe = np.isfinite(value)
-    for other in (n for n in _WRONG if n in data):
-        safe &= (data[other] == 0).all(drawn)
-    if "stable" in data:
-        safe &= (data.stable == 1).all(drawn)
+    for wrong in (n for n in _WRONG if n in data):
+        safe &= data[wrong] == 0
+    return value, safe & (data.stable == 1) if "stable" in data else safe
+
+
+def best(data) -> list:
+    """Sentences that name the safe loop with the least error, for each case and robot; no sentence without an error.
+
+    Starts and seeds count by their worst.
+    """
+    if (found := judged(data)) is None:
+        return []
+    value, safe = found
+    drawn = [d for d in value.dims if d == "seed" or f"{d}_value" in data.coords]
+    value, safe = value.max(drawn, keep_attrs=True), safe.all(drawn)
     apart, said = [d for d in _APART if d in value.dims], []
     for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
         where = dict(zip(apart, labels, strict=True))
@@ -56,10 +66,10 @@ def best(data) -> list:
         at = {d: data[d].values[i] for d, i in zip(own.dims, place, strict=True)}
         axes = [f"{d} {_text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]
         axes += [f"z = {_text(at['alpha'] * at['Ts'])}"] if {"alpha", "Ts"} <= set(at) else []
-        least = f"{own.values[place]:.3g} {data[name].attrs.get('units', '')}".strip()
+        least = f"{own.values[place]:.3g} {value.attrs.get('units', '')}".strip()
         same = int(((own == own.values[place]) & fine).sum())
         least += f", as {same - 1:,} others" * (same > 2)
-        said.append(f"{of}{count}, the best by {name} ({least}): {', '.join(axes) or 'the only one'}.")
+        said.append(f"{of}{count}, the best by {value.name} ({least}): {', '.join(axes) or 'the only one'}.")
     return [line[0].upper() + line[1:] for line in said]
 
 

@@ -12,15 +12,14 @@ from cnclik.show.viewer.motion import motion_of
 from cnclik.sweeps import store
 from cnclik.sweeps.check import parse
 from cnclik.sweeps.spec import KEYS, TABLES
-
-JUDGED_BY = ("rms_error", "mean_error", "final_error", "max_error", "rms_position_error", "final_position_error")
+from cnclik.sweeps.summary import judged
 
 
 def best_and_worst(folder) -> list:
-    """Motions of the loops with the least and the largest error in a folder of `sweep`; what diverged is the largest.
+    """Motions of the best safe loop and of the worst in a folder of `sweep`; what diverged is the worst.
 
     Robots that are files are looked for from the folder that the command is called in.
-    Raises: ArgumentError where no store is there, or none of JUDGED_BY is in it.
+    Raises: ArgumentError where no store is there, or no error is in it.
     """
     return loops_of(store.read(pathlib.Path(folder)))
 
@@ -30,14 +29,13 @@ def loops_of(data, spec=None) -> list:
     if spec is None:
         written = json.loads(data.attrs["spec"])
         spec = parse({key: written[key] for key in (*KEYS, *TABLES) if key in written}, written["name"])
-    kinds = {str(one): str(one).rpartition(".")[2] for one in data.data_vars}  # also of a task: hands.rms_error
-    name = next((one for kind in JUDGED_BY for one in kinds if kinds[one] == kind), None)
-    if name is None:
-        raise errors.fail("FILE", f"hold one of {', '.join(JUDGED_BY)}", f"holds {', '.join(data.data_vars)}")
-    values = data[name].values.astype(float)
-    ranked = np.where(np.isnan(values), -np.inf, values).ravel(), np.where(np.isnan(values), np.inf, values).ravel()
-    some = dict.fromkeys((int(np.argmin(ranked[1])), int(np.argmax(ranked[0]))))
-    return [_motion(spec, data[name], np.unravel_index(i, values.shape)) for i in some]
+    if (found := judged(data)) is None:
+        raise errors.fail("FILE", "hold an error, such as rms_error", f"holds {', '.join(data.data_vars)}")
+    values, safe = (of.values for of in found)
+    known = np.where(safe, values, np.inf) if safe.any() else values
+    measured = np.where(np.isnan(data[found[0].name].values), -np.inf, values)
+    some = dict.fromkeys((int(np.argmin(known)), int(np.argmax(measured))))
+    return [_motion(spec, data[found[0].name], np.unravel_index(i, values.shape)) for i in some]
 
 
 def _motion(spec, values, place):
