@@ -92,6 +92,14 @@ def test_the_api_explains_every_field_and_no_property_has_a_sentence_for_a_type(
             assert ":type:" not in described("property", f"cnclik.{name}.{key}", value)
 
 
+def test_the_api_has_a_line_for_every_argument():
+    """Also for those that share a line of the docstring, as in "x: a point. y: another."."""
+    text = described("function", "cnclik.advise", ck.advise)
+    assert ":param Ts: sampling time [s]." in text and ":param stage: as for `solve`." in text
+    assert ":param q: the loop at rest, as for `recommend`.\n" in text
+    assert ":param together: how many" in described("function", "cnclik.tuning.judge", ck.tuning.judge)
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_the_api_has_every_name_of_a_room(room):
     """In the room's own name, or in the package's where it is the same thing."""

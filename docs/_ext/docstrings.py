@@ -42,8 +42,35 @@ def fields(cls) -> list:
     return found
 
 
+def one_each(obj, lines) -> list:
+    """Lines in which each argument begins one, also of several that share a line: "x: a point. y: another."."""
+    try:
+        known = "|".join(map(re.escape, inspect.signature(obj).parameters))
+    except (TypeError, ValueError):
+        known = ""
+    if not known:
+        return lines
+    entry = re.compile(rf"(?:^|(?<=[.;\])]) )((?:{known})(?:, (?:{known}))*: )")
+    made, inside, deeper = [], False, ""
+    for line in lines:
+        if (head := re.match("(Args|Attributes):(?: (.*))?$", line)) and (not head[2] or entry.match(head[2])):
+            made.append(f"{head[1]}:")
+            inside, deeper, line = True, "  " * bool(head[2]), f"  {head[2] or ''}"
+        elif line and not line.startswith(" "):
+            inside = False
+        if not inside:
+            made.append(line)
+            continue
+        first, *others = entry.sub(r"\n\1", line.strip()).split("\n")
+        whole = made[-1].endswith(":") and line.startswith("  ")
+        made += [f"{'' if whole else deeper}{line[: len(line) - len(line.lstrip())]}{first}"] * bool(first)
+        made += [f"  {other}" for other in others]
+    return made
+
+
 def plain(app, what, name, obj, options, lines):
     """Text to reStructuredText, in place."""
+    lines[:] = one_each(obj, lines)
     made, field = [], False
     for line, after in zip(lines, [*lines[1:], ""], strict=False):
         head = HEAD.match(line)
