@@ -1,8 +1,8 @@
-"""Reaching: which joint values put the tip there, for one target or a million, with a reason where none do.
+"""Reaching: joint values that put the tip at one target or at a million, and the reason where there are none.
 
-`targets` reads what is asked, `seeds` knows where to start, `step` is the iteration, `strategy` how a search goes on.
-`search` is that search as a pure function, c/search.c as C. `native` runs the C, `single` the function, in programs of
-its own and in those of others; `many` chooses, `public` puts all together, `result` says how it went.
+`targets` reads the targets, `seeds` has the start postures, `step` is the iteration, `strategy` the order of tries.
+`search` is the search as a pure function, c/search.c the same in C. `native` runs the C; `single` runs the function, in
+programs of its own and in those of others. `many` chooses between them, `public` is the entry, `result` the record.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Aims: what a task wants of its tips, one after the other; a target has t = 12 numbers for each."""
+"""Aims: the pose that a task asks of each of its tips. A target has t = 12 numbers for each aim."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH = 12  # of an aim's target: a position [m], and the rows of a rotation
 class Aim:
     """Position, orientation or both of one tip."""
 
-    path: tuple[str, ...]  # its name: of a stack's task, of the tip where there are several
+    path: tuple[str, ...]  # its name: the task of a stack, and the tip where there are several
     parts: tuple[Part, ...]  # of the task: the coordinates that count
     tip: str | None
     to: str | None  # the tip from which it is seen; None: the base
@@ -34,7 +34,7 @@ class Aim:
 
     @property
     def placed(self) -> tuple[int, ...]:
-        """Axes of the targets' frame along which it says where the tip is: of some of the tip's own that is open."""
+        """Axes of the targets' frame that the aim fixes; none where it is given along some of the tip's own axes."""
         return () if self.own[0] and len(self.linear) < 3 else self.linear
 
     def way(self, chain: Chain) -> list[int]:
@@ -66,7 +66,7 @@ def _aims(task):
 
 
 def of_tips(task: Task) -> Task:
-    """What a task wants of tips, without joint values and functions of one's own. Raises: ArgumentError for nothing."""
+    """The parts of a task that are poses of tips. Raises: ArgumentError where there are none."""
     kept = [hasattr(part, "axes") for part in task.parts]
     if all(kept):
         return task
@@ -82,11 +82,11 @@ def of_tips(task: Task) -> Task:
 
 
 def told_apart(task: Task) -> str:
-    """A text that is another's where the aims are."""
+    """A text that tells tasks with different aims apart."""
     return str([aim.parts for aim in aims(task)])
 
 
 def owners(task: Task, chain: Chain) -> np.ndarray:
-    """(n,) which of the aims each joint moves; of several the first."""
+    """(n,) the number of the aim whose tip each joint moves; the first one of several."""
     ways = [{chain.joints[i].coordinate for i in aim.way(chain)} for aim in aims(task)]
     return np.array([next((k for k, way in enumerate(ways) if i in way), 0) for i in range(chain.n)], np.int32)

@@ -1,4 +1,4 @@
-"""What is asked of all targets of a call, and how an answer becomes a status."""
+"""The arguments of a call of `reach`, shared by all its targets, and the status of an answer."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from cnclik.robot.posture import beyond_arm
 from cnclik.shapes import AnyArray, Float, Number
 from cnclik.task.task import Task
 
-TOUCHING = 1e-9  # [rad, m] from a limit: at it
-MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # which all tries of a target are a multiple of, as int32
-FEW, DOUBT = 3, 1e-2  # with more joints than that, a target missed by less [rad, units] may have an answer all the same
-MISSED = 3.0  # tolerances that an error exceeds of which it can be said that limits or `jump` cause it
-CLEAR = 100.0  # tolerances that an error exceeds of which it can be said that nothing makes it smaller
-FOLD = 1e-7  # [units, rad]: searches end at minima of less next to a singularity, from which an answer may be near
+TOUCHING = 1e-9  # [rad, m] distance from a limit that counts as being at it
+MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # the numbers of all tries must fit int32
+FEW, DOUBT = 3, 1e-2  # with more joints, a target missed by less than DOUBT [rad, units] may still have an answer
+MISSED = 3.0  # a larger error, in tolerances, can be attributed to limits or to `jump`
+CLEAR = 100.0  # a larger error, in tolerances, is known to be the smallest possible
+FOLD = 1e-7  # [units, rad] next to a singularity a search may stop with such an error although an answer is near
 
 
 @record
@@ -38,20 +38,20 @@ class Asked:
     tolerance: Float[AnyArray, " 2"]  # [units], [rad]
     accept: Float[AnyArray, " 2"] | None
     jump: Number | Float[AnyArray, " n"] | None  # [rad, units]
-    seeds: Number  # postures to start from, at most
-    budget: Number  # looks, at most
-    seed: Number  # of the first set of seeds
+    seeds: Number  # largest number of start postures
+    budget: Number  # largest number of evaluations
+    seed: Number  # seed of the start postures
     limits: bool
-    explain: bool  # why there is no answer
+    explain: bool  # whether to find the reason where there is no answer
 
     def limited(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper limits (n,), infinite where they are not to be kept."""
+        """Lower and upper limits (n,); infinite without limits."""
         lower, upper = np.array(self.chain.lower, float), np.array(self.chain.upper, float)
         return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))
 
     @property
     def downhill(self) -> bool:
-        """Whether the nearest pose is wanted where there is no answer."""
+        """Whether to find the nearest pose where there is no answer."""
         return self.explain or self.accept is not None
 
     @property
@@ -65,27 +65,27 @@ class Asked:
         return np.where(upper - lower >= self.periods, self.periods, 0.0)
 
     def finite(self, pose, near, xp=np):
-        """Which targets (..., t), and what is near them, hold numbers alone."""
+        """Which targets (..., t) are finite, with the joint values in `near`."""
         return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
     def sure(self, looks):
-        """Whether so many looks (...,) at tries within the bounds were enough to say that there is no answer."""
+        """Whether a search of `looks` evaluations (...,) was long enough to conclude that there is no answer."""
         return (self.seeds >= SURE) & (looks < self.budget)
 
     def within(self, squares, times, xp=np):
-        """Whether errors, as squares (..., 2), are within so many tolerances, or are small next to a singularity."""
+        """Whether errors, given as squares (..., 2), are within `times` tolerances, or below FOLD."""
         return (squares <= xp.maximum(times * self.tolerance, FOLD) ** 2).all(axis=-1)
 
     def meaning(self, status, found, squares, xp=np):
-        """What a search of `beyond` says: its status where an answer was found, 0 where there is none.
+        """The meaning of a search without limits or jump: `status` where it found an answer, else 0.
 
-        OUT_OF_BUDGET where it came so near that nobody knows.
+        OUT_OF_BUDGET where it came too near to exclude one.
         """
         unsure = xp.where(self.within(squares, CLEAR, xp), int(ReachStatus.OUT_OF_BUDGET), 0)
         return xp.where(found, status, unsure)
 
     def too_far(self, pose, xp=np):
-        """Which targets (..., t) have one farther from the first joint than the stretched arm is long."""
+        """Which targets (..., t) are farther from the first joint than the stretched arm is long."""
         far = xp.zeros(pose.shape[:-1], bool)
         for k, aim in enumerate(aims(self.task)):
             if aim.placed and aim.to is None:
@@ -94,9 +94,9 @@ class Asked:
         return far
 
     def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:
-        """The record of answers: of one target, or of (B,) with that axis first.
+        """The record of answers: for one target, or for (B,) along the first axis.
 
-        Args: why: what the searches of `beyond` say, see `meaning`.
+        Args: why: the result of `meaning`.
         """
         position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
         turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
@@ -139,12 +139,12 @@ class Asked:
 
 
 def asked_of(chain, *rest) -> Asked:
-    """The arguments as a record, made once for a chain: a control loop asks for the same a thousand times a second.
+    """The arguments as a record. It is cached with the chain, because a control loop repeats the same call at 1 kHz.
 
-    Args: as `Asked` has them. Raises: ArgumentError for those that can't be asked.
+    Args: the fields of `Asked`. Raises: ArgumentError for unusable values.
     """
     errors.kind("chain", chain, Chain)
-    key = rest, tuple(map(type, rest))  # 1.0 is no number of seeds, and equals 1
+    key = rest, tuple(map(type, rest))  # types too: 1.0 equals 1 but is no valid number of seeds
     try:
         hash(key)
         lasting = all(map(errors.concrete, rest))
@@ -175,7 +175,7 @@ def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, ex
         chain=own,
         unit=unit,
         task=task,
-        tolerance=np.array([tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # of a chord, as looked at
+        tolerance=np.array([tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # a chord
         accept=None if accept is None else _pair("accept", accept) / np.array([unit, 1.0]),
         jump=leaf(jump),
         seeds=np.int32(seeds),

@@ -1,4 +1,4 @@
-"""Many targets, paths, and several answers for each target: natively where there is a compiler, else by JAX."""
+"""Many targets, paths, and several answers per target: in C where there is a compiler, else in JAX."""
 
 import numpy as np
 
@@ -10,19 +10,19 @@ from cnclik.reaching.single import Programs
 from cnclik.reaching.strategy import PLAIN, narrowed
 from cnclik.record import kept, replace
 
-POOL = 1 << 18  # targets whose leftovers are searched for together
-MANY, ALONE = 2000, 2  # targets, and calls for one alone, beyond which the quickest program is worth its compiling
-DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] in some joint: another solution; of an arm with freedom left
-DRAWN, MOST_DRAWN = 4, 64  # tries of a round that looks for other solutions, of which each has twice as many
-EDGE = 1e-3  # [rad, m] beyond a bound: there may be an answer at it
-PATIENCE = 64  # tries without another solution, and twice as many as there were before, after which there is none
-TARGETS = 1 << 16  # answers that are compared at a time
+POOL = 1 << 18  # largest number of targets in one search
+MANY, ALONE = 2000, 2  # after so many targets, or calls for one target, compiling C pays
+DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] solutions differ by more in some joint; for a redundant arm
+DRAWN, MOST_DRAWN = 4, 64  # tries in the first round for other solutions; each round has twice as many
+EDGE = 1e-3  # [rad, m] a solution beyond a bound by less may be one at it
+PATIENCE = 64  # the search ends after so many tries without a new solution, plus twice the tries before the last one
+TARGETS = 1 << 16  # number of answers compared at a time
 
 
 def many(asked: Asked, pose, near, progress=None) -> Reached:
     """Answers for (B, t) targets, near (B, n) or None."""
     B = len(pose)
-    if B > POOL:  # what a search remembers of each target is several times as large as the answer
+    if B > POOL:  # a search needs several times the memory of its answers
         parts = []
         for i in range(0, B, POOL):
             told = progress and (lambda done, total, i=i: progress(i + done, B))
@@ -37,12 +37,12 @@ def path(asked: Asked, pose, progress=None) -> Reached:
 
 
 def _engine(asked, soon):
-    """What searches for them."""
+    """The engine for the search: C where it is available, else JAX."""
     return native_for(asked, soon) or kept(asked, f"_programs_{soon}", lambda asked: Programs(asked, soon))
 
 
 def often(chain, targets) -> bool:
-    """Whether a chain has been asked of, with so many targets more, so often that compiling C for it pays."""
+    """Whether compiling C for a chain pays, after so many more `targets`. It counts them."""
     asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
     asked_of[0 if alone else 1] += targets
@@ -50,7 +50,7 @@ def often(chain, targets) -> bool:
 
 
 def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
-    """Up to `solutions` different answers for each of (B, t) targets: the nearest of those that many tries lead to."""
+    """Up to `solutions` different answers for each of (B, t) targets: the nearest ones that many tries find."""
     first = many(asked, pose, near, progress)
     engine = native_for(asked, True) or _engine(asked, often(asked.chain, len(pose)))
     size, made = max(TARGETS // (MOST_DRAWN + solutions), 1), []
@@ -63,9 +63,9 @@ def several(asked: Asked, pose, near, solutions, progress=None) -> Reached:
 
 
 def _several(asked, engine, first, pose, near, solutions) -> dict:
-    """The fields of the record for some targets, from those of their first answers.
+    """The fields of the record for some targets, given those of their first answers.
 
-    From ever more tries, until there are as many different ones as asked for, or nothing new has come for long.
+    Tries until there are as many different answers as requested, or none has been new for long.
     """
     B = len(pose)
     found = {name: np.repeat(v[:, None], solutions, axis=1) for name, v in first.items()}
@@ -92,8 +92,8 @@ def _several(asked, engine, first, pose, near, solutions) -> dict:
 
 
 def _drawn(asked, engine, pose, near, numbers) -> dict:
-    """The fields (B, K, ...) of what tries of some numbers lead to."""
-    wide = asked.chain.n <= asked.task.m  # each by itself: no bound is in its way, and those beyond are left out
+    """The fields (B, K, ...) of the results of tries with given numbers."""
+    wide = asked.chain.n <= asked.task.m  # search without bounds, and discard solutions beyond them
     B, K = len(pose), len(numbers)
     pose, near = np.repeat(pose, K, axis=0), None if near is None else np.repeat(near, K, axis=0)
     made = engine.tried(pose, near, np.tile(PLAIN + np.array(numbers), B), wide)
@@ -102,7 +102,7 @@ def _drawn(asked, engine, pose, near, numbers) -> dict:
         low, high = narrowed(lower, upper, np.inf if asked.jump is None else asked.jump, near)
         made.q[:] = turned(made.q, 0.0 if near is None else near, asked.periods, low, high)
         beyond = np.max(np.maximum(low - made.q, made.q - high), axis=1)
-        if len(edge := np.flatnonzero((made.found != 0) & (beyond > 0) & (beyond < EDGE))):  # by a rounding, perhaps
+        if len(edge := np.flatnonzero((made.found != 0) & (beyond > 0) & (beyond < EDGE))):  # perhaps only by rounding
             own = pose[edge], None if near is None else near[edge]
             again = engine.descended(*own, np.clip(made.q, low, high)[edge])
             beyond[edge] = 0
@@ -115,7 +115,7 @@ def _drawn(asked, engine, pose, near, numbers) -> dict:
 
 
 def _nearest(asked, of: dict, near, most):
-    """The nearest `most` of different answers among (B, K), and how many there are."""
+    """The nearest `most` different answers among (B, K), and their number."""
     around = seeds(asked.chain).middle if near is None else near[:, None]
     usable = of["status"] <= ReachStatus.ACCEPTED
     away = np.max(np.abs(of["q"] - around), axis=2, where=usable[..., None], initial=0.0)
@@ -133,7 +133,7 @@ def _nearest(asked, of: dict, near, most):
 
 
 def _different(asked, q, usable):
-    """Which of (B, K) answers, in order, differ from all that were taken before them."""
+    """Which of (B, K) ordered answers differ from all answers chosen before them."""
     turns = np.array(asked.chain.periodic)
     least = DIFFERENT if asked.chain.n <= asked.task.m else DIFFERENT_REDUNDANT
     taken = np.zeros(usable.shape, bool)

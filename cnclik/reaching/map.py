@@ -1,4 +1,4 @@
-"""Map of where a robot can reach: the share of orientations that it reaches, over a plane or a box of positions."""
+"""Map of reachable positions: the share of orientations that a robot reaches, over a plane or a box."""
 
 from typing import Any, NamedTuple
 
@@ -19,13 +19,13 @@ PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
 class Reachability(NamedTuple):
-    """What can be reached at each position of a grid."""
+    """Reachability at each position of a grid."""
 
     axes: tuple  # names of the grid's axes, such as ("x", "z")
     places: tuple  # one vector of places [m] per axis
-    share: np.ndarray  # of orientations that can be taken there; of a position task, whether there is an answer
-    least_singular_value: np.ndarray  # median over the answers there; NaN without one
-    arm: np.ndarray  # (j, 3) the base, joints and tip of the arm in a posture of its own [m]
+    share: np.ndarray  # share of reachable orientations; for a position task 1 or 0
+    least_singular_value: np.ndarray  # median over the answers at a position; NaN without one
+    arm: np.ndarray  # (j, 3) base, joints and tip of the arm in its start posture [m]
     reached: Reached  # every answer, (cells · orientations,)
 
 

@@ -1,7 +1,7 @@
-"""Native: the search for targets as C, built by the system's compiler where it has one.
+"""The search for targets in C, where the system has a compiler.
 
-The same tries as those of `search`, but one after the other: a target's lane is free for the next as soon as it has
-arrived. Built in a second, and twenty times as quick as JAX's programs.
+It makes the same tries as `search`, one after the other: as soon as a target is solved, its lane takes the next one. It
+compiles in a second and is twenty times as fast as JAX's programs.
 """
 
 import ctypes
@@ -28,9 +28,9 @@ from cnclik.record import kept, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
-AT_ONCE = 16  # chains of a process that have native code from their first call on
-LONGEST = 60.0  # [s] that the compiler may take; it takes a second
-BLOCK, SMALLEST = 4096, 256  # targets that a core searches for at a time
+AT_ONCE = 16  # so many chains of a process get native code at their first call
+LONGEST = 60.0  # [s] time limit of the compiler; it needs about 1 s
+BLOCK, SMALLEST = 4096, 256  # number of targets per task of a core
 _POINTERS = (
     *("low", "high", "lower", "upper", "jump", "periods", "turns"),
     *("postures", "middle", "width", "features", "factors", "roots"),
@@ -39,7 +39,7 @@ _building = threading.Lock()
 
 
 class _Call(ctypes.Structure):
-    """`Asked` of the C source."""
+    """The struct `Asked` of the C source."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("pose", "near", "skip", "made", "rows", *_POINTERS)),
@@ -49,12 +49,12 @@ class _Call(ctypes.Structure):
 
 
 def native_for(asked: Asked, soon: bool):
-    """The native search for what is asked; None where there is no compiler, or it isn't worth its while.
+    """The native search; None where there is no compiler, or compiling does not pay.
 
     The first chains of a process have it at once; in a loop over many, each asked of a few targets, JAX's
     programs, which serve all chains, are sooner ready.
 
-    Args: soon: whether the chain has been asked of often.
+    Args: soon: whether the chain is used often.
     """
     if not in_c():
         return None
@@ -70,10 +70,10 @@ def native_for(asked: Asked, soon: bool):
 
 
 def _built(asked):
-    """The C library, or False where it can't be built."""
+    """The C library, or False where it cannot be built."""
     try:
         text = native_source(asked.chain, asked.task)
-        with tempfile.TemporaryDirectory(prefix="cnclik-reach-") as folder:  # not needed once it is open
+        with tempfile.TemporaryDirectory(prefix="cnclik-reach-") as folder:  # the file is not needed once it is open
             source = pathlib.Path(folder, "reach_lanes.c")
             source.write_text(text, encoding="utf-8")
             library = closed_after(opened(build([source], folder, flags=["-O2"], limit=LONGEST)))
@@ -88,7 +88,7 @@ def _built(asked):
 
 
 class Native:
-    """The native search for what is asked."""
+    """The native search."""
 
     libraries = 0  # that this process has built
 
@@ -125,9 +125,9 @@ class Native:
         return from_rows(self.asked.chain, self.asked.task, rows)
 
     def along(self, pose, progress=None) -> Reached:
-        """Answers for the targets of a path, each from the answer before it; where there was none, from the last one.
+        """Answers for the targets of a path, each searched from the last answer before it.
 
-        What is nearest to the first waypoint is not held to `jump`.
+        `jump` does not apply to the first waypoint.
         """
         asked, rows, k = self.asked, self._rows(len(pose)), 0
         at = start_posture(asked.chain, asked.task)[None]
@@ -156,21 +156,21 @@ class Native:
                 found = self._told(made[done : done + 1], pose[k : k + 1], at)
 
     def tried(self, pose, near, number, wide=False) -> Found:
-        """What for each of (B, t) targets the try of a number (B,) comes to, by itself; `wide`: free of all bounds."""
+        """The result of one try, of number (B,), for each of (B, t) targets. `wide`: without bounds."""
         made = np.full(len(pose), self.empty)
         for k in np.unique(number).tolist():
             self._on(made, number == k, pose, near, alone(self.first, wide)._replace(done=k, tries=k + 1))
         return _found(made)
 
     def descended(self, pose, near, start) -> Found:
-        """What a careful search from one posture (B, n) comes to for each of (B, t) targets."""
+        """The result of a careful search from one posture (B, n) for each of (B, t) targets."""
         made = np.full(len(pose), self.empty)
         made["places"][:, 0], made["costs"][:, 0] = start, 0.0
         self._on(made, np.ones(len(pose), bool), pose, near, self.first._replace(tries=1, downhill=CAREFUL))
         return _found(made)
 
     def _on(self, made, which, pose, near, phase, report=None):
-        """A phase of some of the targets; which those are."""
+        """Run a phase for the targets that need it; the indices of these targets."""
         ids = np.flatnonzero(which)
         part = made[ids]
         self._run(part, pose[ids], None if near is None else near[ids], report, phase=phase)
@@ -178,7 +178,7 @@ class Native:
         return ids
 
     def _told(self, made, pose, near, report=None):
-        """The record of targets that the first tries have no answer for."""
+        """The record of targets that the first tries did not solve."""
         asked, far, B = self.asked, self.asked.too_far(pose), len(pose)
         known, there = asked.finite(pose, near), made.copy()
         so_far = SoFar(_found(made), _found(there), np.zeros(B, bool), np.zeros(B, int))
@@ -199,9 +199,9 @@ class Native:
         return np.empty((count, width(self.asked.chain.n)))
 
     def _call(self, made, pose, near, phase=None, **others):
-        """What the C functions are given: arrays, and a phase in the place of the first.
+        """The arguments of the C functions: arrays, and a phase in place of the first.
 
-        It holds the arrays: threads that an exception has left alone still write to them.
+        It keeps the arrays alive, because threads may still write to them after an exception.
         """
         call = _Call.from_buffer_copy(self.shared)
         others |= {"made": made, "pose": np.ascontiguousarray(pose, float)} | ({} if phase is None else _told(phase))
@@ -210,7 +210,7 @@ class Native:
         return call
 
     def _run(self, made, pose, near, report=None, **others):
-        """One call of the C function, on all cores. `report` is called with how many are found, again and again."""
+        """One call of the C function, on all cores. `report` is called repeatedly with the number of solved targets."""
         call, B = self._call(made, pose, near, **others), len(made)
         if B <= SMALLEST:
             self.library.search(ctypes.byref(call), 0, B)
@@ -227,7 +227,7 @@ class Native:
 
 
 def _still(report, count, _):
-    report(count)  # few of the further tries find one
+    report(count)  # few of the further tries succeed
 
 
 def _put(call, **values):
@@ -250,5 +250,5 @@ def _as_c(phase):
 
 
 def _found(made) -> Found:
-    """The fields of an array of what was found."""
+    """The fields of an array of results."""
     return Found(*(made[name] for name in Found._fields))

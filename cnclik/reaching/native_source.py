@@ -1,7 +1,7 @@
-"""Native source: the search of `search` for many targets as C, around the traced look.
+"""Native source: the search of `search` in C, for many targets, around the traced iteration.
 
-Each lane of a vector is one target's; as soon as a target is done, its lane takes the next one, so that none waits for
-another's. All in float64, which has no need of a second program to finish in.
+Each lane of a vector works on one target. As soon as that is done the lane takes the next one, so that no lane waits.
+All numbers are float64, so that no second program is needed for the last digits.
 """
 
 import pathlib
@@ -34,7 +34,7 @@ def native_source(chain, task) -> str:
 
 
 def lanes_of(program, real, whole) -> str:
-    """What a lane holds, as a type of C."""
+    """The C type of a lane's state."""
     fields = [
         f"  {whole if f.kind == INT else real} {f.name}{f'[{f.size}]' * bool(f.shape)};"
         for f in program.inputs["lanes"]
@@ -57,7 +57,7 @@ def search_source(chain, task, real, sets, size, by_near, told) -> str:
 
 
 def look_of(chain, task, dtype):
-    """A look at a posture with the step from it; what a lane holds comes in and goes out."""
+    """One iteration: evaluate a posture and step from it; a lane's state goes in and comes out."""
     n, dtype = chain.n, np.dtype(dtype)
     state = [Field("q", (n,)), Field("best", (n,)), Field("squares", (2,))]
     state += [Field(name, ()) for name in ("cost", "steep", "trust")] + [Field("arrived", (), INT)]

@@ -36,7 +36,7 @@ PER_TARGET = ("q", "status", "position_error", "orientation_error", "evaluations
 
 
 class Missed(NamedTuple):
-    """What a task, or a tip, misses of its targets."""
+    """Errors of one task, or of one tip."""
 
     position_error: Float[np.ndarray, " *B"]  # [m]
     orientation_error: Float[np.ndarray, " *B"]  # [rad]
@@ -52,16 +52,16 @@ class Reached:
     """
 
     q: Float[AnyArray, "*B n"]  # joint values [rad, m]
-    status: Int[AnyArray, " *B"]  # of `ReachStatus`
-    position_error: Float[AnyArray, " *B"]  # [m], of the task's coordinates, looked at once more in float64
+    status: Int[AnyArray, " *B"]  # values of `ReachStatus`
+    position_error: Float[AnyArray, " *B"]  # [m], of the task's coordinates, evaluated again in float64
     orientation_error: Float[AnyArray, " *B"]  # [rad]
-    evaluations: Int[AnyArray, " *B"]  # looks at a posture (forward kinematics, Jacobian, step) that the target took
-    at_limit: Bool[AnyArray, "*B n"]  # true for joints at a limit
+    evaluations: Int[AnyArray, " *B"]  # number of evaluations (kinematics, Jacobian, step)
+    at_limit: Bool[AnyArray, "*B n"]  # whether each joint is at a limit
     distance: Float[AnyArray, " *B"]  # largest joint's distance from `near` [rad, m]; NaN without it
-    chain: Chain  # that was asked of
-    task: Task  # and for what
-    solutions: int = 1  # that were asked for, of each target
-    targets: Float[AnyArray, "*B t"] | None = None  # of several tips, in the base frame: see `aims`
+    chain: Chain  # the robot
+    task: Task  # the task
+    solutions: int = 1  # number of requested solutions for each target
+    targets: Float[AnyArray, "*B t"] | None = None  # of several tips, in the base frame, see `aims`
 
     @property
     def solved(self) -> Bool[AnyArray, " *B"]:
@@ -140,7 +140,7 @@ def from_rows(chain, task, rows) -> Reached:
 
 
 def fields(made: Reached) -> dict:
-    """What the record has for each target, by name."""
+    """The fields of the record that have a value per target, by name."""
     return {name: getattr(made, name) for name in PER_TARGET}
 
 
@@ -153,6 +153,6 @@ def as_rows(of: dict, xp=np):
 
 
 def count(status) -> dict:
-    """How many targets have each status."""
+    """Number of targets with each status."""
     status = np.asarray(status)
     return {s.name: int(np.sum(status == s)) for s in ReachStatus if np.any(status == s)}

@@ -1,7 +1,7 @@
-"""The search for one target as a pure function: what jit, vmap and grad go through, and what runs without a compiler.
+"""The search for one target as a pure function, for jit, vmap and grad, and for systems without a compiler.
 
-A try is a state, `Try`, and a step, `advance`. Some tries step side by side, and what they come to is what they would
-one after the other: the first, in their order, that arrives is the answer. c/search.c is the same search, with the
+A try is a state, `Try`, and a step, `advance`. Several tries step side by side. The result is the same as one after the
+other: the answer is the first try, in their order, that arrives. c/search.c is the same search, with the
 same numbers, one try after the other in each lane of a vector.
 """
 
@@ -48,7 +48,7 @@ SCATTER = np.uint32(0x7F4A7C15)  # by which a try's number becomes that of any s
 
 
 class Found(NamedTuple):
-    """What a search comes to for a target; an axis more for several."""
+    """The result of a search for one target; several targets add an axis."""
 
     q: Float[AnyArray, "*B n"]  # the best posture found
     squares: Float[AnyArray, "*B 2"]  # squared position and orientation error there
@@ -76,7 +76,7 @@ def choose(which, one, other):
 
 
 class Given(NamedTuple):
-    """What all targets share."""
+    """Data shared by all targets."""
 
     asked: Asked  # its tolerance in the targets' dtype
     advance: Callable  # `advance` of its chain and task
@@ -104,7 +104,7 @@ def given(asked, postures, to, dtype, by=None) -> Given:
 
 
 class Try(NamedTuple):
-    """Where a try stands."""
+    """The state of a try."""
 
     at: Search
     step: Int[Array, ""]
@@ -116,7 +116,7 @@ class Try(NamedTuple):
 
 
 def advance(chain, task, pose, near, bounds, tolerance, roots, own: Try) -> Try:
-    """A look and a step on, and whether the try is over with it; one that is over stays."""
+    """One iteration, and whether the try has ended; a try that has ended does not change."""
     low, high = bounds
     within_bounds = jnp.where(own.free, -np.inf, low), jnp.where(own.free, np.inf, high)
     at = iterate(chain, task, own.at, pose, within_bounds, tolerance, own.careful, roots)
@@ -217,7 +217,7 @@ def search(of: Given, phase: Phase, made: Found, pose, near, wanted, together=TO
 
 
 def concluded(of: Given, pose, near, made: Found, done) -> SoFar:
-    """What all phases come to for a target, of which so many tries have been made."""
+    """The result of all phases for a target, after its first tries."""
     asked, dtype = of.asked, pose.dtype
     table = phases(asked, jnp)
     table[0] = table[0]._replace(done=done)

@@ -1,8 +1,8 @@
-"""Seeds: postures to start a search from, and which of them is nearest to a target.
+"""Seeds: start postures of a search, and the one nearest to a target.
 
-A start near the target is worth more than anything else: of 256 postures that fill the joint space evenly the nearest
-one halves the evaluations of a search, and doubles the share of first tries that arrive. There are sixteen times 256 of
-them, one set for each try; tries beyond start from single ones.
+A start near the target helps most. The nearest of 256 postures that fill the joint space evenly halves the evaluations
+of a search and doubles the share of first tries that succeed. There are sixteen sets of 256, one for each try; further
+tries start from single postures.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from cnclik.shapes import Float
 from cnclik.task.parts import At
 
 SETS, SIZE = 16, 256
-STRETCHES = 1.0, 4.0, 1.0, 2.0  # of tries beyond the sets, by their number: half begin with most joints at limits
-TURN = 0.2  # of an arm's length, that a radian or so of orientation counts for when seeds are compared
+STRETCHES = 1.0, 4.0, 1.0, 2.0  # for tries beyond the sets: half of them start with most joints at limits
+TURN = 0.2  # [arm lengths] weight of a radian of orientation when seeds are compared
 
 
 @record
@@ -52,14 +52,14 @@ def spans(chain: Chain):
 
 
 def periods(chain: Chain):
-    """What each joint (n,) turns by to the same posture; 0 of those that have none."""
+    """The period of each joint (n,), after which the posture is the same; 0 where there is none."""
     return np.where(chain.periodic, 2 * math.pi, 0.0)
 
 
 def turned(q, about, periods, low, high, xp=np):
-    """Joint values (..., n) by whole turns as near to `about` as the bounds let them be.
+    """Joint values (..., n) shifted by whole periods, as near to `about` as the bounds allow.
 
-    Args: periods: (n,) what a joint turns by to the same posture, 0 of one that does not.
+    Args: periods: (n,) of the joints, 0 for none.
     """
     period = xp.where(periods > 0, periods, 1.0)
     few, most = xp.ceil((low - q) / period), xp.floor((high - q) / period)
@@ -95,7 +95,7 @@ def _made(chain: Chain) -> Seeds:
 
 @record
 class Compared:
-    """What targets are compared by: (distance to a seed)² is features · [factors · target, 1], and what all share.
+    """Data to compare targets with seeds: (distance to a seed)² = features · [factors · target, 1] + a common term.
 
     For each of the task's aims: a joint starts where it has the tip near that it moves, see `aims.owners`.
     """
@@ -105,7 +105,7 @@ class Compared:
 
 
 def compared(chain: Chain, task) -> Compared:
-    """What a chain's seeds are to targets of a task, made once for them."""
+    """The `Compared` of a chain and a task, cached."""
     return kept(chain, f"_compared_{told_apart(task)}", lambda chain: _compared(chain, task))
 
 

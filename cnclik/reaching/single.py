@@ -1,4 +1,4 @@
-"""Answers by JAX: as part of other programs, with their derivatives, and by programs of its own without a compiler."""
+"""Answers in JAX: inside other programs, with derivatives, and as programs for systems without a compiler."""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from cnclik.task.parts import At
 from cnclik.task.task import rows
 from cnclik.threads import cores, side_by_side
 
-BLOCK = 32  # targets that one call answers, one after the other
+BLOCK = 32  # number of targets per call, one after the other
 HARD = 200  # targets without an answer after sixteen tries, from which on further ones have a quick program, too
 ONE_BY_ONE = 2000, 128  # targets, at most, that are sooner searched for so; and of a chain that is asked of often
 CAPACITY, TILE = 1024, 64  # targets of a call that makes their first tries side by side
@@ -42,7 +42,7 @@ def traced(asked, pose, near):
 
     def one(pose, near):
         made = nothing((), asked.chain.n, pose.dtype, jnp)
-        by = native if in_c() else None  # steps in C where there is a compiler
+        by = native if in_c() else None  # the iteration runs in C where there is a compiler
         return answer(asked, postures, to, pose, near, made, jnp.int32(0), by, derivative=True)
 
     made = jax.vmap(one, (0, None if near is None else 0))(pose, near)
@@ -131,10 +131,10 @@ batch = quick_jit(_one_try, compiler=LIGHT_COMPILE, static_argnames="by")
 
 
 class Programs:
-    """The search for what is asked by JAX's programs, on all cores."""
+    """The search by JAX's programs, on all cores."""
 
     def __init__(self, asked, soon):
-        """soon: whether the chain has been asked of so often that the quickest program is worth its compiling."""
+        """Args: soon: whether the chain is used so often that the fastest program is worth compiling."""
         task, chain = asked.task, asked.chain
         name = f"_seeds_of_{told_apart(task)}"
         self.asked, self.soon, self.first, self.hard = asked, soon, phases(asked)[0], 0
@@ -188,13 +188,13 @@ class Programs:
         return from_rows(chain, task, rows)
 
     def tried(self, pose, near, number, wide=False) -> Found:
-        """What for each of (B, t) targets the try of a number (B,) comes to, by itself; `wide`: free of all bounds."""
+        """The result of one try, of number (B,), for each of (B, t) targets. `wide`: without bounds."""
         made = nothing((len(pose),), self.asked.chain.n)
         self._try(made, pose, near, np.arange(len(pose)), alone(self.first, wide), number)
         return made
 
     def descended(self, pose, near, start) -> Found:
-        """What a careful search from one posture (B, n) comes to for each of (B, t) targets."""
+        """The result of a careful search from one posture (B, n) for each of (B, t) targets."""
         made = nothing((len(pose),), self.asked.chain.n)
         made.places[:, 0], made.costs[:, 0] = start, 0.0
         self._try(made, pose, near, np.arange(len(pose)), self.first._replace(downhill=CAREFUL), np.zeros(len(pose)))
@@ -230,7 +230,7 @@ def _on_all_cores(fn, ids, size, progress=None):
 
 
 def filled(rows, size=CAPACITY):
-    """The array with so many rows, of which the last are 0."""
+    """The array padded with rows of 0."""
     if len(rows) == size:
         return rows
     out = np.zeros((size, *rows.shape[1:]), rows.dtype)

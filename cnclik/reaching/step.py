@@ -1,13 +1,13 @@
-"""One look at a posture, and the damped step from it: the iteration behind every search for a pose.
+"""One evaluation of a posture and the damped step from it: the iteration of every search for a pose.
 
 With the error e (metres, then radians), the Jacobian J without the columns of joints that push against a bound, and
 λ² = τ (0.03 ‖e‖² + λ₀²),
 
   q ← clip(q + clip(Jᵀ (J Jᵀ + λ² I)⁻¹ e, ±1), lower, upper)
 
-(Levenberg 1944; damping by the error's square after Sugihara 2011). Far off it is careful, near the pose it is
-Newton's. τ is 1 while nothing else is asked; a `careful` search takes back a step that made the error grow and raises
-τ (Marquardt 1963), which finds what is left at bounds and singularities, and the nearest pose where there is none.
+(Levenberg 1944; damping by the square of the error after Sugihara 2011). Far from the pose
+steps are short, near it they are Newton's. τ is normally 1. A `careful` search rejects steps that raise the error and
+raises τ (Marquardt 1963). It converges at bounds and singularities, and to the nearest pose where there is no answer.
 The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
 """
 
@@ -32,19 +32,19 @@ from cnclik.task.task import Task, rows
 
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = 1e-6  # λ₀² of a search in float32; in float64 it is 1e-9
-LONGEST = 1.0  # [rad, m] that a joint moves in a step
-SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # of τ, after a step that helped and one that did not
+LONGEST = 1.0  # [rad, m] largest joint step
+SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # factors of τ after an accepted and after a rejected step
 MOST_TRUST = 1e12
 SHORT = 100.0  # of ‖J‖²: damped by more, steps are so short that an error which still grows with them is at a kink
 STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
 
 
 class Search(NamedTuple):
-    """Where a search stands; a pytree of lanes."""
+    """The state of a search; a pytree of lanes."""
 
-    q: Float[Array, " n"]  # where to look next
-    best: Float[Array, " n"]  # the posture of the least error so far
-    squares: Float[Array, " 2"]  # its squared position and orientation error [m², rad²], each the largest of all tips
+    q: Float[Array, " n"]  # the next posture
+    best: Float[Array, " n"]  # the posture with the least error so far
+    squares: Float[Array, " 2"]  # its squared position and orientation error [m², rad²], the largest of all tips
     cost: Float[Array, ""]  # and their weighted sum; infinite before the first look
     steep: Float[Array, ""]  # squared length of the cost's free gradient there, over ‖e‖² ‖J‖²; 0 where no step helps
     trust: Float[Array, ""]  # τ
@@ -53,13 +53,13 @@ class Search(NamedTuple):
 
 
 def begin(q, zero) -> Search:
-    """A search that has not looked yet. `zero`: a 0 of a lane's dtype."""
+    """A search before its first evaluation. Args: zero: a 0 of a lane's dtype."""
     never, far = zero > 1, zero + jnp.inf
     return Search(q, q, jnp.stack([far, far]), far, far, zero + 1.0, zero, never)
 
 
 def in_parts(task: Task, target):
-    """What each part of a task is to reach, of a target: twelve numbers for each of its `aims`."""
+    """The target of each part of a task, from the twelve numbers of each of its `aims`."""
     found = []
     for k, aim in enumerate(aims(task)):
         own = target[WIDTH * k : WIDTH * (k + 1)]
@@ -69,11 +69,11 @@ def in_parts(task: Task, target):
 
 @precise
 def iterate(chain, task: Task, at: Search, target, bounds, tolerance, careful, roots=None) -> Search:
-    """Look at `q`, and step on; a search that has arrived stays.
+    """Evaluate `q` and step; a search that has arrived does not move.
 
     Args:
       target: (t,). bounds: lower and upper (n,). tolerance: [m], [rad].
-      careful: whether to take back steps that did not help; may be traced.
+      careful: whether to reject steps that increase the error; may be traced.
       roots: of weights of the task's coordinates (m,); the task's own are not looked at.
     """
     _, j, squares, weighted = _look(cast(modelled(chain), at.q.dtype), task, at.q, in_parts(task, target), roots)
@@ -123,7 +123,7 @@ def _look(chain, task, q, target, roots):
 
 
 def _error(part, at, aim):
-    """What is missing of a part, a turn as a chord."""
+    """The error of a part; that of a rotation as a chord."""
     if not part.turns:
         return part.error(at, aim)
     turn, back = aim, at.rotation(part.tip, part.to).T
@@ -131,7 +131,7 @@ def _error(part, at, aim):
 
 
 def _squares(task, each):
-    """The squares of the errors of position and orientation (2,), each that of the tip that misses most."""
+    """The squared position and orientation errors (2,), each the largest of all tips."""
     found, rest, zero = [], iter(each), 0.0 * each[0][0]
     for aim in aims(task):
         own = [(part.turns, next(rest)) for part in aim.parts]
@@ -141,7 +141,7 @@ def _squares(task, each):
 
 
 def damped_step(rows, e, cost, q, low, high, trust):
-    """The step, each joint's clipped, and how steep the cost is for the joints that may move."""
+    """The clipped step, and the steepness of the cost for the joints that may move."""
     least = LEAST_DAMPING if jnp.finfo(cost.dtype).bits <= 32 else 1e-9
     shift = trust * (OF_ERROR * cost + least) + tiny_shift(rows)
     downhill = e @ rows

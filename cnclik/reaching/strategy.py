@@ -1,4 +1,4 @@
-"""The strategy: how a search goes on, in numbers, and the phases that a target without an answer goes through.
+"""The strategy of a search: its constants, and the phases for a target without an answer.
 
 A try begins at a seed, or about `near`, and ends where it arrives, gets stuck or has had its steps. The first tries
 start from the nearest seeds and end early; later ones step carefully. Where no try arrives, the search goes downhill
@@ -15,11 +15,11 @@ import numpy as np
 from cnclik.reaching.result import ReachStatus
 from cnclik.shapes import AnyArray, Bool, Float, Int, Number
 
-PLAIN, STEPS = 5, 9  # tries without taking back steps, and their steps
+PLAIN, STEPS = 5, 9  # tries that accept every step, and their largest number of steps
 CAREFUL, SLOW = 24, 30  # steps of later ones, and how many more those get that are close
 COARSE = 2e-5  # [m, rad] of the target: close
 STUCK = 1e-5  # of `step.Search.steep`: a try whose error falls as slowly as that ends
-PLACES = 4  # the best places of tries that did not arrive are kept
+PLACES = 4  # number of best postures kept from tries that did not arrive
 AROUND = 0.5  # of the range of seeds, about `near`: where the last plain tries start; the first starts there
 NEARBY, SELDOM = 0.35, 4  # of the range of seeds, about a place found; one try in so many starts there
 # More postures lead to answers beyond the limits than to one at them: beyond the sets one try in so many is free of all
@@ -36,9 +36,9 @@ NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "ARO
 
 
 class Phase(NamedTuple):
-    """Some tries of a search, and the targets they are for."""
+    """Some tries of a search, and the targets that they are for."""
 
-    low: Float[AnyArray, " n"]  # where joints are searched for
+    low: Float[AnyArray, " n"]  # bounds of the joints
     high: Float[AnyArray, " n"]
     jump: Float[AnyArray, " n"]  # and how far from `near`; infinite, where no jump is asked for
     roots: Float[AnyArray, " m"]  # of the task's weights
@@ -56,7 +56,7 @@ IN_C = Phase._fields[:8]  # what the search itself needs
 
 
 def phases(asked, xp=np) -> list:
-    """The phases of what is asked, in order."""
+    """The phases of a search, in order."""
     n, m, downhill = asked.chain.n, asked.task.m, asked.downhill
     endless, ones, (lower, upper) = np.full(n, np.inf), np.ones(m), asked.limited()
     roots = ones if asked.task.weights is None else xp.sqrt(xp.asarray(asked.task.weights, float))
@@ -84,13 +84,13 @@ def phases(asked, xp=np) -> list:
 
 
 def alone(phase: Phase, wide=False) -> Phase:
-    """A phase of which a try is asked for by itself; `wide`: free of all bounds."""
+    """A phase for single tries. Args: wide: whether to ignore all bounds."""
     everywhere = np.full(len(phase.low), np.inf)
     return phase._replace(low=-everywhere, high=everywhere, jump=everywhere) if wide else phase
 
 
 def narrowed(low, high, jump, near, xp=np):
-    """Where the joints of a target are searched for (n,); outside the limits, what is nearest to `near`."""
+    """The bounds of a target's joints (n,); outside the limits, those nearest to `near`."""
     if near is None:
         return low, high
     about = xp.where(xp.isinf(jump), 0.0, near)
@@ -98,16 +98,16 @@ def narrowed(low, high, jump, near, xp=np):
 
 
 class SoFar(NamedTuple):
-    """What is known of targets (...,) between phases."""
+    """The state of targets (...,) between phases."""
 
     made: Any  # `search.Found` within the bounds
     beyond: Any  # and of the last search beyond them
-    sure: Bool[AnyArray, " *B"]  # whether what was tried is enough to say that there is no answer
-    why: Int[AnyArray, " *B"]  # what the searches beyond say, see `Asked.meaning`
+    sure: Bool[AnyArray, " *B"]  # whether the tries suffice to conclude that there is no answer
+    why: Int[AnyArray, " *B"]  # the result of `Asked.meaning`
 
 
 def wanted(asked, phase, so_far: SoFar, known, far, xp=np):
-    """Which targets a phase is for, of those (...,) that are `known` to be finite."""
+    """Which of the finite targets (...,) need a phase."""
     beyond = phase.status > 0
     missed = xp.where(beyond & (phase.downhill > 0), so_far.beyond.costs.min(axis=-1), so_far.made.squares.sum(axis=-1))
     near = xp.isinf(phase.less) | (missed < phase.less**2)

@@ -1,4 +1,4 @@
-"""Targets: the many ways to say where the tip shall be, or several, read into 12 numbers for each tip."""
+"""Targets: the accepted forms of a target, read into 12 numbers for each tip."""
 
 import functools
 from collections.abc import Mapping
@@ -89,7 +89,7 @@ def wanted_at(reference: Reference | References, task: Task, t):
             axes = () if part.turns else range(3) if part.tied else places(part.axes)
             place |= {int(i): value[..., k] for k, i in enumerate(axes)}
         position, xp = None, poses.library(*place.values())
-        if place:  # what the task doesn't control may be anything
+        if place:  # coordinates that the task does not control are arbitrary
             anywhere = xp.zeros_like(next(iter(place.values())))
             position = xp.stack([place.get(i, anywhere) for i in range(3)], -1)
         each.append((position, rotation))
@@ -97,7 +97,7 @@ def wanted_at(reference: Reference | References, task: Task, t):
 
 
 def _each(name, given, task):
-    """(name, target, aim) of each of a task's aims, of what is given by the names of tasks and tips."""
+    """(name, target, aim) for each aim of a task, from targets given by the names of tasks and tips."""
     every = aims(task)
     if len(every) == 1 and not isinstance(given, (Mapping, References)):
         return [(name, given, every[0])]

@@ -19,8 +19,8 @@ from cnclik.robot.chain import PRISMATIC, Chain
 from cnclik.robot.posture import arm_length
 
 BASE = 16.0
-SMALLEST = 1e-5  # [m]: a shorter arm has no size of its own
-FAR = 1e4  # units: farther off the nearest pose is the same to rounding, and squares overflow in the end
+SMALLEST = 1e-5  # [m] shorter arms keep the metre
+FAR = 1e4  # [units] beyond it the nearest pose no longer changes, and squares would overflow
 
 
 def in_units(chain: Chain):
@@ -45,7 +45,7 @@ def _in_units(chain):
 
 
 def of_joints(chain: Chain, unit):
-    """What each joint value (n,) has for a unit of length: 1 of joints that turn."""
+    """The unit of length of each joint value (n,); 1 for revolute joints."""
     return tuple(unit if u == "m" else 1.0 for u in chain.units)
 
 
@@ -61,7 +61,7 @@ def _offset(offset, unit):
 
 
 def inward(asked, pose, near, xp=np):
-    """What is asked of a search in the chain's unit, and how much farther off the targets are.
+    """The search's arguments in the chain's unit, and how far distant targets were moved.
 
     Args: pose: targets (B, t) [m]. near: (B, n) [rad, m] or None.
 
@@ -106,7 +106,7 @@ def _is_close(pose) -> bool:
 
 
 def outward(asked, made: Reached, chain: Chain, near, moved, xp=np) -> Reached:
-    """What a search found, of the chain that was asked of, in metres.
+    """The results of a search in metres, for the user's chain.
 
     Args: near: as the user has it. moved: see `inward`; of several solutions each target's are together.
     """
