@@ -1,4 +1,4 @@
-"""Bounded least squares: of all joint velocities within bounds, those that miss the task least.
+"""Bounded least squares: the joint velocities within bounds that have the least weighted task error.
 
 They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|², which without bounds is what a damped inverse gives, in
 low ≤ q̇ ≤ high: found by projected Newton steps (Bertsekas 1982), a descent from face to face of the box.
@@ -30,7 +30,7 @@ _ROUNDS = 4  # of descents after the first, where walls are still missed
 
 
 class Problem(NamedTuple):
-    """The least of |B q̇ − w|² + |q̇ − rest|² in low ≤ q̇ ≤ high, on the right side of walls."""
+    """Minimise |B q̇ − w|² + |q̇ − rest|² subject to low ≤ q̇ ≤ high and the walls."""
 
     b: Float[Array, "m n"]
     w: Float[Array, " m"]
@@ -39,23 +39,23 @@ class Problem(NamedTuple):
     high: Float[Array, " n"]
     walls: Rows | None = None
     soft: Float[Array, " k"] | None = None  # of walls
-    raised: Float[Array, " k"] | None = None  # what is added to their floor
+    raised: Float[Array, " k"] | None = None  # added to the floor of the walls
 
     def hessian(self):
-        """Half of it: BᵀB + I."""
+        """Half the Hessian, BᵀB + I."""
         return dense.shifted(self.b.T @ self.b, 1.0)
 
     def slope(self, qdot, left, push=None):
-        """Minus half the gradient, where B q̇ leaves so much of w, and walls push."""
+        """Minus half the gradient, from the residual w − B q̇ and the forces of the walls."""
         slope = left @ self.b + self.rest - qdot
         return slope if push is None else slope + push @ self.walls.rows
 
     def clip(self, qdot):
-        """The nearest within the bounds."""
+        """The nearest point within the bounds."""
         return jnp.clip(qdot, self.low, self.high)
 
     def shut(self, qdot, slope):
-        """Joints at a bound that would go beyond it, and joints of a single velocity."""
+        """Which joints are locked: at a bound and pushed outwards, or with equal bounds."""
         out = ((qdot >= self.high) & (slope > 0)) | ((qdot <= self.low) & (slope < 0))
         return out | (self.low >= self.high)
 
@@ -77,14 +77,14 @@ class Problem(NamedTuple):
         return None if self.walls is None else self.walls.floor + self.raised - self.walls.rows @ qdot
 
     def pushes(self, qdot):
-        """(k,) what each wall pushes with: what is missing, if more than rounding, over its softness."""
+        """(k,) force of each wall: its violation, above rounding, over its softness."""
         if self.walls is None:
             return None
         missing, rounding = self.missing(qdot), 16 * jnp.finfo(qdot.dtype).eps * self.walls.size(qdot)
         return jnp.where(missing > rounding, missing / self.soft, 0.0)
 
     def crossed(self, missing, before):
-        """How much more what is missing at walls costs than before, half of it."""
+        """Half the increase of the cost of wall violations."""
         return 0.5 * jnp.sum((jnp.maximum(missing, 0.0) ** 2 - jnp.maximum(before, 0.0) ** 2) / self.soft)
 
     def newton(self, hessian, shut, push):
@@ -109,7 +109,7 @@ class Problem(NamedTuple):
 
 
 class Newton(NamedTuple):
-    """Newton's step of the joints that are not shut, for a slope."""
+    """Newton's step of the free joints, for a slope."""
 
     factor: Float[Array, "n n"]  # L Lᵀ = H, the last joints eliminated first: along a tree nothing is filled in
     shut: Bool[Array, " n"]
@@ -124,7 +124,7 @@ class Newton(NamedTuple):
 
 
 def newton(hessian, shut) -> Newton:
-    """A pivot out of proportion locks a joint."""
+    """The factor; a joint with a tiny pivot is locked."""
     size = lax.stop_gradient(jnp.diagonal(hessian))
     lock = jnp.where(shut, size / jnp.finfo(size.dtype).eps ** 2, 0.0)
     return Newton(dense.cholesky(dense.shifted(hessian, lock)[::-1, ::-1]), shut)
@@ -145,12 +145,12 @@ def nearest(slope, curvature, most, missing, goes, soft):
 
 
 class _Pass(NamedTuple):
-    """What a pass of the descent hands to the next."""
+    """The state between passes of the descent."""
 
     qdot: Float[Array, " n"]  # within the bounds
     left: Float[Array, " m"]  # w − B q̇
     slope: Float[Array, " n"]
-    held: Bool[Array, ""]  # whether no joint at a bound may leave it
+    held: Bool[Array, ""]  # whether joints at a bound must stay there
     settled: Bool[Array, ""]
     passes: Int[Array, ""]
     push: Any  # (k,) of walls, or None

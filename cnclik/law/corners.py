@@ -1,4 +1,4 @@
-"""Corners: where the velocity of a path jumps, found before the path is run."""
+"""Corners: where the velocity of a path jumps, found before the run."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Small dense linear algebra: what a task of a few rows needs."""
+"""Dense linear algebra for tasks of a few rows."""
 
 import functools
 import itertools
@@ -18,7 +18,7 @@ def wide_side(rows):
 
 
 def shifted(matrix, shift):
-    """A + shift·I, or A + diag(shift); what is 0 beside the diagonal stays so."""
+    """A + shift·I, or A + diag(shift); zeros off the diagonal stay literal zeros."""
     return jnp.where(np.eye(len(matrix), dtype=bool), matrix + shift, matrix)
 
 
@@ -116,7 +116,7 @@ def orthogonal_rows(rows):
 
 
 def _round(m):
-    """Who meets whom in a round of a tournament of m, who sits where in the next, and how many rounds there are.
+    """The pairs of a round-robin tournament of m, the seats of the next round, and the number of rounds.
 
     The first m, or m − 1 where m is even, go round the table; who has nobody opposite meets the last, who stays. Places
     are those of the winners, the losers and all, one after the other.
@@ -163,7 +163,7 @@ def pinv(rows):
 
 @jax.custom_jvp
 def _pinv(rows):
-    if len(rows) <= 2:  # one rotation is enough
+    if len(rows) <= 2:  # one rotation suffices
         return _pinv_by_rotations(rows)
     quick, least, trusted = _pinv_by_elimination(rows)
     return lax.cond(trusted, lambda rows: (quick, least), _pinv_by_rotations, rows)

@@ -27,9 +27,9 @@ from cnclik.robot.rotations import exp_so3
 from cnclik.shapes import Array, Float
 from cnclik.task.task import velocity
 
-HALVINGS = 24  # of a step, from which a gain matrix's factor is doubled up: to alpha·Ts = 1e6 and beyond
+HALVINGS = 24  # doublings of a gain matrix's factor, enough for alpha·Ts = 1e6 and more
 _TERMS = 9  # of the series there
-_NEAR = 0.01  # below this z the quotient's derivative would lose digits, and a series is exact
+_NEAR = 0.01  # below this z the series is exact, while the quotient's derivative loses digits
 
 
 # --- the factor ---------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ def null_over_step(law: Law, Ts):
 
 
 class Ahead(NamedTuple):
-    """How the target moves in a step."""
+    """The target's motion in a step."""
 
     mean: Float[Array, " m"]  # its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
     turns: tuple[Array | None, ...]  # of each part R_d(t + Ts) R_d(t)ᵀ, where a whole orientation turns

@@ -21,12 +21,12 @@ from cnclik.shapes import Array, ArrayLike, Float, Number
 
 
 class Factored(NamedTuple):
-    """What an inverse makes of J: `apply` maps m task components to n joint components."""
+    """A factored J: `apply` maps m task components to n joint components."""
 
     apply: Callable
-    least: Float[Array, ""]  # estimate of the least singular value of J; no derivative
+    least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
     shift: ArrayLike | None = None  # λ², or one of each row, where this is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
-    memory: Callable | None = None  # () to what is to be remembered of J#, for `remembered`; None: its columns
+    memory: Callable | None = None  # returns the memory of J# for `remembered`; None: its columns
 
 
 # Of the trace of J Jᵀ, below which a shift leaves no pivot of a singular one surely positive: from 1 on they are in all

@@ -1,4 +1,4 @@
-"""Null-space terms: how a redundant arm uses the freedom that the task leaves.
+"""Null-space terms: motions of a redundant arm that do not move the task.
 
 A term is a record that maps q (n,) to a joint velocity q̇₀ (n,); the law projects it, (I − J# J) q̇₀ (Liégeois 1977;
 Siciliano et al. 2009, eq. 3.55).
@@ -30,7 +30,7 @@ class Posture:
 
     rest: Float[Array, " n"]
     rate: Number
-    balls: tuple[tuple[int, int], ...] = dataclasses.field(default=(), repr=False)  # of the robot, once it is known
+    balls: tuple[tuple[int, int], ...] = dataclasses.field(default=(), repr=False)  # set by `on`, for the robot
 
     def on(self, chain):
         """The term of this robot."""

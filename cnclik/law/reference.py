@@ -32,12 +32,12 @@ class Reference:
     """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
 
     curve: Callable  # t -> (position (d,) or None, rotation (3, 3) or None)
-    feedforward: Float[Array, " m"] | None = None  # held constant; None: the curve's own velocity
-    known: bool = True  # whether a step may look at the target ahead of its start, see `causal`
+    feedforward: Float[Array, " m"] | None = None  # constant; None: the velocity of the curve
+    known: bool = True  # whether a step knows the path ahead, see `causal`
 
     @property
     def still(self) -> bool:
-        """Whether the target stands still, whatever velocity a controller is given."""
+        """Whether the target is constant, whatever feed-forward is given."""
         return isinstance(self.curve, Hold)
 
     def __repr__(self):
@@ -122,7 +122,7 @@ def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
 
 
 def sample(reference, task: Task, t):
-    """What each part of a task is to reach at time t, and the motion of that: (aims, (w,)).
+    """The target of each part of a task at time t and its velocity: (aims, (w,)).
 
     The motion holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
@@ -138,7 +138,7 @@ def sample(reference, task: Task, t):
 
 
 def aims_of(reference, task: Task, t) -> tuple:
-    """What each part of a task is to reach at time t."""
+    """The target of each part of a task at time t."""
     found = [(parts.parts, one.curve(t)) for one, parts in by_target(reference, task)]
     return tuple(part.aim(*target) for parts, target in found for part in parts)
 
@@ -158,7 +158,7 @@ def _moving(reference, parts, t):
 
 
 def tangent(reference, task: Task, t):
-    """The reference as it is known at time t and no later: from there on at the velocity it has, or is said to have."""
+    """The reference extrapolated from time t with its velocity, or with the given feed-forward."""
     return of_each(lambda one, parts: _tangent(one, parts, t), reference, task)
 
 
@@ -176,7 +176,7 @@ def _tangent(reference, task, t):
 
 
 def motion(reference, task: Task, t):
-    """How far the target moves, or is said to move, from each instant of t (N + 1,) to the next, from above: (N,)."""
+    """An upper bound (N,) of the target's motion, or its feed-forward, between the instants t (N + 1,)."""
 
     def chart(t):
         aims = aims_of(reference, task, t)

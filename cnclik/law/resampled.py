@@ -1,4 +1,4 @@
-"""Resampled: targets that arrive more slowly than the loop runs, as a path that uses no target before it arrives."""
+"""Resampled: a path from targets that arrive more slowly than the loop runs. It uses past targets only."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def shifted(reference, task: Task, w):
 
 
 def true_motion(reference, task: Task):
-    """The reference without what `shifted` adds and what a controller is told; itself where there is nothing such."""
+    """The reference without the shift of `shifted` and without a separate feed-forward."""
     if not any(isinstance(one.curve, Shifted) or one.feedforward is not None for one, _ in by_target(reference, task)):
         return reference
 

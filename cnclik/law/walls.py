@@ -54,17 +54,17 @@ class Wall:
 
 
 def rate_of(wall, rate):
-    """A wall's rate, or that of walls without their own."""
+    """The rate of a wall, or the common one."""
     return rate if wall.rate is None else wall.rate
 
 
 def names_of(walls) -> list[str]:
-    """What walls are called: those without a name by their number."""
+    """Names of the walls; a number for those without a name."""
     return [wall.name or str(i + 1) for i, wall in enumerate(walls)]
 
 
 def rows_at(walls, rate, chain, q) -> Rows:
-    """What walls ask of joint velocities at q; `rate` is that of walls without their own."""
+    """The rows of all walls at q. Args: rate: for walls without their own."""
     robot = At(modelled(chain), q)
     floor = jnp.stack([-rate_of(wall, rate) * wall.distance(robot) for wall in walls])
     return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)

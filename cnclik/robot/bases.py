@@ -1,4 +1,4 @@
-"""Bases: one that moves, and joints of several coordinates, as joints of one each. Read without loading JAX."""
+"""Moving bases, and joints of several coordinates split into joints of one. It does not load JAX."""
 
 import dataclasses
 import math
@@ -6,8 +6,8 @@ import math
 from cnclik import errors
 from cnclik.robot.tree import NO_OFFSET, Edge, Tree
 
-BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # words for a base, and the joint that carries it
-BALL = "rotation"  # one of the three joints that together are a rotation, with the rotation vector as their values
+BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # names of bases, and the type of their joint
+BALL = "rotation"  # one of three joints that form a rotation; their values are its rotation vector
 _X, _Y, _Z = NO_OFFSET[1]
 _ALONG, _ABOUT = ([(name, kind, axis) for name, axis in zip(names, (_X, _Y, _Z), strict=True)]
                   for names, kind in (("xyz", "prismatic"), (("rx", "ry", "rz"), BALL)))  # fmt: skip

@@ -42,19 +42,19 @@ class Joint:
 
 @record
 class Tip:
-    """A frame that a task can be about."""
+    """A frame that a task can control."""
 
     name: str
     joint: int  # index of the joint that carries it
-    offset: Offset  # where it is, as seen from there
+    offset: Offset  # its pose relative to that joint
 
 
 @record
 class Chain:
     """A robot with `n` joint coordinates q [rad for revolute joints, m for prismatic ones]: an arm, or a tree."""
 
-    joints: tuple[Joint, ...]  # each after the one that carries it; mimic joints share a coordinate with another
-    tips: tuple[Tip, ...]  # an arm has one
+    joints: tuple[Joint, ...]  # in topological order; mimic joints share a coordinate
+    tips: tuple[Tip, ...]  # an arm has one tip
     joint_names: tuple[str, ...]  # (n,) of the joint coordinates
     lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
     upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
@@ -374,7 +374,7 @@ def offset_of(name, transform, places=False) -> Offset:
         must = "be one pose: " + poses.FORMS + ", or a position (3,)" * places
         raise errors.fail(name, must, f"has shape {np.shape(found[0])}" if found else f"is {transform!r}")
     position, rotation = found
-    if isinstance(transform, (list, tuple)):  # what is written in Python's numbers stays so, among traced ones too
+    if isinstance(transform, (list, tuple)):  # Python numbers stay literal, also beside traced ones
         written = [x for part in transform for x in (part if isinstance(part, (list, tuple)) else [part])]
         if all(map(is_number, written)):
             position, rotation = position.tolist(), rotation.tolist()

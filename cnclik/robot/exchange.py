@@ -1,4 +1,4 @@
-"""Exchange: joint values and velocities as Pinocchio's and MuJoCo's models have them, matched by the joints' names.
+"""Exchange of joint values and velocities with models of Pinocchio and MuJoCo, matched by joint names.
 
 Both write a free joint as a position and a unit quaternion, seven numbers, Pinocchio in the order x y z w, MuJoCo in
 w x y z; Pinocchio also writes the angle of a continuous joint, and of a planar one, as its cosine and sine. Velocities
@@ -25,7 +25,7 @@ _REST = {"free": (0, 0, 0, 1, 0, 0, 0), "planar": (0, 0, 1, 0), "circle": (1, 0)
 
 
 class _Slot(NamedTuple):
-    """Where a joint of another's model is."""
+    """The place of a joint in another library's model."""
 
     name: str
     kind: str  # a key of _REST

@@ -1,4 +1,4 @@
-"""Masses: the mass that each joint carries, and its centre."""
+"""Masses: mass and centre of mass carried by each joint."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _sum(*each: tuple) -> Mass:
 
 
 def lumped(inertials: dict, at: dict, count: int) -> tuple[Mass, ...]:
-    """What the base carries, then each joint; () where nothing has a mass.
+    """The masses of the base and of each joint; () where there are none.
 
     Args:
       inertials: {link: (mass, its centre as seen from the link)}.
@@ -44,7 +44,7 @@ def lumped(inertials: dict, at: dict, count: int) -> tuple[Mass, ...]:
 
 
 def put(masses: tuple[Mass, ...], base: Offset) -> tuple[Mass, ...]:
-    """The masses of a robot whose base is somewhere else."""
+    """The masses of a robot with its base moved."""
     return tuple(replace(m, center=placed(base, m.center)) if i == 0 else m for i, m in enumerate(masses))
 
 

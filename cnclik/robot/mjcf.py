@@ -76,7 +76,7 @@ def read_mjcf(model) -> Tree:
 
 
 def _compiled(model) -> tuple:
-    """(what it is called, the MjModel)"""
+    """(name, MjModel)."""
     try:
         mujoco: Any = importlib.import_module("mujoco")
     except ImportError:
@@ -94,7 +94,7 @@ def _compiled(model) -> tuple:
             return file, model.copy().compile()
         if text:
             return file, mujoco.MjModel.from_xml_string(model.lstrip("\ufeff \t\r\n"))
-        read_bytes("model", model, "an MJCF file")  # says what is wrong with a file in our words
+        read_bytes("model", model, "an MJCF file")  # raises our own message for an unreadable file
         return file, mujoco.MjModel.from_xml_path(os.fspath(model))
     except (ValueError, mujoco.FatalError) as error:
         if isinstance(error, errors.ArgumentError):
@@ -179,7 +179,7 @@ def _couplings(file, model, joints) -> dict:
 
 
 def _inertials(model, bodies) -> dict:
-    """Of bodies that hang on something with joints."""
+    """Masses of the bodies below a joint."""
     jointed = set(model.body_rootid[model.jnt_bodyid].tolist())
     return {
         name: (float(model.body_mass[i]), tuple(map(float, model.body_ipos[i])))

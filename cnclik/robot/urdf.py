@@ -113,22 +113,22 @@ def _walked(tree, base, links, frozen) -> tuple:
 
 
 def _around(before: Offset, edge, turned) -> tuple:
-    """Where a joint is, its axis there, and what comes after its motion."""
+    """The pose of a joint, its axis, and the offset after its motion."""
     origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
-    if turned:  # from its child a joint turns the other way
+    if turned:  # traversed from its child, a joint turns the other way
         return before, scale(-1.0, edge.axis), inverse(origin)
     return compose(before, origin), edge.axis, Offset()
 
 
 def _after(before: Offset, edge, turned, value=0.0) -> Offset:
-    """Where the link after a joint of a known value is."""
+    """The pose of the link after a joint with a fixed value."""
     before, axis, after = _around(before, edge, turned)
     before = compose(before, moved(edge.type, axis, value)) if edge.type in _MOVING else before
     return compose(before, after) if turned else before
 
 
 def moved(kind: str, axis, value) -> Offset:
-    """What a joint of a known value does."""
+    """The transform of a joint with a fixed value."""
     if _MOVING[kind] == PRISMATIC:
         return Offset(position=scale(value, axis))
     return Offset(rotation=turn(axis, value))

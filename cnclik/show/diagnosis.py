@@ -5,7 +5,7 @@ import numpy as np
 
 from cnclik.show import style
 
-MOST = 8  # columns that are shown: those that move most
+MOST = 8  # largest number of columns shown; those that move most are chosen
 _TIME = "time $t$ [s]"
 _DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "markeredgewidth": 0.5}
 
@@ -22,7 +22,7 @@ def oscillation(signal, found, names):
     seen = slice(found.first, found.first + len(found.modes))
     for panel, i in zip(panels, shown, strict=True):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
-        if found.rings:  # else slow modes and the path are not told apart
+        if found.rings:  # without ringing, slow modes cannot be separated from the path
             panel.plot(t[seen], found.path[:, i], color=style.PURPLE, linestyle=style.DASH, label="path")
         panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")

@@ -1,4 +1,4 @@
-"""Drawing figures so that none costs the data it was drawn from."""
+"""Drawing figures: a figure that fails never costs the data."""
 
 import contextlib
 import functools
@@ -27,7 +27,7 @@ def load_ahead(*modules) -> None:
     """Load modules in a thread of its own, such as what will draw, while the compiler is at work."""
 
     def load():
-        with contextlib.suppress(Exception):  # who needs it will say why it can't be loaded
+        with contextlib.suppress(Exception):  # the code that needs the module reports why it cannot be loaded
             for name in modules:
                 importlib.import_module(name)
 
@@ -35,12 +35,12 @@ def load_ahead(*modules) -> None:
 
 
 def drawn_by(module, name, *args, **options):
-    """A function of no arguments that draws by one of `cnclik.show`, loaded when called: data are safe then."""
+    """A function without arguments that draws with a module of `cnclik.show`. The module is loaded at the call."""
     return lambda: getattr(importlib.import_module(f"cnclik.show.{module}"), name)(*args, **options)
 
 
 def draw(figures, path, *, name="out", again="", progress=None, overwrite=False) -> list:
-    """Draw figures in the project's style and save them in `path`, once the data lie there; names of those written.
+    """Draw figures in the project's style and save them in `path`. Call it after the data are written.
 
     Args:
       figures: {file name: (function of no arguments that returns a Figure, what the file shall say of itself)}.
@@ -69,7 +69,7 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
                 folder.write(file, functools.partial(style.save, make(), about=about))
             except Refused:
                 raise
-            except Exception as error:  # some mistakes, as in a title's mathematics, show only when it is saved
+            except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
                 failed[file] = error
     monitoring.record_event_time_span(DRAWING, begun, time.time())
     if failed:

@@ -1,6 +1,6 @@
 """Report: one result as one page that opens offline: the answer, its numbers, figures, the moving robot.
 
-What is drawn is what the verb draws; the page is written last, so that it costs nothing that was computed.
+The figures are those of the verb. The page is written last, so that a failure loses no result.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from cnclik.markup import BLUE, GENERATOR, escaped, table
 from cnclik.show.output import FigureError
 from cnclik.writing import output_folder
 
-MOST_ROWS, SHORT = 60, 8  # rows of a table at most, and of one that stands above the figures
+MOST_ROWS, SHORT = 60, 8  # largest number of rows of a table, and of a table above the figures
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ def _figure(file, make, about, captions, failed) -> str:
     caption = escaped(captions.get(name, name.replace("_", " ")))
     try:
         drawn = picture(make, escaped(name), about)
-    except Exception as error:  # whatever a figure may meet: it costs itself alone
+    except Exception as error:  # any failure of a figure leaves out that figure only
         failed[name] = errors.in_a_line(error)
         drawn = f"<p>Not drawn: {escaped(failed[name])}</p>"
     return f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>"
@@ -118,7 +118,7 @@ def _moving(report, failed) -> str:
     try:
         motions = list(report.motions())
         inner = as_page(motions).replace("&", "&amp;").replace('"', "&quot;")
-    except Exception as error:  # whatever meshes and viser may meet: it costs itself alone
+    except Exception as error:  # any failure of meshes or viser leaves out the robot only
         failed["the moving robot"] = errors.in_a_line(error)
         return f'<p class="note">The moving robot could not be drawn: {escaped(failed["the moving robot"])}</p>'
     names = [f"{'in grey' if k else 'in blue'}: {escaped(m.name)}" for k, m in enumerate(motions)]
@@ -133,7 +133,7 @@ def _moving(report, failed) -> str:
 
 
 def _pace(motions, shown) -> str:
-    """How fast it plays, where that is not as it was."""
+    """The speed of the animation, where it is not real time."""
     if motions[0].unit == "target":
         return "One target after the other. "
     factor = max(m.t[-1] - m.t[0] for m in motions) / shown

@@ -1,4 +1,4 @@
-"""Figures of a report: as pictures that stand in a page, small whatever is drawn."""
+"""Figures of a report as images inside the page, kept small."""
 
 import base64
 import pathlib
@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 
 from cnclik.show import style
 
-MOST_POINTS = 2500  # of a line or a collection that is drawn as paths; what has more becomes pixels
-MOST_BYTES = 250_000  # of an SVG; in place of a larger one stands a PNG
+MOST_POINTS = 2500  # a line or collection with more points is drawn as pixels
+MOST_BYTES = 250_000  # a larger SVG is replaced by a PNG
 
 
 def picture(make, name: str, about: dict) -> str:

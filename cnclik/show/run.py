@@ -112,7 +112,7 @@ def tip(data, chain):
     for panel in grid.flat[len(every) :]:
         panel.set_axis_off()
     points = [np.concatenate([way for way in paths if way is not None])[:, : len(axes)] for _, *paths in every]
-    room = max(0.55 * max(np.ptp(some, axis=0).max() for some in points), 1e-3)  # of tips that rest, a millimetre
+    room = max(0.55 * max(np.ptp(some, axis=0).max() for some in points), 1e-3)  # for resting tips 1 mm
     for panel, (name, *paths) in zip(grid.flat, every, strict=False):
         _draw_tip(panel, axes, *paths, room, alone=len(every) == 1)
         if len(every) > 1:
@@ -127,7 +127,7 @@ def _draw_tip(panel, axes, way, target, room, alone):
         look = {"color": "0.6", "linewidth": 2.4, "markersize": 6, "label": "target"}
         paths.append((target[:, : len(axes)], look))
     for points, look in paths:
-        marker = {"marker": "o", "markevery": [-1]}  # where it ends; of a target that stays this is all there is
+        marker = {"marker": "o", "markevery": [-1]}  # the end; a constant target shows nothing else
         panel.plot(*points.T, **marker, **look)
     panel.plot(*paths[0][0][:1].T, "s", color=style.BLUE, markerfacecolor="white", label="start", zorder=4)
     every = np.concatenate([points for points, _ in paths])
@@ -204,7 +204,7 @@ def _methods(data, **changes):
 
 
 def _unmarked(look):
-    """Of the keywords of a line those that stairs have, too."""
+    """The keywords of a line that `stairs` takes too."""
     return {name: look[name] for name in look if not name.startswith("mark")}
 
 

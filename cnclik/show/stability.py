@@ -11,7 +11,7 @@ from cnclik.show import style
 from cnclik.show.sweeps.panels import geometric
 
 RATES = ListedColormap(plt.get_cmap("viridis")(np.linspace(0.25, 1.0, 256)), "rates")
-# Lighter and darker than every rate, or hatched: told apart in greyscale.
+# Lighter or darker than every rate, or hatched, so that greyscale separates them.
 FLAT = {
     Ending.SLOW: ("#fbf5c8", "", "converging, not done in N steps"),
     Ending.STALLED: ("#bdbdbd", "//////", "bounded and wrong"),

@@ -18,9 +18,9 @@ DPI = 300
 LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
 # Okabe & Ito (2008): distinguishable with any colour vision.
-# FINE, WARNING and LOST, green, amber and red, stand in `markup`: what has one of these meanings has its colour.
+# FINE, WARNING and LOST (green, amber, red) are defined in `markup`; every figure uses them for these meanings.
 BLACK, SKY, VERMILION, PURPLE = "#000000", "#56B4E9", "#D55E00", "#CC79A7"
-GREEN, ORANGE = FINE, WARNING  # of lines, which mean nothing by them
+GREEN, ORANGE = FINE, WARNING  # for lines, where the colour has no meaning
 WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
 
@@ -57,7 +57,7 @@ METHODS = {
     "EXP-AB3": Line(GREEN, DOT, ">", 3.8),
     "EXP-AB4": Line(BLACK, DOT, ">", 3.8),
 }
-OTHER = Line(BLACK, DASH, "o", 3.0)  # of a method without one of its own
+OTHER = Line(BLACK, DASH, "o", 3.0)  # for a method without a style
 
 GUIDE: dict[str, Any] = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
 OUTLINED = {  # a boundary over colours: black with a white edge, seen on any of them
@@ -112,7 +112,7 @@ def style():
     with contextlib.ExitStack() as after, matplotlib.rc_context(_RC):
         try:
             yield
-        finally:  # a notebook's backend, which is loaded with the first figure, switches it on
+        finally:  # a notebook's backend, loaded with the first figure, switches interactive mode on
             after.callback(matplotlib.interactive, matplotlib.is_interactive())
 
 

@@ -8,7 +8,7 @@ from cnclik.show.stability import radii
 
 _LEAST = 1e-16  # a loss below it is rounding
 _APART = 1e-3  # of the step: what is less is within the width of a line
-_BEFORE = {"color": "0.7", "linewidth": 2.6, "label": "before"}  # seen behind one that coincides
+_BEFORE = {"color": "0.7", "linewidth": 2.6, "label": "before"}  # visible behind a coinciding one
 _AFTER = {"color": style.BLUE, "linewidth": 1.2, "label": "after"}
 
 

@@ -53,7 +53,7 @@ class WallAdvice:
 
 
 def wall_advice(loop, Ts: float, speed: float) -> dict[str, WallAdvice]:
-    """Of each wall of a loop at rest, by name. Args: speed: of the tips [m/s]."""
+    """The `WallAdvice` of each wall of a loop at rest, by name. Args: speed: of the tips [m/s]."""
     law, q = loop.law, loop.q
     walls = getattr(law.limits, "walls", None)
     if not walls:
@@ -74,7 +74,7 @@ _WALLS = "the robot stays on its side", "the robot passes it"
 
 
 def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
-    """Of a law whose joints near limits or walls at a rate; None where there is none. Args: drive: see `Drive`."""
+    """The `LimitAdvice` of a law with limits or walls; None without. Args: drive: see `Drive`."""
     of_all: Any = getattr(law.limits, "rate", None)
     walls = getattr(law.limits, "walls", None) or ()
     named = zip(names_of(walls), walls, strict=True)

@@ -1,4 +1,4 @@
-"""Case: the evidence behind a verdict: a run, its loop, and what the loop's step does at rest where the run ended."""
+"""Case: the evidence for a verdict: a run, its loop, and the linear loop at rest at the end of the run."""
 
 import dataclasses
 import functools
@@ -25,15 +25,15 @@ from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_n
 from cnclik.stability.stacked import together
 
 UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
-WILD = 1e3  # joint values, in rad or m, of a run that has left its senses: it is judged where it began
-LOOKED_AT = 9  # instants of the last quarter whose target is looked at
-PLENTY = 5.0  # time constants from which on an error that does not shrink is believed to stay
+WILD = 1e3  # [rad, m] a run with larger joint values is judged at its start
+LOOKED_AT = 9  # number of instants of the last quarter whose targets are examined
+PLENTY = 5.0  # after so many time constants an error that has not decreased is taken as permanent
 LEAST = 50  # and steps
-NEARLY = 0.95  # of a path that is judged as all of it: at a pace the last of it may take for ever
-NOISE = 4.0  # standard deviations of an error that is noise
-COUNTS = 0.05  # share of the last error from which on a direction of it counts
+NEARLY = 0.95  # share of a path that counts as all of it; at a pace the last part may take very long
+NOISE = 4.0  # an error below so many standard deviations is noise
+COUNTS = 0.05  # a direction with a smaller share of the last error does not count
 BRIEF = 16  # part of a path, or of half a run to a held target, over which velocities at a pace are averaged
-UNMOVED = 1e-9  # a factor that is 1 to this is that of a direction that no joint moves
+UNMOVED = 1e-9  # a factor within this of 1 belongs to a direction that no joint moves
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -89,13 +89,13 @@ class Case:
 
     @property
     def dead(self):
-        """Steps that pass before a command is seen to act."""
+        """Steps between a command and its first measured effect."""
         drive = self.loop[-1]
         return 0 if drive.prompt else int(np.ceil(drive.delay + drive.measurement_delay))
 
     @property
     def spans(self):
-        """How many of the loop's own time constants the run holds."""
+        """Length of the run in time constants of the loop."""
         return max(self.steps - self.dead, 0) / self.fold
 
     @property
@@ -107,24 +107,24 @@ class Case:
 
     @property
     def half_turn(self):
-        """Steps that a joint takes to turn half around at its velocity limit; 0 where none is at a limit."""
+        """Steps for half a turn of a joint at its velocity limit; 0 where no joint is at a limit."""
         limit = float(np.min(np.array(self.law.chain.velocity_limit, float)))
         return np.pi / (self.loop[0] * limit) if self.held_back else 0.0
 
     @property
     def stirred(self):
-        """Whether a null-space velocity still moves the arm by more than what is left of the error."""
+        """Whether a null-space velocity still moves the arm by more than the remaining error."""
         moved = np.linalg.norm(self.rows, 2) * self.seen.drift
         return self.law.null_velocity is not None and bool(moved > self.seen.largest)
 
     @property
     def held_back(self):
-        """Whether the law's limits hold the joints back."""
+        """Whether the law's limits slow the joints down."""
         return self.law.limits is not None and self.seen.often(Status.AT_LIMIT)
 
     @property
     def crawls(self):
-        """Whether they do so next to a singularity, where no rest tells what becomes of it."""
+        """Whether they do so next to a singularity, where the loop at rest predicts nothing."""
         return self.held_back and self.seen.often(Status.NEAR_SINGULAR)
 
     @property
@@ -150,7 +150,7 @@ class Case:
 
     @property
     def pace(self):
-        """At which it was run, or None."""
+        """The pace of the run, or None."""
         return self.more["pace"]
 
     @property
@@ -166,28 +166,28 @@ class Case:
 
     @property
     def in_noise(self):
-        """Whether what is left of the error is no more than noise makes of it."""
+        """Whether the remaining error is explained by noise."""
         return self.seen.largest <= NOISE * self.noise
 
     @property
     def around(self):
-        """Whether it moves along a path that comes back to where it was."""
+        """Whether its path is closed."""
         return self.moving and _around(self.reference)
 
     @property
     def waits(self):
-        """Whether the path goes on only as far as the robot follows."""
+        """Whether the path waits for the robot."""
         return self.moving and path_waits(self.pace, self.reference)
 
     @property
     def covered(self):
-        """How much of the path the run holds, in whole paths; 1 where there is no path, or nearly all of it."""
+        """The part of the path that the run covers, in whole paths; 1 without a path, or for nearly all of it."""
         held = float(self.t[-1] - self.t[0]) / self.path if self.path else 1.0
         return 1.0 if NEARLY <= held < 1 else held
 
     @functools.cached_property
     def reached(self):
-        """What `reach` finds for the target at the end, or for those of several tips; None where it can't be asked."""
+        """The result of `reach` for the last target, or targets of several tips; None where `reach` does not apply."""
         if self.law.task.of_one_tip:
             return self.reach_to(self.target)
         return None if self.together is None else self.together.made
@@ -202,7 +202,7 @@ class Case:
 
     def reach_to(self, target):
         """The same for another position, turned alike."""
-        from cnclik.reaching.public import reach  # here: most runs end where nothing is asked of it
+        from cnclik.reaching.public import reach  # imported here, because most runs do not need it
 
         chain, task = self.law.chain, replace(self.law.task, weights=None)
         able = task.of_one_tip and task.m <= chain.n and not chain.balls
@@ -266,7 +266,7 @@ def in_words(task, errors) -> str:
 
 
 def _held_by(law, run, late) -> list:
-    """Names of the walls that hold in most of the last steps."""
+    """Names of the walls that are active in most of the last steps."""
     if run.walls is None:
         return []
     holds = np.asarray(run.walls)[-late:] <= rounding_of(np.asarray(run.qdot)[-late:])
@@ -290,7 +290,7 @@ def brief(reference, run, Ts, pace) -> int:
 
 
 def farthest(law, places) -> int:
-    """Which of positions (k, p) is farthest beyond the stretched arm; the last where none is beyond it."""
+    """The position, of (k, p), that is farthest beyond the stretched arm; the last one where none is."""
     if places is None:
         return -1
     away = np.asarray(beyond_arm(law.chain, places, (0, 1, 2) if places.shape[1] == 3 else law.task.linear), float)
@@ -320,12 +320,12 @@ def _period(reference) -> float:
 
 
 def _at_rest(law, end, e, Ts, method, stage, drive) -> dict:
-    """What the loop's own step does at rest at the end: rows, radii, overshoot, fold."""
+    """The linear loop at rest at the end of the run: rows, radii, overshoot, time constant."""
     rest = resting(law, end)
     moved, rows = maps(*rest, np.ones(1), Ts, method, stage)
     if not np.isfinite(moved[0]).all():
         return dict(rows=rows, radius=np.inf, null_radius=np.inf, overshoot=0.0, fold=1.0)
-    if callable(law.null_velocity):  # what carries the arm to another posture is no fault of the loop's
+    if callable(law.null_velocity):  # motion to another posture is not an instability
         flow = null_flow_of_numbers(rest[0], rest[1].reference, end.q)
         moved = staying(moved, growing(*map(np.asarray, flow)))
     found = spectrum_of(moved[0], rows)

@@ -16,13 +16,13 @@ from cnclik.robot.rotations import library
 from cnclik.stability.drives import longer, own_drives, several, side_by_side
 from cnclik.stability.linear import EPS, REACH, amplification, checked, first_above, least_on
 
-SLACK = 2**22 * EPS  # a radius above 1 by more than this is unstable: rounding of eigenvalues that are 1 is not
-_ZERO = 1e-9  # a factor below this is none
-SWING = 1e-4  # share of a factor by which it may be off the real axis: where two meet rounding parts them
-OVERSHOOT = 0.01  # of a step, up to which it counts as none
-WORK = 1e6  # of eigenvalues looked at together: their number times the cube of the matrix's size
-POINTS = 128  # values of z that are looked at together, at most
-FAR = 1e12  # times the input, beyond which a response is not followed
+SLACK = 2**22 * EPS  # a radius above 1 by more is unstable; eigenvalues of 1 have rounding
+_ZERO = 1e-9  # smaller factors count as 0
+SWING = 1e-4  # relative imaginary part that counts as 0; rounding separates equal factors
+OVERSHOOT = 0.01  # largest overshoot of a step that counts as none
+WORK = 1e6  # work of one batch of eigenvalues: their number times the cube of the matrix's size
+POINTS = 128  # largest number of values of z in a batch
+FAR = 1e12  # a response larger than this many times the input is not continued
 LONGEST = 20_000  # samples of a response
 INPUTS = 4  # of a loop: noise, target, by how much that moves, and what is fed forward
 
@@ -52,7 +52,7 @@ def loop_matrix(steps, drive: Drive, Ts: float, inputs: bool = False):
     target, by how much it moves, a step that is fed forward; and a last row is the controller's step.
     """
     model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], library(steps)
-    if several(drive):  # beside them are the modes; then come unit vectors and joints
+    if several(drive):  # modes along the first axes, then unit vectors and joints
         model = model.beside(2)
     count = model.size + drive.adds_up + model.remembered + p - 1 + INPUTS * inputs
     units = np.eye(n * count)
@@ -74,7 +74,7 @@ def loop_matrix(steps, drive: Drive, Ts: float, inputs: bool = False):
 
 
 def looked_at_drive(drive) -> Drive:
-    """The drive as the loop knows it: of its own commands it learns nothing else."""
+    """The drive as seen by the loop; a loop that uses its own commands sees none."""
     return Drive() if drive.feedback == "commanded" else drive.lumped
 
 
@@ -127,7 +127,9 @@ def _all_factors(steps, drive, Ts):
     steps = np.where(np.expand_dims(finite, axes), steps, 0.0)
     if own_drives(drive):
         found = np.linalg.eigvals(loop_matrix(steps, looked_at_drive(drive), Ts))
-        still = np.argsort(np.abs(found - 1.0), -1)[..., : _idle(steps)]  # what no step moves stays where it is
+        still = np.argsort(np.abs(found - 1.0), -1)[
+            ..., : _idle(steps)
+        ]  # unmoved directions
         np.put_along_axis(found, still, 0.0, -1)
     else:
         found = driven_factors(steps, drive, Ts)
@@ -136,7 +138,7 @@ def _all_factors(steps, drive, Ts):
 
 
 def _idle(steps) -> int:
-    """How many directions of the joints matrices (..., p, n, n) leave alone."""
+    """Number of joint directions that matrices (..., p, n, n) do not move."""
     newest = steps.reshape(-1, *steps.shape[-3:])[:, 0]
     size = np.linalg.svd(newest, compute_uv=False)
     return int(np.sum(size <= 1e-9 * np.maximum(size[:, :1], _ZERO), -1).min(initial=newest.shape[-1]))
@@ -188,7 +190,7 @@ class DrivenLimits:
 
 
 def looked_at(drive, size: float) -> int:
-    """How many values of z are looked at together: of matrices of this size and the dead time's."""
+    """Number of values of z per batch, for the size of the matrices and the dead time."""
     return int(np.clip(WORK / (size + drive.lumped.delay) ** 3, 16, POINTS))
 
 

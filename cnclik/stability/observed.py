@@ -1,4 +1,4 @@
-"""Observed: what a run did, in numbers: its late errors, whether they grow or shrink, how its joints move."""
+"""Observed: a run in numbers: its late errors, their growth, the motion of its joints."""
 
 from typing import NamedTuple
 
@@ -22,31 +22,31 @@ ROUNDED = 1e-6  # share of a velocity limit that is a rounding
 
 
 class Observed(NamedTuple):
-    """What a run did, in numbers."""
+    """A run in numbers."""
 
     size: np.ndarray  # ‖e‖ at every instant
-    late: np.ndarray  # those of the last quarter
-    before: np.ndarray  # and of the one before
-    floor: float  # an error no larger is rounding
-    reversing: float  # share of the late joint speed that goes back and forth, see `back_and_forth`
-    joint_speed: float  # largest late one
-    visible: bool  # whether the late joint steps can be seen
+    late: np.ndarray  # ‖e‖ over the last quarter
+    before: np.ndarray  # ‖e‖ over the quarter before
+    floor: float  # smaller errors are rounding
+    reversing: float  # share of the late joint speed that alternates, see `back_and_forth`
+    joint_speed: float  # largest late joint speed
+    visible: bool  # whether the late joint steps are large enough to see
     fades: bool  # whether they are much smaller than those of the quarter before
-    swings: int  # how often the error changed its sense before it was small
-    swing: float  # steps between two such changes, the median
+    swings: int  # sign changes of the error before it was small
+    swing: float  # median number of steps between sign changes
     status: np.ndarray  # of the late steps
     too_fast: int  # steps, of the whole run, in which a joint is faster than its limit
     excess: float  # largest joint velocity over its limit
     fastest: str  # the joint that has it
     at_velocity: np.ndarray  # (n,) whether a joint moves at its velocity limit in most of the late steps
-    by_error: bool  # whether it was the error, more than the path's own speed, that asked for the largest velocity
+    by_error: bool  # whether the error caused the largest velocity, rather than the path's speed
     fast_singular: bool  # whether a joint is faster than that next to a singularity
-    share: float  # of the target's motion that the tip made, over the last two quarters
-    dtype: np.dtype  # in which it ran
+    share: float  # share of the target's motion that the tip followed, over the last two quarters
+    dtype: np.dtype  # dtype of the run
     still: bool  # whether late joint values are all the same, and short of the target
-    drift: float  # how far the joints get over the last quarter, going back and forth left out
-    way: float  # that the target went over the whole run [m; rad where the task has no position]
-    outside: np.ndarray  # (n,) by how much each joint was beyond its limits, at most [rad, m]
+    drift: float  # net joint motion over the last quarter
+    way: float  # length of the target's path [m; rad for a task without position]
+    outside: np.ndarray  # (n,) largest excess of each joint over its position limits [rad, m]
     bad: int | None  # first instant that is not finite
 
     @property
@@ -55,7 +55,7 @@ class Observed(NamedTuple):
 
     @property
     def arrived(self):
-        first = self.size[0] if self.size[0] > self.floor else self.size.max()  # it may begin on its path
+        first = self.size[0] if self.size[0] > self.floor else self.size.max()  # the error may begin at 0
         return self.largest <= max(ARRIVED * first, self.floor)
 
     @property
@@ -69,7 +69,7 @@ class Observed(NamedTuple):
 
     @property
     def lost(self):
-        """Whether it has grown by more than what shakes about a path does from one part of it to another."""
+        """Whether the error has grown by more than it varies along a path."""
         return bool(np.median(self.late) > LOST * np.median(self.size[: len(self.size) - len(self.late)]))
 
     @property
@@ -79,13 +79,13 @@ class Observed(NamedTuple):
 
     @property
     def swings_less(self):
-        """Whether it shrinks though it passes near zero on its way down."""
+        """Whether the error decreases although it oscillates through zero."""
         fallen = np.median(self.late) < FALLEN * np.median(self.before)
         return bool(fallen and self.largest < FALLEN * self.before.max())
 
     @property
     def over_velocity(self):
-        """That joints are too fast, in words; empty where they are not."""
+        """A clause on joints above their velocity limits; empty where there are none."""
         if not self.too_fast:
             return ""
         steps = f"{self.too_fast} of {len(self.size) - 1} steps ask for more than a joint's velocity limit"
@@ -95,7 +95,7 @@ class Observed(NamedTuple):
         return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of a loop on its way to infinity
+@np.errstate(over="ignore", invalid="ignore")  # a diverging loop overflows
 def observe(law, run, Ts, dtype, mean=0) -> Observed:
     """What one lane's trajectory shows, up to its first instant that is not finite.
 
@@ -115,7 +115,7 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
     steps = np.linalg.norm(qdot, axis=1) * Ts
     fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
     turned = max((_turns(one, max(ARRIVED, eps) * size.max()) for one in e.T), key=len)
-    least = 8 * eps * (1 + arm_length(law.chain))  # error that the rounding of q itself makes
+    least = 8 * eps * (1 + arm_length(law.chain))  # error caused by the rounding of q
     ratio = np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
     k, moved = int(np.argmax(ratio.max(1))), np.diff(np.asarray(run.x, float)[: len(e)] + e, axis=0)
     return Observed(
@@ -151,13 +151,13 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
 
 
 def _drift(chain, q):
-    """How far the joints (N, n) went, by their means over both halves."""
+    """Net motion of the joints (N, n), from the means of both halves."""
     halves = [np.mean(v, axis=0) for v in np.array_split(np.asarray(apart(chain, q[0], q)), 2)]
     return 2 * float(np.linalg.norm(halves[1] - halves[0]))
 
 
 def _share(x, e):
-    """How far the tip moved, of how far its target did; at least a hundredth, at most 1."""
+    """Path length of the tip over that of its target, between 0.01 and 1."""
     made, asked = (np.sum(np.linalg.norm(np.diff(v, axis=0), axis=1)) for v in (x, x + e))
     return float(np.clip(made / asked, 0.01, 1.0)) if np.isfinite(made) and asked > 0 else 1.0
 
@@ -182,6 +182,6 @@ def back_and_forth(qdot, mean=0):
 
 
 def _turns(values, least):
-    """Where values, those larger than the least, go to the other side."""
+    """Indices of sign changes among the values larger than `least`."""
     large = np.flatnonzero(np.abs(values) > least)
     return large[1:][values[large[1:]] * values[large[:-1]] < 0]

@@ -1,4 +1,4 @@
-"""Reasons: why a loop's run did not do better, in words, from the evidence of its case."""
+"""Reasons: why a run did not do better, in words, from its case."""
 
 import numpy as np
 
@@ -10,17 +10,17 @@ from cnclik.robot.posture import beyond_arm
 from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky
 from cnclik.stability.stacked import out_of_reach
 
-REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
+REVERSING = 0.15  # a loop shakes if a larger share of its joint speed reverses in the next step
 GRADIENT = 0.02  # ‖Jᵀe‖/(‖J‖‖e‖) below which no joint motion reduces the error
-LONGEST = 1e4  # steps in which an error falls e-fold, at most, that are waited for
+LONGEST = 1e4  # longest time constant that is worth waiting for [steps]
 SLOWEST = 1e6  # steps in which an error falls e-fold, at most
-INSIDE = 1e-6  # [rad, m] beyond a limit that is a rounding
+INSIDE = 1e-6  # [rad, m] excess over a limit that is rounding
 LEAK = 0.3  # share of what the gain asks for that the null-space velocity's pull must be
 PULLED = "the null-space velocity pulls at the task, as I − J# J of this inverse is no projector"
 
 
 def at_limits(case) -> str:
-    """Which joints' limits, and walls, stop the arm, in words; empty where the law keeps none, or none is near."""
+    """A clause on the joint limits and walls that stop the arm; empty where there are none."""
     if not (keeps_positions(case.law) and case.seen.often(Status.AT_LIMIT)):
         return ""
     chain, q = case.law.chain, case.end.q
@@ -41,7 +41,7 @@ def too_slow(case) -> str:
 
 
 def open_ended(case) -> str:
-    """Why nobody knows how long a run decides, in words; empty where the loop's time constants tell."""
+    """A clause on why no run length decides; empty where the loop's time constants give one."""
     if case.held_back:
         where = " next to a singularity" * case.crawls
         return f"limits hold the joints back{where}, and how long that lasts is not known"
@@ -57,7 +57,7 @@ def open_ended(case) -> str:
 
 
 def slow(case) -> bool:
-    """Whether the loop's step at rest takes longer with what is left of an error than anybody waits."""
+    """Whether the remaining error decays too slowly to wait for."""
     return case.fold * case.advance > LONGEST and case.radius <= 1
 
 
@@ -67,9 +67,9 @@ def keeps_positions(law) -> bool:
 
 
 def outside(case) -> str:
-    """Which joint was farthest beyond its limits, and by how much, in words; empty where none went there."""
+    """A clause on the joint farthest beyond its limits; empty where there is none."""
     law, beyond = case.law, case.seen.outside
-    if keeps_positions(law):  # one that began outside comes back
+    if keeps_positions(law):  # a joint that began outside returns
         began = np.maximum(case.start.q - np.array(law.chain.upper), np.array(law.chain.lower) - case.start.q)
         beyond = np.where(beyond > began + INSIDE, beyond, 0.0)
     most = int(np.argmax(beyond))
@@ -83,13 +83,13 @@ def outside(case) -> str:
 
 
 def hopeless(case) -> bool:
-    """Whether no joint motion reduces the error, in this posture."""
+    """Whether no joint motion reduces the error in this posture."""
     size, push = np.linalg.norm(case.e), np.linalg.norm(case.rows.T @ case.e)
     return size > case.seen.floor and push < GRADIENT * np.linalg.norm(case.rows, 2) * size
 
 
 def beyond(case) -> float:
-    """By how much the target lies beyond the stretched arm [m]; negative where it doesn't, or that isn't known."""
+    """Distance of the target beyond the stretched arm [m]; negative within it, or where it is unknown."""
     if case.target is None:
         return -np.inf
     axes = (0, 1, 2) if len(case.target) == 3 else case.law.task.linear
@@ -98,13 +98,13 @@ def beyond(case) -> float:
 
 
 def too_many(case) -> bool:
-    """Whether the task asks for more coordinates than there are joints, and can't have them."""
+    """Whether the task has more coordinates than the joints can control."""
     m, n = case.rows.shape
     return m > n and hopeless(case)
 
 
 def unreachable(case) -> str:
-    """Why the target is out of reach, in words; empty where the tip can get there, or that isn't known."""
+    """A clause on why the target is out of reach; empty where it is reachable or unknown."""
     if not case.law.task.of_one_tip:
         return out_of_reach(case)
     away, (m, n) = beyond(case), case.rows.shape
@@ -124,7 +124,7 @@ def unreachable(case) -> str:
 
 
 def leaks(case) -> bool:
-    """Whether what is left of an error is what the null-space velocity puts there."""
+    """Whether the null-space velocity causes the remaining error."""
     if not leaky(case.law):
         return False
     pull = case.rows @ _drift(case.law, case.end.q)
@@ -134,7 +134,7 @@ def leaks(case) -> bool:
 
 
 def null_excess(case) -> float:
-    """How fast the null-space velocity alone moves a joint, over its limit, where the run began or ended."""
+    """Joint velocity of the null-space term alone over its limit, at the start or the end of the run."""
     if case.law.null_velocity is None:
         return 0.0
     limit = np.maximum(np.array(case.law.chain.velocity_limit, float), 1e-12)

@@ -12,7 +12,7 @@ import numpy as np
 from cnclik.integrate.drive import Drive
 from cnclik.stability.drives import SPARE, each_drive
 
-INERTIA = 2.0  # factor between a joint's inertia as it was measured, and in another posture or beside other joints
+INERTIA = 2.0  # largest ratio between a joint's measured inertia and that in another posture
 SHARES = np.geomspace(1 / INERTIA, INERTIA, 33)  # of that inertia
 WHERE = "Begin each command at the last one (feedback commanded), or send velocities"
 
@@ -43,12 +43,12 @@ def bearable_delay(drive: Drive, Ts: float) -> float:
 
 
 def runs_away(drive: Drive, Ts: float) -> bool:
-    """Whether such a loop may swing and grow however small its gain is."""
+    """Whether such a loop may be unstable at any gain."""
     return drive.lumped.delay >= bearable_delay(drive, Ts)
 
 
 def astray(drive: Drive, Ts: float) -> str:
-    """That a loop runs away, in words; "" where it does not."""
+    """A sentence on a loop that runs away; "" for other loops."""
     if not runs_away(drive, Ts):
         return ""
     return (

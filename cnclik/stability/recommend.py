@@ -172,7 +172,7 @@ def analyse(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Dri
 
 
 def analysis_of(loop: LoopAtRest, Ts, reach=REACH) -> Analysis:
-    """`analyse` of a loop that is known to be at rest."""
+    """`analyse` for a loop at rest."""
     gains, room, now = _margin(loop, Ts, reach)
     times = recommendation_of(loop, None, reach) if loop.drive.prompt else None
     return Analysis(gains=gains, times=times, margin=room, spectrum=now)
@@ -191,7 +191,7 @@ def _margin(loop, Ts, reach):
 
 
 def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
-    """`recommend` of a loop that is known to be at rest."""
+    """`recommend` for a loop at rest."""
     law, rate, drive = loop.law, loop.rate, loop.drive
     reach = float(errors.number("reach", reach, positive=True))
     if Ts is not None:
@@ -203,7 +203,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         if Ts is None or z is None:
             return z if z is None else z / rate
         alpha = np.asarray(law.alpha)
-        return np.multiply(alpha, z / (rate * Ts), where=alpha != 0, out=np.zeros(alpha.shape))  # 0·∞ stays 0
+        return np.multiply(alpha, z / (rate * Ts), where=alpha != 0, out=np.zeros(alpha.shape))  # 0·∞ remains 0
 
     def slowest(z):
         return loop.radii(z, Ts)[0]
@@ -221,7 +221,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         )
         z_recommended = min(z_recommended, z_monotone)
     bounded = np.isfinite(z_largest)
-    edge = max(z_largest, 1e-9) * (1 + 1e-6) if bounded else 1.0  # without an edge: only for the direction
+    edge = max(z_largest, 1e-9) * (1 + 1e-6) if bounded else 1.0  # without a limit, only for the direction
     moved, rows = loop.along(np.array([edge]), Ts)
     beyond = spectrum_of(moved[0], rows)
     return Recommendation(
@@ -286,7 +286,7 @@ def _how(loop):
 
 
 def _what_limits(loop, beyond, z_largest, astray) -> str:
-    """The first thing to give way just beyond the largest stable value, in words."""
+    """A clause on what becomes unstable first beyond the largest stable value."""
     if astray:
         return astray
     if not np.isfinite(z_largest):

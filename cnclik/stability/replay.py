@@ -1,4 +1,4 @@
-"""Replay: the first steps of a run again, to see whether the loop that is described made it."""
+"""Replay: repeat the first steps of a run, to check that the described loop made it."""
 
 import contextlib
 
@@ -13,14 +13,14 @@ from cnclik.integrate.status import Status
 from cnclik.robot.chart import apart
 from cnclik.stability import trial
 
-STEPS = 32  # that are compared
-ROUNDINGS = 100.0  # of joint values, grown as two starts a few roundings apart do, that are none of another loop
-ROUGH = Status.NEAR_SINGULAR | Status.RESTARTED | Status.DIVERGED  # of steps after which roundings may be all there is
-AT_A_PACE = 1e4  # the same: a pace divides differences of steps by Ts once or twice
+STEPS = 32  # number of steps compared
+ROUNDINGS = 100.0  # tolerance in roundings of joint values, times the growth of a small difference at the start
+ROUGH = Status.NEAR_SINGULAR | Status.RESTARTED | Status.DIVERGED  # after such steps only rounding may be left
+AT_A_PACE = 1e4  # the same at a pace, which divides differences by Ts once or twice
 
 
 def check_path(pace, reference, run) -> None:
-    """Raise ArgumentError where a run's record says that it had no such pace."""
+    """Raise ArgumentError where the record of a run contradicts the pace."""
     waited, waits = run.path_time is not None, path_waits(pace, reference)
     if waits and not waited:
         must = "be left out, or have wait=False, as the path of the run did not wait for the robot"

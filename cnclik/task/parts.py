@@ -33,7 +33,7 @@ _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
 
 
 class At:
-    """A robot at joint values q (n,), as the parts of a task see it: places and motion of its tips.
+    """A robot at joint values q (n,): poses and motions of its tips, for the parts of a task.
 
     A tip is seen from the base, or from another tip `to`, in its frame, as it moves itself. Where all are NumPy's
     numbers, q may be (..., n).
@@ -81,9 +81,9 @@ def places(axes) -> np.ndarray:
 
 
 class Vector:
-    """What parts have in common whose target is a vector in their own coordinates."""
+    """Common methods of parts whose target is a vector in their own coordinates."""
 
-    turns = False  # whether the target is a rotation
+    turns = False  # whether its target is a rotation
     tied: Any = False  # whether rows and velocity change with the target
     called = "values"  # what its target holds
     names: Any
@@ -107,7 +107,7 @@ class Vector:
             raise errors.fail("reference", f"give {self.width} {self.called} ({names})", f"gives {size}")
 
     def here(self, robot: At):
-        """The target that is where the robot is; None where that isn't known."""
+        """The target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
 
     def moved(self, position, rotation, w):
@@ -141,7 +141,7 @@ class Vector:
         return aim
 
     def between(self, robot: At, aim, measured, model):
-        """What a target is to be moved by so that its error (m,) is the measured one."""
+        """The displacement of a target that makes its error equal the measured one (m,)."""
         return measured - model
 
 

@@ -69,7 +69,7 @@ class Task:
 
     @property
     def targets(self) -> tuple[tuple[tuple[str, ...], Task], ...]:
-        """Where a target is due: its path, (task, tip) or (tip,), and the parts that it is for."""
+        """The targets that a reference must give: (task, tip) or (tip,), and the parts that each is for."""
         every, found = iter(self.parts), []
         for name, count in self.tasks or (("", len(self.parts)),):
             own = itertools.groupby(itertools.islice(every, count), lambda part: (part.tip, part.to))
@@ -213,7 +213,7 @@ def with_weights(task: Task, weights) -> Task:
 
 def weights_of(task, weights):
     if any(isinstance(part, Joints) and part.wanted is None for part in task.parts):
-        return weights  # how many there are, the robot will say
+        return weights  # their number is known once the robot is
     if isinstance(weights, _Several):
         each = zip(weights, task.slices, strict=True)
         weights = [np.ones(at.stop - at.start) if w is None else errors.array("weights", w, (None,)) for w, at in each]

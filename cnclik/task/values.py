@@ -21,7 +21,7 @@ class Joints(Vector):
     """Joint values themselves [rad, m]: a posture as a task."""
 
     wanted: tuple[str, ...] | None  # names of joints; None: all
-    which: tuple[int, ...] | None = None  # once the robot is known
+    which: tuple[int, ...] | None = None  # set by `on`, for the robot
     units: tuple[str, ...] = ()
     tip, to = "joints", None
     called = "joint values"
@@ -38,7 +38,7 @@ class Joints(Vector):
             return self
         turned = {i + k for _, i in chain.balls for k in range(3)}
         wanted = self.wanted
-        if wanted is None:  # all but floating joints: of them the places, too
+        if wanted is None:  # all joints but floating ones
             bodies = {name[:-2] + name[-1] for name in (chain.joint_names[i] for i in turned)}
             wanted = tuple(name for i, name in enumerate(chain.joint_names) if i not in turned and name not in bodies)
         which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)

@@ -12,21 +12,21 @@ from cnclik.show.sweeps.panels import text
 from cnclik.sweeps.check import ROLES
 from cnclik.sweeps.summary import HISTORY, main_value, scalars
 
-LONGEST = 8  # a dimension of more values gets no panels and no figures of its own
+LONGEST = 8  # a longer dimension gets neither panels nor separate figures
 
 
 class Layout(NamedTuple):
     """One figure: what it shows, the dimension in each role (None: nothing), and how it is drawn."""
 
     kind: str
-    value: str  # the variable shown
+    value: str  # name of the variable shown
     x: str | None
     y: str | None
     lines: str | None
     panels: str | None
     rows: str | None
-    over: str | None  # a dimension along which a line runs without an axis of its own
-    among: str | None  # the dimension whose best is asked for
+    over: str | None  # dimension along which a line runs, without an axis
+    among: str | None  # dimension whose best value is shown
     across: str | None  # a dimension summed up by `reduce`, as samples are
     reduced: tuple  # dimensions summed up, by `reduce`
     middle: tuple  # long dimensions without a role: shown at their middle
@@ -65,7 +65,7 @@ def defaults(data) -> list:
         out.append({"kind": "distribution", "value": value, "over": starts[0]})
     if len(np.unique(costs)) > methods:
         out.append({"kind": "work", "value": value})
-    if value is None:  # nothing but histories
+    if value is None:  # the data hold only histories
         out = []
     if "error" in data.data_vars:
         out.append({"kind": "convergence", "value": "error"})
@@ -101,7 +101,7 @@ def arrange(data, table: dict) -> Layout:
     free = [d for d in dims if d not in roles.values()]
     summed = tuple(d for d in dims if d == roles["across"] or (d in free and d in starts))
     reduced = () if kind == "convergence" else summed  # a history is shown with its spread
-    # The rest in the order of what differs most in kind.
+    # The rest: methods and stages first, then M.
     free = sorted((d for d in free if d not in summed), key=lambda d: (d not in ("method", "stage"), d != "M"))
     places = [("panels", LONGEST), ("rows", LONGEST)]
     if kind in ("slices", "convergence", "work", "distribution"):

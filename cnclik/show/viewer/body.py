@@ -1,7 +1,7 @@
 """Body: a robot's shapes from its chain alone, and where they are.
 
 Frame 0 is the base, frame i is fixed to what joint i moves. A link is a capsule from its joint to the next, a revolute
-joint a cylinder about its axis, a prismatic one a square bar along its way.
+joint a cylinder about its axis, a prismatic one a square bar along its axis.
 """
 
 from typing import NamedTuple
@@ -14,9 +14,9 @@ from cnclik.robot.model import joint_frames, modelled
 from cnclik.robot.posture import arm_length
 from cnclik.show import style
 
-THICK = 0.028  # radius of a link, of the arm's length
+THICK = 0.028  # radius of a link [arm lengths]
 AROUND = 20  # corners of a round shape
-GREY = "#8A8F94"  # of what doesn't move, and of a run beside another
+GREY = "#8A8F94"  # for fixed parts, and for the second run
 
 
 class Part(NamedTuple):
@@ -55,7 +55,7 @@ def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
             found.append(Part(frame, *shape, GREY if frame == 0 else color))
     for i, joint in enumerate(chain.joints, 1):
         axis, anywhere = _numbers(joint.axis), np.isinf([chain.lower[joint.coordinate], chain.upper[joint.coordinate]])
-        if joint.kind == BALL or (joint.kind == PRISMATIC and anywhere.all()):  # of a base: there is nothing to be seen
+        if joint.kind == BALL or (joint.kind == PRISMATIC and anywhere.all()):  # joints of a base have no shape
             continue
         if joint.kind == REVOLUTE:
             shape = rod(-1.2 * thick * axis, 1.2 * thick * axis, 1.3 * thick)
@@ -91,7 +91,7 @@ def rod(start, end, radius, around=AROUND) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _turned(profile, start, end, around):
-    """A profile (k, 2) of radii and heights turned about the way from start to end."""
+    """A profile (k, 2) of radii and heights rotated about the axis from start to end."""
     angle = 2 * np.pi * np.arange(around) / around
     x, y = np.cos(angle), np.sin(angle)
     own = [[r * a, r * b, h] for r, h in profile for a, b in zip(x, y, strict=True)]

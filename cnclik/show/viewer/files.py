@@ -21,7 +21,7 @@ from cnclik.show.viewer.swept import best_and_worst
 
 ENDINGS = (".nc", ".csv", ".npz")
 RUN, STORE = "trajectory.nc", "data.zarr"
-MOST_TARGETS = 40  # of a report's moving robot
+MOST_TARGETS = 40  # targets in a report's animation
 _UNITS = {"x": "m", "y": "m", "z": "m"}
 
 
@@ -50,12 +50,12 @@ def read_motions(path, robot=None) -> list:
         return [_motion({".nc": _netcdf, ".npz": _arrays, ".csv": _table}[ending](path), path, robot)]
     except errors.ArgumentError:
         raise
-    except Exception as error:  # whatever HDF5, xarray, NumPy and arrays that don't go with each other make of damage
+    except Exception as error:  # damaged files raise all kinds of errors in HDF5, xarray and NumPy
         raise errors.fail("FILE", "be a run of `solve` or answers of `reach`", f"{path.name} is not: {error}") from None
 
 
 def _motion(found, path, robot):
-    """What a file holds, by its names, as a motion."""
+    """A motion from the named arrays of a file."""
     config = found.pop("config", None) or _beside(path)
     written = Written(config["tasks"], config.get("walls", {})) if "tasks" in config else None
     tables = None if written is None else tables_from(written, {}).tasks
@@ -87,7 +87,7 @@ def links_of(robot, base, chain) -> tuple | None:
 
 
 def _run(chain, found, **about):
-    """A run; what a file lacks of it is left out."""
+    """A run; quantities that the file lacks are left out."""
     q = np.asarray(found["q"], float)
     axes = found.get("axes", ())
     if not isinstance(axes, Axes):

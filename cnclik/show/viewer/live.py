@@ -16,8 +16,8 @@ from cnclik.show.viewer.motion import BAD, GOOD, LEVELS, WARNING, motion_of
 from cnclik.stability.case import UNSTABLE
 from cnclik.stability.verdict import verdict
 
-MOST_DELAY = 20  # samples that the slider offers
-MOST_Z = 3.0  # alpha·Ts that it offers at the sampling time it begins with
+MOST_DELAY = 20  # [samples] largest delay on the slider
+MOST_Z = 3.0  # largest alpha·Ts on the slider, at the first sampling time
 
 
 def tell(text) -> None:
@@ -87,7 +87,7 @@ class Live:
         self.show()
 
     def ask(self) -> None:
-        """Run with what the sliders say now; of many changes at once only the last one."""
+        """Run with the present slider values; of several pending changes only the last counts."""
         with self.wake:
             self.waiting = Loop(self.alpha.value, 1e-3 * self.Ts.value, self.method.value, float(self.delay.value))
             self.wake.notify()
@@ -102,7 +102,7 @@ class Live:
             try:
                 self.seen = self._look(loop._replace(alpha=max(loop.alpha, 1e-9)))
                 self.show()
-            except Exception as error:  # whatever a loop raises, such as a method's need of a stage: the sliders go on
+            except Exception as error:  # of any kind: the sliders keep working
                 self._tell(str(error))
 
     def show(self) -> None:

@@ -32,7 +32,7 @@ class Loop(NamedTuple):
 
     @property
     def program(self) -> tuple:
-        """What a program is compiled for."""
+        """The values that a program is compiled for."""
         return self.method, self.delay
 
 
@@ -42,7 +42,7 @@ class Seen(NamedTuple):
     loop: Loop
     run: Trajectory
     factors: np.ndarray | None  # complex; None where joints have drives of their own
-    radius: float  # the largest of their sizes: below 1 is stable
+    radius: float  # their largest absolute value; below 1 is stable
 
 
 def loop_of(problem) -> Loop:

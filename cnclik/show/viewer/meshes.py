@@ -15,8 +15,8 @@ from cnclik.show import style
 from cnclik.show.viewer.body import GREY, Part
 
 ENDINGS = (".stl", ".dae", ".obj", ".ply", ".glb")
-MOST_BYTES = 40 << 20  # of a mesh's file
-MOST_FACES = 4000  # of a link: what fits a page of a megabyte
+MOST_BYTES = 40 << 20  # largest size of a mesh file
+MOST_FACES = 4000  # faces of a link, so that a page stays near 1 MB
 
 
 def mesh_parts(file, tips=None, base=None, *, color=style.SKY, faces=MOST_FACES) -> list:
@@ -32,7 +32,7 @@ def mesh_parts(file, tips=None, base=None, *, color=style.SKY, faces=MOST_FACES)
     file = pathlib.Path(file).resolve()
     try:
         root = ElementTree.fromstring(read_bytes("path", file, "a URDF file"))
-    except ElementTree.ParseError:  # such as prefixes that are nowhere declared
+    except ElementTree.ParseError:  # such as undeclared prefixes
         return []
     if root.tag != "robot":  # MJCF
         return []
@@ -107,7 +107,7 @@ def _shape(file, element):
             made = trimesh.load(path, force="mesh")
             made.apply_scale(_three(kind, "scale", "1 1 1"))
         return _moved((np.asarray(made.vertices, float), np.asarray(made.faces)), at) if len(made.faces) else None
-    except Exception:  # whatever the readers of a dozen formats make of damage
+    except Exception:  # damaged files raise all kinds of errors in a dozen readers
         return None
 
 

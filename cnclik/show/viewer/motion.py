@@ -1,4 +1,4 @@
-"""Motion: what is shown of a run, instant by instant; a viewer and a page know nothing else of it."""
+"""Motion: the data that viewer and page show of a run, instant by instant."""
 
 import dataclasses
 import functools

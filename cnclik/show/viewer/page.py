@@ -7,8 +7,8 @@ from cnclik.show.viewer import need
 from cnclik.show.viewer.scene import Scene
 
 MOST_FRAMES = 240
-SHORTEST, LONGEST = 3.0, 16.0  # a page's time [s]
-SECONDS_EACH = 0.8  # of a target
+SHORTEST, LONGEST = 3.0, 16.0  # [s] playing time of a page
+SECONDS_EACH = 0.8  # [s] for each target
 
 
 def as_page(motions) -> str:
@@ -33,7 +33,7 @@ def as_page(motions) -> str:
 def frames_of(motions):
     """Shares of the motions' length that are shown, and for how long each [s].
 
-    Instants that are left out are an even number: what goes back and forth at every sample still does so on the page.
+    The stride is odd, so that a motion that alternates at every sample still does so on the page.
     """
     longest = max(motions, key=lambda m: len(m.t))
     steps = max(len(longest.t) - 1, 1)

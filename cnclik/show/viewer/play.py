@@ -15,7 +15,7 @@ SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)
 
 
 class Player:
-    """Moves a scene by a clock of its own; `restart` where it shows something new."""
+    """Moves a scene by its own clock."""
 
     def __init__(self, server, scene):
         self.server, self.scene, self._busy, self._ended = server, scene, threading.Lock(), threading.Event()
@@ -40,7 +40,7 @@ class Player:
         self._show(self.slider.value)
 
     def _show(self, share):
-        share = min(max(share, 0.0), 1.0)  # a browser's box takes any number
+        share = min(max(share, 0.0), 1.0)  # the browser accepts any number
         with self._busy:
             self.scene.show(share)
             self.told.content = told(self.scene.motions, share)

@@ -70,7 +70,7 @@ class Scene:
         span = 1.35 * max(span, 0.6 * size)
         step = 10.0 ** np.floor(np.log10(span / 2))
         look = dict(cell_size=step / 2, section_size=5 * step / 2, cell_thickness=0.7)
-        below = min(drawn.lowest for drawn in self._drawn)  # of a humanoid's feet, which stand below its base
+        below = min(drawn.lowest for drawn in self._drawn)  # a humanoid's feet are below its base
         floor = -2.0 * radius_of(motions[0].chain) if flat else below if below < -0.2 * size else 0.0
         area = 2 * (np.array([wide, deep]) + span)
         self.server.scene.add_grid("/floor", *area, position=(*middle[:2], floor), **look)
@@ -93,7 +93,7 @@ class Scene:
 
 
 class _Drawn:
-    """What stands for one motion in a scene."""
+    """The objects of one motion in a scene."""
 
     def __init__(self, server, name, motion, shift, look):
         scene, self.name, self.thick = server.scene, name, radius_of(motion.chain)
@@ -132,7 +132,7 @@ class _Drawn:
             self.lines[i] = line
 
     def _targets(self, motion):
-        """A dot for each target, in the colour of what became of it."""
+        """A dot for each target, in the colour of its result."""
         look = dict(point_size=0.8 * self.thick, point_shape="circle", precision="float32", point_shading="flat")
         points = np.stack([target for target in motion.targets if target is not None])
         cloud, at = self.server.scene.add_point_cloud, f"{self.name}/targets"
