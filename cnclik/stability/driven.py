@@ -127,9 +127,7 @@ def _all_factors(steps, drive, Ts):
     steps = np.where(np.expand_dims(finite, axes), steps, 0.0)
     if own_drives(drive):
         found = np.linalg.eigvals(loop_matrix(steps, looked_at_drive(drive), Ts))
-        still = np.argsort(np.abs(found - 1.0), -1)[
-            ..., : _idle(steps)
-        ]  # unmoved directions
+        still = np.argsort(np.abs(found - 1.0), -1)[..., : _idle(steps)]  # unmoved directions
         np.put_along_axis(found, still, 0.0, -1)
     else:
         found = driven_factors(steps, drive, Ts)
