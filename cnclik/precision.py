@@ -43,7 +43,9 @@ def in_float64_if_known(fn):
     @functools.wraps(fn)
     def wide(*args, **kwargs):
         leaves = jax.tree.leaves((args, kwargs))
-        if not _known(leaves) or (jax.config.jax_enable_x64 and not any(map(_narrow, leaves))):
+        if not _known(leaves) or (
+            jax.config.jax_enable_x64 and not any(_floating(leaf) and leaf.dtype.itemsize < 8 for leaf in leaves)
+        ):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
             args, kwargs = jax.tree.map(_widened, (args, kwargs))
@@ -67,11 +69,6 @@ def _known(tree) -> bool:
     """Whether nothing in it is traced."""
     leaves = jax.tree.leaves(tree, is_leaf=lambda v: type(v) is dict)  # of which JAX would sort the keys
     return all(_known(list(v.values())) if type(v) is dict else errors.concrete(v) for v in leaves)
-
-
-def _narrow(leaf):
-    """Whether it is a floating array of less than float64."""
-    return _floating(leaf) and leaf.dtype.itemsize < 8
 
 
 def _floating(leaf):

@@ -275,11 +275,7 @@ def _map(args, chain, task):
     with output_folder(out, overwrite=args.overwrite, files=["map.npz", "map.png"]) as folder:
         with progress.bar("targets", count) as report:
             found = reachability(
-                chain,
-                args.map,
-                task=kind,
-                progress=report,
-                **_options(args, "cells", "orientations", "at"),
+                chain, args.map, task=kind, progress=report, **_options(args, "cells", "orientations", "at")
             )
         places = dict(zip(found.axes, found.places, strict=True))
         numbers = dict(share=found.share, least_singular_value=found.least_singular_value, **places)

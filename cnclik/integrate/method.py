@@ -13,18 +13,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.multistep import (
-    AB2,
-    AB3,
-    AB4,
-    IFD5,
-    ZEAD4,
-    ZNN4,
-    ZNN6,
-    Multistep,
-    check_order,
-    weights_of,
-)
+from cnclik.integrate.multistep import AB2, AB3, AB4, IFD5, ZEAD4, ZNN4, ZNN6, Multistep, check_order, weights_of
 from cnclik.integrate.stage import Count
 
 
@@ -114,12 +103,7 @@ def _weight(A, tree):
 
 
 EE = Method(
-    name="EE",
-    A=((0.0,),),
-    b=(1.0,),
-    c=(0.0,),
-    order=1,
-    source="explicit Euler, Drexler (2016), eq. 2; R(z) = 1 − z",
+    name="EE", A=((0.0,),), b=(1.0,), c=(0.0,), order=1, source="explicit Euler, Drexler (2016), eq. 2; R(z) = 1 − z"
 )
 
 IE = Method(
@@ -154,12 +138,7 @@ TRAPEZOID = Method(
 )
 
 HEUN = Method(
-    name="HEUN",
-    A=((0.0,), (1.0, 0.0)),
-    b=(0.5, 0.5),
-    c=(0.0, 1.0),
-    order=2,
-    source="Heun (1900); R(z) = 1 − z + z²/2",
+    name="HEUN", A=((0.0,), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0), order=2, source="Heun (1900); R(z) = 1 − z + z²/2"
 )
 
 MIDPOINT = Method(

@@ -119,17 +119,13 @@ class Multistep:
         With all of them it is the formula itself; with fewer, Adams-Bashforth of rising order up to its own.
         """
         rising = [((1.0,), adams(min(past + 1, self.order))) for past in range(self.steps - 1)]
-        return tuple(tuple(_filled(w, self.steps) for w in row) for row in (*rising, (self.a, self.b)))
+        return tuple(tuple((*w, *(0.0,) * (self.steps - len(w))) for w in row) for row in (*rising, (self.a, self.b)))
 
 
 def _missed(a, b, k) -> float:
     """What the formula is off by at the end of a step from 0 to 1 along tᵏ."""
     past = sum(w * (-j) ** k for j, w in enumerate(a))
     return past - 1.0 + sum(w * k * (-j) ** (k - 1) for j, w in enumerate(b))
-
-
-def _filled(weights, count):
-    return (*weights, *(0.0,) * (count - len(weights)))
 
 
 def _adams(p):
@@ -150,9 +146,5 @@ ZNN6 = Multistep(
     source=_TAYLOR + "six instants; z up to 2/3",
 )
 IFD5 = Multistep(
-    name="IFD5",
-    a=(-1 / 8, 3 / 4, 5 / 8, -1 / 4),
-    b=(9 / 4,),
-    order=3,
-    source=_TAYLOR + "five instants; z up to 0.281",
+    name="IFD5", a=(-1 / 8, 3 / 4, 5 / 8, -1 / 4), b=(9 / 4,), order=3, source=_TAYLOR + "five instants; z up to 0.281"
 )

@@ -158,11 +158,7 @@ def _with_implicit_derivative(g, start, iterate) -> Solved:
         return solved.slope, (solved.residual, solved.contraction)
 
     slope, (residual, contraction) = lax.custom_root(
-        lambda k: k - g(k).qdot,
-        start,
-        solve,
-        lambda linear, b: jnp.linalg.solve(_matrix(linear, b), b),
-        has_aux=True,
+        lambda k: k - g(k).qdot, start, solve, lambda linear, b: jnp.linalg.solve(_matrix(linear, b), b), has_aux=True
     )
     residual, contraction = lax.stop_gradient((residual, contraction))
     return Solved(slope=slope, residual=residual, contraction=contraction)

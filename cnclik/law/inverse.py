@@ -166,7 +166,8 @@ class Levels:
 def _by_shift(rows, shift, least=None) -> Factored:
     """Jᵀ (J Jᵀ + D)⁻¹, see `damped_apply`."""
     apply, factor, shift = damped_apply(rows, shift)
-    return Factored(apply, _least(factor, shift) if least is None else least, shift, _memory(rows, factor))
+    memory = (lambda: (rows, dense.packed(factor))) if len(rows) <= rows.shape[1] else None
+    return Factored(apply, _least(factor, shift) if least is None else least, shift, memory)
 
 
 def least_of(rows):
@@ -174,11 +175,6 @@ def least_of(rows):
     wide = dense.wide_side(rows)
     tiny = tiny_shift(wide)
     return _least(dense.cholesky(dense.shifted(wide @ wide.T, tiny)), tiny)
-
-
-def _memory(rows, factor):
-    """What is remembered of Jᵀ (J Jᵀ + λ² I)⁻¹."""
-    return (lambda: (rows, dense.packed(factor))) if len(rows) <= rows.shape[1] else None
 
 
 def damped_apply(rows, shift):

@@ -121,11 +121,7 @@ def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray
 
 
 def support_polygon(
-    corners: Float[ArrayLike, "k 2"],
-    *,
-    relative_to: str | None = None,
-    margin: float = 0.0,
-    rate: Number | None = None,
+    corners: Float[ArrayLike, "k 2"], *, relative_to: str | None = None, margin: float = 0.0, rate: Number | None = None
 ) -> tuple[Wall, ...]:
     """Walls that keep the centre of mass above the feet: one for each edge of the convex hull of their corners.
 

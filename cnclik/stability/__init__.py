@@ -61,16 +61,7 @@ __all__ += [
     "gains_map",
     "largest_rate",
 ]
-__all__ += [
-    "margin",
-    "one_step",
-    "outcome",
-    "outcomes",
-    "passes_map",
-    "plane",
-    "real_axis_limits",
-    "recommend",
-]
+__all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "real_axis_limits", "recommend"]
 __all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
 __all__ += ["stability_map", "stability_region", "step_maps", "task_map", "task_radius", "verdict"]
 

@@ -47,7 +47,7 @@ class Behaviour(enum.StrEnum):
 
 def judged(case):
     """(kind, what it did, remedies) of a case."""
-    law, seen, error = case.law, case.seen, _error(case)
+    law, seen, error = case.law, case.seen, f"over the last quarter of the run the error is at most {case.size}"
     if seen.bad is not None:
         since = case.t[0] + seen.bad * case.loop[0]  # the time of a path that waits is not finite either
         what = f"not finite from t = {since:.4g} s on (step {seen.bad})"
@@ -63,10 +63,6 @@ def judged(case):
     if not law.task.of_one_tip:
         return _stack(case, error)
     return (_moving if case.moving else _held)(case, error)
-
-
-def _error(case):
-    return f"over the last quarter of the run the error is at most {case.size}"
 
 
 def _radius(case):

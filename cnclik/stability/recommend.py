@@ -19,11 +19,7 @@ from cnclik.stability.driven import SLACK, looked_at, monotone_limit, radius
 from cnclik.stability.drives import longer, side_by_side
 from cnclik.stability.linear import delay_limit, first_above, least_on
 from cnclik.stability.loop import LoopAtRest, loop_at_rest
-from cnclik.stability.spectrum import (
-    MEETING,
-    Spectrum,
-    spectrum_of,
-)
+from cnclik.stability.spectrum import MEETING, Spectrum, spectrum_of
 
 REACH = 1e4  # largest z that is considered
 _MEASURED = "For a robot give `drive`, as `ck.fit_drive` finds it: real drives need a smaller gain."

@@ -33,9 +33,12 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
     Args:
       loop: `LoopAtRest` of explicit Euler. drive: as it was given, or None. safe: the one that is assumed then.
     """
-    again = _rebased(safe)
+    # Position commands that begin at the measured joints; a drive that follows at once takes any z.
+    again = replace(safe, command="position", feedback="rebased") if safe.order else None
     drives = (replace(safe, feedback="measured"), again, _of_servoj(drive, Ts))
-    measured, rebased, servoj = (MOST_Z if one is None else _recommended(loop, one, Ts) for one in drives)
+    measured, rebased, servoj = (
+        MOST_Z if one is None else without_overshoot(loop, longer(one), Ts, MOST_Z, MOST_Z) for one in drives
+    )
     own = f"{OWN_COMMANDS:g} where it is the last command"
     made = {}
     if measured:
@@ -75,16 +78,6 @@ def settings(loop, drive, safe: Drive, Ts: float) -> dict:
             "is accounted for"
         )
     return made
-
-
-def _recommended(loop, drive, Ts) -> float:
-    """z by explicit Euler through a drive that has no overshoot with a sample of dead time more."""
-    return without_overshoot(loop, longer(drive), Ts, MOST_Z, MOST_Z)
-
-
-def _rebased(drive) -> Drive | None:
-    """The drive whose position commands begin at the measured joints; None where it follows at once, whatever z."""
-    return replace(drive, command="position", feedback="rebased") if drive.order else None
 
 
 def _of_servoj(drive, Ts) -> Drive:

@@ -186,10 +186,7 @@ def _build(path, spec, of, outputs):
     coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
     with _quiet():
         xarray.Dataset(coords=coords, attrs=environment() | attributes(spec, of, outputs)).to_zarr(
-            path,
-            zarr_format=3,
-            consolidated=False,
-            encoding={name: {"compressors": _codecs()} for name in coords},
+            path, zarr_format=3, consolidated=False, encoding={name: {"compressors": _codecs()} for name in coords}
         )
         group = zarr.open_group(path, mode="r+")
         for o in outputs:

@@ -72,10 +72,7 @@ def page_rows(tuned, seconds=None) -> list:
         ]
     if after.speed:
         rows.append(("joint velocity", f"{100 * after.speed:.4g} % of the limit at most"))
-    rows += [
-        ("constraints", kept_in_words(tuned)),
-        ("gradients", f"{tuned.gradient}; {tuned.evaluations} evaluations"),
-    ]
+    rows += [("constraints", kept_in_words(tuned)), ("gradients", f"{tuned.gradient}; {tuned.evaluations} evaluations")]
     if seconds is not None:
         rows.append(("time", f"{seconds:.1f} s, compilation included"))
     return rows
