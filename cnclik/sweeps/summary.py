@@ -12,7 +12,10 @@ from cnclik.measure.files import save_csv, save_netcdf
 
 FILES = ("summary.csv", "config.json")
 HISTORY = ("time", "step")
-_WRONG = ("non_finite", "diverged", "growing", "over_velocity")  # counts of steps, 0 for a safe loop
+_WRONG = {  # counts of steps that are 0 for a safe loop, by what it then is
+    "not diverging": ("diverged", "growing"),
+    "within velocity limits": ("over_velocity",),
+}
 _APART = ("case", "robot")  # whose errors are not compared with each other
 
 
@@ -28,19 +31,28 @@ def main_value(data):
 
 
 def judged(data):
-    """(error of each loop, whether it is safe): its first error, infinite where it is none; None without an error.
+    """(error of each loop, whether it is safe, what safe means here), of the first error; None without an error.
 
-    Safe is a loop whose error is finite and which, as far as the sweep measured it, does not diverge or grow, keeps the
-    velocity limits and ends stable.
+    Safe is a loop whose error is finite, and which is stable and keeps the velocity limits as far as the metrics
+    and the linear limit tell. NaN counts as infinite.
     """
     name = main_value(data)
     if name is None or not name.endswith("error"):
         return None
     value = data[name].fillna(np.inf)
-    safe = np.isfinite(value)
-    for wrong in (n for n in _WRONG if n in data):
-        safe &= data[wrong] == 0
-    return value, safe & (data.stable == 1) if "stable" in data else safe
+    safe, words = np.isfinite(value), ["finite"]
+    for what, names in _WRONG.items():
+        for wrong in (n for n in names if n in data):
+            safe &= data[wrong] == 0
+            words.append(what)
+    if "stable" in data:
+        safe &= data.stable == 1
+        words.append("ending stable")
+    z = data["z"] if "z" in data.dims else data["alpha"] * data["Ts"] if {"alpha", "Ts"} <= set(data.dims) else None
+    if z is not None and "limit" in data.coords and data.limit.notnull().any():
+        safe &= ~(z >= data.limit)
+        words.append("below the linear stability limit")
+    return value, safe, ", ".join(dict.fromkeys(words))
 
 
 def best(data) -> list:
@@ -50,7 +62,7 @@ def best(data) -> list:
     """
     if (found := judged(data)) is None:
         return []
-    value, safe = found
+    value, safe, words = found
     drawn = [d for d in value.dims if d == "seed" or f"{d}_value" in data.coords]
     value, safe = value.max(drawn, keep_attrs=True), safe.all(drawn)
     apart, said = [d for d in _APART if d in value.dims], []
@@ -58,10 +70,10 @@ def best(data) -> list:
         where = dict(zip(apart, labels, strict=True))
         own, fine = value.sel(where), safe.sel(where)
         of = f"{', '.join(f'{d} {label}' for d, label in where.items())}: " * bool(where)
-        count = f"{int(fine.sum()):,} of {own.size:,} loops are safe"
         if not fine.any():
-            said.append(f"{of}none of {own.size:,} loops is safe.")
+            said.append(f"{of}none of {own.size:,} loops is safe ({words}).")
             continue
+        count = f"{int(fine.sum()):,} of {own.size:,} loops are safe ({words})"
         place = np.unravel_index(np.argmin(np.where(fine, own, np.inf)), own.shape)
         at = {d: data[d].values[i] for d, i in zip(own.dims, place, strict=True)}
         axes = [f"{d} {_text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]

@@ -80,6 +80,9 @@ def test_exports_hold_every_number(data, tmp_path):
         export(data, tmp_path, "xlsx")
 
 
+SAFE = "finite, within velocity limits, ending stable"
+
+
 def judged(**changes):
     """Errors of two cases over two starts, two gains and two sampling times; the first start is the easier one."""
     dims, shape = ("case", "q0", "alpha", "Ts"), (2, 2, 2, 2)
@@ -96,13 +99,23 @@ def test_the_best_loop_is_safe_and_judged_by_its_worst_start():
     fast = np.zeros((2, 2, 2, 2), int)
     fast[0, 1, 0, 0] = fast[1] = 3  # of case a one start of one loop; of case b every loop
     assert summary.best(judged(over_velocity=fast)) == [
-        "Case a: 3 of 4 loops are safe, the best by final_error (6 m): alpha 2 1/s, Ts 0.1 s, z = 0.2.",
-        "Case b: none of 4 loops is safe.",
+        f"Case a: 3 of 4 loops are safe ({SAFE}), the best by final_error (6 m): alpha 2 1/s, Ts 0.1 s, z = 0.2.",
+        f"Case b: none of 4 loops is safe ({SAFE}).",
     ]
     lost = judged(final_error=np.full((2, 2, 2, 2), np.nan), stable=np.zeros((2, 2, 2, 2)))
-    assert summary.best(lost)[0] == "Case a: none of 4 loops is safe."
+    assert summary.best(lost)[0] == f"Case a: none of 4 loops is safe ({SAFE})."
     same = summary.best(judged(final_error=np.ones((2, 2, 2, 2))).isel(case=0, drop=True))
     assert same == [
-        "4 of 4 loops are safe, the best by final_error (1 m, as 3 others): alpha 2 1/s, Ts 0.01 s, z = 0.02."
+        f"4 of 4 loops are safe ({SAFE}), the best by final_error (1 m, as 3 others): alpha 2 1/s, Ts 0.01 s, z = 0.02."
     ]
     assert summary.best(judged().drop_vars("final_error")) == []
+
+
+def test_a_loop_beyond_the_linear_limit_is_not_safe():
+    """Of a sweep that measures an error alone, a short run may end before it shows that it diverges."""
+    data = judged(final_error=16.0 - np.arange(16.0).reshape(2, 2, 2, 2)).drop_vars(["over_velocity", "stable"])
+    data = data.isel(case=0, drop=True).assign_coords(limit=0.3)
+    (said,) = summary.best(data)
+    assert said.startswith("3 of 4 loops are safe (finite, below the linear stability limit), ") and "z = 0.05" in said
+    (unknown,) = summary.best(data.assign_coords(limit=np.nan))
+    assert unknown.startswith("4 of 4 loops are safe (finite), ") and unknown.endswith("z = 0.5.")

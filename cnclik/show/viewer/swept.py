@@ -31,7 +31,7 @@ def loops_of(data, spec=None) -> list:
         spec = parse({key: written[key] for key in (*KEYS, *TABLES) if key in written}, written["name"])
     if (found := judged(data)) is None:
         raise errors.fail("FILE", "hold an error, such as rms_error", f"holds {', '.join(data.data_vars)}")
-    values, safe = (of.values for of in found)
+    values, safe = (of.values for of in found[:2])
     known = np.where(safe, values, np.inf) if safe.any() else values
     measured = np.where(np.isnan(data[found[0].name].values), -np.inf, values)
     some = dict.fromkeys((int(np.argmin(known)), int(np.argmax(measured))))
