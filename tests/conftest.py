@@ -37,14 +37,21 @@ gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived object
 MOST_MEMORY = 3 << 29
 LONGEST = (
     "test_docs.py",
-    "test_diagnose.py",
-    "test_fit.py",
-    "test_store.py",
-    "test_tune.py",
-    "test_spectrum.py",
-    "test_paced.py",
-    "test_reach.py",
     "test_verdict.py",
+    "test_reach.py",
+    "test_paced.py",
+    "test_spectrum.py",
+    "test_store.py",
+    "test_cli_stack.py",
+    "test_walls.py",
+    "test_stack.py",
+    "test_tasks.py",
+    "test_loops.py",
+    "test_tune.py",
+    "test_diagnose.py",
+    "test_bases.py",
+    "test_bounded.py",
+    "test_fit.py",
 )
 
 

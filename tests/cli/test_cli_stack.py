@@ -19,6 +19,8 @@ from cnclik.show.viewer import files, need
 from tests.problem.test_stack import FILE
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
+STEPS = ["--N", "40"]  # of all runs: one set of programs
+
 
 @pytest.fixture(scope="module")
 def stack(tmp_path_factory):
@@ -36,7 +38,7 @@ def said(capsys, *argv):
 
 def test_solve(stack, tmp_path, capsys):
     out, page = tmp_path / "out", tmp_path / "page.html"
-    main(["solve", str(BAXTER), "--stack", stack, "--N", "40", "--csv", "--out", str(out), "--report", str(page)])
+    main(["solve", str(BAXTER), "--stack", stack, *STEPS, "--csv", "--out", str(out), "--report", str(page)])
     shown = " ".join(capsys.readouterr().out.split())
     for words in (
         "baxter, tasks hands, rest, N = 40 steps of Ts = 10 ms EXP-MIDPOINT, levels; no dead time given Start: q0",
@@ -80,7 +82,7 @@ def test_solve(stack, tmp_path, capsys):
 
 
 def test_as_json(stack, tmp_path, capsys):
-    main(["solve", str(BAXTER), "--stack", stack, "--N", "3", "--json", "--no-figures", "--out", str(tmp_path)])
+    main(["solve", str(BAXTER), "--stack", stack, *STEPS, "--json", "--no-figures", "--out", str(tmp_path)])
     told = json.loads(capsys.readouterr().out)
     assert "rest: 14 joints" in told["asked"][-1] and "hands steps" in told["facts"]
 
@@ -243,21 +245,8 @@ def test_what_reach_refuses(argv, told, stack, tmp_path, capsys):
 
 
 def test_a_loop_begins_where_all_paths_do(stack, tmp_path, capsys):
-    main(
-        [
-            "solve",
-            str(BAXTER),
-            "--stack",
-            stack,
-            "--N",
-            "20",
-            "--begin",
-            "on-path",
-            "--no-figures",
-            "--out",
-            str(tmp_path),
-        ]
-    )
+    begin = ["--begin", "on-path", "--no-figures", "--out", str(tmp_path)]
+    main(["solve", str(BAXTER), "--stack", stack, *STEPS, *begin])
     assert "(on the path)" in capsys.readouterr().out
     with xr.open_dataset(tmp_path / "trajectory.nc") as data:
         assert np.abs(data.e.values[:, :12]).max() < 1e-3

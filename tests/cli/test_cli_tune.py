@@ -94,24 +94,30 @@ def test_a_path_that_no_gain_makes_slow_enough_is_the_cause(tmp_path, capsys):
     assert "For a controller" in capsys.readouterr().out
 
 
-def test_a_drive_for_each_joint_as_a_fit_prints_it(tmp_path):
-    """The slowest joint decides, as where all are as slow."""
-    options = ["--delay", 1, "--command", "position", "--no-figures", "--lag"]
-    each, slow = (tuned(tmp_path, *options, *lags) for lags in ((0.05, 0.2), (0.2,)))
+DRIVE = ["--delay", 1, "--command", "position", "--no-figures", "--lag"]
+
+
+@pytest.mark.slow
+def test_the_slowest_joint_decides_as_where_all_are_as_slow(tmp_path):
+    each, slow = (tuned(tmp_path, *DRIVE, *lags) for lags in ((0.05, 0.2), (0.2,)))
     assert each["satisfied"] and each["after"]["z"] == pytest.approx(slow["after"]["z"], rel=1e-6)
     assert each["after"]["delay_margin"] == pytest.approx(slow["after"]["delay_margin"], rel=1e-6)
     assert each["after"]["radius"] >= slow["after"]["radius"] - 1e-9
+
+
+def test_a_drive_for_each_joint_as_a_fit_prints_it(tmp_path):
+    made = tuned(tmp_path, *DRIVE, 0.2, 0.2)
     rows = [line.strip("| ").split(" | ") for line in (tmp_path / "summary.md").read_text().splitlines() if "|" in line]
     names = [row[0] for row in rows]
     assert len(names) == len(set(names))  # each is said once, and is what tuned.json has
-    said, before, after = dict(row for row in rows if len(row) == 2), slow["before"], slow["after"]
+    said, before, after = dict(row for row in rows if len(row) == 2), made["before"], made["after"]
     room = after["delay_margin"]
     assert said["z = alpha·Ts"] == f"{after['z']:.5g} (before {before['z']:.5g})"
     assert (
         said["error removed per step"]
         == f"{100 * after['correction']:.4g} % (before {100 * before['correction']:.4g} %)"
     )
-    assert said["stable with further dead time"] == f"up to {room:.4g} samples ({1e3 * room * slow['Ts']:.4g} ms)"
+    assert said["stable with further dead time"] == f"up to {room:.4g} samples ({1e3 * room * made['Ts']:.4g} ms)"
     assert said["noise"] == f"1 mrad RMS of measurement noise moves the joints by {after['noise_gain']:.3g} mrad RMS"
     assert (
         said["dead time"].startswith("1 sample (")

@@ -27,7 +27,7 @@ VERBS = {
 }
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", ["solve", "stability", pytest.param("tune", marks=pytest.mark.slow)])
 def test_what_nobody_gave_is_said_and_called_default(verb, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     main([verb, "planar:1,1", "--method", "EE", *VERBS[verb]])
@@ -98,6 +98,11 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     assert not said.err and "hand, tip flange, task x y" in said.out
     main(["reach", str(file), "--tip", "flange", "--random", "2", "--task", "xy"])  # "hand flange, tip flange" it was
     assert capsys.readouterr().out.startswith("hand, tip flange, task x y\n")
+
+
+@pytest.mark.slow
+def test_a_tip_that_was_chosen_is_named_once_by_tune(tmp_path, capsys):
+    (file := tmp_path / "hand.urdf").write_text(JAWED.format(joint="j3", jaw="flange"))
     main(["tune", str(file), "--tip", "flange", "--task", "xy", "--out", str(tmp_path / "tuned"), *VERBS["tune"][:-2]])
     assert "uned: hand, tip flange\n" in capsys.readouterr().out
 

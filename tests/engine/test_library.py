@@ -82,20 +82,22 @@ SLOPES = {
     "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
 }
-SLOW = ("CN", "EXP-MIDPOINT")  # which "CN implicit" and "AB2" say more of
+# For most, XLA takes seconds to compile the derived form: by default that of "long" and "J#" alone.
+QUICK = [("long", True), ("J#", True), ("CN implicit", False), ("AB2", False), ("drive", False)]
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in SLOPES if n not in SLOW] + [pytest.param(n, marks=pytest.mark.slow) for n in SLOW]
+    ("name", "derived_too"),
+    [*QUICK, *(pytest.param(n, True, marks=pytest.mark.slow) for n in SLOPES if (n, True) not in QUICK)],
 )
-def test_gradients(name):
+def test_gradients(name, derived_too):
     """In both arguments, reverse; what C stores and computes anew is its own choice."""
     check(
         jax.value_and_grad(functools.partial(squares, **SLOPES[name]), argnums=(0, 1)),
         *given(),
         ulps=3e4,
         scalar_too=False,
-        derived_too=name in ("long", "CN implicit", "J#", "drive"),  # of each kind of loop; XLA takes seconds for one
+        derived_too=derived_too,
     )
 
 

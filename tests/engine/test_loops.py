@@ -60,16 +60,16 @@ def run_of(combination):
     return law, run
 
 
-def held(combination, loose=1.0):
+def held(combination, loose=1.0, derived_too=True):
     """Asserts that the derived programs give what JAX does."""
     law, run = run_of(combination)
     with jax.enable_x64(combination.dtype == "float64"):
-        check(run, *lanes_of(law, combination.dtype), ulps=loose * 3e3, scalar_too=False)
+        check(run, *lanes_of(law, combination.dtype), ulps=loose * 3e3, scalar_too=False, derived_too=derived_too)
 
 
 @pytest.mark.parametrize("combination", spread()[::3], ids=str)
 def test_loops(combination):
-    held(combination)
+    held(combination, derived_too=combination.limits != "bounded")  # XLA takes seconds for such a one
 
 
 @pytest.mark.slow

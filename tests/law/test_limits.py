@@ -1,5 +1,7 @@
 """Joint and velocity limits: bounds kept, the task kept wherever a linear program says it can be."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,13 +24,15 @@ def lanes(m, seed, outside=0.0):
     return j, task, rng.uniform(LOW - outside, HIGH + outside, (LANES, 7))
 
 
-def act(limits, j, task, q, wanted=None):
-    def one(j, task, q):
-        wants = None if wanted is None else jnp.asarray(wanted)
-        made = limits(ck.pseudoinverse(), modelled(ARM), q, j, task, wants)
-        return made.qdot, jnp.asarray(made.limited)
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(None, 0, 0, 0, None))
+def each(limits, j, task, q, wanted):
+    made = limits(ck.pseudoinverse(), modelled(ARM), q, j, task, wanted)
+    return made.qdot, jnp.asarray(made.limited)
 
-    return map(np.asarray, jax.jit(jax.vmap(one))(j, task, q))
+
+def act(limits, j, task, q, wanted=None):
+    return map(np.asarray, each(limits, j, task, q, wanted))
 
 
 def bounds(q):
@@ -186,11 +190,11 @@ def test_manipulability_is_climbed_in_the_null_space():
     q0 = np.array([0.2, 0.3, 0.1])
     hold = ck.hold(ck.forward(arm, q0).position[:2])
     term = ck.maximize_manipulability(arm, task, 2.0)
-    gradient = np.array(term(jnp.asarray(q0))) / 2.0
+    climbs, w = jax.jit(term), jax.jit(lambda q: ck.manipulability(arm, q, task))
+    gradient = np.array(climbs(q0)) / 2.0
     step = 1e-6 * np.eye(3)
-    w = lambda q: float(ck.manipulability(arm, q, task))  # noqa: E731
     np.testing.assert_allclose(gradient, [(w(q0 + d) - w(q0 - d)) / 2e-6 for d in step], atol=1e-6)
     law = ck.Law(arm, task, alpha=5.0, inverse=ck.damped(1e-3), null_velocity=term)
     run = ck.solve(law, hold, q0, 0.01, 300)
     assert w(run.q[-1]) > w(q0) + 0.04 and np.abs(run.e).max() < 1e-3
-    assert np.isfinite(np.array(term(jnp.zeros(3)))).all()  # stretched: a kink of w, no NaN
+    assert np.isfinite(np.array(climbs(np.zeros(3)))).all()  # stretched: a kink of w, no NaN

@@ -60,14 +60,16 @@ def acts(damping, rows, velocity, low, high, walls, floor):
     return limits(ck.damped(damping), chain, jnp.zeros_like(low), rows, velocity, None)
 
 
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(None, 0))
+def each(damping, of):
+    made = acts(damping, *of)
+    return made.qdot, made.walls, made.limited
+
+
 def made_of(damping, drawn, walls, floor, dtype=float):
     of = (drawn.rows, drawn.velocity, drawn.low, drawn.high, walls, floor)
-
-    def one(*of):
-        made = acts(damping, *of)
-        return made.qdot, made.walls, made.limited
-
-    return map(np.asarray, jax.jit(jax.vmap(one))(*(v.astype(dtype) for v in of)))
+    return map(np.asarray, each(np.asarray(damping, dtype), [v.astype(dtype) for v in of]))
 
 
 def check_least(name, damping, count, k):
@@ -101,7 +103,7 @@ def test_it_is_the_least_behind_walls_of_many(name):
 
 
 def test_single_precision():
-    drawn, walls, floor = problems("panda", 300, seed=2)
+    drawn, walls, floor = problems("panda", 200, seed=2)
     wide, narrow = (next(made_of(0.05, drawn, walls, floor, dtype)) for dtype in (np.float64, np.float32))
     assert narrow.dtype == np.float32
     off = np.abs(wide - narrow).max(1) / np.abs(wide).max(1)
@@ -113,10 +115,11 @@ def test_walls_that_contradict_share_what_is_missing():
     rows = np.array([[1.0, 0, 0, 0], [-1.0, 0, 0, 0]])
     jacobian, velocity = jnp.eye(4)[:2], jnp.array([0.3, 0.2])
     far = jnp.full(4, 5.0)
-    made = acts(0.01, jacobian, velocity, -far, far, jnp.asarray(rows), jnp.array([1.0, 0.5]))
-    np.testing.assert_allclose(made.qdot[:2], [0.25, 0.2], atol=1e-3)
-    np.testing.assert_allclose(made.walls, [-0.75, -0.75], atol=1e-6)
-    assert made.limited
+    of = (jacobian, velocity, -far, far, rows, jnp.array([1.0, 0.5]))
+    (qdot,), (room,), (limited,) = each(0.01, [v[None] for v in of])
+    np.testing.assert_allclose(qdot[:2], [0.25, 0.2], atol=1e-3)
+    np.testing.assert_allclose(room, [-0.75, -0.75], atol=1e-6)
+    assert limited
 
 
 def test_many_that_contradict_are_told():
@@ -244,16 +247,21 @@ def starts_and_targets(law, count, seed):
     return q, rng.uniform([-0.6, -0.6, -0.1], [0.8, 0.7, 0.8], (len(q), 3))
 
 
+def in_the_crowd(q, aim):
+    return ck.solve(crowded(), ck.hold(aim), q, 0.005, 200, "EE")
+
+
+@functools.cache
+def runs_of():
+    return ck.lanes(in_the_crowd, cores=1)
+
+
 def check_runs(count, seed, dtype):
     """No run crosses a wall by more than the margin, and rounding."""
     law, Ts = crowded(), 0.005
     q0, aims = starts_and_targets(law, count, seed)
     assert len(q0) == count
-
-    def run(q, aim):
-        return ck.solve(law, ck.hold(aim), q, Ts, 200, "EE")
-
-    runs = ck.lanes(run, cores=1)(q0.astype(dtype), aims.astype(dtype))
+    runs = runs_of()(q0.astype(dtype), aims.astype(dtype))
     h, q = ck.wall_distance(law, np.asarray(runs.q, float)), np.asarray(runs.q, float)
     told = np.asarray(runs.status) & ck.Status.WALLS_CONTRADICT != 0
     wide = ck.replace(runs, q=q, qdot=np.diff(q, axis=1) / Ts, t=np.asarray(runs.t, float))
@@ -278,16 +286,10 @@ def test_random_runs_between_walls_of_10_000(dtype):
 
 
 def test_lanes_are_the_same():
-    law = crowded()
-    q0, aims = starts_and_targets(law, 20, 2)
-
-    def end(q, aim):
-        run = ck.solve(law, ck.hold(aim), q, 0.01, 40, "EE")
-        return run.q[-1], run.walls[-1], run.status[-1]
-
-    made, wanted = ck.lanes(end, cores=1)(q0, aims), jax.jit(jax.vmap(end))(q0, aims)
-    for own, other in zip(made, wanted, strict=True):
-        np.testing.assert_allclose(own, other, atol=1e-7)
+    q0, aims = starts_and_targets(crowded(), 20, 2)
+    made, wanted = runs_of()(q0, aims), jax.jit(jax.vmap(in_the_crowd))(q0, aims)
+    for name in ("q", "walls", "status"):
+        np.testing.assert_allclose(getattr(made, name), getattr(wanted, name), atol=1e-7)
 
 
 @pytest.mark.slow

@@ -49,7 +49,10 @@ def seen(robot, q):
     return jax.vmap(one)(q)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+LARGE = ("talos", "tiago", "romeo", "centauro")  # a second or more of compiling for each
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in LARGE)) for n in ROBOTS])
 def test_all_tips_are_pinocchios(name):
     """Breaks for a joint that is carried by another than the file says, or moves a tip that it does not carry."""
     path = ROOT / ROBOTS[name]

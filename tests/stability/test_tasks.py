@@ -55,8 +55,20 @@ def grows(law, name, factor, method, delay, q=Q):
     return bool(late > max(size[N // 3 : N // 3 + 50].max(), 1e-12))  # below it is rounding
 
 
-@pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize(("method", "delay"), [("EE", 0), ("EE", 3), ("RK4", 2), ("EXP-EE", 4), ("AB2", 0)])
+WAYS = [("EE", 0), ("EE", 3), ("RK4", 2), ("EXP-EE", 4), ("AB2", 0)]
+QUICK = [
+    ("weighted", *WAYS[0]),
+    ("levels", *WAYS[1]),
+    ("matrix", *WAYS[2]),
+    ("levels", *WAYS[3]),
+    ("weighted", *WAYS[4]),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "delay"),
+    [pytest.param(name, *way, marks=[pytest.mark.slow] * ((name, *way) not in QUICK)) for name in LAWS for way in WAYS],
+)
 def test_up_to_the_largest_gain_the_run_shrinks_and_beyond_it_grows(name, method, delay):
     law = LAWS[name]
     said = ck.advise(law, None, Q, Ts=TS, method=method, drive=ck.Drive(delay=delay)).stack

@@ -236,6 +236,7 @@ def test_a_run_that_is_not_finite():
     assert found.kind == Behaviour.DIVERGING and "step 30" in found.sentence and found.error == np.inf
 
 
+@pytest.mark.slow
 def test_a_coordinate_of_a_remedy_is_no_rounding():
     """It was "bring the target to (2.328, 2.33e-07, 0) m"."""
     law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
@@ -391,8 +392,10 @@ def test_fewer_coordinates_are_named():
     ("options", "kind"),
     [
         (dict(robot="panda", reference="circle", Ts=0.002, N=200, alpha=0.5), "too short to tell"),
-        (dict(robot="panda", reference="circle", Ts=0.001, N=20), "too short to tell"),
-        (dict(robot="ur5", N=1000), "settled"),
+        pytest.param(
+            dict(robot="panda", reference="circle", Ts=0.001, N=20), "too short to tell", marks=pytest.mark.slow
+        ),
+        pytest.param(dict(robot="ur5", N=1000), "settled", marks=pytest.mark.slow),
     ],
 )
 def test_short_runs_of_real_arms_invent_nothing(options, kind):
@@ -453,6 +456,7 @@ def test_a_longer_run_follows_the_path_as_it_was(period):
     assert float(longer.reference.curve.period) == pytest.approx(float(made.reference.curve.period))
 
 
+@pytest.mark.slow
 def test_where_the_tip_is_to_turn_a_path_out_of_reach_is_not_moved():
     """Nobody looked whether the moved path could be turned as it was to be; a held target is asked for again."""
     start, task = np.array([0.3, 0.4, -0.2]), ck.pose("xy", "z")
@@ -581,6 +585,7 @@ def test_what_was_tried_is_said_where_nothing_mends():
     assert "tried, and no better: use damped(" in found.sentence
 
 
+@pytest.mark.slow
 def test_an_exact_inverse_is_no_remedy_where_limits_need_damping():
     arm = ck.replace(ck.planar_arm([1.0, 1.0, 1.0]), lower=(-3.0,) * 3, upper=(3.0,) * 3, velocity_limit=(2.0,) * 3)
     q = np.array([0.5, 0.5, 0.5])
@@ -591,6 +596,7 @@ def test_an_exact_inverse_is_no_remedy_where_limits_need_damping():
     assert [list(one.change) for one in found.remedies] == [["damping"], ["null_gain"]]
 
 
+@pytest.mark.slow
 def test_a_circle_on_which_the_arm_is_lost_later():
     """It follows, and its null-space velocity carries it on, to where that is no number."""
     arm = ck.planar_arm([1.0, 0.8, 0.6])

@@ -1,5 +1,7 @@
 """Loops of stacks: every method keeps its order where targets of several tips move, and the step is pink's."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,14 +45,18 @@ PATHS = paths()
 ORDERS = {"EE": 1, "HEUN": 2, "RK4": 4, "CN": 2, "AB2": 2, "AB4": 4, "EXP-EE": 1, "EXP-MIDPOINT": 2, "EXP-AB2": 2}
 CASES = [(name, "levels", 1 if name.startswith("EXP") else order) for name, order in ORDERS.items()]
 CASES += [(name, "exact", ORDERS[name]) for name in ("RK4", "EXP-MIDPOINT", "EXP-AB2")]
+QUICK = [("RK4", "levels"), ("CN", "levels"), ("AB2", "levels"), ("EXP-MIDPOINT", "levels"), ("EXP-AB2", "exact")]
 
 
+@functools.cache
 def ends(method, N, law="levels"):
     with ck.use_engine("plain"):  # compiled in a tenth of the time that C takes
         return np.asarray(ck.solve(LAWS[law], PATHS, Q, 0.5 / N, N, method, ck.newton(8)).q[-1])
 
 
-@pytest.mark.parametrize(("method", "law", "order"), CASES)
+@pytest.mark.parametrize(
+    ("method", "law", "order"), [pytest.param(*c, marks=[pytest.mark.slow] * (c[:2] not in QUICK)) for c in CASES]
+)
 def test_methods_keep_their_orders(method, law, order):
     """Those of docs/methods.md: with damping, exponential steps answer another question in first order."""
     exact, N = ends("RK4", 2000, law), 320 if method == "AB4" else {4: 40, 2: 80, 1: 160}[order]

@@ -1,5 +1,6 @@
 """Tuning of stacks: gains, dampings and weights by task, safe at any posture, and lines that are the tuned loop."""
 
+import itertools
 import re
 
 import jax
@@ -73,11 +74,20 @@ MATRIX = ck.replace(LAW, alpha={"hand": [[8.0, 1.0], [1.0, 6.0]], "turn": 4.0, "
 SINGLE = ck.Law(ARM, ck.position("xy", weights=[1.0, 2.0]), alpha=np.array([[8.0, 3.0], [-2.0, 6.0]]))
 
 
-@pytest.mark.parametrize("method", ["EE", "RK4", "CN", "EXP-MIDPOINT"])
-@pytest.mark.parametrize("law", [LAW, MATRIX, SINGLE, ck.replace(SINGLE, inverse=ck.damped(0.3))])
+LAWS = {"levels": LAW, "matrix": MATRIX, "single": SINGLE, "damped": ck.replace(SINGLE, inverse=ck.damped(0.3))}
+QUICK = [("levels", "EE"), ("levels", "CN"), ("matrix", "RK4"), ("single", "EXP-MIDPOINT"), ("damped", "CN")]
+
+
+@pytest.mark.parametrize(
+    ("law", "method"),
+    [
+        pytest.param(*one, marks=[pytest.mark.slow] * (one not in QUICK))
+        for one in itertools.product(LAWS, ["EE", "RK4", "CN", "EXP-MIDPOINT"])
+    ],
+)
 def test_maps_of_rates_are_those_of_the_step(law, method):
     """Without a derivative of the step: its eigenvalues, and of a stack those of its gains where no joint can help."""
-    method, stage = ck.METHODS[method], ck.chord(2)
+    law, method, stage = LAWS[law], ck.METHODS[method], ck.chord(2)
     with jax.enable_x64(True):
         found, _, taken = map(np.asarray, maps_at_rest(law, jnp.asarray(Q), 0.05, method, stage))
         moved, rows = step_map(*at_rest(law, None, Q), Q, 0.05, method, stage)
