@@ -71,9 +71,9 @@ def combine(arrays, literals: Literals):
     return jax.tree.unflatten(literals.treedef, leaves)
 
 
-@dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False)
+@dataclass_transform(kw_only_default=True, frozen_default=True)
 def record(cls: Any = None, *, kw_only: bool = True) -> Any:
-    """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above."""
+    """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above; equal by content."""
     if cls is None:
         return lambda cls: record(cls, kw_only=kw_only)
     checked = getattr(cls, "__post_init__", lambda self: None)
@@ -124,8 +124,35 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
             self.__dict__[name] = value
 
     cls.__getstate__, cls.__setstate__ = fields_alone, read_only  # type: ignore[assignment]
+    cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
     return cls
+
+
+def _equal(self, other):
+    """Whether two records of one kind have the same literals, and arrays of the same values, shapes and dtypes."""
+    if self is other or type(self) is not type(other):
+        return True if self is other else NotImplemented
+    (own, treedef), (others, other_treedef) = jax.tree.flatten(self), jax.tree.flatten(other)
+    return treedef == other_treedef and all(map(_same, own, others))
+
+
+def _same(a, b) -> bool:
+    if a is b or isinstance(a, jax.core.Tracer) or isinstance(b, jax.core.Tracer):
+        return a is b
+    if not (hasattr(a, "dtype") and hasattr(b, "dtype")):
+        return bool(type(a) is type(b) and a == b)
+    return a.dtype == b.dtype and a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+
+
+def _hashed(self):
+    """Of the literals and the arrays' shapes: the arrays may be on another device."""
+
+    def make(self):
+        leaves, treedef = jax.tree.flatten(self)
+        return hash((treedef, *(getattr(v, "shape", None) for v in leaves)))
+
+    return kept(self, "_hash", make)
 
 
 def _own(array):

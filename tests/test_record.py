@@ -11,6 +11,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.record import combine, is_literal, partition, record, replace, stack
+from cnclik.stability import Remedy
 
 
 @record
@@ -167,3 +168,22 @@ def test_printing_looks_at_no_traced_value(loop):
     jax.jit(lambda *args: seen.extend(map(str, args)))(law, run)
     assert "alpha float64[]" in seen[0] and seen[1] == "Trajectory: 4 steps, 2 joints, 2 task coordinates"
     assert "4 steps" in repr(jax.eval_shape(lambda r: r, run))
+
+
+def test_records_of_the_same_content_are_equal():
+    """`ck.Drive(delay=3) == ck.Drive(delay=3)` was False."""
+    arm = ck.planar_arm([1.0, 0.8])
+    pairs = [
+        lambda lag=0.05: ck.Drive(delay=3, lag=np.full(2, lag)),
+        lambda alpha=5.0: ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=alpha, inverse=ck.damped(0.1)),
+        lambda x=0.3: ck.hold(jnp.array([x, 0.2])),
+        lambda gain=1.0: Remedy(change={"alpha": [gain, 2.0]}, words="", mends="error"),
+    ]
+    for made in pairs:
+        one, same, other = made(), made(), made(0.25)
+        assert one == same and hash(one) == hash(same) and one != other and one != 3
+    assert Inner(value=0.05) != Inner(value=np.array(0.05))  # one is compiled in, the other a parameter
+    assert Inner(value=np.array(np.nan)) == Inner(value=np.array(np.nan))
+    assert {arm: 1}[ck.planar_arm([1.0, 0.8])] == 1 and arm != ck.replace(arm, joint_names=("a", "b"))
+    law = pairs[1](jnp.array(5.0))
+    assert not jax.jit(lambda alpha: ck.replace(law, alpha=alpha) == law)(5.0)  # nobody knows what is traced
