@@ -10,6 +10,7 @@ from cnclik.law import reference as ref
 from cnclik.law.law import Law
 from cnclik.robot.model import one_off
 from cnclik.stability.driven import looked_at, modes_of, radius
+from cnclik.stability.rates import rates_of
 from cnclik.stability.spectrum import at_rest, directions, step_maps, task_radius
 
 GAINS = 256  # looked at together
@@ -45,8 +46,11 @@ def targets(reference, task, t):
 
 
 def maps(law, at: Instant, scale, Ts, method, stage):
-    """∂q[k+1]/∂q[k] at an instant for gains scale·alpha (k, n, n), and J (m, n)."""
-    return step_maps(law, at.reference, at.q, scale, np.full(len(scale), float(Ts)), method, stage)
+    """∂q[k+1]/∂q[k] at rest at an instant for gains scale·alpha (k, n, n), and J (m, n)."""
+    Ts = np.full(len(scale), float(Ts))
+    if (rates := rates_of(law, at.reference, at.q)) is not None:  # compiled in a fraction of the time
+        return rates.maps(scale, Ts, method, stage)
+    return step_maps(law, at.reference, at.q, scale, Ts, method, stage)
 
 
 def radii(law, at: Instant, scale, Ts, method, stage, drive=Drive()):

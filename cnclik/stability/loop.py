@@ -77,12 +77,7 @@ class LoopAtRest(NamedTuple):
         if self.rates is None:
             moved, rows = step_maps(self.law, self.held, self.q, scale, Ts, self.method, self.stage, often=True)
             return moved if self.law.null_velocity is None else staying(moved, self.growing()), rows
-        taken = self.rates.taken(scale[:, None], Ts[:, None], self.method)
-        steps = self.rates.steps(taken, self.method, self.stage)
-        k, p, n, _ = steps.shape
-        first = np.moveaxis(steps, 1, 2).reshape(k, n, p * n) + np.eye(n, p * n)
-        past = np.broadcast_to(np.eye((p - 1) * n, p * n), (k, (p - 1) * n, p * n))
-        return np.concatenate([first, past], 1), (self.rates.turned @ self.rates.rows).real
+        return self.rates.maps(scale, Ts, self.method, self.stage)
 
     def growing(self):
         """See `spectrum.growing`."""

@@ -53,6 +53,14 @@ class Rates(NamedTuple):
             return self.steps(taken, method, stage)
         return alike(steps_of(_real(np.linalg.eigvals(self.matrices(taken))), method, stage))
 
+    def maps(self, scale, Ts, method, stage):
+        """What `spectrum.step_maps` finds for gains scale·alpha and sampling times (k,): (k, p·n, p·n) and (m, n)."""
+        steps = self.steps(self.taken(scale[:, None], Ts[:, None], method), method, stage)
+        k, p, n, _ = steps.shape
+        first = np.moveaxis(steps, 1, 2).reshape(k, n, p * n) + np.eye(n, p * n)
+        past = np.broadcast_to(np.eye((p - 1) * n, p * n), (k, (p - 1) * n, p * n))
+        return np.concatenate([first, past], 1), (self.turned @ self.rows).real
+
     def steps(self, taken, method, stage):
         """D (k, p, n, n) of the joints."""
         rates, vectors = np.linalg.eig(self.matrices(taken))
