@@ -84,6 +84,12 @@ def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
     assert jax.tree.structure(asked[0]) == jax.tree.structure(asked[1])
 
 
+def test_what_a_loop_does_at_rest_is_known_without_its_step(monkeypatch):
+    """A humanoid's step was differentiated, and compiled, for it."""
+    monkeypatch.setattr(sys.modules["cnclik.stability.local"], "step_maps", None)
+    assert judge(law(5.0), NEAR, 60).radius == pytest.approx(0.5)
+
+
 def test_transpose_that_shakes_is_told_and_its_remedy_settles_it():
     """The command line called it stable and its steps OK, 0.5 m off at 38 rad/s of chatter."""
     q, target = np.array([0.5, 0.3, 0.3, 0.3, 0.3]), ck.hold([1.5, 2.5])
