@@ -134,7 +134,7 @@ def prepare(folder, less):
         spec.write_text(SPEC, encoding="utf-8")
     rows = ("time,x,y,z,qw,qx,qy,qz", "0,0.4,0.0,0.4,0,1,0,0", "2,0.45,0.1,0.4,0,1,0,0", "4,0.4,0.0,0.4,0,1,0,0")
     (folder / "way.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    for name, page in (("stack", "stack-file"), ("tray", "stacks")):
+    for name, page in (("stack", "stack-file"), ("tray", "stacks"), ("balance", "bases")):
         (folder / f"{name}.toml").write_text(written_stack(page), encoding="utf-8")
     walls = written_stack("stacks") + written_stack("stacks", "walls")
     (folder / "walls.toml").write_text(walls, encoding="utf-8")

@@ -25,7 +25,7 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     planar-clockwise:1,1,1,1,1 is the paper's arm."""
     target: list[tuple[float, ...]] = option(list, unit="x")
     """Target at which the loop rests: position [m]; for a pose, optionally a quaternion w x y z after it. With --stack
-    give it once for each tip."""
+    give it for one tip after the other; tips without one keep that of the file."""
     speed: float = option(0.1, unit="m/s")
     """Speed of the tip [m/s] for which lag, tracking error and joint velocities are given."""
     json: bool = False

@@ -9,24 +9,24 @@ PUSH = 0.05  # [rad, m] by which all joints are elsewhere when a run begins
 
 
 def at_targets(found, targets):
-    """The problem with other targets of its tips, one after the other."""
+    """The problem with other targets of its tips, one after the other; those beyond the last keep theirs."""
     from cnclik.law.reference import of_each
     from cnclik.problem.reference import reference_from
     from cnclik.reaching.aims import aims, of_tips
 
     law = found.law
-    labels = [aim.label for aim in aims(of_tips(law.task))]
-    if len(targets) != len(labels):
-        times = f"is given {len(targets)} time{'s' * (len(targets) != 1)}"
-        raise errors.fail("target", f"be given once for each tip ({', '.join(labels)})", times)
+    tips = aims(of_tips(law.task))
+    if len(targets) > len(tips):
+        must = f"be given at most once for each tip ({', '.join(aim.label for aim in tips)})"
+        raise errors.fail("target", must, f"is given {len(targets)} times")
     given = iter(targets)
 
     def other(one, parts):
-        if not hasattr(parts.parts[0], "axes"):
-            return one
-        return reference_from("hold", law.chain, parts, found.q0, target=next(given))
+        target = next(given, None) if hasattr(parts.parts[0], "axes") else None
+        return one if target is None else reference_from("hold", law.chain, parts, found.q0, target=target)
 
-    tables = {name: table | {"target": None} for name, table in found.tables.items()}
+    told = {aim.path[0]: {"target": None} for aim in tips[: len(targets)]}
+    tables = {name: table | told.get(name, {}) for name, table in found.tables.items()}
     return dataclasses.replace(found, reference=of_each(other, found.reference, law.task), tables=tables)
 
 

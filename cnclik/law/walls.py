@@ -121,7 +121,12 @@ def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray
 
 
 def support_polygon(
-    corners: Float[ArrayLike, "k 2"], *, relative_to: str | None = None, margin: float = 0.0, rate: Number | None = None
+    corners: Float[ArrayLike, "k 2"],
+    *,
+    relative_to: str | None = None,
+    margin: Number = 0.0,
+    rate: Number | None = None,
+    name: str = "",
 ) -> tuple[Wall, ...]:
     """Walls that keep the centre of mass above the feet: one for each edge of the convex hull of their corners.
 
@@ -132,17 +137,18 @@ def support_polygon(
       corners: (k, 2) corners of all feet on the ground [m], in any order.
       relative_to: the tip in whose frame they are given; None: the base.
       margin: distance that is kept from the edges [m].
-      rate: as for `wall`.
+      rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
     """
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
     hull = _hull(points)
     if len(hull) < 3:
         raise errors.fail("corners", "be three or more that are not on one line", f"are {points.tolist()}")
-    task, margin = center_of_mass("xy", relative_to=relative_to), float(errors.number("margin", margin))
+    task, margin = center_of_mass("xy", relative_to=relative_to), errors.number("margin", margin)
     found = []
-    for a, b in zip(hull, np.roll(hull, -1, axis=0), strict=True):
+    for i, (a, b) in enumerate(zip(hull, np.roll(hull, -1, axis=0), strict=True)):
         normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
-        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate))
+        edge = f"{name}_{i + 1}" if name else ""
+        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, name=edge))
     return tuple(found)
 
 

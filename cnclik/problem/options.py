@@ -167,6 +167,8 @@ OF_WALL = {  # one wall of a stack: a table in the stack's file
     "task": OF_TASK["task"]._replace(help="Coordinates of the tip that stay on one side, such as z, or joints."),
     **{name: OF_TASK[name] for name in ("tip", "relative_to", "joints", "axes")},
     "distance": Option(TABLES, "In place of a task: two shapes (tables of `OF_SHAPE`) whose distance is bounded."),
+    "corners": Option(NUMBERS, "In place of a task: x y of corners of the feet [m], in the base's or `relative_to`'s "
+                      "frame; the centre of mass stays above their convex hull.", unit="m"),
     "normal": Option(NUMBERS, "For several coordinates x: the wall bounds normal·x."),
     "above": Option(NUMBER, "Lower bound of the coordinate [rad, m]; default for a distance: 0.", unit="q"),
     "below": Option(NUMBER, "Upper bound of the coordinate [rad, m].", unit="q"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cnclik import errors
-from cnclik.law.walls import Wall, wall
+from cnclik.law.walls import Wall, support_polygon, wall
 from cnclik.problem import words
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import fitting
@@ -12,7 +12,8 @@ from cnclik.problem.stack import Table, table_from, task_of
 from cnclik.robot.chain import Chain
 from cnclik.task.shapes import distance
 
-_OF_TASK = ("task", "tip", "relative_to", "joints", "axes", "normal")
+_OF_TASK = ("task", "tip", "joints", "axes", "normal")
+_EXTRA = {"distance": (*_OF_TASK, "relative_to", "corners"), "corners": (*_OF_TASK, "above", "below")}
 
 
 def walls_from(tables: dict[str, Table], chain: Chain) -> tuple[Wall, ...]:
@@ -20,25 +21,34 @@ def walls_from(tables: dict[str, Table], chain: Chain) -> tuple[Wall, ...]:
     made = []
     for name, one in tables.items():
         with errors.within(one.where):
-            made.append(_wall(name, one, chain))
+            made += _walls(name, one, chain)
     return tuple(made)
 
 
-def _wall(name, one, chain) -> Wall:
+def _walls(name, one, chain) -> tuple[Wall, ...]:
     given = one.given
+    for kind, others in _EXTRA.items():
+        if kind in given and (extra := [key for key in others if key in given]):
+            raise errors.fail(extra[0], f"be left out of a wall with `{kind}`", f"is {given[extra[0]]!r}")
+    margin = errors.number("margin", given.get("margin", 0.0), at_least=0)
+    if "corners" in given:
+        corners = errors.array("corners", given["corners"], (None, 2), (None,))
+        if corners.size % 2:
+            raise errors.fail("corners", "be x and y of each corner", f"are {corners.size} numbers")
+        about = {key: given.get(key) for key in ("relative_to", "rate")}
+        made = support_polygon(corners.reshape(-1, 2), margin=margin, name=name, **about)
+        check_units(chain, made[0].task.on(chain), one.written)
+        return made
     sides = {side: errors.number(side, given[side]) for side in ("above", "below") if side in given}
     if "distance" in given:
-        if extra := [key for key in _OF_TASK if key in given]:
-            raise errors.fail(extra[0], "be left out of a wall with a `distance`", f"is {given[extra[0]]!r}")
         with errors.within("distance"):  # a half-space comes last, as `distance` has it
             shapes = sorted(map(_shape, given["distance"]), key=lambda shape: not hasattr(shape, "ends"))
         task, sides = distance(*shapes), sides or {"above": 0.0}
     else:
         task = task_of(one, chain)
     check_units(chain, task.on(chain), one.written)
-    margin = errors.number("margin", given.get("margin", 0.0), at_least=0)
     sides = {side: value + margin * (1 if side == "above" else -1) for side, value in sides.items()}
-    return wall(task, normal=given.get("normal"), rate=given.get("rate"), name=name, **sides)
+    return (wall(task, normal=given.get("normal"), rate=given.get("rate"), name=name, **sides),)
 
 
 def _shape(table):

@@ -75,6 +75,19 @@ def test_a_file_has_the_walls_by_hand(file):
     assert ck.wall_distance(law, q[0]).shape == (5,) and np.ptp(ck.wall_distance(law, q), axis=0).min() > 0.1
 
 
+def test_corners_of_feet_are_walls_of_the_centre_of_mass():
+    corners, q = [[-0.1, -0.1], [0.2, -0.1], [-0.1, 0.1], [0.2, 0.1]], np.linspace(-0.4, 0.6, TOGETHER.n)
+    table = {"corners": "-100 -100 200 -100 -100 100 200 100 mm", "relative_to": ELBOW, "margin": "10 mm", "rate": 7}
+    made = ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table}).law
+    by_hand = ck.support_polygon(corners, relative_to=ELBOW, margin=0.01, rate=7.0)
+    law = ck.Law(TOGETHER, made.task, alpha=5.0, inverse=ck.damped(0.02), limits=ck.bounded(walls=by_hand))
+    close(ck.wall_distance(made, q), ck.wall_distance(law, q), atol=1e-12)
+    assert [one.name for one in made.limits.walls] == [f"soles_{i}" for i in (1, 2, 3, 4)]
+    assert all(one.rate == 7.0 for one in made.limits.walls)
+    other = ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table | {"corners": corners}}).law
+    close(ck.wall_distance(other, q), ck.wall_distance(made, q), atol=1e-12)
+
+
 def test_walls_of_a_file_stay_where_a_sweep_varies_its_tasks(file, tmp_path):
     head = 'question = "q"\nexpectation = "e"\n'
     fixed = f'[fixed]\nrobot = "{BAXTER}"\nN = 4\nstack = "{file}"\n'
@@ -169,8 +182,12 @@ HAND = {"hands": {"task": "position", "tip": GRIPPERS, "damping": 0.02}}
         ({"distance": [{}, {"to": [0, 0, 1]}]}, {}, "`walls.a.distance.from` must be given for the shape 'capsule'"),
         ({"distance": [{}, {"normal": [0, 0, 1], "radius": 1}]}, {}, "`walls.a.distance.radius` must be left out for"),
         ({"distance": [{}, {"normal": [0, 0, 0]}]}, {}, "`walls.a.distance.normal` must be other than 0"),
-        ({"distance": [{}, {}], "joints": "left_s0"}, {}, "`walls.a.joints` must be left out of a wall with a `dist"),
+        ({"distance": [{}, {}], "joints": "left_s0"}, {}, "`walls.a.joints` must be left out of a wall with `dist"),
         ({"distance": [{"tip": "hand"}, {}]}, {}, "must be one of the"),
+        ({"corners": [[0, 0], [1, 0], [0, 1]], "above": 0}, {}, "`walls.a.above` must be left out of a wall"),
+        ({"corners": [[0, 0], [1, 0], [2, 0]]}, {}, "`walls.a.corners` must be three or more that are not on one line"),
+        ({"corners": "0 0 100 0 50 mm"}, {}, "`walls.a.corners` must be x and y of each corner, but are 5 numbers"),
+        ({"corners": [[0, 0], [1, 0], [0, 1]], "margin": "2 deg"}, {}, "`walls.a.margin` must have the units of what"),
         ({"speed": 1}, {}, "`walls.a` must hold known options, but holds 'speed'"),
     ],
 )  # fmt: skip

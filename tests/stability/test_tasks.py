@@ -8,6 +8,7 @@ import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.cli.stacked import at_targets
 from cnclik.stability import tasks
 from cnclik.stability.loop import LoopAtRest
 from cnclik.stability.rates import Rates
@@ -285,8 +286,17 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     assert set(said["tasks"]) == {"left", "right", "rest"} and said["least_room"] == "right"
     assert 0 < said["tasks"]["left"]["recommended_alpha"] < 10 and LOST < 1 and said["unstable"] == []
     with pytest.raises(SystemExit):
-        main([*asked, "--target", "1", "2", "3"])
-    assert "`target` must be given once for each tip (left.left_gripper, right" in capsys.readouterr().err
+        main([*asked, *["--target", "1", "2", "3"] * 3])
+    assert "`target` must be given at most once for each tip (left.left_gripper, right" in capsys.readouterr().err
+
+
+def test_tips_without_a_target_keep_that_of_the_file():
+    tasks = {"a": {"task": "x"}, "rest": {"task": "joints"}, "b": {"task": "y", "target": [0.4]}}
+    made = ck.problem_from("planar:1,0.8,0.6", tasks=tasks, damping=0.1)
+    found = at_targets(made, [(1.5,)])
+    assert made.reference["b"] is found.reference["b"] and made.reference["rest"] is found.reference["rest"]
+    assert found.reference["a"].curve.position[0] == 1.5 and "target" in found.tables["a"]
+    assert found.tables["rest"] == made.tables["rest"]
 
 
 @pytest.mark.parametrize(("method", "delay"), [("EE", 0), ("EXP-MIDPOINT", 3)])
