@@ -131,10 +131,9 @@ def does_of_tasks(found, said) -> list:
 def lines_of_stack(found, said) -> list:
     """What the numbers of a stack mean, in sentences."""
     stack = said.stack
-    lines = [f"Recommended for each task: {said.reason}, at any posture and for any motion of the other tasks."]
     known, on = exact(found.drive), " on the assumed drives" * (said.assumed_dead_time is not None)
-    if stack.unstable:
-        lines.append(f"UNSTABLE{on}: {_unstable(stack.unstable, known)}")
+    lines = [f"UNSTABLE{on}: {_unstable(stack.unstable, known)}"] if stack.unstable else []
+    lines.append(f"Recommended for each task: {said.reason}, at any posture and for any motion of the other tasks.")
     now = stack.tasks[stack.least_room].now
     if now is not None and now.gain_margin < math.inf and known:
         room = f"with the other gains unchanged, its gain may grow by a factor of {now.gain_margin:.3g}"
