@@ -40,6 +40,7 @@ WALLS = (
     {"a": {"task": "z", "tip": "left", "above": "-1 m", "margin": 0.1}, "b": {"joints": "j_left1", "below": "100 deg"}},
     {"apart": {"distance": [{"tip": "left", "radius": 0.1}, {"tip": "right", "from": [0, 0, 0], "to": "0 0 50 mm"}]}},
     {"floor": {"distance": [{"tip": "trunk"}, {"normal": [0, 0, 1], "offset": -0.5}], "above": 0.1, "rate": 5}},
+    {"soles": {"corners": "-50 -50 50 -50 0 80 mm", "relative_to": "left", "margin": 0.01}},
 )
 OPTIONS = (
     {"damping": 0.05},
