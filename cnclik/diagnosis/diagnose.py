@@ -39,6 +39,7 @@ FADED = 0.3  # size of an oscillation in one part as a share of the other's, bel
 NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
 MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
 SURELY = 0.9  # confidence in a loop from which on growth in few periods is no beginning of a swing
+LIKELY = 0.5  # confidence below which another loop is as likely, and the gain, which suits most of them, may be too low
 STILL = 1e-12  # share of the largest value that is rounding
 UNFINISHED = (
     "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands: the "
@@ -371,6 +372,7 @@ def _sentence(d) -> str:
     if d.factor is None:
         return said
     most = "at most " if d.kind is Kind.SUSTAINED else ""
+    guess = f", a guess (confidence {d.confidence:.2g}) that may be lower than needed" if d.confidence < LIKELY else ""
     if d.recommended_alpha is not None:
-        return f"{said}. Reduce alpha to {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) to stop it"
-    return f"{said}. Multiply the gain by {most}{d.factor:.3g} to stop it"
+        return f"{said}. Reduce alpha to {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) to stop it{guess}"
+    return f"{said}. Multiply the gain by {most}{d.factor:.3g} to stop it{guess}"

@@ -151,6 +151,19 @@ def test_loops_far_below_their_limit_that_noise_moves(count):
     assert right >= 0.75 * count and sum(sure) >= 0.9 * len(sure), (right, sure)
 
 
+def test_a_gain_that_is_a_guess_is_called_one():
+    """Without alpha, far below the limit, many loops fit: a gain that suits most of them was told like any other."""
+    rng = np.random.default_rng(3)
+    delay, lag = int(rng.integers(1, 7)), rng.uniform(1, 8)
+    noise, z = rng.standard_normal(1000), 0.45 * logs.limits(delay, lag)[0]
+    e = late_loop(z, delay, lag, 1000, 0.0, noise) + noise
+    guess, sure = diagnose(e, TS), diagnose(late_loop(0.3, 4, 0.0, 200), TS)
+    assert guess.confidence < 0.5 and "to stop it, a guess (confidence 0.12) that may be lower" in str(guess), str(
+        guess
+    )
+    assert sure.confidence > 0.9 and "guess" not in str(sure)
+
+
 @pytest.mark.parametrize(("z", "delay", "lag"), [(0.258, 2.916, 2.35), (0.445, 1.5, 2.33), (0.488, 1.11, 2.41)])
 def test_loops_with_a_lag_that_noise_which_is_not_recorded_keeps_swinging(z, delay, lag):
     """Between the lags of a coarse grid none explained them."""
