@@ -58,7 +58,7 @@ def loop_matrix(steps, drive: Drive, Ts: float, inputs: bool = False):
     units = np.eye(n * count)
     x = units[:, : n * model.size].reshape(-1, n, model.size)
     rest = list(np.moveaxis(units[:, n * model.size :].reshape(n * count, -1, n), 1, 0))
-    noise, target, moves, fed = [rest.pop() for _ in range(INPUTS)][::-1] if inputs else np.zeros(INPUTS)
+    noise, target, moves, fed = [rest.pop() for _ in range(INPUTS)][::-1] if inputs else [0.0] * INPUTS
     sent = rest.pop(0) if drive.adds_up else 0.0
     line, older = tuple(rest[: model.remembered]), rest[model.remembered :]
     seen = sent if drive.feedback == "commanded" else x[..., 0] + noise
