@@ -226,6 +226,20 @@ def test_a_compiler_runs_where_there_is_no_shell(monkeypatch, tmp_path):
     assert library.exists() and not known
 
 
+@NEEDS_C
+def test_a_long_program_is_built_with_a_short_search_for_what_a_load_reads(monkeypatch, tmp_path):
+    lines = []
+    monkeypatch.setattr(compiler, "_compiled", lambda line, *_: lines.append(line))
+    for text in ("int one;", "int one;" + compiler.LONG * "\n\n"):
+        compiler.build_text(text, tmp_path)
+    assert [compiler.SHORT_SEARCH in line for line in lines] == [False, True]
+
+
+@NEEDS_C
+def test_a_compiler_takes_the_options_of_long_programs(tmp_path):
+    assert compiler.build_text("int one;" + compiler.LONG * "\n\n", tmp_path)[0].exists()
+
+
 def _until(there, seconds=60.0):
     end = time.monotonic() + seconds
     while not there():
