@@ -260,30 +260,35 @@ class Bounded:
         if not (chain.bounded or chain.slowed or self.walls):
             return Limited(qdot=asked, apply=plain.apply, least=plain.least, limited=False)
         low, high = bounds(self.rate, chain, q)
-        root = 1.0 / jnp.sqrt(jnp.maximum(plain.shift, LEAST * lax.stop_gradient(jnp.sum(rows**2))))
-        rest = jnp.zeros_like(asked) if null is None else null + jnp.zeros_like(asked)
-        of = Problem((root * rows.T).T, root * velocity, rest, low, high)
         walls = rows_at(self.walls, self.rate, chain, q) if self.walls else None
         still = None if walls is None else jnp.zeros_like(walls.floor)
 
-        def on_face(shut, push):
+        def scaled():
+            """1/λ of each row, and the problem; made where it is needed, as most steps are within the bounds."""
+            least = LEAST * lax.stop_gradient(jnp.sum(rows**2))
+            root = 1.0 / jnp.sqrt(jnp.maximum(plain.shift, least))
+            rest = jnp.zeros_like(asked) if null is None else null + jnp.zeros_like(asked)
+            return root, Problem((root * rows.T).T, root * velocity, rest, low, high)
+
+        def on_face(of, shut, push):
             return of if walls is None else of.behind(walls, shut, push)
 
         def least():
+            _, of = scaled()
             known, others, found = lax.stop_gradient((of, walls, asked))
             found = kept(known, others, found, self.passes)
             shut, push = known.shut(found.qdot, found.slope), found.push
             # One step more on the face has all derivatives of the least there, and takes away what rounding left, and
             # what walls missed. Of a descent that was cut short it would lead anywhere, and has the derivatives alone.
-            qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(shut, push)
+            qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(of, shut, push)
             step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot, of.w - of.b @ qdot), face.missing(qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
             return of.clip(qdot + step), shut.astype(asked.dtype), ~found.settled, push
 
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
-            locks = shut > 0
-            step = on_face(locks, push).newton(of.hessian(), locks, push)
+            (root, of), locks = scaled(), shut > 0
+            step = on_face(of, locks, push).newton(of.hessian(), locks, push)
             first, _ = step((root * t) @ of.b, still)
             missing = None if walls is None else -walls.rows @ first
             return first + step((root * t - of.b @ first) @ of.b - first, missing)[0]
