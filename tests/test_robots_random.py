@@ -56,7 +56,7 @@ def test_any_file_loads_as_it_is_or_is_refused_in_one_line(tmp_path, text, tip, 
         return
     assert arm.n >= 1 and all(lower <= upper for lower, upper in zip(arm.lower, arm.upper, strict=True))
     assert not np.isnan([*arm.lower, *arm.upper, *arm.velocity_limit]).any()
-    assert all(f'name="{name}"' in text for name in arm.joint_names)
+    assert all(f'name="{name.partition("_")[0]}"' in text for name in arm.joint_names)  # j0_x is of a floating j0
     assert np.isfinite(ck.forward(arm, np.linspace(-0.5, 0.5, arm.n)).position).all()
 
 

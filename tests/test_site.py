@@ -179,7 +179,7 @@ def test_there_is_a_gallery():
 
 def test_tutorials_are_notebooks_with_cells():
     pages = [p for p in (DOCS / "tutorials").glob("*.md") if p.stem != "index"]
-    assert len(pages) == 10
+    assert len(pages) == 11
     for page in pages:
         text = page.read_text(encoding="utf-8")
         assert "file_format: mystnb" in text

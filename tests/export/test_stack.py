@@ -28,7 +28,7 @@ def given(held):
     return of_hands | {"apart_position": held["apart"].curve.position, "rest_values": held["rest"].curve.position}
 
 
-@pytest.mark.parametrize("method", ["EE", "AB2"])
+@pytest.mark.parametrize("method", ["EE", pytest.param("AB2", marks=pytest.mark.slow)])
 def test_a_step_is_the_loops(method):
     step, past, made, q = ck.export.compiled(LAW, method=method), None, None, Q + 0.1
     held = ck.hold_at(ROBOT, TASK, Q)

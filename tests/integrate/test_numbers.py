@@ -28,7 +28,7 @@ def same(found, wanted, tolerance):
         close(a, b, atol=tolerance, rtol=tolerance)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("method", ["EXP-MIDPOINT", "CN", "EXP-AB3"])
 def test_as_the_plain_source_step_by_step_with_a_memory(method, dtype):
     tolerance, found = 30 * np.finfo(dtype).eps, {}

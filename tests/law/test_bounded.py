@@ -173,7 +173,7 @@ def test_lanes_are_the_same(name):
     assert np.any(np.asarray(wanted) & ck.Status.AT_LIMIT)
 
 
-@pytest.mark.parametrize("name", ["panda", "g1"])
+@pytest.mark.parametrize("name", ["panda", pytest.param("g1", marks=pytest.mark.slow)])
 def test_derivatives_are_differences(name):
     drawn, rng = draws(name, 20, seed=6, null=0.3), np.random.default_rng(6)
     toward = tuple(rng.normal(size=v.shape) * np.abs(v).max() for v in drawn[:5])

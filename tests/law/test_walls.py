@@ -102,6 +102,7 @@ def test_it_is_the_least_behind_walls_of_many(name):
     check_least(name, 0.05, 3000, 9)
 
 
+@pytest.mark.slow
 def test_single_precision():
     drawn, walls, floor = problems("panda", 200, seed=2)
     wide, narrow = (next(made_of(0.05, drawn, walls, floor, dtype)) for dtype in (np.float64, np.float32))
@@ -273,6 +274,7 @@ def check_runs(count, seed, dtype):
     return beyond[kept].max(), told.any(1).mean(), near.mean()
 
 
+@pytest.mark.slow
 def test_random_runs_between_walls():
     beyond, told, near = check_runs(1000, 0, np.float64)
     assert beyond < 1e-6 and told < 0.05 and near > 0.5

@@ -125,6 +125,7 @@ def test_a_path_in_a_file_lies_beside_the_stack(tmp_path):
     close(p.reference["a"].curve(1.0)[0], [0.7, 0.4, 0.2], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stack_climbs_the_manipulability_of_its_tips():
     tables = {"hands": {"task": "position", "tip": GRIPPERS}, "one": {"task": "joints", "joints": ["left_s0"]}}
     p = made(tables, damping=0.05, manipulability=2.0, N=60)
@@ -151,6 +152,7 @@ def test_a_level_has_one_damping_and_tasks_without_levels_have_their_own():
     assert [float(one.damping) for one in p.law.inverse.damping] == [0.05, 0.2]
 
 
+@pytest.mark.slow
 def test_gradients_go_through_gains_and_dampings():
     @jax.jit
     def last(values):
@@ -314,6 +316,7 @@ def test_targets_that_only_each_alone_has_are_out_of_reach_together():
     assert re.search(r"off by left.left_tip .* m, right.right_tip .* m", told.sentence), told.sentence
 
 
+@pytest.mark.slow
 def test_targets_that_a_posture_has_are_held_back_by_something_else():
     """Straight arms that point away from their targets: no first step leads there, and another start does."""
     told = fork({"left": [0.0, 1.2]}, [0.0, 0.0, 0.3])
@@ -321,6 +324,7 @@ def test_targets_that_a_posture_has_are_held_back_by_something_else():
     assert "start elsewhere" in told.remedy.lower(), told.sentence
 
 
+@pytest.mark.slow
 def test_a_humanoid_in_c(monkeypatch):
     """47 coordinates on 29 joints: so long that its program is written in pieces."""
     feet = [f"{side}_ankle_roll_link" for side in ("left", "right")]

@@ -54,6 +54,7 @@ def test_an_answer_is_the_targets_own(monkeypatch):
         assert alike(ck.reach(held, targets[k : k + 1]), some(whole, [k]))
 
 
+@pytest.mark.slow
 def test_with_and_without_a_compiler_the_statuses_agree():
     held, targets = hard_and_easy(60)
     near = drawn(held, 60, seed=6)
@@ -131,6 +132,7 @@ def test_a_chain_takes_its_code_with_it():
     assert library() is None
 
 
+@pytest.mark.slow
 def test_a_loop_over_many_chains_builds_few(monkeypatch):
     """Programs that serve all chains are sooner ready; a chain that is asked of often gets its own."""
     monkeypatch.setattr(native, "AT_ONCE", Native.libraries + 1)

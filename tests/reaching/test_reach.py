@@ -445,6 +445,7 @@ def test_derivative_of_a_task_that_leaves_part_of_the_turn_free():
     assert again.distance < 1e-8  # second order in h: the linear prediction met the task by itself
 
 
+@pytest.mark.slow
 def test_where_there_is_no_answer_the_derivative_is_zero():
     slope = jax.jacfwd(lambda x: ck.reach(ARM, x, task=PLANE).q)(jnp.array([3.0, 0.5, 0.0]))
     assert (slope == 0).all()

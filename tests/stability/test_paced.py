@@ -26,7 +26,7 @@ def judge(made):
 @pytest.mark.parametrize(
     "table",
     [
-        dict(N=4000),  # "diverging: the error has grown to 1.52 mm"
+        pytest.param(dict(N=4000), marks=pytest.mark.slow),  # "diverging: the error has grown to 1.52 mm"
         dict(N=4000, period=4.0),  # "no better", 13 s of the path behind
         dict(N=400, radius=0.2),  # "no better", 1.3 s behind
     ],
@@ -62,6 +62,7 @@ def test_a_trial_is_run_once(monkeypatch):
     assert len(runs) == len(set(runs)) > 1
 
 
+@pytest.mark.slow
 def test_a_loop_that_is_unstable_only_at_rest_is_calm_at_its_pace():
     """It makes 0.35 of each step, was said to shake, and its remedies to be no better. That the arm wanders, and after
     800 steps comes next to a singularity, is told."""
@@ -72,6 +73,7 @@ def test_a_loop_that_is_unstable_only_at_rest_is_calm_at_its_pace():
     assert told.kind == Behaviour.UNDECIDED and "4096 steps in all, the error gets as large as" in told.sentence
 
 
+@pytest.mark.slow
 def test_joints_that_the_path_turns_do_not_shake():
     """A lissajous figure has as much of its joint speed off the mean with any gain: it was said to shake."""
     slow = dict(reference="lissajous", period=3.0, N=600, Ts=0.01, method="EE", max_acceleration=3.0, max_jerk=60.0)
@@ -88,7 +90,7 @@ def test_what_shakes_at_a_target_within_a_pace_does_not_diverge():
     assert told.remedies[0].change["alpha"] == pytest.approx(100.0, rel=0.02)
 
 
-@pytest.mark.parametrize("alpha", [pytest.param(105.0, marks=pytest.mark.slow), 120.0, 150.0])
+@pytest.mark.parametrize("alpha", [*(pytest.param(a, marks=pytest.mark.slow) for a in (105.0, 120.0)), 150.0])
 def test_what_a_pace_bounds_does_not_diverge(alpha):
     """A loop that is unstable at rest and calm so far was "diverging"; one that is restless was "settled"."""
     table = dict(reference="circle", period=3.0, method="AB2", N=600, max_acceleration=3.0, max_jerk=60.0)

@@ -397,11 +397,15 @@ def test_fewer_coordinates_are_named():
 @pytest.mark.parametrize(
     ("options", "kind"),
     [
-        (dict(robot="panda", reference="circle", Ts=0.002, N=200, alpha=0.5), "too short to tell"),
+        pytest.param(
+            dict(robot="panda", reference="circle", Ts=0.002, N=200, alpha=0.5),
+            "too short to tell",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             dict(robot="panda", reference="circle", Ts=0.001, N=20), "too short to tell", marks=pytest.mark.slow
         ),
-        pytest.param(dict(robot="ur5", N=1000), "settled", marks=pytest.mark.slow),
+        (dict(robot="ur5", N=1000), "settled"),
     ],
 )
 def test_short_runs_of_real_arms_invent_nothing(options, kind):
@@ -414,6 +418,7 @@ def test_short_runs_of_real_arms_invent_nothing(options, kind):
         assert "educe alpha" not in told.sentence and "reach" not in told.sentence
 
 
+@pytest.mark.slow
 def test_a_run_that_leaves_a_singularity_is_told_how_to_leave_it_gently():
     """It was told to run for more steps, at 4,500 rad/s."""
     table = dict(q0=[0.0] * 6, N=50)

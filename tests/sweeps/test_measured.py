@@ -23,6 +23,7 @@ def spec(metrics, N, fixed=(), **axes):
     return check.parse(made | {"axes": axes})
 
 
+@pytest.mark.slow
 def test_loops_that_are_late_end_where_theory_says():
     """At 0.95 and 1.05 of the largest stable z, `limit` in a spec; exponential Euler has none with one sample."""
     of = spec(["final_error"], 400, {"alpha": "share*limit/Ts"}, delay=[0, 1, 3], share=[0.95, 1.05])

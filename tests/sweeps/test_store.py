@@ -188,6 +188,7 @@ def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
 
 
+@pytest.mark.slow
 def test_several_writers_of_one_store_end_with_the_same_bytes(path, undisturbed, tmp_path):
     """Nobody told them of each other: each makes the store or finds it, and writes what is missing."""
     line = [sys.executable, "-m", "cnclik", "sweep", str(path), "--out", str(tmp_path / "out"), "--no-figures"]
