@@ -10,7 +10,7 @@ from cnclik.engine.row_texts import all_items
 from cnclik.engine.to_c import Writer
 
 LONG = 20_000  # operations from which on a program is written in pieces
-PIECE = 1_000  # from 1,000 to 5,000 the runs differ by less than 10 %, and the compiler needs up to half as long again
+PIECE = 1_000  # from 1,000 to 5,000 runs differ by about 10 %, and the compiler needs up to half as long again
 _TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *restrict work"
 _REAL = {"float32": ("S32", "int32_t", "f"), "float64": ("S64", "int64_t", "")}
 

@@ -32,10 +32,13 @@ ALPHA, DAMPING, WEIGHTS, TS = 10.0, 0.05, (1.0, 0.5), 0.01
 LANES, STEPS, ROUNDS, ALONE = 8192, 10, 5, 200
 G1 = "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 HANDS = ["left_rubber_hand", "right_rubber_hand"]
+MORE = [f"{side}_{part}_link" for side in ("left", "right") for part in ("knee", "elbow", "shoulder_yaw", "hip_yaw")]
 HAND = "Allegro, 4 fingertips"
 ROBOTS = {  # file, tips, base
     "TIAGo on its base": ("tiago_description/robots/tiago_no_hand.urdf", ["arm_tool_link", "head_2_link"], "planar"),
     "Baxter, both arms": ("baxter_description/urdf/baxter.urdf", ["left_gripper", "right_gripper"], "fixed"),
+    "G1, 5 tips": (G1, [*FEET, *HANDS, "torso_link"], "fixed"),
+    "G1, 13 frames": (G1, [*FEET, *HANDS, "torso_link", *MORE], "fixed"),
     "G1, free base, 5 tips": (G1, [*FEET, *HANDS, "torso_link"], "free"),
     "G1, free base, 14 frames": (G1, TIPS, "free"),
     HAND: (
