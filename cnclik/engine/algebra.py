@@ -1,7 +1,7 @@
-"""Algebra: what an operation on known numbers gives, and what is simpler and the same.
+"""Algebra: folds operations on known numbers, and simplifies others.
 
-The rules keep NaN and infinity as JAX has them, but for one that is asked for: 0 times anything is 0 where the 0 is a
-constant of the model (`Node.exact`).
+The rules treat NaN and infinity as JAX does, with one exception: 0 times anything is 0 where the 0 is a constant of the
+model (`Node.exact`).
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def _remainder(a, b):
 
 
 def _converted(value, dtype):
-    """XLA's cast: a float towards 0, to the nearest where it is too large, NaN to 0; whole numbers wrap around."""
+    """XLA's cast: a float is truncated and saturates, NaN becomes 0, and whole numbers wrap around."""
     if dtype.kind in "iu" and np.asarray(value).dtype.kind == "f":
         if np.isnan(value):
             return 0
@@ -38,7 +38,7 @@ def _rounded(value, method):
 
 
 def _shifted(value, by, name):
-    """As XLA: by more bits than there are nothing is left but, arithmetically, the sign."""
+    """As XLA shifts: a shift by at least as many bits as the type has leaves 0, or the sign if it is arithmetic."""
     bits, by = 8 * value.itemsize, int(by)
     far = not 0 <= by < bits
     if name == "shift_right_arithmetic":
@@ -48,7 +48,7 @@ def _shifted(value, by, name):
 
 
 def _wrapped(value, dtype):
-    """A whole number in as many bits as its type has."""
+    """A whole number modulo 2^bits, in the range of its type."""
     bits = 8 * dtype.itemsize
     return np.asarray(int(value) % (1 << bits), f"uint{bits}").astype(dtype)
 
@@ -66,7 +66,7 @@ _FOLDED = {
 
 
 def folded(name, values, dtype, params):
-    """The result of an operation on known numbers; None where it is left to run time."""
+    """The result of an operation on known numbers; None if it has to be computed at run time."""
     with np.errstate(all="ignore"):
         if name == "div":
             return values[0] / values[1] if dtype.kind == "f" else _wrapped(_whole_division(*values), dtype)
@@ -127,7 +127,7 @@ def _mul(g, args, params, dtype):
                 return g.op("neg", g.op("mul", x.args[0], y))
             if y.number in g.squares and x.op == "mul" and not y.known:
                 for root, rest in (x.args, x.args[::-1]):
-                    if root is y:  # of 1/√d its square is known
+                    if root is y:  # 1/√d, whose square is known
                         return g.op("mul", rest, g.squares[y.number])
                     if root is y.args[1]:
                         return rest
@@ -181,7 +181,7 @@ def _logic(absorbing):
 
 
 def _pow(g, args, params, dtype):
-    """As XLA does: by squaring."""
+    """Integer powers by repeated squaring, as XLA computes them."""
     y, x, out = abs(params), args[0], g.const(1, dtype)
     while y:
         if y & 1:
@@ -201,7 +201,7 @@ def _square(g, args, params, dtype):
 
 
 def _squared(g, x):
-    """x·x of a product with a 1/√d, or None."""
+    """x·x without a root, where x is 1/√d or a product with it; otherwise None."""
     root = next((a for a in x.args if a.number in g.squares), None) if x.op == "mul" else None
     if root is None:
         return g.squares.get(x.number)
@@ -218,7 +218,7 @@ def _not(g, args, params, dtype):
 
 
 def _with_itself(answer, always):
-    """A comparison of a number with itself, where it isn't NaN or that makes no difference."""
+    """The rule for comparing a number with itself; `always`: the answer holds for NaN, too."""
 
     def simpler(g, args, params, dtype):
         return g.const(answer, bool) if args[0] is args[1] and (always or args[0].dtype.kind != "f") else None

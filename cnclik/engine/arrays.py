@@ -1,6 +1,6 @@
-"""Arrays: rules of primitives that look at several cells of an array at once.
+"""Arrays: rules of primitives that combine several cells of an array.
 
-Each is called with the graph, the equation and its inputs as arrays of scalar nodes, and gives a list of such.
+A rule takes the graph, the equation and its inputs as arrays of scalar nodes, and returns a list of such arrays.
 """
 
 import functools
@@ -28,7 +28,7 @@ def _reduce(g, eqn, x):
 
 
 def empty(g, eqn):
-    """What a reduction of nothing gives."""
+    """The result of reducing an empty array."""
     name, dtype = REDUCTIONS[eqn.primitive.name], eqn.outvars[0].aval.dtype
     if name in ("max", "min"):
         raise UnsupportedError("the largest of no numbers has no C form")
@@ -72,7 +72,7 @@ def _dot_general(g, eqn, x, y):
 
 
 def _folded(x, batch, axes):
-    """An array as rows of what is summed over, for each of the batch."""
+    """An array with the batch axes first and the summed axes flattened."""
     free = [a for a in range(x.ndim) if a not in batch and a not in axes]
     size = [int(np.prod([x.shape[a] for a in group])) for group in (batch, free, axes)]
     return x.transpose(*batch, *free, *axes).reshape(size)
@@ -90,7 +90,7 @@ def _dot(g, a, b, dtype):
 
 
 def _arg(better):
-    """The first place of the largest or smallest; of NaN where there is one."""
+    """The rule of argmax and argmin: the first index of the largest or smallest entry, or of a NaN if there is one."""
 
     def rule(g, eqn, x):
         (axis,), dtype = eqn.params["axes"], np.dtype(eqn.params["index_dtype"])
@@ -111,7 +111,7 @@ def _arg(better):
 
 
 def _sort(g, eqn, *inputs):
-    """Stable, NaN last, as many arrays together as there are: by exchanging neighbours."""
+    """A stable sort of any number of arrays together, NaN last, by exchanging neighbours."""
     axis, keys = eqn.params["dimension"], eqn.params["num_keys"]
     moved = [np.moveaxis(x, axis, -1).copy() for x in inputs]
     n = moved[0].shape[-1]
@@ -128,7 +128,7 @@ def _sort(g, eqn, *inputs):
 
 
 def _before(g, pairs):
-    """Whether one tuple of keys comes strictly before another."""
+    """Whether one tuple of keys is strictly less than another."""
     (a, b), *rest = pairs
     less = g.op("lt", a, b)
     same = g.op("eq", a, b)

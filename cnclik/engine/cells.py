@@ -1,13 +1,13 @@
-"""Cells: a traced function read with every array of it as a NumPy array of cells.
+"""Cells: reads a traced function with every array as a NumPy array of cells.
 
-What only moves data about happens while reading, and costs the program that is written nothing.
+Operations that only move data are done while reading, so they cost nothing in the written program.
 """
 
 import numpy as np
 
 
 def array_of(cells, shape):
-    """An array whose entries are the cells: numbers that are known, vectors of lanes, or HISTORY."""
+    """An array whose entries are the cells: known numbers, vectors of lanes, or HISTORY."""
     made = np.empty(len(cells), object)
     for i, cell in enumerate(cells):
         made[i] = cell
@@ -50,7 +50,7 @@ def _broadcast_in_dim(x, shape, broadcast_dimensions, **_):
     return np.broadcast_to(x.reshape(sizes), shape)
 
 
-# Where each cell of a result comes from: NumPy moves the cells.
+# NumPy moves the cells as the primitive would move numbers.
 MOVES = {
     "broadcast_in_dim": _broadcast_in_dim,
     "squeeze": lambda x, dimensions: np.squeeze(x, dimensions),
@@ -75,7 +75,7 @@ CALLS = frozenset(_CALLS_NAMES.split())
 
 
 def moved(equation, inputs):
-    """The results of an equation that only moves data about; None for any other."""
+    """The results of an equation that only moves data; None for any other."""
     name, params = equation.primitive.name, equation.params
     if name in MOVES:
         return [MOVES[name](*inputs, **params)]
@@ -92,10 +92,10 @@ def called(params):
 
 
 def consts_and_carry(equation, jaxpr):
-    """How many of a scan's inputs are constants and how many are carried, from shapes alone.
+    """How many of a scan's inputs are constants and how many are carried, derived from shapes alone.
 
-    What is scanned over or stacked up has one axis more outside than inside; the parameters that say so differ
-    between versions of JAX.
+    Inputs that are scanned over, and outputs that are stacked, have one more axis outside than inside. Versions of JAX
+    name the parameters differently.
     """
     carry = sum(v.aval.ndim == inner.ndim for v, inner in zip(equation.outvars, jaxpr.out_avals, strict=True))
     scanned = sum(v.aval.ndim > inner.ndim for v, inner in zip(equation.invars, jaxpr.in_avals, strict=True))

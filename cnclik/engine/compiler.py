@@ -1,4 +1,4 @@
-"""Compiler: the system's own C compiler, or that of the Python package `ziglang`, where there is one."""
+"""Compiler: the system's C compiler, or that of the Python package `ziglang` if it is installed."""
 
 import _ctypes
 import ctypes
@@ -18,23 +18,23 @@ import weakref
 
 from cnclik import errors
 
-# Of exports. GCC threads jumps in a time that grows as the square of a function's length: of a step with 33 joints and
-# 51 rows two thirds of 21 s; what is built is as quick without.
+# For exports. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
+# for a step with 33 joints and 51 rows. The code is as quick without it.
 FLAGS = (
     *("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fno-thread-jumps"),
     *("-fPIC", "-shared"),
 )
-# Of the engine's programs, as measured: -O3 gains nothing, and scheduling before registers are allocated 6 to 16 %, up
-# to some 2,000 operations without a branch (beyond it loses up to 30 % where there are 16 registers). Contraction gains
-# 7 % and is as accurate as none.
+# For the engine's programs, as measured: -O3 gains nothing. Scheduling before register allocation gains 6 to 16 % up to
+# some 2,000 operations without a branch; beyond, it loses up to 30 % with 16 registers. Contraction gains 7 % and is as
+# accurate.
 LANES = (
     *("-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
-    *("-ftree-slp-vectorize", "-fno-strict-aliasing", "-fPIC", "-shared"),  # of GCC before 12; sqrt needs it
+    *("-ftree-slp-vectorize", "-fno-strict-aliasing", "-fPIC", "-shared"),  # GCC before 12 needs it to vectorize sqrt
 )
 SCHEDULED = "-fschedule-insns"
 MOST_SCHEDULED = 2_000
-# Of long programs: stores that GCC looks back at from each load, instead of 1,000. Of G1's clips it takes two thirds of
-# the time (20.8 to 13.6 s), and what it builds is the same, byte for byte.
+# For long programs: how many stores GCC looks back at from each load, instead of 1,000. Compiling G1's clips takes
+# 13.6 s instead of 20.8 s, and the result is the same, byte for byte.
 SHORT_SEARCH = "--param=sccvn-max-alias-queries-per-access=100"
 UNSAFE = (
     "-Ofast",
@@ -45,12 +45,12 @@ UNSAFE = (
     "-freciprocal-math",
     "-ffp-model",
 )
-LONG = 20_000  # lines from which on a compiler is told to take less care: its time grows faster than they do
-LIMIT = 300.0  # [s] that a compiler may take; the largest exports take half a minute
-MOST_SECONDS = 120  # the same where lanes wait for it, and XLA could do it
+LONG = 20_000  # lines; longer programs are optimized less, as compile time grows faster than length
+LIMIT = 300.0  # [s] time limit of the compiler; the largest exports take half a minute
+MOST_SECONDS = 120  # [s] the limit where XLA can run the function instead
 
-# A command, and a watch that ends it and all that it has started where standard input ends before: with this process.
-# The shell waits for the watch, as in containers nobody else does: what is left there stays as a zombie.
+# A shell that runs a command, and a watch that ends it with all its children if standard input closes first, as when
+# this process ends. The shell waits for the watch, which in a container would otherwise stay as a zombie.
 _WATCH = (
     'exec 3<&0 </dev/null; { read _ <&3; kill -9 0; } & "$@" 3<&-; code=$?; { kill $!; wait; } 2>/dev/null; exit $code'
 )
@@ -71,10 +71,10 @@ def _command() -> list | None:
 
 @functools.lru_cache(maxsize=16)
 def _on_path(cc, path) -> list | None:
-    """The compiler of an environment's CC and PATH, remembered: each call of a program asks whether there is one."""
+    """The compiler that CC and PATH name. Cached, as each call of a program asks for it."""
     try:
         own = shlex.split(cc)
-    except ValueError:  # a quotation mark that is alone
+    except ValueError:  # an unmatched quotation mark
         own = [cc]
     several = (own, ["cc"], ["gcc"], ["clang"])
     found = next((words for words in several if words and shutil.which(words[0], path=path)), None)
@@ -93,27 +93,30 @@ def of_a_package() -> list | None:
 
 
 def can_build() -> bool:
-    """Whether there is a C compiler whose libraries can be opened."""
+    """Whether there is a C compiler whose libraries can be loaded."""
     return _command() is not None and hasattr(_ctypes, "dlclose")  # not on Windows
 
 
 def command() -> list:
-    """The words that call the C compiler: that of the environment's CC, else cc, gcc, clang or zig. ArgumentError where
-    there is none."""
+    """The words that call the C compiler: the environment's CC, otherwise cc, gcc, clang or zig.
+
+    Raises: ArgumentError if there is none.
+    """
     if found := _command():
         return found
     raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
 
 
 def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
-    """A shared library of some C files; the one that was built before where nothing has changed. CFLAGS are respected,
-    but for those by which NaN and infinity would mean nothing.
+    """A shared library of some C files; an earlier build is reused if nothing has changed.
+
+    CFLAGS are respected, except those that would break NaN and infinity.
 
     Args:
       sources: C files of one folder.
-      folder: where it is kept; in the system's temporary files where that can't be written to.
-      flags: further ones.
-      limit: seconds that the compiler may take, `LIMIT` where nothing is said; then it is ended.
+      folder: where it is kept; the system's temporary folder if it is not writable.
+      flags: further flags.
+      limit: time limit of the compiler [s]; default: `LIMIT`.
     """
     texts = [pathlib.Path(s).read_bytes() for s in sources]
     care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
@@ -134,9 +137,9 @@ def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
 
 
 def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
-    """(shared library of the engine's C text, named by its content; whether it was there already)
+    """(shared library of the engine's C text, named by its content; whether it existed already)
 
-    Args: scheduled: whether the compiler may take the time to order the operations of a small program.
+    Args: scheduled: whether the compiler may reorder the operations of a small program, which takes longer.
     Raises: CompilerError.
     """
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
@@ -155,7 +158,7 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
 
 
 def built(folder, name) -> pathlib.Path:
-    """The library of this name that `build_text` has built. Raises CompilerError where it is there no more."""
+    """The library of this name that `build_text` has built. Raises: CompilerError if it no longer exists."""
     if not _whole(library := folder / name):
         raise CompilerError(f"{name} is not there")
     return library
@@ -170,7 +173,7 @@ def _key(line, texts) -> str:
 
 
 def _kept(folder, name):
-    """The library of a name that was built before; None where there is none."""
+    """The library with this name that was built before; None if there is none."""
     return next(filter(_whole, folder.glob(f"{name}-*.so")), None)
 
 
@@ -193,12 +196,12 @@ def _digest(library) -> str:
 
 
 def _whole(library) -> bool:
-    """Whether a library is the one that was built: one that is cut off would end the process that loads it."""
+    """Whether a library is complete: loading a truncated one would end the process."""
     return os.path.isfile(library) and library.stem.endswith(f"-{_digest(library)}")
 
 
 def _run(line, limit):
-    """What a command returns and what it says; ended, with all that it has started, after so many seconds."""
+    """(exit status, output) of a command, which is ended with all its children after `limit` seconds."""
     group = {"start_new_session": True} if hasattr(os, "killpg") else {}
     line = [*WATCHED, *line] if group and os.access(WATCHED[0], os.X_OK) else line
     watched, alive = os.pipe()
@@ -210,7 +213,7 @@ def _run(line, limit):
                 _, said = process.communicate(timeout=limit)
             except subprocess.TimeoutExpired:
                 raise SlowCompilerError(f"nothing within {limit:g} s") from None
-            finally:  # an interrupt ends it, too
+            finally:  # also after an interrupt
                 if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
     finally:
@@ -221,7 +224,7 @@ def _run(line, limit):
 
 @functools.cache
 def _processor() -> str:
-    """What code for this processor depends on."""
+    """The processor features that compiled code depends on."""
     try:
         lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -230,11 +233,11 @@ def _processor() -> str:
 
 
 def opened(library, *, lets_go=True):
-    """The library; `lets_go` of Python's lock while it runs, for calls that take longer than a step."""
+    """The loaded library. Args: lets_go: release Python's lock during calls, for calls longer than a step."""
     return (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
 
 
 def closed_after(library):
-    """The library, which is closed when nothing holds it any more: its functions alone don't."""
-    weakref.finalize(library, _ctypes.dlclose, library._handle).atexit = False  # a thread may still be at work in it
+    """The library, closed once nothing refers to it; its functions alone do not keep it open."""
+    weakref.finalize(library, _ctypes.dlclose, library._handle).atexit = False  # a thread may still run its code
     return library

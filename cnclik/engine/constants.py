@@ -1,7 +1,7 @@
-"""Constants of a model: numbers that never are infinity or NaN, and whose zeros and ones are meant.
+"""Constants of a model: numbers that are never infinity or NaN, and whose zeros and ones are exact.
 
-In JAX 0 times infinity is NaN, so a program must multiply by each 0 of a matrix. A robot's geometry is full of zeros:
-marked as the model's own, they vanish from the programs that the engine makes, with all that is multiplied by them.
+In JAX 0 times infinity is NaN, so a program must multiply by each 0 of a matrix. A robot's geometry is full of zeros.
+Marked as constants of the model, they vanish from the engine's programs, with all that is multiplied by them.
 """
 
 import jax
@@ -17,8 +17,8 @@ ad.primitive_jvps[model_p] = lambda primals, tangents: (model_p.bind(*primals), 
 
 
 def of_the_model(tree):
-    """The tree's arrays, marked as the model's own: where one is known, 0 times anything is 0 in the engine's programs.
+    """The tree with its arrays marked as constants of the model: in the engine's programs 0 times anything is 0.
 
-    Everywhere else it changes nothing, derivatives included.
+    Everywhere else the mark changes nothing, derivatives included.
     """
     return jax.tree.map(model_p.bind, tree)

@@ -1,9 +1,9 @@
-"""Graph: a traced function as a program over scalars, in which nothing stands twice and nothing is left that is known.
+"""Graph: a traced function as a program over scalars, without duplicates and with known values folded.
 
-A node is an operation on other nodes. Asking for the same one again gives the one that is there. Nodes lie in blocks:
-the function itself, the body of a loop, a branch. A node lies in the outermost block in which its arguments are known,
-so that what does not change in a loop is computed before it; nothing is moved out of a branch. A node of shape (N,)
-is a row: one scalar at N instants, such as what a scan stacks up.
+A node is an operation on other nodes. Requesting the same operation again returns the existing node. Nodes lie in
+blocks: the function itself, the body of a loop, a branch. A node lies in the outermost block in which its arguments are
+known, so loop invariants are computed before the loop; nothing moves out of a branch. A node of shape (N,) is a row:
+one scalar at N instants, such as what a scan stacks.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
 
 
 class UnsupportedError(Exception):
-    """The function does what C code can't; the message says what."""
+    """The function has no C form; the message gives the reason."""
 
 
 class Node:
     """One scalar, or one row of scalars: an operation, its arguments and parameters, or a constant's value.
 
-    `exact` marks a constant of the model itself, such as a zero of the robot's geometry: 0 times anything is 0 there.
+    `exact` marks a constant of the model, such as a zero of the robot's geometry: 0 times anything is 0.
     """
 
     __slots__ = ("args", "block", "dtype", "exact", "number", "op", "params", "shape", "value")
@@ -48,15 +48,15 @@ class Block:
 
 
 class Region:
-    """What holds blocks of its own: a `Scan`, `While` or `Cond`."""
+    """A node that contains blocks: a `Scan`, `While` or `Cond`."""
 
     blocks: Sequence = ()
 
 
 class Scan(Region):
-    """`length` rounds of a block: carries start at `first` and go on as `then`; rows come from xs, ys are stacked up.
+    """`length` rounds of a block. Carries start at `first` and continue as `then`; rows come from xs, ys are stacked.
 
-    `stacks` are the numbers of those ys that have a node of their own, which follow the carries' ends in `outs`.
+    `stacks` are the indices of the ys that have a node; in `outs` these nodes follow the carries' ends.
     """
 
     def __init__(self, parent, length, reverse=False):
@@ -66,72 +66,70 @@ class Scan(Region):
 
     @property
     def blocks(self):
-        """Its one block."""
         return [self.block]
 
     @property
     def used(self) -> list:
-        """Nodes that its block ends with, or begins from."""
+        """The nodes that its block starts from or ends with."""
         return [*self.first, *self.then, *self.ys]
 
     def needs(self, what, i) -> list:
-        """The nodes that one of its nodes rests on."""
+        """The nodes that one of its nodes depends on."""
         if what in ("carry", "end"):
             return [self.first[i], self.then[i], self.carries[i]]
         return [self.xs[i] if what == "row" else self.ys[i]]
 
 
 class While(Region):
-    """Rounds of `block` as long as `begins`, which `asking` computes from the carries."""
+    """Rounds of `block` while `begins` is true, which `asking` computes from the carries."""
 
     def __init__(self, parent, counts):
-        """counts: whether it only counts, as `jax.lax.fori_loop`: what does not change in it is computed before it."""
+        """counts: whether it is a `jax.lax.fori_loop`: its invariants are computed before it."""
         self.asking = Block(parent, branch=not counts)
         self.block = Block(self.asking, branch=not counts)
         self.first, self.carries, self.then, self.outs, self.begins = [], [], [], [], None
 
     @property
     def blocks(self):
-        """Its condition and its body."""
         return [self.asking, self.block]
 
     @property
     def used(self) -> list:
-        """Nodes that its block ends with, or begins from."""
+        """The nodes that its blocks start from or end with."""
         return [*self.first, *self.then, self.begins]
 
     def needs(self, what, i) -> list:
-        """The nodes that one of its nodes rests on: all carries, as they decide on the rounds."""
+        """The nodes that one of its nodes depends on: all carries, as they decide the number of rounds."""
         return [*self.first, *self.then, *self.carries, self.begins]
 
 
 class Cond(Region):
-    """One of several blocks, by a node: a bool for two of them, else a whole number."""
+    """One of several blocks, chosen by a node: a bool for two blocks, otherwise a whole number."""
 
     def __init__(self, which):
         self.which, self.blocks, self.results, self.outs = which, [], [], []
 
     @property
     def used(self) -> list:
-        """Nodes that its blocks end with, or that choose between them."""
+        """The nodes that its blocks end with, and the one that chooses."""
         return [self.which, *(n for results in self.results for n in results)]
 
     def needs(self, what, i) -> list:
-        """The nodes that one of its results rests on."""
+        """The nodes that one of its results depends on."""
         return [self.which, *(results[i] for results in self.results)]
 
 
 class Graph:
-    """A program that is being written."""
+    """A program under construction."""
 
     def __init__(self):
         self.root = self.block = Block()
         self.count = 0
-        self.factors = {}  # {numbers of a Cholesky factor's nodes: L of L D Lᵀ, and 1/√D}
-        self.squares = {}  # {number of such a 1/√d: 1/d}
+        self.factors = {}  # {node numbers of a Cholesky factor: (L of L D Lᵀ, 1/√D)}
+        self.squares = {}  # {node number of such a 1/√d: 1/d}
 
     def new(self, op, args, params, shape, dtype, value, block, *, exact=False) -> Node:
-        """A node that is not looked up and not listed."""
+        """A new node, neither looked up nor listed."""
         self.count += 1
         return Node(op, args, params, shape, dtype, value, block, self.count, exact)
 
@@ -146,11 +144,11 @@ class Graph:
         return found
 
     def array(self, value) -> Node:
-        """A known array, whole."""
+        """A known array as one node."""
         return self.new("array", (), None, value.shape, value.dtype, value, self.root)
 
     def shared(self, op, args, params, shape, dtype) -> Node:
-        """The node of an operation; the one that is there already if there is one."""
+        """The node of an operation; the existing one if there is one."""
         dtype = np.dtype(dtype)
         key = (op, params, shape, dtype.str, *(a.number for a in args))
         block = self.block
@@ -191,9 +189,10 @@ class Graph:
         return self.shared(name, tuple(args), params, shape, dtype)
 
     def _through_select(self, name, args, dtype, params):
-        """An operation on a choice that lies in a loop for its condition alone: a choice of two results from before it.
+        """An operation on a choice that is in a loop only for its condition: a choice of two results computed before
+        it.
 
-        The length of a step, for one: it is Ts but in the last round, where nothing moves, and exp(−alpha Ts) with it.
+        For example the length of a step, and exp(−alpha Ts) with it: it is Ts except in the last round, where it is 0.
         """
         which = next((a.args[0] for a in args if _is_choice(a)), None)
         if which is None or any(a.shape for a in args) or not which.block.depth:
@@ -205,13 +204,13 @@ class Graph:
         return self.select(which, yes, no)
 
     def _given(self, which, value, node):
-        """A node where it is known whether `which` holds."""
+        """A node, simplified for a known value of the condition `which`."""
         if node is which or (node.op == "not" and node.args[0] is which):
             return self.const(value is (node is which), bool)
         return node.args[1 + value] if _is_choice(node) and node.args[0] is which else node
 
     def op(self, name, *args) -> Node:
-        """An operation whose dtype is that of its arguments, or bool for a comparison."""
+        """An operation with the dtype of its arguments, or bool for a comparison."""
         return self.apply(name, args, np.bool_ if name in COMPARISONS else args[-1].dtype)
 
     def select(self, condition, yes, no) -> Node:
@@ -219,12 +218,12 @@ class Graph:
         return self.apply("select_n", (condition, no, yes), yes.dtype)
 
     def nodes(self, region, what, shapes, block) -> list:
-        """Nodes of a region: its carries, rows or results, of (shape, dtype) each."""
+        """Nodes of a region, its carries, rows or results, one for each (shape, dtype)."""
         return [self.new(what, (), None, s, d, (region, what, i), block) for i, (s, d) in enumerate(shapes)]
 
 
 def _is_choice(node) -> bool:
-    """Whether a node is one of two others, by a condition."""
+    """Whether a node selects one of two others by a condition."""
     return node.op == "select_n" and node.args[0].dtype.kind == "b"
 
 

@@ -1,4 +1,4 @@
-"""Matrices: rules of decompositions of small matrices, written out."""
+"""Matrices: rules that write out decompositions of small matrices."""
 
 import functools
 
@@ -7,12 +7,12 @@ import numpy as np
 from cnclik.engine.cells import array_of
 from cnclik.engine.graph import UnsupportedError
 
-LARGEST = 48  # rows that are written out
-EXCHANGED = 16  # and of a decomposition that exchanges rows: its C compiles for 6 s, that of 20 rows for 13
+LARGEST = 48  # rows, at most, that are written out
+EXCHANGED = 16  # the same with row exchanges: their C compiles in 6 s, that of 20 rows in 13 s
 
 
 def each_matrix(rule, largest=LARGEST):
-    """The rule for leading axes of any number: a batch of matrices of up to so many rows."""
+    """The rule extended to any leading axes, for matrices of at most `largest` rows."""
 
     def several(g, eqn, *inputs):
         lead = inputs[0].shape[:-2]
@@ -37,9 +37,9 @@ def _inverse(g, x):
 
 
 def _cholesky(g, eqn, a):
-    """The lower factor; NaN everywhere where the matrix isn't positive definite, as LAPACK's result is marked.
+    """The lower factor; all NaN if the matrix is not positive definite, as with LAPACK.
 
-    It is L √D of L D Lᵀ. What solves with it afterwards needs no root, see `_triangular_solve`.
+    It is L √D of L D Lᵀ. Solving with it later needs no root, see `_triangular_solve`.
     """
     m, dtype = len(a), a.flat[0].dtype
     unit, scaled, pivots = np.empty((m, m), object), np.empty((m, m), object), []
@@ -68,7 +68,7 @@ def _key(lower):
 
 
 def _triangular_solve(g, eqn, a, b):
-    """By substitution; with a Cholesky factor L √D, by L and 1/√D: (L √D)⁻¹ = D^(−1/2) L⁻¹."""
+    """Substitution; a Cholesky factor L √D is solved by L and 1/√D: (L √D)⁻¹ = D^(−1/2) L⁻¹."""
     p, lower = eqn.params, eqn.params["lower"]
     unit, roots = g.factors.get(_key(a if lower else a.T), (None, None))
     if unit is None:
@@ -89,7 +89,7 @@ def _triangular_solve(g, eqn, a, b):
     for i in range(len(x)) if lower else reversed(range(len(x))):
         before = range(i) if lower else range(i + 1, len(x))
         for c in range(x.shape[1]):
-            known = [(unit[i, k], x[k, c]) for k in before if not _is_zero(x[k, c])]  # as LAPACK passes over them
+            known = [(unit[i, k], x[k, c]) for k in before if not _is_zero(x[k, c])]  # LAPACK skips zeros, too
             x[i, c] = g.op("mul", _minus(g, x[i, c], known), pivots[i])
     x = scaled(x) if lower and roots is not None else x
     return [x if p["left_side"] else x.T]
@@ -107,7 +107,7 @@ def _lu(g, eqn, a):
     pivots = []
     for j in range(min(m, n)):
         best, most = g.const(j, kind), g.op("abs", a[j, j])
-        for i in range(j + 1, m):  # the first of the largest
+        for i in range(j + 1, m):  # the first largest entry
             size = g.op("abs", a[i, j])
             larger = g.op("gt", size, most)
             best, most = g.select(larger, g.const(i, kind), best), g.select(larger, size, most)

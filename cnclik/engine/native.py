@@ -1,8 +1,8 @@
-"""native(fn): a function of small arrays as C, for use inside a JAX program of one's own.
+"""native(fn): a function of small arrays as C, for use inside your own JAX program.
 
-A JAX primitive whose CPU lowering is a call of the C library by XLA's foreign function interface. Its batching rule
-widens the batch; its derivative is another such function, read from JAX's own jvp, which is linear in the tangents and
-whose transpose is read from JAX's own vjp: `jit`, `vmap`, `jvp`, `grad` and `lax.scan` go through, of any order.
+It is a JAX primitive whose CPU lowering calls the C library by XLA's foreign function interface. Its batching rule
+widens the batch. Its derivative is another such function, read from JAX's jvp; it is linear in the tangents, and its
+transpose is read from JAX's vjp. So `jit`, `vmap`, `jvp`, `grad` and `lax.scan` work, to any order.
 """
 
 import functools
@@ -22,7 +22,7 @@ from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import to_be_read
 from cnclik.programs import needs
 
-_registered = {}  # {name of a library: the program}: XLA may call it as long as the process lives
+_registered = {}  # {name of a library: its program}, kept as XLA may call it as long as the process lives
 
 
 def native(fn: Callable) -> Callable:
@@ -54,7 +54,7 @@ def native(fn: Callable) -> Callable:
         function, leaves = of(*args, **named)
         leaves = [jnp.asarray(x) for x in leaves]
         tree = function.tree(leaves)
-        if function.itself:  # it has effects, or closes over numbers that only the trace around it knows
+        if function.itself:  # it has effects, or closes over values of a surrounding trace
             return fn(*args, **named)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
 
@@ -63,7 +63,7 @@ def native(fn: Callable) -> Callable:
 
 
 def _flattened(fn, treedef):
-    """A function of trees as one of their leaves."""
+    """A function of trees as a function of their leaves."""
 
     def flat(*leaves):
         args, named = jax.tree.unflatten(treedef, leaves)
@@ -73,16 +73,16 @@ def _flattened(fn, treedef):
 
 
 class Function:
-    """A function of flat arrays with its programs, and the functions of its derivatives.
+    """A function of flat arrays with its programs and the functions of its derivatives.
 
-    `linear` is how many of the last arguments it is linear in; `of` then is (what it is the derivative of, by which of
-    its arguments, which of its results are real).
+    `linear` counts the last arguments in which it is linear. For a derivative, `of` is (the function, the arguments it
+    is differentiated by, which of its results are real).
     """
 
     def __init__(self, fn, linear=0, of=None):
         self.fn, self.linear, self.of = fn, linear, of
         self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived)
-        self.single = Programs(self._flat, functools.partial(Program, single=True))  # of one lane alone
+        self.single = Programs(self._flat, functools.partial(Program, single=True))  # for a single lane
         self.derivatives, self.shapes, self.trees, self.itself = {}, {}, {}, False
 
     def _flat(self, *leaves):
@@ -93,22 +93,21 @@ class Function:
         """(avals of the results, leaf by leaf, their tree)"""
         key = key_of(avals)
         for program in (self.programs.known(avals), self.single.known(avals)):
-            if isinstance(program, Program):  # traced before
+            if isinstance(program, Program):  # it is already traced
                 return program.shapes, self.trees[key]
         if key not in self.shapes:
             given = [_aval(a.shape, a) for a in avals]
-            with to_be_read():  # as its programs trace it, for whom JAX then remembers most of it
+            with to_be_read():  # as its programs do, so that JAX caches most of it for them
                 closed, shapes = jax.make_jaxpr(self.fn, return_shape=True)(*given)
             self.itself |= bool(closed.effects) or closes_over_traced(closed)
             self.shapes[key] = jax.tree.flatten(shapes)
         return self.shapes[key]
 
     def tree(self, leaves):
-        """The tree of the results."""
         return self.out([jax.typeof(x) for x in leaves])[1]
 
     def jvp(self, by, real):
-        """The tangents of the results, as a function of the arguments and of the tangents of those numbered `by`.
+        """The tangents of the results, as a function of the arguments and of the tangents of the arguments `by`.
 
         Args: real: which results have tangents.
         """
@@ -119,7 +118,7 @@ class Function:
         return self.derivatives[key]
 
     def only(self, wanted):
-        """The same function without the results that are not wanted, one truth for each."""
+        """The same function with the wanted results only, one bool for each result."""
         if all(wanted):
             return self
         if self.of is not None:
@@ -141,7 +140,7 @@ class Function:
 
 
 def _restricted(fn, by, real, args):
-    """A function of the arguments numbered `by`, the others fixed, to its real results; and those arguments."""
+    """(fn as a function of the arguments `by` to its real results, with the others fixed; those arguments)"""
 
     def of_some(*some):
         full = list(args)
@@ -168,7 +167,7 @@ native_p.multiple_results = True
 
 
 def _lanes(avals, batched):
-    """(avals of one lane's arguments, how many lanes; None: one without an axis of its own)"""
+    """(avals of one lane's arguments, number of lanes or None if there is no lane axis)"""
     size = next((a.shape[0] for a, b in zip(avals, batched, strict=True) if b), None)
     return [_aval(a.shape[1:] if b else a.shape, a) for a, b in zip(avals, batched, strict=True)], size
 
@@ -186,7 +185,7 @@ def _abstract(*avals, function, batched):
 
 
 def _plain(*args, function, batched):
-    """The function by JAX: scalar by scalar, or as it is where it can't be read."""
+    """The function by JAX: scalar by scalar, or the source itself if it cannot be read."""
     axes = [0 if b else None for b in batched]
     lane, _ = _lanes([jax.typeof(x) for x in args], batched)
     found = function.scalars.of(lane) if in_scalars() and not jax.config.jax_disable_jit else None
@@ -195,7 +194,7 @@ def _plain(*args, function, batched):
 
 
 def _called(*args, function, batched):
-    """The function by the C library, or by JAX where there is none."""
+    """The function by the C library, or by JAX if there is none."""
     lane, size = _lanes([jax.typeof(x) for x in args], batched)
     program = (function.single if size is None else function.programs).of(lane) if in_c() else None
     if not isinstance(program, Program) or size == 0:
@@ -214,7 +213,7 @@ def _register(program):
 
 
 def _ready(path):
-    """Let XLA call the library of this name, which another process has built."""
+    """Registers with XLA a library that another process has built."""
     if path not in _registered:
         _register(Program.kept((), path, ()))
 
@@ -232,7 +231,7 @@ def _now(*args, function, batched):
 
 @functools.partial(bounded_jit, static_argnames=("function", "batched"))
 def called(*args, function, batched):
-    """The function at once."""
+    """Calls the primitive outside of a user's program."""
     return native_p.bind(*args, function=function, batched=batched)
 
 
@@ -244,7 +243,7 @@ def _batch(args, dims, *, function, batched):
         return made, [0] * len(made)
     inner = next(x.shape[1 if d is not None else 0] for x, d, b in zip(args, dims, batched, strict=True) if b)
 
-    def widened(x, d, b):  # both axes as one
+    def widened(x, d, b):  # merges both batch axes
         if d is None and not b:
             return x
         lane = x.shape[(d is not None) + b :]
@@ -298,7 +297,7 @@ def _transpose(cotangents, *args, function, batched):
 
 
 def _used(used, eqn):
-    """What is left of a call some of whose results nobody uses."""
+    """A call without the results that nobody uses."""
     if not any(used):
         return [False] * len(eqn.invars), None
     function = eqn.params["function"].only(tuple(used))
@@ -313,9 +312,9 @@ ad.primitive_transposes[native_p] = _transpose
 
 
 def scalars(fn):
-    """The function of one lane, one JAX operation on scalars for each of its own; as it is where it can't be read.
+    """The function of one lane with one JAX operation per scalar; unchanged if it cannot be read.
 
-    Its derivatives are those of the function as it is.
+    Its derivatives are those of the original function.
     """
     as_c = fn if hasattr(fn, "of") else native(fn)
 

@@ -1,4 +1,4 @@
-"""Numbers: a function called with numbers, as C without JAX around it: NumPy arrays in and out, in microseconds."""
+"""Numbers: a function called with numbers, as C without JAX around it: NumPy in and out, in microseconds."""
 
 import contextlib
 import ctypes
@@ -15,30 +15,30 @@ from cnclik.engine.plan import in_c, wants_c
 from cnclik.engine.program import Program, key_of, lane_avals
 from cnclik.programs import name_of, recalled, remember
 
-MOST_BYTES = 1 << 20  # of results that lie in one block of memory
+MOST_BYTES = 1 << 20  # of the results, at most, to lie in one block of memory
 Tracer = jax.core.Tracer
 
 
 class Numbers:
     """A function of two tuples of trees, known and given, that is called with numbers.
 
-    What is known stays as it is from call to call, such as a law and a reference: it is told by identity, and taken
-    apart once. What is given is an array, then numbers of the array's type and trees of arrays.
+    Known values, such as a law and a reference, stay the same from call to call: they are recognized by identity and
+    flattened once. Given are an array, then numbers of the array's type and trees of arrays.
     """
 
     def __init__(self, fn, *, lets_go, **static):
-        """fn(*known, *given, **static). lets_go: of Python's lock while it runs, if it takes longer than a step."""
+        """fn(*known, *given, **static). lets_go: release Python's lock during calls, if they are longer than a step."""
         self.fn, self.static, self.lets_go = fn, static, lets_go
         self.native, self.ready, self.entries = native(self.source), {}, Recent()
 
     def source(self, known, given):
-        """The function as it is."""
+        """The original function of the two tuples."""
         return self.fn(*known, *given, **self.static)
 
     def __call__(self, known, given):
-        """Its results as a tree of NumPy arrays, which can't be written to, or of JAX's where those are given first.
+        """Its results as a tree of read-only NumPy arrays, or of JAX arrays if the first given array is one.
 
-        None where it does not run as C.
+        None if it does not run as C.
         """
         if not wants_c():
             return None
@@ -63,10 +63,10 @@ class Numbers:
         first, given = every[: len(every) - others], every[len(every) - others :]
         lasting = not any(isinstance(x, np.ndarray) and x.flags.writeable for x in first)
         if isinstance(given[0], jax.Array):
-            with jax.ensure_compile_time_eval():  # what is kept is no part of a user's own program that is being traced
+            with jax.ensure_compile_time_eval():  # cached values must not become part of a user's trace
                 first, none = jax.device_put(first), (False,) * len(every)
 
-            def call(leaves, known=known):  # what is known lives as long as its identity is told
+            def call(leaves, known=known):  # keeps the known values alive, as their ids are the key
                 return tree.unflatten(called(*first, *leaves, function=function, batched=none))
 
         elif sum(s.size * s.dtype.itemsize for s in program.shapes) > MOST_BYTES:
@@ -81,11 +81,11 @@ class Numbers:
         return call
 
     def _program(self, function, avals, known, given):
-        """(the program, tree of its results): where programs are kept, the one that an earlier process made."""
+        """(the program, the tree of its results); with a cache of programs, the one an earlier process made."""
         made, trees, key = function.single, function.trees, key_of(avals)
         name = name_of((self.fn, self.static), (known, given)) if made.known(avals) is None else None
         if name and (found := recalled(name)):
-            with contextlib.suppress(UnsupportedError):  # its library is there no more
+            with contextlib.suppress(UnsupportedError):  # its library no longer exists
                 program = made.found[key] = Program.kept(avals, *found)
                 trees[key] = jax.tree.structure(found[1])
                 return program, trees[key]
@@ -96,13 +96,13 @@ class Numbers:
 
 
 def _only(several):
-    """The only one of a batch."""
+    """The only lane of a batch, read-only."""
     several.setflags(write=False)
     return several[0, ...]
 
 
 class _Entry:
-    """A program's entry for numbers, the first `count` arguments in a block of their own."""
+    """A program's entry for numbers, with the first `count` arguments in a block of their own."""
 
     def __init__(self, program, count, tree, lets_go):
         self.program, self.count, self.unflatten = program, count, tree.unflatten
@@ -121,7 +121,7 @@ class _Entry:
         return block, block.ctypes.data
 
     def __call__(self, filled, known, leaves):
-        """The results for the other arguments. Args: known: what has to live as long as its identity is told."""
+        """The results for the other arguments. Args: known: kept alive during the call."""
         memory = self.memory()
         block = np.ndarray((), self.block, memory)
         for name, x in zip(self.takes, leaves, strict=True):
@@ -133,7 +133,7 @@ class _Entry:
 
 
 def _layout(avals):
-    """Arrays one after the other, each at a multiple of 8 bytes."""
+    """A structured dtype of arrays one after the other, each aligned to 8 bytes."""
     formats = [(a.dtype, a.shape) for a in avals]
     sizes = [-(-a.size * a.dtype.itemsize // 8) * 8 for a in avals]
     offsets = [sum(sizes[:i]) for i in range(len(sizes))]

@@ -1,4 +1,4 @@
-"""Operations: how each elementwise operation is written in C, on vectors of lanes, and what it costs."""
+"""Operations: the C form of each elementwise operation, on vectors of lanes, and its cost."""
 
 import functools
 import math
@@ -8,7 +8,7 @@ import numpy as np
 
 from cnclik.engine.graph import UnsupportedError
 
-TYPES = {  # of NumPy: (a vector of lanes, a number)
+TYPES = {  # NumPy dtype: C types of (a vector of lanes, a number)
     "float32": ("F32", "float"),
     "float64": ("F64", "double"),
     **{f"int{b}": (f"S{b}", f"int{b}_t") for b in (8, 16, 32, 64)},
@@ -28,23 +28,23 @@ _TRUTH = {  # operations on masks
     **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
 }
 _LIBRARY = "tan exp expm1 tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
-# Functions of C's library, called lane by lane: how many arguments they have.
+# Functions of the C library, called lane by lane: number of arguments.
 LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextafter": 2}
 
 
 @functools.cache
 def header(name) -> str:
-    """The text of one of the C files of this room."""
+    """The text of a file in the folder `c`."""
     return (pathlib.Path(__file__).parent / "c" / name).read_text(encoding="utf-8")
 
 
 def vector(dtype) -> str:
-    """The name in C of a vector of lanes."""
+    """The C type of a vector of lanes."""
     return _BY_DTYPE[dtype][0]
 
 
 def scalar(dtype) -> str:
-    """The name in C of one lane's number, as it lies in arguments and results."""
+    """The C type of one lane's number, as stored in arguments and results."""
     return _BY_DTYPE[dtype][1]
 
 
@@ -70,7 +70,7 @@ def is_operation(node) -> bool:
 
 
 def text(node, of) -> str:
-    """An operation in C; `of(argument, plain)` gives an argument's text, a plain constant as a number."""
+    """An operation in C. `of(argument, plain)` returns an argument's text; plain: a constant as a number."""
     name, args = node.op, node.args
     kind, T = args[-1].dtype.kind, vector(args[-1].dtype)
     if name == "bitcast_convert_type":

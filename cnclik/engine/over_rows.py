@@ -1,4 +1,4 @@
-"""Over rows: rules of primitives on what scans stack up, which leave it rows; a reduction over the rounds is a loop."""
+"""Over rows: rules of primitives on stacked rows, with rows as results; reducing over the rounds is a loop."""
 
 import functools
 
@@ -8,11 +8,11 @@ from cnclik.engine.cells import MOVES, array_of
 from cnclik.engine.graph import Scan
 from cnclik.engine.stacks import Rows, as_rows, entry, is_cells, stacked_node
 
-MOST_MOVED = 1 << 22  # entries up to which a move of data is looked at
+MOST_MOVED = 1 << 22  # entries, at most, of moved data
 
 
 def elementwise(g, eqn, inputs, params, name):
-    """An elementwise operation on rows, None where the inputs are no rows of one length."""
+    """An elementwise operation on rows; None if the inputs are not rows of one length."""
     out = eqn.outvars[0].aval
     N, shape = out.shape[0], out.shape[1:]
     several = []
@@ -26,7 +26,7 @@ def elementwise(g, eqn, inputs, params, name):
 
 
 def slid(g, row, start, stride, length):
-    """Some entries of a row: start, start + stride, ..."""
+    """Entries of a row: start, start + stride, ..."""
     if not row.shape or (start, stride, length) == (0, 1, row.shape[0]):
         return row
     if row.op == "array":
@@ -47,7 +47,7 @@ def _joined(g, pieces, lengths, dtype):
 
 
 def _part(piece, length):
-    """(row, where in it) of entries side by side: what a carry ends as is the last that its scan stacks up of it."""
+    """(row, index of its first entry) of adjacent entries. A carry's end is the last entry its scan stacks of it."""
     if piece.op == "slid" and piece.params[1] == 1:
         return piece.args[0], piece.params[0]
     if piece.op == "end" and length == 1 and isinstance(r := piece.value[0], Scan) and not r.reverse:
@@ -82,7 +82,7 @@ def _split(g, eqn, x):
 def _rev(g, eqn, x):
     dimensions = eqn.params["dimensions"]
     others = [d - 1 for d in dimensions if d]
-    x = Rows(np.flip(x.cells, others) if others else x.cells, x.length)  # NumPy flips no axis of () into its entry
+    x = Rows(np.flip(x.cells, others) if others else x.cells, x.length)  # flip of shape () gives the entry itself
     return [_each(x, lambda c: slid(g, c, x.length - 1, -1, x.length), x.length) if 0 in dimensions else x]
 
 
@@ -119,7 +119,7 @@ def _pad(g, eqn, x, value):
 
 
 def _broadcast(g, eqn, x):
-    """Rows to rows of a larger shape, where axis 0 stays what it is."""
+    """Rows broadcast to a larger shape, with axis 0 unchanged."""
     shape, where = eqn.params["shape"], eqn.params["broadcast_dimensions"]
     if not where or where[0] != 0 or shape[0] != x.length:
         return None
@@ -136,7 +136,7 @@ def _stack(g, eqn, *inputs):
 
 
 def _dot(g, eqn, x, y):
-    """A contraction of inner axes of rows with an array that is the same at all instants."""
+    """A contraction of inner axes of rows with an array that is constant over the rounds."""
     (left, right), (bx, by) = eqn.params["dimension_numbers"]
     out = eqn.outvars[0].aval
     if bx or by or not isinstance(x, Rows) or not is_cells(y) or 0 in left:
@@ -146,7 +146,7 @@ def _dot(g, eqn, x, y):
 
 
 class _Sum:
-    """A node with + and *, for NumPy's tensordot."""
+    """A node with + and *, so that NumPy's tensordot applies."""
 
     def __init__(self, g, node):
         self.g, self.node = g, node
@@ -176,7 +176,7 @@ def reduced(g, x, axes, name, dtype):
     moving = [c for c in cells.flat if c.shape]
     ends = iter(_over_rounds(g, moving, x.length, name))
 
-    def still(node):  # the same at all instants
+    def still(node):  # constant over the rounds
         if name == "add":
             return g.op("mul", g.const(x.length, dtype), node)
         if name == "mul":
@@ -187,12 +187,12 @@ def reduced(g, x, axes, name, dtype):
 
 
 def _over_rounds(g, rows, length, name):
-    """One node for each row: all its entries put together by an operation."""
+    """One node per row: the reduction of its entries."""
     return _loop(g, rows, length, name).outs if rows else []
 
 
 def _loop(g, rows, length, name, *, reverse=False) -> Scan:
-    """A loop that puts the entries of rows together by an operation."""
+    """A loop that reduces the entries of rows."""
     r, shapes = Scan(g.block, length, reverse), [((), c.dtype) for c in rows]
     r.xs, r.first = list(rows), [_start(g, name, c, length - 1 if reverse else 0) for c in rows]
     r.carries = g.nodes(r, "carry", shapes, r.block)
@@ -206,7 +206,7 @@ def _loop(g, rows, length, name, *, reverse=False) -> Scan:
 
 
 def running(g, eqn, x, name):
-    """A running reduction over axis 0 of rows: cumsum and its kin; None over another axis."""
+    """A running reduction, such as cumsum, over axis 0 of rows; None over another axis."""
     if eqn.params["axis"] != 0:
         return None
     moving = [c if c.shape else g.shared("list", (c,) * x.length, None, (x.length,), c.dtype) for c in x.cells.flat]
@@ -222,7 +222,7 @@ def _start(g, name, row, k):
 
 
 def moved(g, eqn, x):
-    """A move of data that leaves axis 0 where it is; None for any other."""
+    """A move of data that keeps axis 0 in place; None for any other."""
     out, N = eqn.outvars[0].aval, x.length
     if not out.ndim or out.shape[0] != N or out.size > MOST_MOVED:
         return None

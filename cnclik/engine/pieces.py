@@ -1,6 +1,6 @@
-"""Pieces: a long block as several C functions, since a compiler's time grows faster than a function's length.
+"""Pieces: a long block as several C functions, as compile time grows faster than the length of a function.
 
-What goes from one to another lies in the work memory, each number as long as it is read.
+Values pass between them in the work memory; a place is reused once its value has been read for the last time.
 """
 
 from cnclik.engine.graph import Node
@@ -14,8 +14,8 @@ def in_pieces(writer, items, ending):
     """Writes the items of a block as functions of some statements each; loops and branches stay outside."""
     groups = _groups(items, writer.piece)
     home = {n.number: k for k, group in enumerate(groups) for item in group for n in _made_by(item)}
-    own = {k for k, group in enumerate(groups) if _is_plain(group[0])}  # those that become functions
-    last = {n.number: len(groups) for n in ending}  # the group that reads a number last
+    own = {k for k, group in enumerate(groups) if _is_plain(group[0])}  # groups that become functions
+    last = {n.number: len(groups) for n in ending}  # the last group that reads a value
     passed = {n.number: n for n in ending if home.get(n.number) in own}
     for k, group in enumerate(groups):
         for n in (n for item in group for n in _scalars(item) if not n.known):
@@ -28,8 +28,8 @@ def in_pieces(writer, items, ending):
         if n.number not in writer.kept:
             begin[home.get(n.number, -1)].append(n)
             end[last[n.number]].append(n)
-    unused: dict = {}  # places, by type
-    for n in begin[-1]:  # what is there already
+    unused: dict = {}  # free places, by type
+    for n in begin[-1]:  # already computed
         _keep(writer, n, unused)
     for k, group in enumerate(groups):
         if k in own:
@@ -49,7 +49,7 @@ def in_pieces(writer, items, ending):
 
 
 def _keep(writer, n, unused):
-    """Puts a number where all that follows finds it."""
+    """Stores a value in the work memory, where all later pieces find it."""
     places = unused.get(n.dtype)
     place = places.pop() if places else f"*{writer.room(n.dtype, 1)}"
     writer.line(f"{place} = {writer.of(n)};")
@@ -57,12 +57,12 @@ def _keep(writer, n, unused):
 
 
 def _made_by(item):
-    """Nodes that are known once an item is written."""
+    """The nodes that an item computes."""
     return [item] if isinstance(item, Node) else item.outs
 
 
 def _is_plain(item) -> bool:
-    """Whether an item may be part of a function of its own: it reads scalars and arguments alone."""
+    """Whether an item may be part of a piece: it reads only scalars and arguments."""
     if not isinstance(item, Node) or item.shape:
         return False
     return is_operation(item) or item.op == "pick" or (item.op == "index" and item.args[0].op == "input")
@@ -79,7 +79,7 @@ def _groups(items, most):
 
 
 def _scalars(item):
-    """Scalar nodes that an item refers to, through the rows it reads and the regions in it."""
+    """Scalar nodes that an item reads, also through rows and inner regions."""
     if isinstance(item, Node):
         queue = list(item.args)
     else:
@@ -100,5 +100,5 @@ def _scalars(item):
 
 
 def read_for(result):
-    """The scalar nodes that a result is, or that its row is made of."""
+    """The scalar nodes of a result or of its row."""
     return _scalars(result) if result.shape else (result,)

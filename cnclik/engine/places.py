@@ -1,4 +1,4 @@
-"""Places: rules of primitives that take out, or put in, entries at given places, known or not."""
+"""Places: rules of gather, scatter and slices at known or computed places."""
 
 import itertools
 
@@ -9,15 +9,15 @@ from cnclik.engine.cells import array_of
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.stacks import Rows, as_rows, entry, is_cells
 
-CHOSEN = 16  # cells up to which one of them is chosen by selects; beyond, they lie in an array
-MOST_WRITES = 1 << 14  # pairs of an update and a cell that it may go to
-MOST_READS = 1 << 22  # pairs of an entry that is taken out and a cell that it may be
+CHOSEN = 16  # cells, at most, to choose from by selects; more lie in an array
+MOST_WRITES = 1 << 14  # pairs of an update and a possible cell
+MOST_READS = 1 << 22  # pairs of a result's entry and a possible cell
 
 _Mode = lax.GatherScatterMode
 
 
 def pick(g, cells, index):
-    """The cell whose number is the node `index`, which is within bounds."""
+    """The cell at `index`, a node that is within bounds."""
     cells = list(cells)
     if index.known:
         return cells[int(index.value)]
@@ -32,7 +32,7 @@ def pick(g, cells, index):
 
 
 def _number(g, coords, shape, dtype):
-    """The number of a cell from its coordinates, numbers or nodes."""
+    """The flat index of a cell from its coordinates, numbers or nodes."""
     total = g.const(0, dtype)
     for i, c in enumerate(coords):
         stride = int(np.prod(shape[i + 1 :]))
@@ -58,13 +58,13 @@ def _taken(g, x, coords, dtype):
 
 
 def _held(g, index, most):
-    """A start moved within 0 … most, as JAX does."""
+    """A start clipped to 0 … most, as JAX does."""
     low, high = g.const(0, index.dtype), g.const(most, index.dtype)
     return g.op("min", g.op("max", index, low), high)
 
 
 def _wide(g, places):
-    """Places in at least 32 bits: what counts cells may be more than a small type holds."""
+    """Indices in at least 32 bits, as flat indices may exceed a small type."""
     if places.size == 0 or places.flat[0].dtype.itemsize >= 4:
         return places
     wide = [g.apply("convert_element_type", [c], np.dtype(np.int32), None) for c in places.flat]
@@ -100,7 +100,7 @@ def _dynamic_update_slice(g, eqn, x, update, *starts):
 
 
 def _put(g, out, number, inside, update, combine):
-    """Put an update into the cell of a number, where it is inside."""
+    """Puts an update into the cell at an index if it is inside."""
     for i in [int(number.value)] if number.known else range(len(out)):
         here = inside if number.known else g.op("eq", number, g.const(i, number.dtype))
         if inside is not None and not number.known:
@@ -110,7 +110,7 @@ def _put(g, out, number, inside, update, combine):
 
 
 def _start(g, index, most, mode):
-    """(a start within bounds, whether it was so; None: it is)."""
+    """(a start within bounds, whether it was; None: always)"""
     if mode == _Mode.PROMISE_IN_BOUNDS or (index.known and 0 <= int(index.value) <= most):
         return index, None
     held = _held(g, index, most)
@@ -118,7 +118,7 @@ def _start(g, index, most, mode):
 
 
 def _starts(g, vector, dims, sizes, shape, mode):
-    """({dim: start}, whether all are inside; None: they are) of one index vector."""
+    """({dim: start}, whether all are inside; None: always) of one index vector."""
     found, several = {}, []
     for index, d in zip(vector, dims, strict=True):
         start, ok = _start(g, index, shape[d] - sizes[d], mode)
@@ -198,7 +198,7 @@ def _by(name):
 
 
 def out_of_whole(g, eqn, inputs):
-    """Entries of rows at given places; None where an equation does something else."""
+    """Entries of rows at given places; None for any other equation."""
     name, x = eqn.primitive.name, inputs[0]
     if name not in ("dynamic_slice", "gather") or is_cells(x) or not all(map(is_cells, inputs[1:])):
         return None

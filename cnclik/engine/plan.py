@@ -14,34 +14,34 @@ SWITCHES.append(_engine)
 
 
 def use_engine(name: str | None) -> AbstractContextManager:
-    """Context manager: what runs the batches and functions called inside; None: the quickest.
+    """Context manager: the engine that runs the batches and functions called inside; None: the quickest.
 
-    "native": C; "xla": the engine's scalars as XLA compiles them; "plain": the source as it is, by XLA. All give the
-    same numbers, to rounding. Where there is no C compiler, or a function has no C form, XLA runs it.
+    "native": C; "xla": the engine's scalars, compiled by XLA; "plain": the source itself, by XLA. All give the same
+    numbers, to rounding. Without a C compiler, or if a function has no C form, XLA runs it.
     """
     return _engine(name if name is None else errors.one_of("name", name, ENGINES))
 
 
 def unless_chosen(name):
-    """Context manager: the engine of what is called inside, where the user has asked for none."""
+    """Context manager: the engine inside, unless the user has chosen one."""
     return _engine(name if _engine.value is None else _engine.value)
 
 
 def in_c() -> bool:
-    """Whether functions run as C where they can."""
+    """Whether functions run as C if they can."""
     return wants_c() and can_build()
 
 
 def wants_c() -> bool:
-    """The same where there is a compiler."""
+    """The same, if there is a compiler."""
     return _engine.value in (None, "native") and switched_on() and jax.default_backend() == "cpu"
 
 
 def in_scalars() -> bool:
-    """Whether XLA gets functions scalar by scalar where they can be read."""
+    """Whether XLA gets functions scalar by scalar if they can be read."""
     return _engine.value != "plain"
 
 
 def may_be_plain() -> bool:
-    """Whether XLA may get a function as it is, where that answers sooner."""
+    """Whether XLA may get the source itself if that answers sooner."""
     return _engine.value != "xla"

@@ -1,4 +1,4 @@
-"""Program: a function of one lane, built as a C library, and called for a batch."""
+"""Program: a function of one lane, built as a C library and called for a batch."""
 
 import contextlib
 import ctypes
@@ -18,19 +18,18 @@ from cnclik.engine.tracing import to_be_read
 from cnclik.threads import side_by_side
 
 MOST_WORK = 64 << 20  # bytes of a tile's memory
-FEW_TILES = 4  # that one thread runs alone
-HUGE = 2 << 20  # bytes of a huge page: new memory comes page by page, and in small ones it takes half as long again
-CALLS = 4  # of each thread: lanes that need longer than others don't keep one core busy alone
+FEW_TILES = 4  # at most, for a single thread
+HUGE = 2 << 20  # bytes of a huge page: allocating small pages takes half as long again
+CALLS = 4  # of each thread, so that slow lanes do not keep one core busy alone
 
 
 class Program:
-    """A function of one lane as a C library. Raises UnsupportedError where it has no C form."""
+    """A function of one lane as a C library. Raises: UnsupportedError if it has no C form."""
 
     def __init__(self, fn, avals, treedef, *, single=False):
-        """
-        Args:
-          avals: of one lane's arguments, leaf by leaf. treedef: how they make up the arguments.
-          single: for one lane alone: built in half the time, and a little quicker.
+        """Args:
+        avals: of one lane's arguments, leaf by leaf. treedef: their tree.
+        single: for one lane only: it builds in half the time and is a little quicker.
         """
         if not can_build():
             raise UnsupportedError("there is no C compiler")
@@ -48,7 +47,7 @@ class Program:
 
     @classmethod
     def kept(cls, avals, path, shapes):
-        """The program whose library another process has built, by its name. Raises UnsupportedError if it is gone."""
+        """The program whose library another process has built. Raises: UnsupportedError if it no longer exists."""
         made = cls.__new__(cls)
         made._have(avals, jax.tree.leaves(shapes), lambda folder: (built(folder, path), True))
         return made
@@ -87,7 +86,7 @@ class Program:
 
 
 def _empty(shape, dtype):
-    """An array that begins where JAX's do, at 64 bytes; a large one at a huge page: NumPy asks for such."""
+    """An array aligned to 64 bytes, as JAX's are, or to a huge page if it is large."""
     size = int(np.prod(shape)) * dtype.itemsize
     unit = 64 if size < HUGE else HUGE
     whole = np.empty(-(-size // unit) * unit + unit, np.uint8)
@@ -95,16 +94,16 @@ def _empty(shape, dtype):
 
 
 def _opened(find):
-    """(the library that is found for a folder, its name)"""
+    """(the library that `find` returns for a folder, its name)"""
     begun = time.time()
     folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
     try:
         with contextlib.nullcontext(folder) if folder else tempfile.TemporaryDirectory(prefix="cnclik-") as place:
             path, kept = find(pathlib.Path(place))
-            library = opened(path)  # a temporary one is not needed once it is open
+            library = opened(path)  # an open library needs no temporary file
     except (CompilerError, OSError) as error:
         raise UnsupportedError(f"the C compiler failed: {error}") from None
-    if kept:  # told as JAX tells of its own
+    if kept:  # logged as JAX logs its own cache
         jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
     library.width.restype = library.work_bytes.restype = ctypes.c_int64
@@ -114,18 +113,18 @@ def _opened(find):
 
 
 class Programs:
-    """The programs of a function of flat arguments, by their shapes; of those that have none, the reason."""
+    """The programs of a function of flat arguments, by argument types; the reason where there is none."""
 
     def __init__(self, fn, make=Program):
-        """make: of (fn, avals, treedef), `Program` or `to_jax.Derived`."""
+        """make: makes a program from (fn, avals, treedef): `Program` or `to_jax.Derived`."""
         self.fn, self.make, self.found = fn, make, Recent()
 
     def of(self, avals):
-        """The program for flat arguments of these avals, or why there is none."""
+        """The program for flat arguments of these avals, or the reason why there is none."""
         return self.found.made(key_of(avals), lambda _: self._made(avals))
 
     def known(self, avals):
-        """The same where it has been asked for before, else None."""
+        """The same if it was requested before, otherwise None."""
         return self.found.get(key_of(avals))
 
     def _made(self, avals):
@@ -136,13 +135,13 @@ class Programs:
 
 
 def key_of(avals) -> tuple:
-    """What tells the programs of a function apart: the types of its arguments, and whether JAX is in 64 bits."""
+    """The key of a function's program: its argument types, and whether JAX is in 64 bits."""
     types = ((a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in avals)
     return jax.config.jax_enable_x64, *types  # type: ignore[attr-defined]
 
 
 def lane_avals(leaves, *, batched=True) -> list:
-    """What one lane of arrays looks like, as JAX sees it."""
+    """The avals of one lane of some arrays."""
     found = []
     for x in leaves:
         a = jax.typeof(x)

@@ -1,6 +1,6 @@
-"""Random: JAX's keys, and what is drawn with them, where a key is known only as the program runs.
+"""Random: JAX's keys, and random numbers drawn with keys that are known only at run time.
 
-A key is a cell of two whole numbers. What JAX does with them it says itself, in whole numbers and `threefry2x32`.
+A key is a cell of two whole numbers. JAX's own implementation is traced down to whole numbers and `threefry2x32`.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from cnclik.engine.cells import MOVES, array_of
 from cnclik.engine.graph import Node, UnsupportedError
 from cnclik.engine.operations import TYPES
 
-MOST = 64  # numbers drawn at once: each is a hundred operations, written out
+MOST = 64  # numbers drawn at once, at most: each takes a hundred operations
 _TURNS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _DRAWN = {
     "random_seed": lambda p, seed: of_keys.seed(seed),
@@ -36,7 +36,7 @@ class Key(NamedTuple):
 
 
 def drawn(reader, eqn, inputs) -> list:
-    """Results of an equation on keys, cells among its `inputs`."""
+    """The results of an equation on keys."""
     (out,), name = (v.aval for v in eqn.outvars), eqn.primitive.name
     if name in MOVES:
         return [MOVES[name](*inputs, **eqn.params)]
@@ -59,18 +59,18 @@ def as_cell(reader, key):
 
 
 def is_key(aval) -> bool:
-    """Whether what it describes are keys."""
+    """Whether an aval describes keys."""
     return jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended)
 
 
 def check_dtype(dtype):
-    """Raise UnsupportedError where numbers of a type have no C form."""
+    """Raises UnsupportedError if numbers of a type have no C form."""
     if jax.dtypes.issubdtype(dtype, jax.dtypes.extended) or np.dtype(dtype).name not in TYPES:
         raise UnsupportedError(f"numbers of type {dtype} have no C form")
 
 
 def traced(fn):
-    """The rule of what `fn` does in JAX."""
+    """A rule that reads what `fn` does in JAX."""
 
     def rule(reader, avals, *inputs):
         closed = jax.make_jaxpr(fn)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))
@@ -80,7 +80,7 @@ def traced(fn):
 
 
 def _threefry(key, other, x, y):
-    """Salmon, Moraes, Dror & Shaw (2011): threefry of two words in 20 rounds."""
+    """Threefry of two words in 20 rounds (Salmon, Moraes, Dror & Shaw 2011)."""
     keys = key, other, key ^ other ^ np.uint32(0x1BD11BDA)
     x, y = x + keys[0], y + keys[1]
     for i in range(5):
@@ -91,7 +91,7 @@ def _threefry(key, other, x, y):
     return x, y
 
 
-# erf⁻¹(x) = x p(w), w = −log(1 − x²): Giles (2010), as XLA has it; (w below which, what w is less, coefficients).
+# erf⁻¹(x) = x p(w), w = −log(1 − x²) (Giles 2010), as in XLA: (upper bound of w, shift of w, coefficients).
 _SINGLE = (
     (5.0, 2.5, "2.81022636e-08 3.43273939e-07 -3.5233877e-06 -4.39150654e-06 0.00021858087 -0.00125372503"
                " -0.00417768164 0.246640727 1.50140941"),

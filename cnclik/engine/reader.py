@@ -1,7 +1,7 @@
-"""Reader: a traced function of one lane becomes a `Graph`.
+"""Reader: turns a traced function of one lane into a `Graph`.
 
-What is small is taken apart into scalars, so that moving data about costs nothing; what scans stack up stays rows
-(`stacks`); loops stay loops (`regions`). A primitive that has no rule raises UnsupportedError, which names it.
+Small arrays become scalars, so moving data costs nothing; stacked results of scans stay rows (`stacks`); loops stay
+loops (`regions`). A primitive without a rule raises UnsupportedError, which names it.
 """
 
 from typing import Any, NamedTuple
@@ -22,8 +22,8 @@ from cnclik.engine.random import check_dtype
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.stacks import Deep, Rows, is_cells
 
-LIMIT = 1 << 14  # entries up to which an array is taken apart
-LARGE_INPUT = 2048  # entries from which on an argument stays whole
+LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
+LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole
 
 _NAMES = """
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq erf
@@ -39,19 +39,19 @@ RULES = ARRAYS | PLACES | MATRICES
 
 
 def params_of(eqn):
-    """What an elementwise operation needs besides its arguments."""
+    """The parameters of an elementwise operation."""
     key = _PARAMS.get(eqn.primitive.name)
     return None if key is None else int(eqn.params[key])
 
 
 class Opaque(NamedTuple):
-    """What is known and no array of numbers: a key of random numbers."""
+    """A known value that is no array of numbers: a random key."""
 
     value: Any
 
 
 class Reader:
-    """Reads jaxprs into a graph. Values are cells, rows or whole arrays, see `stacks`, or opaque."""
+    """Reads jaxprs into a graph. Values are cells, rows or whole arrays (see `stacks`), or opaque."""
 
     def __init__(self, graph: Graph):
         self.g = graph
@@ -107,7 +107,7 @@ class Reader:
         return self._of_cells(name, eqn, cells)
 
     def _of_the_model(self, x):
-        """The same, with what is known marked."""
+        """The same value, with known numbers marked as constants of the model."""
         if not is_cells(x):
             return x
         return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
@@ -126,7 +126,7 @@ class Reader:
         return rule(self.g, eqn, *cells)
 
     def _by_jax(self, eqn, inputs):
-        """What has no C form, where all that it needs is known: by JAX, now."""
+        """Lets JAX compute an equation without a C form, if all its inputs are known."""
         values = [x.value if isinstance(x, Opaque) else stacks.known_value(x) for x in inputs]
         if any(v is None for v in values):
             raise UnsupportedError(f"the operation `{eqn.primitive.name}` has no C form")
@@ -149,7 +149,7 @@ class Reader:
         return array_of(made, out.shape)
 
     def _whole(self, eqn, inputs):
-        """Results where some input is rows, or stays whole; None where it has to be taken apart."""
+        """The results if some input is rows or stays whole; None if the equation has to be read cell by cell."""
         name = eqn.primitive.name
         if (found := out_of_whole(self.g, eqn, inputs)) is not None:
             return found
@@ -167,7 +167,7 @@ class Reader:
         return over_rows.moved(self.g, eqn, rows[0]) if name in MOVES and len(rows) == 1 else None
 
     def _repeated(self, eqn, inputs):
-        """Cells broadcast along a new axis 0 that is long: rows that are the same at all instants."""
+        """Cells broadcast along a long new axis 0, as constant rows."""
         out = eqn.outvars[0].aval
         if eqn.primitive.name != "broadcast_in_dim" or not out.ndim or out.shape[0] < stacks.MANY:
             return None
@@ -181,20 +181,20 @@ class Reader:
 
 
 def _keeps(eqn) -> bool:
-    """Whether a `reduce_precision` leaves every number as it is."""
+    """Whether a `reduce_precision` changes no number."""
     about = jnp.finfo(eqn.invars[0].aval.dtype)
     return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
 
 
 def _counted(eqn):
-    """What an iota gives."""
+    """The result of an iota."""
     params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
     sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
     return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)
 
 
 def closes_over_traced(closed) -> bool:
-    """Whether a closed jaxpr holds numbers of a trace around it, which are known in that trace alone."""
+    """Whether a closed jaxpr contains values of a surrounding trace."""
     return any(isinstance(x, jax.core.Tracer) for x in closed.consts)
 
 

@@ -1,4 +1,4 @@
-"""Regions: scan, while, cond and linear solves, read as loops and branches."""
+"""Regions: reads scan, while, cond and linear solves as loops and branches."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from cnclik.engine.random import Key, check_dtype, is_key
 from cnclik.engine.residuals import computed_anew
 from cnclik.engine.stacks import Deep, Rows, row_node, stacked_node
 
-LARGEST_ROW = 4096  # entries of one round of what is scanned over or stacked up
+LARGEST_ROW = 4096  # entries, at most, that one round takes or stacks
 
 
 def _shapes(avals):
@@ -61,7 +61,7 @@ def _scan(reader, eqn, *inputs):
         stays = {i: a for i, (a, *those) in enumerate(zip(first, r.carries, r.then, strict=True)) if _stays(a, *those)}
         if stays.keys() <= still.keys():
             break
-        still |= stays  # read it anew: more of it is known, or may be done before the loop
+        still |= stays  # read again: more is now known or loop-invariant
     deep = [type(v) is Rows and all(not c.shape or (c.op == "stacked" and c.block is r.block) for c in v.cells.flat)
             for v in made[nk:]]  # fmt: skip
     for v, is_deep in zip(made[nk:], deep, strict=True):
@@ -79,13 +79,13 @@ def _scan(reader, eqn, *inputs):
 
 
 def _stays(first, carry, then) -> bool:
-    """Whether what is carried through a loop is the same in each round."""
+    """Whether a carry is the same in each round."""
     known = first.known and then.known
     return then is first or then is carry or (known and first.value.tobytes() == then.value.tobytes())
 
 
 def _rows_of(reader, r, xs, scanned):
-    """The values in the loop of what a scan goes over."""
+    """The values inside the loop of the arrays that a scan goes over."""
     g, wanted = reader.g, []
     for x in xs:
         rows = x if isinstance(x, Deep) and x.length == r.length else stacks.as_rows(g, x, r.length)

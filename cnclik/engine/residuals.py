@@ -1,7 +1,7 @@
-"""Residuals: what a loop run backwards needs of the loop run forwards: which of it to store, and which to compute anew.
+"""Residuals: what a backward loop needs of the forward loop: which values to store and which to recompute.
 
-A minimum cut of the forward loop's graph: to store a scalar costs as much as some operations, to compute it anew what
-its operations cost, beginning at scalars that are stored (Griewank & Walther 2008, ch. 12, for the setting).
+The answer is a minimum cut of the forward loop's graph. Storing a scalar costs as much as some operations; recomputing
+it costs its operations, starting from stored scalars (Griewank & Walther 2008, ch. 12, for the setting).
 """
 
 import numpy as np
@@ -10,14 +10,14 @@ from cnclik.engine.graph import Scan
 from cnclik.engine.operations import COST, is_operation
 from cnclik.engine.stacks import row_node, stacked_node
 
-STORE = (8, 16, 32)  # operations that storing a scalar costs, while a tile's store is within MANY_BYTES, and beyond
+STORE = (8, 16, 32)  # cost of storing a scalar, in operations; raised until a tile's store fits MANY_BYTES
 MANY_BYTES = 2 << 20
-LANES_BYTES = 64  # of a scalar of all lanes of a tile
+LANES_BYTES = 64  # of a scalar, for all lanes of a tile
 ALWAYS = 1 << 20
 
 
 def computed_anew(g, r, rows) -> dict:
-    """{number of a row that another scan stacks up: its node inside the scan `r`}."""
+    """{number of a row that another scan stacks: its node inside the scan `r`}."""
     sources = {}
     for c in rows:
         if c.shape and c.op == "stacked" and isinstance(c.value[0], Scan) and c.value[0].length == r.length:
@@ -34,7 +34,7 @@ def computed_anew(g, r, rows) -> dict:
 
 
 def _free(n, one):
-    """Whether a node needs neither storing nor computing inside another scan."""
+    """Whether a node is available in another scan without storing or recomputing it."""
     return n.known or n.block.depth < one.block.depth
 
 
@@ -71,7 +71,7 @@ def _again(g, r, one, wanted, kept):
 
 
 def _cut(one, targets, store) -> set:
-    """Numbers of the nodes of a scan that are stored."""
+    """Numbers of the nodes of a scan that are to be stored."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 

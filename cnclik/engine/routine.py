@@ -1,4 +1,4 @@
-"""Routine: a traced function whose arguments and results have names, for C that is called by other C."""
+"""Routine: a traced function with named arguments and results, for C that other C calls."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -22,27 +22,26 @@ class Field(NamedTuple):
     shape: tuple = ()
     kind: str = REAL
     about: str = ""
-    value: Any = None  # where nothing else is given
+    value: Any = None  # the default
 
     @property
     def size(self) -> int:
-        """Its entries."""
         return int(np.prod(self.shape))
 
 
 class Routine(NamedTuple):
-    """A function as a graph, its arguments and results as fields in groups."""
+    """A function as a graph; its arguments and results are fields in groups."""
 
     inputs: dict  # {group: [Field]}
     outputs: dict  # {group: [Field]}
     graph: Graph | None = None
     given: Sequence = ()  # its input nodes, field by field
     outs: Sequence = ()  # its results, field by field
-    fn: Callable | None = None  # of flat arrays, those that are compiled in among them
-    fixed: dict | None = None  # {number of an argument of `fn`: its value, which is compiled in}
+    fn: Callable | None = None  # of flat arrays, compiled-in ones included
+    fixed: dict | None = None  # {index of an argument of `fn`: its compiled-in value}
 
     def places(self, place) -> tuple:
-        """What `Writer` reads and writes, from the place in C that `place(group, field)` gives."""
+        """The readers and writers for `Writer`; `place(group, field)` gives a field's place in C."""
         reads = [_entry(place(g, f), f) for g, some in self.inputs.items() for f in some]
         there = [_entry(place(g, f), f) for g, some in self.outputs.items() for f in some]
         return reads, [functools.partial(_stored, entry) for entry in there]
@@ -53,7 +52,7 @@ def _entry(place, field):
 
 
 def _stored(entry, at, *several):
-    """Statements that store entries from `at` on, as `Writer.store` asks for."""
+    """Statements that store entries from `at` on, in the form `Writer.store` expects."""
     return " ".join(f"{entry(f'{at} + {i}' if i else at)} = {words};" for i, words in enumerate(several))
 
 

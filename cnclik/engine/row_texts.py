@@ -1,4 +1,4 @@
-"""Rows in C: an entry of a row at a round k, wherever it lies; operations on rows are written where they are read."""
+"""Rows in C: the text of a row's entry at round k; operations on rows are written where they are read."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from cnclik.engine.graph import Node, Scan, UnsupportedError
 from cnclik.engine.operations import is_operation, number, scalar
 from cnclik.engine.stacks import Rows
 
-_PLACED = ("stacked", "array")  # rows of which any entry can be named
+_PLACED = ("stacked", "array")  # rows with random access
 
 
 def all_items(*blocks):
-    """All nodes and regions in blocks, those inside regions among them."""
+    """All nodes and regions in blocks, including those inside regions."""
     blocks = list(blocks)
     for block in blocks:
         for item in block.items:
@@ -20,7 +20,7 @@ def all_items(*blocks):
 
 
 def needed_rows(graph, needed, others) -> set:
-    """Numbers of the rows that are read somewhere: by other loops, nodes or results that are written at the end."""
+    """Numbers of the rows that other loops, nodes or final results read."""
     read = [n for n in others if n.shape]
     for item in all_items(graph.root):
         if isinstance(item, Scan) and id(item) in needed:
@@ -39,7 +39,7 @@ def needed_rows(graph, needed, others) -> set:
 
 
 def places_needed(graph, needed) -> set:
-    """Numbers of the rows that are computed into memory: they are read at other rounds than they are made in."""
+    """Numbers of the rows that are computed into memory, as they are read at other rounds than they are made in."""
     found = set()
 
     def placed(n):
@@ -70,7 +70,7 @@ def cells_of(out) -> list:
 
 
 def whole_results(outs) -> dict:
-    """{number: (scan, first round, how many, nodes of one)} of results that are rounds of what a scan stacks up."""
+    """{index: (scan, first round, count, nodes of one round)} of results that are consecutive rounds of a scan."""
     found = {}
     for k, out in enumerate(outs):
         cells = cells_of(out) if isinstance(out, Rows) else []
@@ -83,14 +83,14 @@ def whole_results(outs) -> dict:
 
 
 def _rounds(row):
-    """(scan, first round) of a row that is what a scan in no other region stacks up, or a part of it; else None."""
+    """(scan, first round) of a row that a scan outside all regions stacks, or of a part of it; otherwise None."""
     row, start = (row.args[0], row.params[0]) if row.op == "slid" and row.params[1] == 1 else (row, 0)
     stacked = row.op == "stacked" and len(row.shape) == 1 and row.block.parent is None
     return (row.value[0], start) if stacked else None
 
 
 class RowTexts:
-    """The part of a writer that knows rows."""
+    """The part of a writer that handles rows."""
 
     def listed(self, cells, kind="const") -> str:
         """The name of an array of cells, written once for all that pick from it."""
@@ -103,7 +103,7 @@ class RowTexts:
         return self.names[key]
 
     def materialise(self, n):
-        """A row, computed into memory."""
+        """Computes a row into memory."""
         k, array = self.new("k"), self.room(n.dtype, n.shape[0])
         self.dtypes.add(n.dtype)
         self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
@@ -114,7 +114,7 @@ class RowTexts:
         self.where[n.number] = lambda k: f"{array}[{k}]"
 
     def row(self, c, k, memo) -> str:
-        """The text of a row at round k; lines before it where it has to be computed."""
+        """The text of a row at round k; statements that compute it are written before."""
         if not c.shape:
             return self.of(c)
         if c.number not in memo:
@@ -160,7 +160,7 @@ class RowTexts:
         return made
 
     def argument_at(self, cells, which):
-        """The cell of a number, where they lie one behind the other in an argument; else None."""
+        """The cell at an index, if the cells are evenly spaced in an argument; otherwise None."""
         whole = cells[0].args[0] if cells[0].op == "index" else None
         if getattr(whole, "op", None) != "input" or any(c.op != "index" or c.args[0] is not whole for c in cells):
             return None

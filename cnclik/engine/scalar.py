@@ -1,4 +1,4 @@
-"""Scalar: a graph as the statements of a C99 function of one lane: plain numbers, branches and loops."""
+"""Scalar: a graph as the statements of a C99 function for one lane: plain numbers, branches and loops."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from cnclik.engine.to_c import Writer
 
 
 class ScalarWriter(Writer):
-    """Writes the statements of a graph for one lane, which call the `helpers` for its `functions`."""
+    """Writes the statements of a graph for one lane. They call `helpers` for its `functions`."""
 
     beside = 1
 
@@ -22,27 +22,24 @@ class ScalarWriter(Writer):
         return indented(super().statements())
 
     def type(self, node) -> str:
-        """What a number is called."""
+        """The C type of a node."""
         return _type(node.dtype)
 
     def splat(self, dtype, words) -> str:
-        """A number in an expression."""
         return f"({words})" if words.startswith("-") else words
 
     def of(self, node, plain=False) -> str:
-        """A node in an expression."""
         if node.known and node.dtype.kind == "b":
             return str(int(node.value))
         return super().of(node)
 
     def room(self, dtype, entries) -> str:
-        """An array of so many numbers."""
+        """Declares an array of `entries` numbers."""
         name = self.new("r")
         self.line(f"{_type(dtype)} {name}[{entries}];")
         return name
 
     def applied(self, node, of) -> str:
-        """An operation."""
         if node.op in ("sin", "cos"):
             return self.sincos(node, of)
         args = node.args[::-1] if node.op in COMMUTES and node.args[0].known else node.args
@@ -54,25 +51,22 @@ class ScalarWriter(Writer):
         return super().sincos(node, of)
 
     def pick(self, n):
-        """The cell of a number."""
         index, *cells = n.args
         table = self.listed(cells, "static const" if all(c.known for c in cells) else "const")
         self.declare(n, f"{table}[{self.of(index)}]")
 
     def take(self, n):
-        """The entry of a row."""
         row, index = n.args
         self.declare(n, self.row(row, self.of(index), {}))
 
     def table(self, values, k) -> str:
-        """An entry of a known row."""
         words = super().table(values, k)
         self.lines += self.tables
         self.tables = []
         return words
 
     def loop(self, r):
-        """Rounds as long as they are asked for."""
+        """A `while` loop."""
         names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
         self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
         self.line("for (;;) {")
@@ -88,7 +82,6 @@ class ScalarWriter(Writer):
         self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
 
     def choice(self, r: Cond):
-        """A branch."""
         alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
         names, which, two = {}, self.of(r.which), r.which.dtype.kind == "b"
         cases = list(enumerate(zip(r.blocks, r.results, strict=True)))
@@ -110,7 +103,7 @@ class ScalarWriter(Writer):
 
 
 def indented(lines) -> list:
-    """Lines of a function's body, two spaces further in within each brace."""
+    """The lines of a function's body, indented by two spaces per brace."""
     depth, found = 1, []
     for line in lines:
         depth -= line.startswith("}")
@@ -120,7 +113,7 @@ def indented(lines) -> list:
 
 
 def helpers(functions, prefix="") -> str:
-    """The C functions that statements call: `functions` of their writers, with the writers' prefix before a name."""
+    """The C functions that statements call: a writer's `functions`, with its prefix."""
     return "\n".join(header(f"sincos_{N}.h").replace("sincos", f"{prefix}sincos_{N}") for N in sorted(functions))
 
 
@@ -128,7 +121,7 @@ def _type(dtype) -> str:
     return "int" if np.dtype(dtype).kind == "b" else scalar(np.dtype(dtype))
 
 
-_OF_BITS = {"add": "|", "max": "|", "mul": "&", "min": "&"}  # of truths
+_OF_BITS = {"add": "|", "max": "|", "mul": "&", "min": "&"}  # on booleans
 _SIMPLE = {
     **{"square": "{0} * {0}", "is_finite": "isfinite({0}) != 0", "logistic": "1 / (1 + exp{f}(-{0}))"},
     **{"rsqrt": "1 / sqrt{f}({0})", "sqrt": "sqrt{f}({0})", "atan2": "atan2{f}({0}, {1})"},
@@ -149,7 +142,7 @@ _WHOLE = {
 
 
 def _text(node, a) -> str:
-    """An operation in C from its arguments' texts."""
+    """An operation in C, given the texts of its arguments."""
     name, dtype = node.op, node.args[-1].dtype
     kind, bits = dtype.kind, 8 * dtype.itemsize
     words = {"f": "f" * (dtype == np.float32), "N": _type(dtype), "bits": bits}

@@ -1,9 +1,9 @@
-"""Sines: sine and cosine together, for XLA on a CPU: one range reduction and two short polynomials, within 2 ulp.
+"""Sines: sine and cosine together for XLA on a CPU, by one range reduction and two short polynomials, within 2 ulp.
 
-XLA's own cost several times more, and dominate a kinematics loop. Here x = k·π/2 + r with |r| ≤ π/4 (Cody & Waite
-1980): π/2 is split into parts so short that k times each but the last is exact for |x| ≤ 1e4, so a compiler that
-contracts a·b + c changes nothing there. sin r and cos r are minimax polynomials, relative error 4e-9 in float32 and
-4e-18 in float64. Beyond the range, and for NaN, XLA's functions are used.
+XLA's own sine and cosine cost several times more and dominate a kinematics loop. Here x = k·π/2 + r with |r| ≤ π/4
+(Cody & Waite 1980). π/2 is split into short parts, so that k times each but the last is exact for |x| ≤ 1e4;
+contracting a·b + c then changes nothing. sin r and cos r are minimax polynomials with a relative error of 4e-9 in
+float32 and 4e-18 in float64. XLA's functions are used beyond this range and for NaN.
 """
 
 import functools
@@ -19,12 +19,12 @@ RANGE = 1e4
 class Table(NamedTuple):
     """The numbers of `sincos` in one precision."""
 
-    half_pi: tuple  # parts of π/2 that are exact times k, then a compensated part, then the tail
+    half_pi: tuple  # parts of π/2 whose product with k is exact, then a compensated part, then the tail
     sine: tuple  # sin r = r + r³ S(r²)
     cosine: tuple  # cos r = 1 − r²/2 + r⁴ C(r²)
 
 
-TABLES = {  # by bits of the mantissa
+TABLES = {  # {bits of the mantissa: table}
     24: Table(
         half_pi=(1.5703125, 0.0004837512969970703, 7.549533620476723e-08, 2.5633441e-12),
         sine=(-0.166666549331917384, 0.00833217745665272256, -0.000195172025549268638),
@@ -56,8 +56,8 @@ def sincos(angles):
     """Sines and cosines of a tuple of angles [rad]: two tuples."""
     far = [~(jnp.abs(x) <= RANGE) for x in angles]  # true for NaN as well
     near = [_reduced(x) for x in angles]
-    # A far lane carries its angle into the loop in the place of its sine: were the angle an invariant of
-    # the loop, XLA would hoist the library calls out of it and pay for them always.
+    # A far lane carries its angle into the loop in place of its sine. If the angle were loop-invariant, XLA would hoist
+    # the library calls out of the loop and always execute them.
     state = tuple((jnp.where(f, x, s), c) for f, x, (s, c) in zip(far, angles, near, strict=True))
 
     def library(carry):
@@ -67,7 +67,7 @@ def sincos(angles):
         )
         return jnp.zeros_like(some), done
 
-    # A loop that runs once if some lane needs it and else not at all; unlike lax.cond, it stays so under vmap.
+    # This loop runs once if some lane needs it, otherwise not at all; unlike lax.cond, also under vmap.
     some = functools.reduce(jnp.logical_or, far)
     _, state = lax.while_loop(lambda carry: jnp.any(carry[0]), library, (some, state))
     return tuple(s for s, _ in state), tuple(c for _, c in state)
@@ -81,7 +81,7 @@ def _reduced(x):
     for p in exact:
         x = x - k * p
     r = x - k * part
-    r = r + (((x - r) - k * part) - k * tail)  # what the subtraction rounded away, and the tail
+    r = r + (((x - r) - k * part) - k * tail)  # the rounding error of the subtraction, and the tail
     z = r * r
     s = r + r * z * _polynomial(table.sine, z)
     c = (1 - 0.5 * z) + z * z * _polynomial(table.cosine, z)

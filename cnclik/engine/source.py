@@ -1,4 +1,4 @@
-"""Source: the whole C file of a graph: types, functions of lanes, the tile, and the entries that run it."""
+"""Source: the whole C file of a graph: types, functions on lanes, the tile, and the entries that run it."""
 
 import re
 
@@ -9,14 +9,14 @@ from cnclik.engine.operations import LIBRARY, TYPES, header, scalar, vector
 from cnclik.engine.row_texts import all_items
 from cnclik.engine.to_c import Writer
 
-LONG = 20_000  # operations from which on a program is written in pieces
-PIECE = 1_000  # from 1,000 to 5,000 runs differ by about 10 %, and the compiler needs up to half as long again
+LONG = 20_000  # operations; longer programs are written in pieces
+PIECE = 1_000  # from 1,000 to 5,000 the speed differs by about 10 %, and compile time grows by up to a half
 _TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *restrict work"
 _REAL = {"float32": ("S32", "int32_t", "f"), "float64": ("S64", "int64_t", "")}
 
 
 def main_type(graph, given, shapes) -> np.dtype:
-    """The type that decides on how many lanes a vector has: float64 where most numbers are of it, else float32."""
+    """The type that sets the number of lanes of a vector: float64 if most numbers are float64, otherwise float32."""
     several = [n.dtype for n in all_items(graph.root) if isinstance(n, Node)]
     several += [np.dtype(x.dtype) for x in (*given, *shapes)]
     wide, narrow = (sum(d == t for d in several) for t in (np.float64, np.float32))
@@ -48,12 +48,12 @@ def _written(graph, given, outs, shapes, main, piece):
 
 
 def lane(dtype, data, stride):
-    """What loads entries of lanes from `first` on, each lane's numbers `stride` after those of the one before."""
+    """A function that writes loads of entries of lanes from `first` on; lanes are `stride` numbers apart."""
     return lambda at: f"load_{vector(dtype)}({data} + first * {stride} + ({at}), {stride}, n)"
 
 
 def entry(dtype, data, size):
-    """What stores entries of lanes from `first` on, each lane with so many numbers."""
+    """A function that writes stores of entries of lanes from `first` on, each lane with `size` numbers."""
 
     def store(at, *words):
         name = f"four_{vector(dtype)}" if len(words) > 1 else vector(dtype)
@@ -63,12 +63,12 @@ def entry(dtype, data, size):
 
 
 def vectors(writer, main) -> str:
-    """What stands before functions of vectors."""
+    """The C text before functions on vectors."""
     return "\n".join([f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)])
 
 
 def _types(writer, main):
-    """What the vectors that are used have."""
+    """Definitions of the vector types in use."""
     used = {dtype.name for dtype in writer.dtypes if dtype.kind != "b"} | {main.name}
     for name in TYPES:
         if name not in used:
@@ -93,7 +93,7 @@ def _types(writer, main):
 
 
 def _library(writer, T):
-    """Functions of C's library that are used."""
+    """Lane-by-lane versions of the C library functions in use."""
     asked = {op for op, of, _ in writer.functions if of == T}
     asked |= {"exp"} if "logistic" in asked else set()
     asked |= {"fmod"} if "rem" in asked else set()

@@ -1,7 +1,7 @@
-"""Stacks: arrays over the rounds of a scan, kept as rows: one node of shape (N,) for each cell.
+"""Stacks: arrays over the rounds of a scan, kept as rows: one node of shape (N,) per cell.
 
-A value that a reader holds is one of four: cells (a NumPy array of scalar nodes), `Rows`, `Deep`, or a single node for
-an array that stays whole (an argument too large to be taken apart, a table).
+A reader's value is one of four: cells (a NumPy array of scalar nodes), `Rows`, `Deep`, or a single node for an array
+that stays whole (a large argument or a table).
 """
 
 import numpy as np
@@ -9,28 +9,26 @@ import numpy as np
 from cnclik.engine.cells import array_of
 from cnclik.engine.graph import Node, Scan, UnsupportedError
 
-MANY = 64  # entries along axis 0 from which on a known array, or an argument, is taken as rows
+MANY = 64  # entries along axis 0, at least, for a known array or an argument to become rows
 
 
 class Rows:
-    """An array (N, ...) whose cells are rows: nodes of shape (N,), or of shape () where all entries are the same."""
+    """An array (N, ...) whose cells are rows: nodes of shape (N,), or of shape () if all entries are the same."""
 
     def __init__(self, cells, length):
         self.cells, self.length = cells, length
 
     @property
     def shape(self) -> tuple:
-        """Of the array."""
         return (self.length, *self.cells.shape)
 
     @property
     def size(self) -> int:
-        """Entries of the array."""
         return self.length * self.cells.size
 
 
 class Deep(Rows):
-    """An array (N, n, ...) that a scan within a scan stacks up: its cells are nodes of shape (N, n), (N,) or ()."""
+    """An array (N, n, ...) that a nested scan stacks; its cells are nodes of shape (N, n), (N,) or ()."""
 
     def __init__(self, cells, length, inner):
         super().__init__(cells, length)
@@ -38,12 +36,10 @@ class Deep(Rows):
 
     @property
     def shape(self) -> tuple:
-        """Of the array."""
         return (self.length, self.inner, *self.cells.shape)
 
     @property
     def size(self) -> int:
-        """Entries of the array."""
         return self.length * self.inner * self.cells.size
 
 
@@ -53,7 +49,7 @@ def is_cells(value) -> bool:
 
 
 def shallow(g, x: Deep) -> Rows:
-    """A stack of stacks as rows, (N, n, ...) with a row for each of the n."""
+    """A stack of stacks as rows (N, n, ...), with a row for each of the n."""
 
     def one(cell, i):
         return g.shared("within", (cell,), i, (x.length,), cell.dtype) if len(cell.shape) == 2 else cell
@@ -78,20 +74,20 @@ def entry(g, row, k):
         return entry(g, row.args[0], start + stride * k)
     if row.op == "stacked" and isinstance(r := row.value[0], Scan) and k == (0 if r.reverse else r.length - 1):
         y = r.ys[row.value[2]]
-        if y in r.then:  # of the last round a carry knows it
+        if y in r.then:  # the carry holds the value of the last round
             return r.outs[r.then.index(y)]
     return g.shared("index", (row,), (k,), (), row.dtype)
 
 
 def constant(g, value, limit):
-    """A known array: as cells, or as rows where it is long."""
+    """A known array, as cells, or as rows if it is long."""
     if value.size > limit or (value.ndim and len(value) >= MANY):
         return columns(g, g.array(value))
     return array_of([g.const(v, value.dtype) for v in value.ravel()], value.shape)
 
 
 def known_value(x):
-    """The array of numbers that a value is; None where it isn't known."""
+    """A value's array of numbers; None if it is not known."""
     if is_cells(x):
         return np.array([c.value for c in x.flat]).reshape(x.shape) if all(c.known for c in x.flat) else None
     if isinstance(x, Node):
@@ -117,7 +113,7 @@ def columns(g, node) -> Rows:
 
 
 def as_rows(g, x, N) -> Rows | None:
-    """Any value as N rows; None where its leading axis has another length."""
+    """Any value as N rows; None if its leading axis has another length."""
     if isinstance(x, Deep):
         return shallow(g, x)
     if isinstance(x, Rows):
@@ -153,7 +149,7 @@ def _row(g, column, N):
 
 
 def row_node(g, r, x):
-    """The node in a scan of what it takes from an array in each round."""
+    """The node inside a scan of an array that it takes row by row."""
     for row, known in zip(r.rows, r.xs, strict=True):
         if known is x:
             return row
@@ -164,7 +160,7 @@ def row_node(g, r, x):
 
 
 def stacked_node(g, r, i):
-    """The node of what a scan stacks up: one for the same thing, and none for what does not change."""
+    """The node of a stacked output: one node for equal outputs, and the value itself if it is constant."""
     y = r.ys[i]
     if y.known or y.block.depth < r.block.depth:
         return y
@@ -180,7 +176,7 @@ def stacked_node(g, r, i):
 
 
 def cells_of(g, x, limit):
-    """Any value as cells. Raises UnsupportedError where they are too many."""
+    """Any value as cells. Raises: UnsupportedError if there are too many."""
     if is_cells(x):
         return x
     if int(np.prod(x.shape)) > limit:

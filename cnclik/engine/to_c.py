@@ -1,8 +1,8 @@
 """To C: a graph as the statements of a C function on vectors of lanes.
 
-A scalar becomes a vector of lanes, a comparison a mask. Loops stay loops; a branch runs where some lane needs it, and
-each lane keeps what is its own. What scans stack up lies in the caller's work memory, lane by lane. A result that one
-scan stacks up is stored where it belongs as each round ends.
+A scalar becomes a vector of lanes, a comparison a mask. Loops stay loops. A branch runs if some lane needs it, and each
+lane keeps its own values. Stacked outputs of scans lie in the caller's work memory, lane by lane; if a result is what
+one scan stacks, each round stores its part directly.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from cnclik.engine.pieces import in_pieces, read_for
 from cnclik.engine.row_texts import RowTexts, cells_of, needed_rows, places_needed, whole_results
 from cnclik.engine.stacks import Rows
 
-HEAVY = 60  # operations from which on a branch is left out where no lane needs it
+HEAVY = 60  # operations, at least, of a branch that is skipped if no lane needs it
 REGION_WEIGHT = 1000
 
 
@@ -21,22 +21,21 @@ class Writer(RowTexts):
     """Writes the statements of a graph."""
 
     prefix = ""
-    beside = 4  # entries that are stored at once
+    beside = 4  # entries stored at once
 
     def __init__(self, graph, given, outs, main, reads, writes, *, piece=0, shared=()):
-        """
-        Args:
-          given: input nodes. outs: results: cells, rows or nodes.
-          main: the type that decides on how many lanes a vector has.
-          reads: of each input, what gives the text of the entry of a number. writes: of each result, what gives the
-            statement that stores a text as the entry of a number.
-          piece: statements of one function; 0: all in one.
-          shared: those inputs that are the same in all lanes.
+        """Args:
+        given: input nodes. outs: results: cells, rows or nodes.
+        main: the type that sets the number of lanes of a vector.
+        reads: per input, a function from an index to the text of that entry. writes: per result, a function that
+          returns the statement storing texts at an index.
+        piece: statements of one function; 0: all in one.
+        shared: inputs that are the same in all lanes.
         """
         self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
         self.reads, self.writes, self.shared = reads, writes, shared
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
-        self.kept: dict = {}  # of numbers that all functions find in the work memory, the place
+        self.kept: dict = {}  # {number of a node: its place in the work memory, for all pieces}
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
         self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
         ends = [node for out in outs for node in cells_of(out)]
@@ -49,11 +48,10 @@ class Writer(RowTexts):
     # --- text -----------------------------------------------------------------------------------------
 
     def line(self, words):
-        """One line."""
         self.lines.append(words)
 
     def new(self, letter="t") -> str:
-        """A name not in use."""
+        """An unused name."""
         self.counted += 1
         return f"{letter}{self.counted}"
 
@@ -68,7 +66,7 @@ class Writer(RowTexts):
         if node.known:
             words = number(node.value, node.dtype)
             return f"({words})" if plain else self.splat(node.dtype, words)
-        if node.number not in self.names:  # once: a compiler searches all stores before each load for one of its place
+        if node.number not in self.names:  # load once: compilers search all earlier stores for each load
             self.names[node.number] = self.variable(node, self.kept[node.number], "t")
             self.scopes[-1].append(node.number)
         return self.names[node.number]
@@ -78,32 +76,32 @@ class Writer(RowTexts):
         return f"splat_{vector(dtype)}({words})"
 
     def declare(self, node, words) -> str:
-        """A constant of the node's type."""
+        """Declares a constant of the node's type."""
         self.operations += 1
         name = self.names[node.number] = self.new()
         self.line(f"const {self.type(node)} {name} = {words};")
         return name
 
     def variable(self, node, words, letter="c") -> str:
-        """A variable of a node's type."""
+        """Declares a variable of the node's type."""
         name = self.new(letter)
         self.line(f"{self.type(node)} {name} = {words};")
         return name
 
     def room(self, dtype, entries) -> str:
-        """An array of so many vectors of a dtype, in the work memory."""
+        """An array of `entries` vectors in the work memory."""
         size = self.vector_bytes(dtype)
         place = -(-self.work // size) * size
         self.work = place + entries * size
         return f"AT({vector(dtype)}, {place})"
 
     def vector_bytes(self, dtype) -> int:
-        """Bytes of a vector, at most: with as many lanes as AVX-512 has."""
+        """Bytes of a vector with as many lanes as AVX-512 has, the largest."""
         dtype = np.dtype(dtype)
         return 64 * max(1, (self.main.itemsize if dtype.kind == "b" else dtype.itemsize) // self.main.itemsize)
 
     def applied(self, node, of) -> str:
-        """An operation; what it uses of C's library is remembered."""
+        """An operation; the C library functions it uses are noted."""
         for a in (*node.args, node):
             self.dtypes.add(a.dtype)
         if node.op in ("sin", "cos"):
@@ -126,11 +124,11 @@ class Writer(RowTexts):
     # --- statements -----------------------------------------------------------------------------------
 
     def is_needed(self, item) -> bool:
-        """Whether a node or a region has a part in the results."""
+        """Whether a node or region contributes to the results."""
         return (item.number if isinstance(item, Node) else id(item)) in self.needed
 
     def block(self, block, ending=()):
-        """Everything in a block; `ending` are the nodes that are used after it. To be followed by `leave`."""
+        """Writes a block. `ending` are the nodes that are used after it. `leave` must follow."""
         items = [i for i in block.items if self.is_needed(i)]
         items = [i for i in items if not (isinstance(i, Node) and i.shape and i.number not in self.material)]
         self.scopes.append([])
@@ -140,21 +138,19 @@ class Writer(RowTexts):
             self.items(items)
 
     def items(self, items):
-        """Nodes and regions, one after the other."""
         for item in items:
             self.node(item) if isinstance(item, Node) else self.region(item)
 
     def region(self, r):
-        """A loop or branch."""
+        """Writes a loop or branch."""
         {Scan: self.scan, While: self.loop, Cond: self.choice}[type(r)](r)
 
     def leave(self):
-        """The end of a block: what was computed in it is out of reach."""
+        """Ends a block: its values go out of scope."""
         for key in self.scopes.pop():
             self.names.pop(key, None)
 
     def node(self, n):
-        """One node."""
         if n.number in self.names or n.number in self.where:
             return
         if n.number in self.material:
@@ -188,7 +184,7 @@ class Writer(RowTexts):
         return self.reads[self.given.index(node)](at)
 
     def pick(self, n):
-        """The cell of a number that each lane has for itself."""
+        """A cell whose index differs from lane to lane."""
         index, *cells = n.args
         which, name = f"{self.of(index)}[i]", self.new()
         self.names[n.number] = name
@@ -197,7 +193,7 @@ class Writer(RowTexts):
         self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at}[i];")
 
     def take(self, n):
-        """The entry of a row at a round that each lane has for itself."""
+        """A row's entry at a round that differs from lane to lane."""
         row, index = n.args
         name = self.names[n.number] = self.new()
         self.line(f"{self.type(n)} {name};")
@@ -207,7 +203,6 @@ class Writer(RowTexts):
     # --- regions --------------------------------------------------------------------------------------
 
     def scan(self, r):
-        """A loop, with what it takes from rows and what it stacks up."""
         nk = len(r.carries)
         alive = [i for i, c in enumerate(r.carries) if {c.number, r.outs[i].number} & self.needed]
         rows = [i for i, row in enumerate(r.rows) if row.number in self.needed]
@@ -247,7 +242,7 @@ class Writer(RowTexts):
         self.names |= {r.outs[i].number: name for i, name in names.items()}
 
     def make_room(self, r, stacked, k) -> list:
-        """Places in the work memory for what is stacked up; (y, node) of what is stored as a round ends."""
+        """Reserves work memory for stacked outputs. Returns (y, node) of those stored as a round ends."""
         stores, groups = [], {}
         for y, node in stacked:
             if len(node.shape) == 2 and node.number in self.stored:  # an inner loop stores into it
@@ -268,11 +263,11 @@ class Writer(RowTexts):
         return stores
 
     def rows_within(self, x, k):
-        """Where a round's part of a stack of stacks lies."""
+        """The place of one round's part of a stack of stacks."""
         return lambda i: self.where[x.number](k, i)
 
     def move_on(self, r, names, mask=None):
-        """The next values of what is carried, in some lanes; one that is another's old value is put aside first."""
+        """Updates the carries of active lanes; a carry that another one reads is copied first."""
         carried = {r.carries[i].number for i in names}
         texts = {}
         for i, name in names.items():
@@ -287,7 +282,7 @@ class Writer(RowTexts):
                 self.line(f"{name} = {words};")
 
     def loop(self, r):
-        """Rounds as long as some lane goes on."""
+        """Writes rounds that run while some lane is active."""
         names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
         self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
         self.line("for (;;) {")
@@ -322,20 +317,20 @@ class Writer(RowTexts):
         return True
 
     def weight(self, block) -> int:
-        """What a block costs, in operations."""
+        """The cost of a block, in operations."""
         return sum(
             COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in block.items if self.is_needed(i)
         )
 
     def choice(self, r):
-        """A branch."""
+        """Writes a branch."""
         alive, which, names = [i for i, o in enumerate(r.outs) if o.number in self.needed], self.new(), {}
         self.line(f"const {self.type(r.which)} {which} = {self.of(r.which)};")
         given = next((k for k, b in enumerate(r.blocks) if not any(map(self.is_needed, b.items))), None)
         for i in alive:
             at_first = self.splat(r.outs[i].dtype, "0") if given is None else self.of(r.results[given][i])
             names[i] = self.variable(r.outs[i], at_first, "t")
-        for k in sorted({*range(len(r.blocks))} - {given}):  # of what is given nothing is computed
+        for k in sorted({*range(len(r.blocks))} - {given}):  # the given case needs no computation
             block, results, mask = r.blocks[k], r.results[k], self.new()
             truth = (f"~{which}", which)[k] if r.which.dtype.kind == "b" else f"MASK({which} == {k})"
             among = f" & {self.active[-1]}" if self.active else ""
@@ -374,7 +369,7 @@ class Writer(RowTexts):
         return self.lines
 
     def store(self, o, texts, offset=""):
-        """Entries of a result; four at once, some of them twice, where there are so many."""
+        """Writes entries of a result, four at once if there are as many; some may be stored twice."""
         several = self.beside <= len(texts) and cells_of(self.outs[o])[0].dtype.kind != "b"
         at, some = 0, self.beside if several else 1
         while at < len(texts):

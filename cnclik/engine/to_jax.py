@@ -1,7 +1,7 @@
-"""To JAX: a graph as a JAX function of one lane, one operation on scalars for each node.
+"""To JAX: a graph as a JAX function of one lane, with one operation on scalars per node.
 
-`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and what scans stack up are arrays. A branch
-becomes a choice of results where it is light, else a loop that runs once if some lane needs it.
+`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and stacked outputs are arrays. A light branch
+becomes a select; a heavy one becomes a loop that runs once if some lane needs it.
 """
 
 import functools
@@ -23,8 +23,8 @@ from cnclik.engine.to_c import HEAVY, REGION_WEIGHT
 from cnclik.engine.tracing import to_be_read
 from cnclik.hints import hints_on, one_function
 
-LONGEST, BACK, WORTH = 40, 8, 4  # as measured; each is flat around
-FEWEST = 3  # operations that are worth a stage
+LONGEST, BACK, WORTH = 40, 8, 4  # measured; the speed hardly depends on them
+FEWEST = 3  # operations, at least, of a stage
 
 _OTHER_NAMES = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
 
@@ -33,10 +33,10 @@ _sincos = jax.jit(sincos, inline=False)
 
 
 class Derived:
-    """A function of one lane, read and written as JAX. Raises UnsupportedError where it can't be read."""
+    """A function of one lane, read and written as JAX. Raises: UnsupportedError if it cannot be read."""
 
     def __init__(self, fn, avals, treedef):
-        """avals: of one lane's arguments, leaf by leaf. treedef: how they make up the arguments."""
+        """avals: of one lane's arguments, leaf by leaf. treedef: their tree."""
         with to_be_read():
             self.read = *_, (self.shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
         self.avals, self.written = avals, {}
@@ -44,7 +44,7 @@ class Derived:
     def __call__(self, *leaves) -> list:
         """Results, leaf by leaf, of one lane's arguments, leaf by leaf."""
         made = self.written.get(hints_on())
-        if made is None:  # once, as `vmap` remembers what it made of it
+        if made is None:  # made once, so that `vmap` caches its result
             graph, given, outs, _ = self.read
             types = [s.dtype for s in self.shapes]
             writer = functools.partial(_Writer, graph, given, outs, fenced=hints_on())
@@ -64,7 +64,7 @@ class _Writer:
         self.users, self.stages = _users(graph, self.needed, ends), {}
 
     def results(self, dtypes) -> list:
-        """Results of the function, of these types."""
+        """The results, given their types."""
         self.block(self.graph.root)
         return [self.result(out, d) for out, d in zip(self.outs, dtypes, strict=True)]
 
@@ -81,14 +81,14 @@ class _Writer:
         return n.value if n.op in ("const", "array") else self.values[n.number]
 
     def whole(self, n, shape=None):
-        """The value of a node as an array of a shape, by default its own."""
+        """The value of a node as an array of a shape; default: its own."""
         x, shape = jnp.asarray(self.of(n), n.dtype), n.shape if shape is None else shape
         return x if x.shape == shape else lax.broadcast_in_dim(x, shape, range(x.ndim))
 
     # --- blocks ---------------------------------------------------------------------------------------
 
     def block(self, block):
-        """Everything in a block that is needed."""
+        """Computes everything in a block that is needed."""
         items = [i for i in block.items if (i.number if isinstance(i, Node) else id(i)) in self.needed]
         group = []
         for item in items:
@@ -124,19 +124,18 @@ class _Writer:
         return n.known or n.number in self.values
 
     def sines(self, nodes):
-        """Sines and cosines of angles that are there, all in one stage."""
+        """Sines and cosines of angles that have values, in one stage."""
         angles = {n.args[0].number: n.args[0] for n in nodes}
         with set_xla_metadata(inlineable="false"):
             found = dict(zip(angles, zip(*_sincos([self.whole(a) for a in angles.values()]), strict=True), strict=True))
         self.values |= {n.number: found[n.args[0].number][n.op == "cos"] for n in nodes}
 
     def stages_of(self, nodes):
-        """Operations on scalars, in stages."""
         for stage, outs in _stages(nodes, self.users):
             self.stage(stage, outs)
 
     def stage(self, nodes, outs):
-        """Some operations as a function that XLA may not inline; the same function for what is the same elsewhere."""
+        """Some operations as a function that XLA must not inline; identical stages share one function."""
         if len(nodes) < FEWEST:
             for n in nodes:
                 self.values[n.number] = self.applied(n, self.of)
@@ -166,7 +165,6 @@ class _Writer:
     # --- nodes ----------------------------------------------------------------------------------------
 
     def applied(self, n, of):
-        """An operation."""
         args = [of(a) for a in n.args]
         if n.shape:
             args = [x if np.shape(x) == n.shape else lax.broadcast_in_dim(x, n.shape, range(np.ndim(x))) for x in args]
@@ -179,7 +177,7 @@ class _Writer:
         return getattr(lax, _OTHER_NAMES.get(n.op, n.op))(*args)
 
     def node(self, n):
-        """A node that is no operation on scalars."""
+        """A node other than an operation on scalars."""
         if is_operation(n):
             return self.applied(n, self.of)
         return getattr(self, f"_{n.op}")(n, *n.args)
@@ -215,9 +213,9 @@ class _Writer:
     # --- regions --------------------------------------------------------------------------------------
 
     def within(self, nodes, values, active=None):
-        """A writer of what lies in a region, where some nodes have these values.
+        """A writer for the inside of a region, where some nodes have these values.
 
-        Args: active: whether the lane takes part in it: a loop inside does not wait for one that doesn't.
+        Args: active: whether the lane takes part in it; inner loops do not wait for inactive lanes.
         """
         inner = object.__new__(type(self))
         inner.__dict__ |= self.__dict__
@@ -227,11 +225,10 @@ class _Writer:
         return inner
 
     def ended(self, nodes, values):
-        """Nodes that a region gives."""
+        """Sets the values of a region's results."""
         self.values |= {n.number: x for n, x in zip(nodes, values, strict=True)}
 
     def scan(self, r):
-        """A loop, with what it takes from rows and what it stacks up."""
         nk = len(r.carries)
         alive = [i for i, c in enumerate(r.carries) if {c.number, r.outs[i].number} & self.needed]
         rows = [i for i, row in enumerate(r.rows) if row.number in self.needed]
@@ -247,7 +244,7 @@ class _Writer:
         self.ended([*(r.outs[i] for i in alive), *(r.outs[nk + k] for k in stacked)], [*ends, *ys])
 
     def loop(self, r):
-        """Rounds as long as a lane goes on."""
+        """A `while` loop."""
 
         def asked(carry):
             inner = self.within(r.carries, carry)
@@ -256,7 +253,7 @@ class _Writer:
             return inner, begins if self.active is None else begins & self.active
 
         def body(carry):
-            inner = asked(carry)[0]  # what the body shares with the condition
+            inner = asked(carry)[0]  # values that condition and body share
             inner = inner.within((), (), inner.whole(r.begins))
             inner.block(r.block)
             return list(map(inner.whole, r.then))
@@ -265,7 +262,6 @@ class _Writer:
         self.ended(r.outs, ends)
 
     def choice(self, r):
-        """A branch."""
         alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
         which, found = self.whole(r.which), None
         for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
@@ -276,20 +272,20 @@ class _Writer:
         self.ended([r.outs[i] for i in alive], found)
 
     def weight(self, block) -> int:
-        """What a block costs, in operations."""
+        """The cost of a block, in operations."""
         several = [i for i in block.items if (i.number if isinstance(i, Node) else id(i)) in self.needed]
         return sum(COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in several)
 
     def always(self, block, results, here):
-        """Results of a branch, for all lanes."""
+        """Results of a branch, computed for all lanes."""
         inner = self.within((), (), here)
         inner.block(block)
         return list(map(inner.whole, results))
 
     def where_needed(self, block, results, here):
-        """Results of a branch by a loop that runs once if some lane takes it; of other lanes nothing is said.
+        """Results of a branch, by a loop that runs once if some lane takes it; undefined for other lanes.
 
-        What it needs passes a barrier: XLA moves what does not change in a loop out of it.
+        Its inputs pass an optimization barrier, as XLA would otherwise move invariants out of the loop.
         """
         reals = [n for n in _needs(block, results) if n.number in self.values and n.dtype.kind == "f"]
         values = list(map(self.whole, reals))
@@ -305,7 +301,7 @@ class _Writer:
 
 
 def _at(x, places):
-    """The part of an array at known places of its first axes; None: all of an axis."""
+    """The part of an array at known indices of its first axes; None: the whole axis."""
     sizes = [x.shape[k] if p is None else 1 for k, p in enumerate(places)] + list(x.shape[len(places) :])
     starts = [p or 0 for p in places] + [0] * (x.ndim - len(places))
     part = lax.slice(x, starts, [a + b for a, b in zip(starts, sizes, strict=True)])
@@ -313,7 +309,7 @@ def _at(x, places):
 
 
 def _needs(block, results) -> list:
-    """Nodes that a block and its results refer to, in order."""
+    """Nodes that a block and its results read, in order."""
     found = {n.number: n for n in results}
     for item in all_items(block):
         several = item.args if isinstance(item, Node) else [*item.used, *getattr(item, "xs", ())]
@@ -322,7 +318,7 @@ def _needs(block, results) -> list:
 
 
 def _users(graph, needed, ends) -> dict:
-    """{number of a node: numbers of the operations that use it}; of any other use −1."""
+    """{number of a node: numbers of the operations that use it, and −1 for any other use}."""
     found = {}
     for item in all_items(graph.root):
         if isinstance(item, Node):
@@ -338,10 +334,10 @@ def _users(graph, needed, ends) -> dict:
 
 
 def _stages(nodes, users):
-    """Operations as stages, [(nodes, which of them are used outside)], so that XLA copies little within each.
+    """Operations as stages, [(nodes, those used outside)], so that XLA computes little twice.
 
-    XLA computes each result of a stage in one loop over the lanes, with all that leads to it, whatever else needs the
-    same. What several results need is a result of an earlier stage, unless it is little.
+    XLA computes each result of a stage in its own loop over the lanes, with all operations that lead to it. So
+    operations that several results share become results of an earlier stage, unless they are cheap.
     """
     cones = _roots({n.number: n for n in nodes}, users)
     by_number, stage_of, stages = {n.number: n for n in nodes}, {}, []
@@ -360,7 +356,7 @@ def _stages(nodes, users):
 
 
 def _roots(nodes, users):
-    """{number of what is computed in a loop of its own: the numbers of what is computed there}, in order."""
+    """{number of a node with its own loop: numbers of the nodes computed in it}, in order."""
     top, shared = {}, {}
     for number in reversed(nodes):
         above = {top.get(u, -1) for u in users[number]}

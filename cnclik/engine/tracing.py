@@ -1,4 +1,4 @@
-"""Tracing: what the library leaves out where its programs are read by the engine."""
+"""Tracing: whether the engine reads what is being traced, which then leaves out hints for XLA."""
 
 import contextlib
 
@@ -11,16 +11,16 @@ _read = jax.make_user_context(default_value=False)
 
 @contextlib.contextmanager
 def to_be_read():
-    """Context manager: what is traced inside is read by the engine, without hints for XLA."""
+    """Context manager: the engine reads what is traced inside, without hints for XLA."""
     with use_hints(False), few_lanes(0), _read(True):
         yield
 
 
 def is_read() -> bool:
-    """Whether what is traced is read by the engine."""
+    """Whether the engine reads what is being traced."""
     return _read.value
 
 
 def checkpointed(step):
-    """`jax.checkpoint` of a loop's step, which XLA needs; the engine itself finds what a gradient should store."""
+    """`jax.checkpoint` of a loop's step, for XLA only; the engine finds itself what a gradient should store."""
     return step if _read.value else jax.checkpoint(step, prevent_cse=False, static_argnums=0)
