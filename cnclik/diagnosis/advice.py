@@ -10,19 +10,19 @@ from cnclik.quantities import in_samples
 from cnclik.stability.driven import DrivenLimits, driven_limits
 from cnclik.stability.linear import late_monotone, late_stable
 
-LATEST = 500  # samples of dead time: what is later is no robot
-SLOW = 60  # samples of a period from which on a path may have it
-NEAR = 1.25  # factor between alpha·Ts and z that is worth no word
-SURE = 0.1  # confidence in the dead time below which no gain is named
-APART_Z = 3.0  # factor between alpha·Ts and z from which on what swings is not that loop
-BELOW = 0.97  # share of the limit below which a loop can't keep an oscillation by itself
-LIKELY = 0.02  # share of the likeliest loop's probability from which on another one has a say in the gain
-CAREFUL = 0.25  # share of the probability of loops for which a gain may be too much
-CLOSE = 0.15  # share of the whole lateness by which dead times are the same
-OTHER = 0.6  # confidence in a loop behind what keeps its size: a path may do the same
-HALF_TURN = 3.5  # radians of an oscillation that must be seen, to be none of a path
-FOLDS = 3.0  # by e, over which what grows or shrinks is seen
-WHOLE = 0.95  # confidence in what needs no fit: a sign, a frame
+LATEST = 500  # samples of dead time, at most, of a robot
+SLOW = 60  # samples; a path may oscillate with a longer period
+NEAR = 1.25  # factor between alpha·Ts and z that needs no note
+SURE = 0.1  # confidence in the dead time below which no gain is recommended
+APART_Z = 3.0  # factor between alpha·Ts and z beyond which another loop oscillates
+BELOW = 0.97  # share of the limit below which a loop cannot sustain an oscillation
+LIKELY = 0.02  # share of the likeliest loop's probability, at least, for another one to affect the gain
+CAREFUL = 0.25  # share of the loops' probability for which a gain may be too large
+CLOSE = 0.15  # share of the total delay within which dead times count as equal
+OTHER = 0.6  # confidence, at most, in a sustained oscillation's loop: a path may oscillate, too
+HALF_TURN = 3.5  # [rad] of an oscillation that must be visible to rule out a path
+FOLDS = 3.0  # factors of e over which growth or decay is visible
+WHOLE = 0.95  # confidence in causes found without a fit: a sign, a frame
 PATH = "A path may also have this period (--longest-period)."
 UNLESS = (
     "Where position commands start at the measured joints a smaller gain may not help: start each at the last command."
@@ -33,8 +33,8 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     """Fields of a `Diagnosis` about the loop that a factor belongs to.
 
     Args:
-      kind: what its oscillation does. shape: (k,) complex, of the columns. y: (N, k) the recording without its path.
-    Returns: beside the fields, "whole": whether the loop explains the recording.
+      kind: kind of its oscillation. shape: (k,) complex, of the columns. y: (N, k) the recording without its path.
+    Returns: the fields, and "whole": whether the loop explains the recording.
     """
     if turned := turned_of(shape, factor):
         return _turned_frames(kind, factor, turned, shape, alpha, Ts)
@@ -43,7 +43,7 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     best = loops[0]
     if whole and kind is not Kind.SUSTAINED:
         own = best.slowest(Ts)
-        if np.angle(own):  # else a loop so calm doesn't swing, and the recording does
+        if np.angle(own):  # otherwise so calm a loop would not oscillate, but the recording does
             factor, kind = own, Kind.GROWING if np.abs(own) > 1 else Kind.RINGING
     made = _oscillation(kind, factor) | {"phase_delay": phase_delay(factor), "delay": best.delay}
     made |= {"whole": whole, "pure": whole and not best.lag, "confidence": _confidence(loops, whole)}
@@ -53,7 +53,7 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     limits, notes, z = limits_of(best, Ts), [], best.z
     likely = [loop for loop in loops if loop.share > LIKELY * best.share or not whole]
     share = _careful(likely, Ts) if known is None or not whole else limits.recommended / z
-    may_be_path = _turns_less(HALF_TURN, factor)  # bends of a path do as much
+    may_be_path = _turns_less(HALF_TURN, factor)  # a path may bend as much
     if kind is Kind.SUSTAINED and whole and z < BELOW * limits.stable:
         made["kind"] = Kind.RINGING
         notes.append("It is excited repeatedly.")
@@ -114,24 +114,24 @@ def _gains(z, limits, share, alpha) -> dict:
 
 
 def _apart(known, z, by=NEAR) -> bool:
-    """Whether a gain that is known and z differ by more than a factor."""
+    """Whether a known gain and z differ by more than a factor."""
     return not 1 / by < z / known < by
 
 
 def _changed(known, z) -> list:
-    """A note where z is not the gain that is known."""
+    """A note if z is not the known gain."""
     if known is None or not _apart(known, z):
         return []
     return [f"alpha·Ts is {known:.4g}: measurement or drive change the gain by a factor of {z / known:.3g}."]
 
 
 def _turns_less(angle, factor) -> bool:
-    """Whether what grows or shrinks by FOLDS turns by less than an angle meanwhile."""
+    """Whether a mode turns by less than an angle while it grows or shrinks by FOLDS."""
     return bool(np.abs(np.angle(factor)) * FOLDS < angle * np.abs(np.log(np.abs(factor))))
 
 
 def _careful(likely, Ts) -> float:
-    """The factor of the gain that is not too much for most of the likely loops."""
+    """The factor of the gain that is low enough for most of the likely loops."""
     factors = np.array([loop.calm(Ts) / loop.z for loop in likely])
     shares = np.array([loop.share for loop in likely])
     order = np.argsort(factors)
@@ -139,7 +139,7 @@ def _careful(likely, Ts) -> float:
 
 
 def _confidence(loops, whole) -> float:
-    """How likely the dead time of the first is, among all loops that were tried."""
+    """The probability of the first loop's dead time among all loops that were tried."""
     best = loops[0]
     if not whole:
         return best.share
@@ -148,7 +148,7 @@ def _confidence(loops, whole) -> float:
 
 
 def _alike(likely, best, whole, known, Ts) -> list:
-    """Other loops that the recording may belong to, and what decides."""
+    """Other loops that the recording may belong to, and how to decide between them."""
     if known is not None and whole:
         told = "Dead time and lag follow from alpha and the oscillation; a recorded step shows more (--step)."
         return [told] if best.lag else []
@@ -177,7 +177,7 @@ def _turned_frames(kind, factor, turned, shape, alpha, Ts) -> dict:
     if off:
         note += f" alpha·Ts is {alpha * Ts:.4g}, and z here {turned.z:.4g}."
     sure = WHOLE * (1 - together(shape) / 4)
-    if _turns_less(0.5 * np.pi, factor):  # less than a quarter turn is seen
+    if _turns_less(0.5 * np.pi, factor):  # less than a quarter turn is visible
         sure = min(sure, OTHER)
     if kind is Kind.SUSTAINED and (alpha is None or off):
         sure = min(sure, OTHER)
@@ -187,7 +187,7 @@ def _turned_frames(kind, factor, turned, shape, alpha, Ts) -> dict:
 
 
 def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
-    """Fields of a `Diagnosis` of what grows by a factor a sample and never returns; clear: as no path does."""
+    """Fields of a `Diagnosis` of growth by a factor per sample that never returns; clear: no path grows like this."""
     if turned := turned_of(shape, factor):
         return _turned_frames(Kind.DIVERGING, factor, turned, shape, alpha, Ts)
     factor = float(np.abs(factor))
@@ -202,16 +202,16 @@ def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
     elif share > NEAR and (delay := float(np.log(share) / np.log(factor))) <= LATEST:
         note += f" At alpha·Ts = {alpha * Ts:.3g} such a loop has {in_samples(delay, Ts)} of dead time."
         made |= {"delay": delay}
-    clear = clear or 1 / NEAR <= share <= NEAR  # it grows as fast as alpha itself makes it
+    clear = clear or 1 / NEAR <= share <= NEAR  # alpha explains the growth
     if not clear:
         note += " A path that starts slowly may look alike: record the loop at rest after a push."
     return made | {"confidence": WHOLE if clear else OTHER, "note": note}
 
 
 def limits_of(loop: LateLoop, Ts) -> DrivenLimits:
-    """`driven_limits` of explicit Euler; with a whole number of samples of dead time alone in closed form.
+    """`driven_limits` of explicit Euler; in closed form for a whole number of samples of dead time alone.
 
-    Where that is monotone no longer a double factor is d/(d + 1).
+    At the limit of monotone decay two factors meet at d/(d + 1).
     """
     if loop.lag or loop.delay != round(loop.delay):
         return driven_limits("EE", Ts=Ts, drive=loop.drive)

@@ -1,18 +1,18 @@
-"""Blocks: tall matrices in pieces so small that no BLAS parts them among threads.
+"""Blocks: products and decompositions of tall matrices, in pieces too small for BLAS to use threads.
 
-OpenBLAS parts every product of a matrix and a vector beyond some 9,000 numbers, and of two matrices beyond 262,144
-multiplications. A decomposition of a tall matrix makes one for each column: on cores that are taken its threads wait
-for each other longer than they compute.
+OpenBLAS splits products of a matrix and a vector beyond some 9,000 numbers, and of two matrices beyond 262,144
+multiplications, among threads. Decomposing a tall matrix takes one such product per column; on busy cores the threads
+wait for each other longer than they compute.
 """
 
 import numpy as np
 
-NUMBERS = 8192  # of a piece
-PRODUCTS = 200_000  # multiplications of two pieces
+NUMBERS = 8192  # numbers of a piece, at most
+PRODUCTS = 200_000  # multiplications of two pieces, at most
 
 
 def product(a, b):
-    """a (n, k) @ b (k, m), of halves of halves of what is longest."""
+    """a (n, k) @ b (k, m), halving the longest dimension recursively."""
     (n, k), m = a.shape, b.shape[1]
     if n * k * m <= (NUMBERS if 1 in (n, m) else PRODUCTS):
         return a @ b
@@ -25,12 +25,12 @@ def product(a, b):
 
 
 def within(still, a):
-    """The part of columns a (N, c) in the span of orthonormal columns (N, t)."""
+    """The projection of columns a (N, c) on the span of orthonormal columns (N, t)."""
     return product(still, product(still.T, a))
 
 
 def orthogonal(a):
-    """(Q, R) of a (N, n), N at least n: of pieces, and then of what these leave (Demmel et al. 2012)."""
+    """(Q, R) of a (N, n), N ≥ n: of its pieces, then of their stacked R (Demmel et al. 2012)."""
     (N, n), rows = a.shape, _rows(a)
     if rows >= N:
         return np.linalg.qr(a)
@@ -40,7 +40,7 @@ def orthogonal(a):
 
 
 def triangle(a):
-    """(n, n) R alone of a (N, n), with rows of zeros where N is less."""
+    """(n, n) R of a (N, n), padded with zero rows if N < n."""
     n, rows = a.shape[1], _rows(a)
     while len(a) > rows:
         a = np.linalg.qr(_pieces(a, rows), mode="r").reshape(-1, n)

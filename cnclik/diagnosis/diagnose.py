@@ -33,14 +33,14 @@ from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.shapes import ArrayLike, Float
 
-LONGEST = 250  # samples of a period: what is slower is taken for a path
-WANDERS = 1.15  # factor between the periods of two parts of a recording from which on it is no loop's
-FADED = 0.3  # size of an oscillation in one part as a share of the other's, below which they aren't compared
-NOISY = 0.05  # share of an oscillation that is left as noise, from which on noise may be what keeps it going
-MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of what moves from which on growth is none of a path
-SURELY = 0.9  # confidence in a loop from which on growth in few periods is no beginning of a swing
-LIKELY = 0.5  # confidence below which another loop is as likely, and the gain, which suits most of them, may be too low
-STILL = 1e-12  # share of the largest value that is rounding
+LONGEST = 250  # samples of a period; slower motion counts as a path
+WANDERS = 1.15  # factor between the periods of two parts of a recording beyond which no loop causes it
+FADED = 0.3  # ratio of an oscillation's sizes in two parts below which they are not compared
+NOISY = 0.05  # noise as a share of an oscillation above which noise may sustain it
+MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of the motion above which growth is not a path's
+SURELY = 0.9  # confidence in a loop above which growth in few periods is not the start of a swing
+LIKELY = 0.5  # confidence below which another loop is as likely; the gain, safe for most, may be too low
+STILL = 1e-12  # share of the largest value that counts as rounding
 UNFINISHED = (
     "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands: the "
     "gain cannot be judged. Record the loop at rest: push it and wait until it rests again."
@@ -172,7 +172,7 @@ def diagnose(
     rest = [i for i in range(len(found.factors)) if i not in chosen]
     most = np.minimum(spans(found.parts[chosen]), spans(found.parts)) if len(chosen) else np.zeros(moving.sum())
 
-    def every(values):  # of all columns, in their units
+    def every(values):  # for all columns, in their units
         full = np.zeros((*values.shape[:-1], y.shape[1]))
         full[..., moving] = values
         return full * size
@@ -189,7 +189,7 @@ def diagnose(
 
 
 class _Part(NamedTuple):
-    """The rows that are looked at, from `first` on, and what they show: see `judged`."""
+    """The rows to be judged, from `first` on, and the results of `judged`."""
 
     first: int
     rows: np.ndarray  # (N, k)
@@ -200,7 +200,7 @@ class _Part(NamedTuple):
 
     @property
     def factor(self):
-        """The dominant one."""
+        """The dominant factor."""
         return self.found.factors[self.chosen[0]]
 
 
@@ -209,7 +209,7 @@ def _part(first, rows, found, longest) -> _Part:
 
 
 def _come_to(part, longest) -> _Part:
-    """The second half of what grows or rings, if it keeps its size there."""
+    """The second half of a growing or ringing part, if the oscillation is sustained there."""
     half = len(part.rows) // 2
     if part.kind not in (Kind.GROWING, Kind.RINGING) or len(part.rows) < 4 * LEAST:
         return part
@@ -220,7 +220,7 @@ def _come_to(part, longest) -> _Part:
 
 
 def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
-    """Fields of the `Diagnosis` of a part of a recording (N, k), whose columns were divided by a size (k,)."""
+    """Fields of the `Diagnosis` of a part of a recording (N, k), whose columns were divided by `size` (k,)."""
     kind, found, chosen = part.kind, part.found, part.chosen
     shape = shape_of(part.rows, found, chosen[0]) * size if len(chosen) else None
     stays = kind is Kind.GROWING and _moved_before(scaled, part.first)
@@ -260,14 +260,14 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
 
 
 def _begins(part, made, whole, alpha, periods) -> bool:
-    """Whether growth may be the beginning of a swing: in few periods, and of no loop that is known for sure."""
-    alone = made.get("pure") or alpha is not None  # with a lag as well few rows fit many loops
+    """Whether growth may be the start of a swing: it shows few periods, and its loop is not certain."""
+    alone = made.get("pure") or alpha is not None  # with a lag, few rows fit many loops
     sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
     return len(part.rows) < TURNS * made["period"] and not (sure or periods)
 
 
 def _is_clear(part) -> bool:
-    """Whether no path grows as this does."""
+    """Whether no path grows like this."""
     rows, found = part.rows, part.found
     most = np.max(spans(found.parts[part.chosen]) / np.ptp(rows, axis=0))
     grown = len(rows) * np.log(np.abs(part.factor)) > np.log(MUCH)
@@ -275,7 +275,7 @@ def _is_clear(part) -> bool:
 
 
 def _found(y, longest):
-    """(first row, last row, its modes) of what is looked at. What grows was small for long: none of that is rest."""
+    """(first row, last row, modes) of the rows to be judged. A growing motion is small at first, which is not rest."""
     first, begun, last = looked_at(y, longest)
     if begun > first:
         found = find_modes(y[first:last], longest)
@@ -287,9 +287,9 @@ def _found(y, longest):
 
 
 def _explained(seen, first, longest):
-    """(first row, its modes) of as much as modes explain: a large motion is no linear loop's, its last part is.
+    """(first row, modes) of the longest last part that modes explain, as large motions are not linear.
 
-    Where nothing is explained, the whole.
+    The whole if nothing is explained.
     """
     whole = first, find_modes(seen, longest)
     at, found = whole
@@ -305,16 +305,16 @@ def _explained(seen, first, longest):
 
 
 def _moved_before(y, first) -> bool:
-    """Whether a recording went up and down before row `first` as it does from there on: what grows did not."""
+    """Whether a recording oscillated before row `first` as it does after: then it did not grow."""
     before, seen = y[max(2 * first - len(y), 0) : first], y[first:]
     least = np.std(np.diff(seen, axis=0), axis=0) / HELD
     return len(before) >= LEAST and bool(np.any(np.std(np.diff(before, axis=0), axis=0) > least))
 
 
 def _wandering(y, first, longest):
-    """Periods (2,) of an oscillation that differ between two parts of a recording; None of one that keeps its own.
+    """The periods (2,) of an oscillation in two parts of a recording, if they differ; otherwise None.
 
-    The parts are what is looked at, from row `first` on, and as much before it; or else its halves.
+    The parts are the rows from `first` on and as many before it, or otherwise the halves.
     """
     N = len(y) - first
     parts = (y[first - N : first], y[first:]) if first >= N else (y[first : first + N // 2], y[first + N // 2 :])
@@ -328,12 +328,12 @@ def _wandering(y, first, longest):
             return None
         sizes.append(spans(found.parts[chosen]).max())
         periods.append(float(2 * np.pi / np.abs(np.angle(found.factors[chosen[0]]))))
-    faded = min(sizes) < FADED * max(sizes)  # then noise may have a part in one of them
+    faded = min(sizes) < FADED * max(sizes)  # then noise may affect one of them
     return periods if max(periods) > WANDERS * min(periods) and not faded else None
 
 
 def _noise_driven(seen, longest, alpha, Ts) -> dict:
-    """Fields of a loop that noise keeps swinging, if there is one."""
+    """Fields of a loop that noise excites, if there is one."""
     if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
         return {}
     basis, _ = orthogonal(trend(len(seen), longest if len(seen) > 3 * longest else None))

@@ -1,7 +1,7 @@
-"""Excited: the loop behind a recording that noise keeps going, by the errors of its predictions, a sample ahead.
+"""Excited: finds the loop behind a recording that noise excites, by its one-step prediction errors.
 
-A loop with dead time d, and perhaps a lag, obeys A(B) y = −z b(B) B^d y + C(B) w: B shifts by a sample, A = 1 − B, or
-(1 − B)(1 − aB) with a lag, w is white. C is 1 where the noise is in the motion, A-like where it is in what is measured.
+A loop with dead time d, and perhaps a lag, obeys A(B) y = −z b(B) B^d y + C(B) w. B shifts by a sample, A is 1 − B, or
+(1 − B)(1 − aB) with a lag, and w is white. C is 1 for noise in the motion, and like A for measurement noise.
 """
 
 import itertools
@@ -14,26 +14,26 @@ from cnclik.integrate.drive import Drive, sampled
 
 DEAD = 60  # samples of dead time, at most
 LAGS = (0.7, 1.0, 1.4, 1.9, 2.4, 3.0, 3.8, 4.7, 6.0, 8.0, 10.0, 13.0, 20.0)  # in samples
-PARTS = (0.0, 0.25, 0.5, 0.75)  # of a sample of dead time
-DENSE = 7  # loops with a lag that weigh as much as one without, at each dead time
-COLOURS = (0.0, 0.5, 0.9, 0.98)  # of the noise, C = 1 − θB
+PARTS = (0.0, 0.25, 0.5, 0.75)  # fractions of a sample of dead time
+DENSE = 7  # loops with a lag that together weigh as much as one without, at each dead time
+COLOURS = (0.0, 0.5, 0.9, 0.98)  # θ of coloured noise, C = 1 − θB
 WANDERS = (0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)  # θ of a random walk seen through noise
-FREE = (0, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression with which a loop must compete: 0 is white noise, and
-# one of order 1 that swings is a loop without dead time
-PENALTY = 1.0  # on the logarithm of the number of rows, for each number
-UNMODELLED_STEPS = 1e-3  # share of a recording's steps by which a real loop differs from a linear one
-MAIN = 3  # parts of the columns that are looked at, at most
-NO_PART = 0.3  # share of the largest part, below which a part is none
-SWINGS = 0.3  # of an oscillation that is left after a period, from which on noise keeps a loop swinging visibly
-OVERSHOOT = 0.1  # of an error by which a loop lands beyond its target, from which on its gain is too large
-SURELY = 0.75  # share of the probability that loops which do that must have
-BETTER = 10.0  # by which one that hardly swings must be likelier than motion without a loop: so many are tried
+FREE = (0, 2, 3, 4, 6, 8, 12, 20)  # orders of an autoregression that a loop must beat: 0 is white noise, and an
+# oscillating one of order 1 is a loop without dead time
+PENALTY = 1.0  # of each fitted number, times the logarithm of the number of rows
+UNMODELLED_STEPS = 1e-3  # share of a recording's steps that a linear loop cannot explain
+MAIN = 3  # principal components of the columns, at most
+NO_PART = 0.3  # share of the largest component below which one is ignored
+SWINGS = 0.3  # share of an oscillation left after a period above which noise visibly excites a loop
+OVERSHOOT = 0.1  # share of an error by which a loop overshoots above which its gain is too large
+SURELY = 0.75  # share of the probability that such loops must have
+BETTER = 10.0  # margin by which a hardly oscillating loop must beat motion without a loop, as many are tried
 
 
 def excited(y, Ts, z=None, path=0) -> list:
-    """Loops, the likeliest first, that noise keeps swinging, or that overshoot; empty where none explains a recording.
+    """Loops that noise excites visibly or that overshoot, the likeliest first; empty if none explains a recording.
 
-    Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain where it is known. path: numbers fitted to it.
+    Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain if known. path: numbers fitted to the path.
     """
     y = _main(y)
     N = len(y)
@@ -47,7 +47,7 @@ def excited(y, Ts, z=None, path=0) -> list:
         a = np.convolve([1.0, -1.0], [1.0, -keep]) if lag else np.array([1.0, -1.0])
         for colour, c in _noises(keep, b):
             made = _over_dead_times(y, a, b, c, LateLoop(part, lag * Ts, 0.0), most, floor)
-            # Its gain is a number, and so are a lag and a colour; its dead time is what an order is to the other.
+            # Fitted numbers: a gain, a lag, a colour; the dead time counts no more than an autoregression's order.
             least = min(least, min(loop.score for loop in made) + number * (1 + (lag > 0) + (colour > 0)))
             tried += made
     free = min(_autoregression(y, p, most + 3, floor) + number * p for p in FREE if p < min(rows // 4, most + 3))
@@ -63,22 +63,23 @@ def excited(y, Ts, z=None, path=0) -> list:
 
 
 def _left(loop, angle, Ts) -> float:
-    """Which share of an error is left of it when it has turned by an angle; 0 where it does not turn."""
+    """The share of an error that is left when it has turned by an angle; 0 if it does not turn."""
     factor = loop.slowest(Ts)
     turn = abs(np.angle(factor))
     return float(np.abs(factor) ** (angle / turn)) if turn else 0.0
 
 
 def _main(y):
-    """(N, c) of the main parts of columns: joints share a loop, and what excites it."""
+    """(N, c) principal components of columns: joints share a loop and its excitation."""
     y = y / np.maximum(np.std(y, axis=0), np.finfo(float).tiny)
     _, size, parts = np.linalg.svd(triangle(y))
     return y @ parts[: min(int(np.sum(size > NO_PART * size[0])), MAIN)].T
 
 
 def _noises(keep, b):
-    """(θ, C) of noise in the motion and, with a lag, in what is measured; last of what is measured and not recorded,
-    which comes through the drive."""
+    """(θ, C) of noise in the motion and, with a lag, of measurement noise; last of unrecorded measurement noise, which
+    passes through the drive.
+    """
     for colour in COLOURS:
         yield colour, np.array([1.0, -colour])
         if keep:
@@ -89,7 +90,7 @@ def _noises(keep, b):
 
 
 def _drive(lag, part):
-    """(e^{−1/lag}, numerator in B without its first B) of the sampled lag after a part of a sample of dead time."""
+    """(e^{−1/lag}, numerator in B without its first B) of the sampled lag after a fraction of a sample of dead time."""
     if not lag:
         return 0.0, np.array([1.0])
     model = sampled(Drive(delay=part, lag=lag), 1.0)
@@ -102,7 +103,7 @@ def _drive(lag, part):
 
 
 def _over_dead_times(y, a, b, c, start, most, floor) -> list:
-    """For each dead time the loop with the best gain."""
+    """For each dead time, the loop with the best gain."""
     from scipy.signal import lfilter
 
     first, N = most + 3, len(y)
@@ -121,7 +122,7 @@ def _over_dead_times(y, a, b, c, start, most, floor) -> list:
 
 
 def _wandering(y, first, floor) -> float:
-    """The criterion of a random walk, as of a hand or of drift, below the noise of what is measured."""
+    """The criterion of a random walk, as of a hand or of drift, under measurement noise."""
     from scipy.signal import lfilter
 
     left = [lfilter([1.0, -1.0], [1.0, -theta], y, axis=0)[first:] for theta in WANDERS]
@@ -129,7 +130,7 @@ def _wandering(y, first, floor) -> float:
 
 
 def _autoregression(y, order, first, floor) -> float:
-    """The criterion of y[k] = Σ aⱼ y[k−j] + w, all columns alike."""
+    """The criterion of y[k] = Σ aⱼ y[k−j] + w, with the same a for all columns."""
     power = np.var(np.diff(y, axis=0), axis=0) + floor
     lagged = np.stack([y[first - j : len(y) - j] / np.sqrt(power) for j in range(order + 1)], -1)
     now, past = lagged[..., 0], lagged[..., 1:]

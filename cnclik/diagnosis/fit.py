@@ -1,8 +1,8 @@
-"""Fit: the drive between recorded commands and the recorded motion, by least squares over its exact samples.
+"""Fit: the drive between recorded commands and the recorded motion, by least squares with exact sampling.
 
 A row of a recording is a sample: the motion measured at t[k], and the command sent then. Before the first row the first
-command is constant. Each joint has an offset and, where the recording needs them, a gain and a drift: motion = gain ·
-(drive's motion) + offset + drift · t. These are linear, so that the search eliminates them (Golub & Pereyra 1973).
+command is constant. Each joint has an offset and, if the recording needs them, a gain and a drift: motion = gain ·
+(drive's motion) + offset + drift · t. These enter linearly, so the search eliminates them (Golub & Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from cnclik.record import record, replace
 from cnclik.shapes import ArrayLike, Float
 
 KINDS = ("delay", "lag", "second-order")  # by their order
-DELAYS = 200  # samples of dead time that are looked at, at most
-MOVED = 0.2  # share of the range by which something has clearly moved
-TIMES = np.geomspace(0.2, 200, 16)  # of lag, or 1/ω₀, in samples, that are looked at
+DELAYS = 200  # samples of dead time to be tried, at most
+MOVED = 0.2  # share of the range that counts as a clear motion
+TIMES = np.geomspace(0.2, 200, 16)  # lags, or 1/ω₀, to start from [samples]
 RATIOS = (0.1, 0.3, 0.7, 1.0, 2.0, 4.0)  # ζ
-BETTER = 10.0  # by which another number must lower the information criterion
-EXPLAINED = 0.5  # share of a motion below which a command has nothing to do with it
-EXACT = 1e-5  # share of a motion that is rounding
-EVALUATIONS = 15  # of a fit from one start, for each number
-OFF = 0.02  # by which a gain differs from 1 that is worth a word
-REST = 5e-3  # share of a motion by which its last tenth may differ from the one before, to be at rest
-OTHER_UNIT = 5.0  # factor from which on a gain is none: degrees for radians, another joint, a wrong sign
-STRUCTURE = 4.0  # samples over which what is left hangs together, from which on a drive is more than its model
-SEEN = 2e-3  # or share of a motion's range that is left, below which that is worth no word
-PARTS = (("gain", "drift"), ("gain",), ())  # what a joint has besides its offset
-CAUGHT_UP = 0.5  # of the time by which a velocity drive is late: more than this that is left hides a lag
+BETTER = 10.0  # decrease of the information criterion that justifies another number
+EXPLAINED = 0.5  # share of a motion that a command must explain
+EXACT = 1e-5  # share of a motion that counts as rounding
+EVALUATIONS = 15  # evaluations per number, in a fit from one start
+OFF = 0.02  # difference of a gain from 1 that deserves a note
+REST = 5e-3  # share of a motion by which its last two tenths may differ at rest
+OTHER_UNIT = 5.0  # factor of a gain beyond which something is wrong: units, another joint, the sign
+STRUCTURE = 4.0  # correlation length of the residual [samples] above which the model is too simple
+SEEN = 2e-3  # unless the residual is below this share of a motion's range
+PARTS = (("gain", "drift"), ("gain",), ())  # of a joint, besides its offset
+CAUGHT_UP = 0.5  # share of a velocity drive's delay; a larger residual hides a lag
 NOT_REBASED = (
     "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
     "difference adds up, so that it runs away or does not arrive. Begin each command at the last one."
@@ -90,7 +90,7 @@ class DriveFit:
 
 
 def _said(value) -> str:
-    """One number or several; what is below a millionth is none."""
+    """One number or several, as text; values below a millionth are 0."""
     return " ".join(f"{0.0 if abs(v) < 1e-6 else v:.4g}" for v in np.ravel(value))
 
 
@@ -141,7 +141,7 @@ def fit_drive(
 
 
 def _best(shapes, log):
-    """The simplest fit that none beats by much."""
+    """The simplest fit, unless another one is much better."""
     found = sorted((fit for shape in shapes for fit in _fits(shape, log)), key=lambda fit: fit.count)
     best = found[0]
     for other in found[1:]:
@@ -151,8 +151,11 @@ def _best(shapes, log):
 
 
 def _catches_up(fit, log) -> bool:
-    """Whether what is left is worth more time than half of what the fit is late by. A velocity servo with an integral
-    part makes up for its lag, so that in the end its joints are hardly late: its lag is seen in the velocities."""
+    """Whether the residual amounts to more than half of the fit's delay.
+
+    A velocity servo with an integral part makes up for its lag, so its joints are hardly delayed at the end; only the
+    velocities show the lag.
+    """
     if fit.shape.start.command != "velocity":
         return False
     left = log.motion - log.motions(fit.shape, fit.values, fit.parts)[0]
@@ -174,7 +177,7 @@ def _made(fit, log, hides) -> DriveFit:
     if len(odd):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, or other units"
         raise errors.fail("motion", "move by about what is commanded", found)
-    length = np.array([correlated(c) for c in left.T])  # what hangs together tells less
+    length = np.array([correlated(c) for c in left.T])  # correlated residuals carry less information
     deviations = log.deviations(fit.shape, fit.values, fit.parts, fit.own) * np.sqrt(length)[:, None]
     numbers = [fit.shape.numbers(values) for values in fit.values]
     same = all(row == numbers[0] for row in numbers)
@@ -182,7 +185,7 @@ def _made(fit, log, hides) -> DriveFit:
     drive = replace(fit.shape.start, **changes | {"delay": numbers[0]["delay"]})
     rms = np.sqrt(np.mean(left**2, axis=0))
     structured = hides or bool(np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(motion, axis=0))))
-    scale = np.array([[1.0, *list(row.values())[1:]] for row in numbers])  # of a logarithm the relative deviation
+    scale = np.array([[1.0, *list(row.values())[1:]] for row in numbers])  # the deviation of a logarithm is relative
     stable, why = stable_range(fit, deviations, gain, structured, log.command)
     uncertainty = dict(zip(numbers[0], (deviations * scale).max(0).tolist(), strict=True))
     return DriveFit(
@@ -199,8 +202,9 @@ def _made(fit, log, hides) -> DriveFit:
 
 
 def _at_rest(log, gain, drift, command_kind):
-    """Gains (k,), of position drives as they are in the end where commands and motions have come to rest: joints that
-    swing together bend those that are fitted."""
+    """Gains (k,) of position drives, from where commands and motions have come to rest, if they have: joints that
+    oscillate together distort the fitted gains.
+    """
     last = len(log.motion) // 10
     if command_kind != "position" or last < 2 or np.any(log.command[-2 * last :] != log.command[-1]):
         return gain
@@ -233,7 +237,7 @@ def _notes(gain, structured, k, why, command_kind) -> list:
 
 
 class _Log:
-    """A recording, and what of a motion a drive leaves."""
+    """A recording, and the residual that a drive leaves."""
 
     def __init__(self, command, motion, Ts, rates=False):
         self.command, self.motion, self.Ts, self.rates = command, motion, Ts, rates
@@ -241,18 +245,17 @@ class _Log:
         self.time = np.linspace(-1, 1, len(motion))
 
     def joint(self, j):
-        """The recording of one joint."""
         return _Log(self.command[:, [j]], self.motion[:, [j]], self.Ts, self.rates)
 
     def moved(self, shape, values):
-        """(N, k) of drives by their values (k, p), without offsets."""
+        """(N, k) motions of drives with values (k, p), without offsets."""
         if np.all(values == values[0]):
             return response(shape.drive(values[0]), self.command, self.Ts)
         each = [response(shape.drive(v), self.command[:, [j]], self.Ts) for j, v in enumerate(values)]
         return np.hstack(each)
 
     def motions(self, shape, values, parts):
-        """((N, k) of the fit, gains (k,), drifts (k,) [1/s])."""
+        """((N, k) fitted motions, gains (k,), drifts (k,) [1/s])."""
         moved, k = self.moved(shape, values), self.motion.shape[1]
         made, gain, drift = np.empty_like(moved), np.empty(k), np.empty(k)
         for j in range(k):
@@ -267,12 +270,12 @@ class _Log:
         return made, gain, drift
 
     def left(self, shape, values, parts):
-        """(N, k) of each motion, or of its changes, as shares of its standard deviation."""
+        """(N, k) residual of each motion, or of its changes, as shares of its standard deviation."""
         left = self.motion - self.motions(shape, values, parts)[0]
         return np.diff(left, axis=0) / self.change if self.rates else left / self.size
 
     def deviations(self, shape, values, parts, own):
-        """(k, p) standard deviations of drives' values, of white noise. own: whether each joint has its own."""
+        """(k, p) standard deviations of drives' values for white noise. own: whether each joint has its own values."""
         here = self.left(shape, values, parts)
         power = np.mean(here**2, axis=0) + EXACT**2
         slopes = [
@@ -283,46 +286,46 @@ class _Log:
         each = np.einsum("nki,nkj->kij", slope, slope)
         each = each if own else np.broadcast_to(each.sum(0), each.shape)
         made = np.sqrt(np.abs(np.diagonal(np.linalg.pinv(each), axis1=-2, axis2=-1)))
-        return np.minimum(made, 1e3)  # of a number that hardly acts
+        return np.minimum(made, 1e3)  # for a number that hardly matters
 
 
 @record
 class Fit:
-    """A drive that was fitted: values (k, p) of the joints, alike where they share them, and the criterion."""
+    """A fitted drive: values (k, p) of the joints, equal if they share them, and the criterion."""
 
     shape: Shape
     values: Float[np.ndarray, "k p"]
     parts: tuple
     own: bool
     score: float
-    count: int  # of numbers
+    count: int  # number of fitted values
 
 
 def _fits(shape, log):
-    """The drives of an order: for each of PARTS with numbers of all joints, and with numbers of each where better."""
+    """The drives of an order, for each of PARTS: with shared values, and with values per joint if that is better."""
     starts = _begin(shape, log)
     k = log.motion.shape[1]
     own = [_begin(shape, log.joint(j), most=1) for j in range(k)] if k > 1 and shape.order else None
-    for parts in PARTS:  # each is part of the one before, and begins there
+    for parts in PARTS:  # each is a subset of the one before, and starts from its values
         least = _least(shape, starts, log, parts)
         starts, values = [least], np.tile(least, (k, 1))
         fit = _scored(shape, values, log, parts, own=False)
         if own is not None:
             each = [_least(shape, begin, log.joint(j), parts) for j, begin in enumerate(own)]
             certain = 1 / (log.deviations(shape, np.array(each), parts, own=True)[:, 0] ** 2 + 1e-12)
-            delay = float(np.average([values[0] for values in each], weights=certain))  # that of all joints
+            delay = float(np.average([values[0] for values in each], weights=certain))  # shared by all joints
             own = [[v] for v in each]
             each = [_least(shape, [v], log.joint(j), parts, delay) for j, v in enumerate(each)]
             other = _scored(shape, np.array(each), log, parts, own=True)
             if other.score < fit.score - BETTER:
                 fit = other
             else:
-                own = None  # nor with fewer parts
+                own = None  # fewer parts need none, either
         yield fit
 
 
 def _begin(shape, log, most=2):
-    """The best few of a grid of the other numbers, each with its best dead time: values to begin from."""
+    """The best few points of a grid, each with its best dead time, to start from."""
     grid = [()] if shape.order == 0 else [(tau,) for tau in np.log(TIMES * log.Ts)]
     if shape.order == 2:
         grid = [(-tau, np.log(zeta)) for (tau,), zeta in itertools.product(grid, RATIOS)]
@@ -343,19 +346,19 @@ def _begin(shape, log, most=2):
 
 
 def _latest(command, motion) -> int:
-    """The most samples of dead time: from the first change of a command until something has clearly moved."""
+    """The largest possible dead time [samples]: from the first change of a command until a clear motion."""
     sent = np.argmax(np.any(command != command[0], axis=1))
     moved = np.argmax(np.any(np.abs(motion - motion[0]) > MOVED * np.ptp(motion, axis=0), axis=1))
     return max(int(moved - sent), 0)
 
 
 def _least(shape, starts, log, parts, delay=None):
-    """Values (p,) of least squares, from several starts, at a dead time if it is given."""
+    """Values (p,) of least squares, the best of several starts, at a given dead time if there is one."""
     from scipy.optimize import least_squares
 
     k = log.motion.shape[1]
     fixed = [] if delay is None else [delay]
-    if shape.order == 0 and delay is None:  # between whole samples motion is a straight line of the dead time: no slope
+    if shape.order == 0 and delay is None:  # motion is piecewise linear in the dead time: no slope at whole samples
         starts = [[side] for side in sorted({max(v[0] + s, 0.0) for v in starts for s in (-0.5, 0.5)})]
 
     def left(free):

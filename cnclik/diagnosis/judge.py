@@ -1,4 +1,4 @@
-"""Judge: which of a recording's modes are the loop's, which belong to a path, and what they amount to."""
+"""Judge: decides which modes of a recording belong to the loop and which to a path, and what kind of motion they are."""
 
 import enum
 
@@ -7,27 +7,27 @@ import numpy as np
 from cnclik.diagnosis.blocks import orthogonal, within
 from cnclik.diagnosis.modes import Modes, polynomials, roughness
 
-MOST = 2000  # rows that are looked at: those that move most
+MOST = 2000  # rows to be judged, at most: those that move most
 LEAST = 16  # rows
-TURNS = 3  # periods that must be there of what doesn't shrink
-SHRUNK = 0.7  # share that is left at the end of what does: of that one period is enough
-BEGUN = 0.05  # share of the range that something must move to have begun
-BACK = 0.04  # share of the range by which a recording goes back and forth, from which on it rings
-SEEN = 0.01  # share that is left after half a period, below which nobody would call it ringing
-HELD = 1.5  # factor in size over all rows up to which an oscillation counts as sustained
-GREW = 2.0  # factor over all rows from which on growth without swinging is none of a path
-LOST = 0.05  # share that is left at the end of what has died out
-WINDOW = 1.5  # periods of a window in which an oscillation must be seen
-BENT = 2.0  # times its roughness that what is left may be, if bends of a path are no part of it
-CLEAN = 1e-3  # or this share of the waves themselves
-HARDLY = 2e-3  # share of the range that is hardly anything
-WAVES = 0.04  # share of the range that such bends may leave in waves
-ABOVE = 1.5  # or times what is left,
-OFTEN = 10  # where there are fewer periods
-BETTER = 10.0  # by which growth must be likelier than a polynomial
-THERE = 0.5  # share of it that must be there, beside the cubic that fits best
-UNFINISHED = 0.3  # share of a decay that a short recording's path, and what doesn't end, may move as well
-ABOVE_NOISE = 8.0  # or times its noise, where there is no decay
+TURNS = 3  # periods needed of an oscillation that does not decay
+SHRUNK = 0.7  # share left at the end of one that decays; for these one period is enough
+BEGUN = 0.05  # share of the range that counts as the beginning of motion
+BACK = 0.04  # back-and-forth motion, as a share of the range, that counts as ringing
+SEEN = 0.01  # share left after half a period below which it is not ringing
+HELD = 1.5  # change in size over all rows, at most, of a sustained oscillation
+GREW = 2.0  # factor over all rows above which growth without oscillation is not a path's
+LOST = 0.05  # share left at the end of a motion that has decayed
+WINDOW = 1.5  # periods in a window in which an oscillation must be visible
+BENT = 2.0  # residual over its roughness, at most, if no bends of a path are left in it
+CLEAN = 1e-3  # or the residual as a share of the waves
+HARDLY = 2e-3  # share of the range that is negligible
+WAVES = 0.04  # waves left by such bends, at most, as a share of the range
+ABOVE = 1.5  # or as a multiple of the residual,
+OFTEN = 10  # if there are fewer periods than this
+BETTER = 10.0  # margin in the criterion by which growth must beat a polynomial
+THERE = 0.5  # share of an oscillation that must remain beside the best cubic
+UNFINISHED = 0.3  # motion of a short recording's path and of lasting modes, as a share of the decay
+ABOVE_NOISE = 8.0  # or as a multiple of the noise, if there is no decay
 
 
 class Kind(enum.StrEnum):
@@ -47,12 +47,12 @@ OSCILLATING = (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
 
 
 def spans(parts):
-    """(k,) of the sum of parts (g, N, k)."""
+    """(k,) range of the sum of parts (g, N, k)."""
     return np.ptp(parts.sum(0), axis=0)
 
 
 def looked_at(y, longest):
-    """(first, begun, last): of the rows that move most, at most MOST; before `begun` they hardly do."""
+    """(first, begun, last): the at most MOST rows that move most; before `begun` they hardly move."""
     first, last = 0, len(y)
     if last > MOST:
         width = int(min(longest, last // 8))
@@ -68,10 +68,10 @@ def looked_at(y, longest):
 
 
 def judged(y, found: Modes, longest):
-    """(kind, indices of the modes that it is about with the dominant first, whether each mode is the loop's).
+    """(kind, indices of the modes that show it with the dominant first, whether each mode is the loop's).
 
     Args:
-      y: (N, k) what the modes were found in. longest: period in samples of what is no path.
+      y: (N, k) what the modes were found in. longest: longest period of a loop's oscillation [samples].
     """
     N, f, size = len(y), found.factors, np.abs(found.factors)
     angle = np.abs(np.angle(f))
@@ -110,30 +110,32 @@ def judged(y, found: Modes, longest):
 
 
 def _grows(y, found, i, swinging) -> bool:
-    """Whether a growth is what the recording is about: more than what swings, explained, and no bend of a path."""
+    """Whether growth is the main motion: larger than the oscillation, explained, and not a path's bend."""
     span = np.ptp(found.parts[i], axis=0)
     most = np.max(span / np.ptp(y, axis=0))
     other = np.max(spans(found.parts[swinging]) / np.ptp(y, axis=0)) if len(swinging) else 0.0
     tenths = np.stack([part.mean(0) for part in np.array_split(y, 10)])
     step = np.abs(np.diff(tenths, axis=0))
-    if np.all(step[-1] < step[:-1].max(0)):  # a growth is fastest at its end
+    if np.all(step[-1] < step[:-1].max(0)):  # growth is fastest at its end
         return False
     return bool(most > max(other, WAVES) and explained(y, found) and likelier(y, found))
 
 
 def likelier(y, found: Modes) -> bool:
-    """Whether modes that grow explain y (N, k) better than a path, or than the beginning of a motion that ends."""
+    """Whether growing modes explain y (N, k) better than a path, or than the start of a motion that ends."""
     return found.score < polynomials(y) - BETTER
 
 
 def explained(y, found: Modes) -> bool:
-    """Whether what path and modes leave of y (N, k) is noise, or hardly anything."""
+    """Whether path and modes leave only noise of y (N, k), or a negligible part."""
     left = y - found.path - found.parts.sum(0)
     return bool(np.all(found.noise <= np.maximum(BENT * roughness(left), HARDLY * np.ptp(y, axis=0))))
 
 
 def _is_there(y, found, part, angle) -> bool:
-    """Whether an oscillation (N, k) is what y does window by window, and no sum of waves that fits a path's bends."""
+    """Whether an oscillation (N, k) is visible in y in every window, and is not a sum of waves that fits a path's
+    bends.
+    """
     left = y - found.path - found.parts.sum(0)
     rough = roughness(left)
     many = len(y) * angle > 2 * np.pi * OFTEN
@@ -152,7 +154,7 @@ def _is_there(y, found, part, angle) -> bool:
 
 
 def _turns_back(part) -> bool:
-    """Whether (N, k) goes back and forth, and not one way only."""
+    """Whether (N, k) goes back and forth, not only one way."""
     way, span = np.abs(np.diff(part, axis=0)).sum(0), np.ptp(part, axis=0)
     main = span > 0.1 * span.max()
     return bool(np.any(way[main] > (1 + BACK) * span[main]))

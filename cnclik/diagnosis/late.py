@@ -1,8 +1,8 @@
-"""Late: the loops with dead time, and perhaps a lag, that an oscillation may be of, and how likely each is.
+"""Late: the loops with dead time, and perhaps a lag, that may cause an oscillation, and their probabilities.
 
-A loop of gain z = alpha·Ts has the factor λ where z = −Ts/G(λ), G the sampled drive from commanded velocity to motion.
-Of dead time alone that is z = λ^d (1 − λ), and the phase of λ gives d. With a lag, each dead time below that one has a
-lag and a gain with which λ is a factor: only the rest of the recording, or a known gain, tells them apart.
+A loop of gain z = alpha·Ts has the factor λ if z = −Ts/G(λ), with G the sampled drive from commanded velocity to
+motion. For dead time alone z = λ^d (1 − λ), and the phase of λ gives d. With a lag, each shorter dead time has a lag
+and a gain with which λ is a factor: only the rest of the recording, or a known gain, decides.
 """
 
 from __future__ import annotations
@@ -18,46 +18,46 @@ from cnclik.shapes import Float
 from cnclik.stability.driven import driven_factors
 from cnclik.stability.linear import late_monotone, late_stable
 
-NEIGHBOURS = 2  # on either side of the dead time that the phase gives, which are tried
-PERIODS = 12  # of a recording that is looked at
-SHORT = 150  # rows of a recording in which other dead times are tried as well where none of these explains it:
-WIDE = 12  # so many, and twice as many as the phase gives
-LAGS = 8  # dead times with a lag that are tried
-NO_LAG = 0.2  # samples of a lag that is none
-TEMPER = 0.25  # in place of a half: no real loop is one of these exactly
-SIMPLE = 0.03  # share of the likeliest loop's probability from which on dead time alone is told first
-USUAL = 0.05  # [s] of a lag, up to about which drives of robots lag
-SHORTEST = 1e-2  # samples of a lag
-LONGEST = 0.2  # [s] of a lag: what is slower is no robot's drive
-WORSE = 4.0  # times the noise power that such a loop may leave, or:
-PART = 1e-3  # this share of the recording's
-UNMODELLED = 3e-4  # share of a recording by which a real loop differs from a linear one
+NEIGHBOURS = 2  # dead times to be tried on either side of the phase's
+PERIODS = 12  # periods of a recording, at most
+SHORT = 150  # rows; in a shorter recording more dead times are tried if none of these explains it:
+WIDE = 12  # up to this, and up to twice the phase's
+LAGS = 8  # dead times with a lag to be tried
+NO_LAG = 0.2  # samples; a shorter lag counts as none
+TEMPER = 0.25  # instead of 1/2, as no real loop is exactly one of these
+SIMPLE = 0.03  # share of the likeliest loop's probability above which dead time alone is reported
+USUAL = 0.05  # [s] typical largest lag of robot drives
+SHORTEST = 1e-2  # samples of a lag, at least
+LONGEST = 0.2  # [s] of a lag, at most, of a robot's drive
+WORSE = 4.0  # residual power, at most, as a multiple of the noise power
+PART = 1e-3  # or as a share of the recording's power
+UNMODELLED = 3e-4  # share of a recording that a linear loop cannot explain
 KNOWN = 0.1  # relative deviation of the loop's gain from a known alpha·Ts
-OTHER_GAIN = 9.0  # criterion that a gain which is not the known one costs, at most
+OTHER_GAIN = 9.0  # largest penalty in the criterion for a gain other than the known one
 
 
 class LateLoop(NamedTuple):
-    """A loop that an oscillation may be of."""
+    """A loop that may cause an oscillation."""
 
     delay: float  # [samples]
     lag: float  # [s], 0 for none
     z: float
     score: float = np.inf  # -2 log of its likelihood
-    share: float = 0.0  # probability among all that were tried
-    power: Float[np.ndarray, " k"] | tuple[()] = ()  # what it leaves of each column
+    share: float = 0.0  # probability among all tried loops
+    power: Float[np.ndarray, " k"] | tuple[()] = ()  # residual power of each column
 
     @property
     def drive(self) -> Drive:
-        """What lies between command and motion."""
+        """The drive between command and motion."""
         return Drive(delay=float(self.delay), lag=float(self.lag))
 
     @property
     def usual(self) -> float:
-        """How usual its lag is among robots."""
+        """A weight for how common its lag is among robots."""
         return 1.0 / (1.0 + (self.lag / USUAL) ** 2)
 
     def as_known(self, z) -> float:
-        """How well its gain fits a known one, if there is one: at most 1."""
+        """How well its gain fits the known one, at most 1; 1 if none is known."""
         return 1.0 if z is None else float(np.exp(-0.5 * min((np.log(self.z / z) / KNOWN) ** 2, OTHER_GAIN)))
 
     def factors(self, Ts):
@@ -76,7 +76,7 @@ class LateLoop(NamedTuple):
         return complex(found[np.argmax(np.abs(found))])
 
     def calm(self, Ts) -> float:
-        """The largest z without overshoot if the dead time were a sample longer: where two real factors meet."""
+        """The largest z without overshoot with one more sample of dead time: where two real factors meet."""
         if not self.lag:
             return late_monotone(self.delay + 1)
         fast = np.exp(-Ts / self.lag)
@@ -87,7 +87,7 @@ class LateLoop(NamedTuple):
 def by_share(loops, of_lags: float, z=None) -> list:
     """Loops with their shares of the probability, the likeliest first.
 
-    Args: of_lags: what one with a lag weighs beside one without. z: the loop's gain where it is known.
+    Args: of_lags: weight of a loop with a lag relative to one without. z: the loop's gain if known.
     """
     best = min(loop.score for loop in loops)
     odds = [
@@ -99,7 +99,7 @@ def by_share(loops, of_lags: float, z=None) -> list:
 
 
 def phase_delay(factor) -> float:
-    """Dead time [samples] for which z is a positive number: −arg(1 − λ)/arg λ, the least."""
+    """The smallest dead time [samples] for which z is positive: −arg(1 − λ)/arg λ."""
     return float(-np.angle(1 - factor) / np.angle(factor))
 
 
@@ -111,21 +111,21 @@ def gain_of(factor, delay) -> float:
 def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
     """(loops, whether they explain the recording) of a dominant factor, complex or negative.
 
-    The likeliest is the first, or one without a lag that is not much less likely.
+    The first is the likeliest, or one without a lag that is not much less likely.
 
-    Whole numbers of samples next to what the phase says are tried, over z; and shorter dead times with a lag. For each
-    all motions of such a loop are fitted to the recording. Where none explains it the factor alone is believed.
+    Whole numbers of samples next to the phase's are tried over z, and shorter dead times with a lag. All motions of
+    each loop are fitted to the recording. If none explains it, only the factor counts.
 
     Args:
-      y: (N, k) recording. basis: (N, t) of its offset and path. noise: (k,) what the modes leave of it.
-      Ts: [s]. z: the loop's gain where it is known.
+      y: (N, k) recording. basis: (N, t) of its offset and path. noise: (k,) residual of the modes.
+      Ts: [s]. z: the loop's gain if known.
     """
     phase = phase_delay(factor)
     period = 2 * np.pi / np.angle(factor)
     N = min(len(y), int(PERIODS * period + 4 * (phase + 1)) + 24)
     fit = _Fit(y[:N], basis[:N], Ts, z)
     near = range(max(round(phase) - NEIGHBOURS, 0), round(phase) + NEIGHBOURS + 1)
-    if not factor.imag:  # of a loop that is late, no negative factor is the dominant one
+    if not factor.imag:  # with dead time, no negative factor is dominant
         near = (0,)
     tried = [fit.whole(delay, factor, phase) for delay in near if fit.has_room(delay)]
     if factor.imag and 0.2 < phase < MOST:
@@ -144,7 +144,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
 
 
 def _explained(loops, fit, noise) -> bool:
-    """Whether the likeliest leaves no more than noise, or a small part."""
+    """Whether the likeliest loop leaves only noise, or a small part."""
     if not loops:
         return False
     left = min(loops, key=lambda loop: loop.score).power
@@ -163,7 +163,7 @@ class _Fit(NamedTuple):
         return delay + 1 + self.basis.shape[1] < len(self.y) // 2
 
     def scored(self, loop: LateLoop) -> LateLoop:
-        """A loop with its criterion: what is left when all its motions are projected out, and its gain."""
+        """A loop with its criterion, from the residual of all its motions and from its gain."""
         N, k = self.y.shape
         factors = loop.factors(self.Ts)
         r = triangle(np.hstack([columns_of(factors[factors.imag >= 0], N)[0], self.basis, self.y]))
@@ -173,7 +173,7 @@ class _Fit(NamedTuple):
         return loop._replace(score=float(N * np.sum(np.log(power + floor))) + off, power=power)
 
     def whole(self, delay, factor, phase) -> LateLoop:
-        """The best gain of a whole number of samples of dead time."""
+        """The best gain for a whole number of samples of dead time."""
         from scipy.optimize import minimize_scalar
 
         low, high = 0.65 * gain_of(factor, delay), 1.35 * gain_of(factor, delay)
@@ -194,7 +194,7 @@ class _Fit(NamedTuple):
 
 
 def _with_lags(fit, factor, phase) -> list:
-    """Loops with a lag, for a factor that is fitted once more with the best of them."""
+    """Loops with a lag for a factor, which is then refitted with the best of them."""
     from scipy.optimize import minimize
 
     tried = [fit.scored(loop) for loop in _family(factor, phase, fit.Ts) if fit.has_room(loop.delay + 1)]
@@ -223,7 +223,7 @@ def _with_lags(fit, factor, phase) -> list:
 
 
 def _family(factor, phase, Ts) -> list:
-    """Loops with a lag that have this factor as their largest, one for each of some dead times below the phase's."""
+    """Loops with a lag that have this factor as their largest, one per tried dead time below the phase's."""
     from scipy.optimize import brentq
 
     def gain(delay, lag):

@@ -1,8 +1,8 @@
-"""Modes: a recording as a sum of factors to the power of the sample, a slow path, and noise.
+"""Modes: a recording as a sum of powers of factors, a slow path, and noise.
 
-Factors come from the shift of the signal space of Hankel matrices (ESPRIT, total least squares: Roy & Kailath 1989),
-stacked for several columns, which share them. Offsets, drifts and slow paths are projected out of the Hankel matrices
-beforehand, which leaves what is shifted as it is.
+The factors come from the shift of the signal space of Hankel matrices (ESPRIT, total least squares: Roy & Kailath
+1989), stacked for all columns, which share them. Offsets, drifts and slow paths are first projected out of the Hankel
+matrices; this does not affect the shift.
 """
 
 from typing import NamedTuple
@@ -14,26 +14,26 @@ from cnclik.diagnosis.blocks import orthogonal, product, triangle, within
 ROWS = 128  # of a Hankel matrix, at most
 ORDER = 12  # factors of a recording, at most
 GROWTH = 4.0  # per sample, at most
-DEGREE = 9  # of the polynomials that a path is compared with
-WINDOWS = 8192  # columns of the Hankel matrices, at most: of a long recording with many columns every few
-CLEAN = 0.1  # share of what it varies by which a clean column is measured: the others tell less
-EXACT = 1e-8  # share of a column that is rounding
-SHORT, LEFT = 64, 4  # rows of a recording that may be the beginning of a motion; and after that
-PENALTY = 2.0  # on the logarithm of the number of samples, for each number that is fitted: modes are searched for
+DEGREE = 9  # of polynomials that stand for a path
+WINDOWS = 8192  # columns of the Hankel matrices, at most; larger recordings are subsampled
+CLEAN = 0.1  # noise of a clean column as a share of its variation; noisier ones count less
+EXACT = 1e-8  # share of a column that counts as rounding
+SHORT, LEFT = 64, 4  # rows of a recording that may be the start of a motion, and rows after the start
+PENALTY = 2.0  # of each fitted number, times the logarithm of the number of samples
 
 
 class Modes(NamedTuple):
     """A recording in parts: y = path + Σ parts + noise."""
 
-    factors: np.ndarray  # (g,) complex, of each pair the one above the real axis
+    factors: np.ndarray  # (g,) complex; of each pair the one above the real axis
     parts: np.ndarray  # (g, N, k)
-    path: np.ndarray  # (N, k): offset, drift, and what of it is slow
-    noise: np.ndarray  # (k,) standard deviation of what is left
-    score: float  # information criterion: the less the better
+    path: np.ndarray  # (N, k) offset, drift and slow motion
+    noise: np.ndarray  # (k,) standard deviation of the residual
+    score: float  # information criterion; less is better
 
 
 def trend(N: int, shortest=None) -> np.ndarray:
-    """(N, t) offset and drift; and, for slow paths, sines and cosines down to a period in samples."""
+    """(N, t) columns of offset and drift and, for slow paths, sines and cosines down to a period [samples]."""
     k = np.arange(N) / N
     columns = [np.ones(N), k - 0.5]
     for i in range(1, 0 if shortest is None else int(2 * N / shortest) + 1):
@@ -45,7 +45,7 @@ def find_modes(y, slowest: float) -> Modes:
     """The modes of y (N, k) that an information criterion keeps.
 
     Args:
-      slowest: period in samples from which on motion may belong to a path.
+      slowest: period [samples] above which motion may belong to a path.
     """
     N = len(y)
     bases = [trend(N)]
@@ -65,7 +65,7 @@ def _best(y, basis):
         for factors, owner, own in zip(sets, owners, columns, strict=True)
     ]
     best = min(tried, key=lambda fit: fit.score)
-    while len(best.factors):  # what the criterion doesn't miss goes
+    while len(best.factors):  # drop modes that do not improve the criterion
         fewer = min((best.without(i) for i in range(len(best.factors))), key=lambda fit: fit.score)
         if fewer.score > best.score:
             break
@@ -74,7 +74,7 @@ def _best(y, basis):
 
 
 class _Reduced(NamedTuple):
-    """A recording and the motions of factors, both without their path and as a triangle: what fits need of them."""
+    """A recording and the motions of factors, both without the path and reduced to a triangle, for fits."""
 
     factors: np.ndarray
     owner: np.ndarray  # (c,) the factor of each column
@@ -90,13 +90,13 @@ class _Reduced(NamedTuple):
 
     @property
     def score(self) -> float:
-        """As of `Modes`."""
+        """See `Modes`."""
         (N, k), c = self.y.shape, len(self.owner)
         left = self.r[:, c:] - self.r[:, :c] @ self.weights
         return misfit(np.sum(left**2, axis=0) / N, self.y) + PENALTY * np.log(N) * (c * (k + 1) + self.path * k)
 
     def without(self, i):
-        """All but the i-th factor."""
+        """The same without the i-th factor."""
         gone = np.flatnonzero(self.owner == i)
         owner = np.delete(self.owner, gone)
         r = np.delete(self.r, gone, axis=1)
@@ -115,7 +115,7 @@ def _candidates(y, basis):
     windows = (windows - within(still, windows.T).T).reshape(rows, -1)
     space, values = _signal_space(windows)
     most = min(ORDER, rows // 2, int(np.sum(values > 1e-12 * values[0])))
-    # The right singular vectors of its first columns, beside the same a sample later, are those of their triangle.
+    # The stacked columns and the same one sample later have the right singular vectors of their triangle.
     both = triangle(np.hstack([space[:-1, :most], space[1:, :most]]))
     for order in range(1, most + 1):
         _, _, v = np.linalg.svd(both[:, np.r_[:order, most : most + order]])
@@ -129,9 +129,9 @@ def _candidates(y, basis):
 def _signal_space(windows):
     """(first left singular vectors, their values) of windows (rows, M).
 
-    Eigenvectors of the square tell no value below 1e-8 of the largest. What the windows make of as many again, once
-    more, are those of all values (subspace iteration: Golub & Van Loan 2013, Section 8.2.4). LAPACK is called as it is:
-    with the least of room it takes steps so small that no BLAS parts them among threads (`eigh` gives it more).
+    Eigenvectors of the square do not resolve values below 1e-8 of the largest, so a subspace iteration with twice as
+    many vectors refines them (Golub & Van Loan 2013, Section 8.2.4). LAPACK is called directly with the smallest
+    workspace: its blocks are then too small for BLAS to use threads (`eigh` provides a larger one).
     """
     from scipy.linalg.lapack import dsyevx
 
@@ -145,18 +145,18 @@ def _signal_space(windows):
 
 
 def _size(y):
-    """(k,) of each column: what it varies, of one that is mostly noise ten times as much as of a clean one."""
+    """(k,) size of each column: its variation, ten times as much for a mostly noisy column as for a clean one."""
     size = np.maximum(CLEAN * np.std(y, axis=0), roughness(y))
     return np.where(size > 0, size, 1.0)
 
 
 def roughness(y):
-    """(k,) of white noise its standard deviation, of what is smooth next to nothing."""
+    """(k,) estimate of each column's noise: the standard deviation of white noise, nearly 0 for smooth columns."""
     return np.std(np.diff(y, 3, axis=0), axis=0) / np.sqrt(20)
 
 
 def columns_of(factors, N: int):
-    """(N, c) real columns of factors, each at most 1, and which factor each belongs to (c,)."""
+    """(real columns (N, c) of factors, each at most 1; the factor of each column (c,))."""
     k = np.arange(N)
     columns, owner = [], []
     for i, factor in enumerate(factors):
@@ -178,16 +178,16 @@ def _in_parts(y, still, best: _Reduced):
 
 
 def misfit(power, y) -> float:
-    """-2 log of the likelihood of what is left of y (N, k), of a mean square (k,): each column has its own noise."""
+    """-2 log-likelihood of a residual of y (N, k) with mean square (k,); each column has its own noise."""
     N = len(y)
     floor = (EXACT * np.std(y, axis=0)) ** 2 + (1e-15 * np.abs(y).max(0)) ** 2 + np.finfo(float).tiny
     return float(N * np.sum(np.log(power + floor)))
 
 
 def polynomials(y) -> float:
-    """The information criterion of the polynomial that explains y (N, k) best, as `Modes.score` counts.
+    """The information criterion of the polynomial that explains y (N, k) best, as in `Modes.score`.
 
-    Of a short recording also of those that begin after some rows at rest, as what a loop does after its dead time.
+    For a short recording, polynomials that begin after some rows at rest are tried as well, as after a dead time.
     """
     N = len(y)
     t = np.linspace(-1, 1, N)[:, None]
@@ -199,7 +199,7 @@ def polynomials(y) -> float:
 
 
 def _polynomials(basis, y, counts, others) -> float:
-    """The least criterion of the first columns of a basis (N, c), so many of them. others: numbers fitted beside."""
+    """The least criterion over leading columns of a basis (N, c). counts: how many. others: other fitted numbers."""
     (N, k), c = y.shape, basis.shape[1]
     r = triangle(np.hstack([basis, y]))[:, c:]
     return min(misfit(np.sum(r[n:] ** 2, axis=0) / N, y) + PENALTY * np.log(N) * (n * k + others) for n in counts)

@@ -1,18 +1,18 @@
-"""Recording: columns of numbers and their sampling time, from stamps of any unit; which columns are no motion."""
+"""Recording: columns of numbers, their sampling time from stamps of any unit, and which columns are not motion."""
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.problem.columns import SECONDS, clock_of, words_of
 
-LARGEST = 1e30  # value of a recording: squares of far larger ones are no numbers
-MISSING = 0.6  # of a step, by which stamps must fall behind for good where a row is missing
-AROUND = 12  # rows on either side of such a place
-APART = 0.02  # by which a Ts that is given may differ from the stamps' without a word
+LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
+MISSING = 0.6  # of a step; where a row is missing, stamps fall behind permanently by at least this
+AROUND = 12  # rows compared on either side
+APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 _STATUS = ("status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index")
 _STATUS += ("enabled", "fault", "valid", "running", "row", "iteration", "safety")
-_EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # stamps of these decades, since 1970, are of about that size
-_STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # steps from that size on: no loop takes more than 0.5 s
+_EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # size of present-day stamps since 1970
+_STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
 
 
 def columns(name, values):
@@ -22,8 +22,10 @@ def columns(name, values):
 
 
 def sampling_time(t, Ts) -> float:
-    """Ts [s], or that of times (N,), which are one every Ts: jitter is none of the loop's. Raises: ArgumentError where
-    rows are missing, or none of both is given."""
+    """Ts [s] as given or from times (N,) with jitter.
+
+    Raises: ArgumentError if rows are missing, or if neither is given.
+    """
     if Ts is not None or t is None:
         return float(errors.number("Ts", Ts, positive=True))
     t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
@@ -35,7 +37,7 @@ def sampling_time(t, Ts) -> float:
     if np.unique(step).size < 4 and abs(usual / mean - 1) > APART:
         found = f"are {usual:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
         raise errors.fail("t", "be times that are equally far apart", found)
-    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # jitter has less of a part in it than in one step
+    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # long intervals reduce the effect of jitter
     gap = _gap(t, step, usual)
     if gap is not None:
         raise errors.fail(
@@ -45,7 +47,7 @@ def sampling_time(t, Ts) -> float:
 
 
 def _gap(t, step, usual):
-    """The step after which stamps are late for good; None where none is: a late stamp alone is jitter."""
+    """The step after which stamps are permanently delayed; None if there is none: a single late stamp is jitter."""
     late = t - t[0] - usual * np.arange(len(t))
     found = {}
     for k in np.flatnonzero(step > (1 + MISSING) * usual):
@@ -59,9 +61,9 @@ def _gap(t, step, usual):
 
 
 def clock(names, table):
-    """(times [s] (N,) or None; places of all columns of times; what unit they were read in, or None).
+    """(times [s] (N,) or None; indices of all columns of times; the unit they were read in, or None).
 
-    A pair of seconds and nanoseconds is one time. Where a name says no unit the size of the stamps does.
+    A pair of seconds and nanoseconds is one time. If the name does not state a unit, the size of the stamps does.
     """
     places, found, unit = [], None, None
     parts = {}
@@ -83,7 +85,7 @@ def clock(names, table):
 
 
 def _unit_of(t) -> str:
-    """Of stamps, by their size since 1970, or by their steps: a loop takes 0.1 ms to 0.5 s."""
+    """The unit of stamps, from their size since 1970 or their steps: a loop takes 0.1 ms to 0.5 s."""
     with np.errstate(invalid="ignore"):
         size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
     since = [unit for least, unit in _EPOCHS if least <= size < 4 * least and 1e-5 <= step * SECONDS[unit] <= 1.0]
@@ -91,7 +93,7 @@ def _unit_of(t) -> str:
 
 
 def no_motion(names, table) -> list:
-    """Places of columns that are no motion: without numbers, and whole numbers that are called a status or a count."""
+    """Indices of columns that are not motion: non-numeric ones, and whole numbers named like a status or a count."""
     found = []
     for i, name in enumerate(names):
         values = table[:, i][~np.isnan(table[:, i])]

@@ -1,11 +1,11 @@
-"""Response: the motion of a drive after recorded commands, and the drives that a fit looks at."""
+"""Response: the motion of a drive after recorded commands, and the drives that a fit tries."""
 
 import numpy as np
 
 from cnclik.integrate.drive import MOST, Drive, sampled
 from cnclik.record import record, replace
 
-NUMBERS = ((), ("lag",), ("natural_frequency", "damping_ratio"))  # of a drive besides its dead time, by its order
+NUMBERS = ((), ("lag",), ("natural_frequency", "damping_ratio"))  # besides the dead time, by order
 _BOUNDS = {"lag": (1e-2, 1e4), "natural_frequency": (1e-4, 10.0), "damping_ratio": (1e-2, 30.0)}  # in samples
 _POWER = {"lag": 1, "natural_frequency": -1, "damping_ratio": 0}
 
@@ -19,7 +19,7 @@ class Shape:
     order: int
 
     def numbers(self, values) -> dict:
-        """What a row of values is, by name; no number leaves its bounds."""
+        """A row of values by name, clipped to the bounds."""
         made = {"delay": float(min(abs(values[0]), MOST))}
         for name, value in zip(NUMBERS[self.order], values[1:], strict=True):
             low, high = (np.log(bound) + _POWER[name] * np.log(self.Ts) for bound in _BOUNDS[name])
@@ -32,9 +32,9 @@ class Shape:
 
 
 def response(drive: Drive, command, Ts):
-    """(N, k) motions of a drive after commands (N, k) that go on from rest at the first; of a velocity from 0 on."""
+    """(N, k) motions of a drive after commands (N, k), from rest at the first command; for velocities from 0."""
     model, N, begin = sampled(drive, Ts), len(command), command[0]
-    u = command - begin  # what the first command does is added below
+    u = command - begin  # the effect of the first command is added below
     if drive.command == "position" and not drive.steps_positions:
         u = np.diff(u, axis=0, prepend=0.0 * u[:1]) / Ts
     phi = model.phi.reshape(model.size, -1)

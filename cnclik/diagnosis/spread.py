@@ -1,20 +1,20 @@
-"""Spread: between which gains a loop through a fitted drive becomes unstable, as far as the fit knows."""
+"""Spread: the range of gains in which a loop through a fitted drive becomes unstable, given the fit's uncertainty."""
 
 import numpy as np
 
 from cnclik.integrate.drive import sampled
 from cnclik.record import replace
 
-DRAWN = 40  # drives that are drawn
-WIDE = 2.0  # standard deviations between which they are drawn
-GAIN_SPREAD = 0.05  # by which such a gain is off even where a fit leaves nothing
+DRAWN = 40  # drives to be drawn
+WIDE = 2.0  # range of the draws, in standard deviations
+GAIN_SPREAD = 0.05  # relative error of such a gain even for a perfect fit
 TASK = 6  # coordinates of a pose
-TOGETHER = 0.5  # share of their motion that commands must have in common, to have moved the joints at once
-POINTS = 4000  # frequencies that are looked at
+TOGETHER = 0.5  # share of their motion that commands must share to move the joints together
+POINTS = 4000  # frequencies to be tried
 
 
 def correlated(left) -> float:
-    """Samples (N,) over which what is left hangs together: 1 of white noise."""
+    """The correlation length of a residual (N,) [samples]: 1 for white noise."""
     left = left - left.mean()
     power = float(left @ left)
     if power == 0.0:
@@ -26,10 +26,10 @@ def correlated(left) -> float:
 
 
 def stable_range(fit, deviations, gain, structured, command) -> tuple:
-    """((low, high) alpha [1/s] or None, why not) of explicit Euler with measured joints.
+    """((low, high) alpha [1/s] or None, the reason) for explicit Euler with measured joints.
 
-    Args: fit: a `Fit`; deviations (k, p) of its values; gain (k,) of the joints; structured: whether what is left of
-      the motion has a structure; command (N, k).
+    Args: fit: a `Fit`; deviations (k, p) of its values; gain (k,) of the joints; structured: whether the residual has a
+      structure; command (N, k).
     """
     if why := _unknown(fit, gain, structured, command):
         return None, f"The largest stable gain is not known{why}"
@@ -43,7 +43,7 @@ def stable_range(fit, deviations, gain, structured, command) -> tuple:
 
 
 def _unknown(fit, gain, structured, command) -> str:
-    """Why a fit does not know the largest stable gain; "" where it does."""
+    """Why a fit does not determine the largest stable gain; "" if it does."""
     velocity = fit.shape.start.command == "velocity"
     drives = [fit.shape.drive(values) for values in fit.values]
     quick = drives[0].delay < 1 or (fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts)
@@ -66,7 +66,7 @@ def _unknown(fit, gain, structured, command) -> str:
 
 
 def largest_stable(drive, Ts) -> float:
-    """The least z at which a factor of the loop reaches the unit circle: −1 over where its Nyquist curve is real."""
+    """The smallest z at which a factor of the loop reaches the unit circle, from its Nyquist curve on the real axis."""
     drive = replace(drive, feedback="measured")
     at = np.exp(1j * np.linspace(0, np.pi, POINTS + 1)[1:])
     curve = sampled(drive, Ts).transfer(at) * (at / (at - 1) if drive.steps_positions else 1 / Ts)

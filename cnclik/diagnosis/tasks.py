@@ -1,8 +1,8 @@
 """Tasks: which gain of a stack to change, from the recorded errors of its tasks.
 
-A stack's loop at rest is e[k+1] = e[k] − Ts J J# K e[k−d], with one dead time for all. Where K^½ J J# K^½ u = z u
-(weighted, symmetric), a mode's z changes with the gain k of a task by ∂ log z/∂ log k = the task's part of ‖u‖², which
-is that of K e²: the task with the largest part causes the mode, and others oscillate with it.
+A stack's loop at rest is e[k+1] = e[k] − Ts J J# K e[k−d], with one dead time for all. With K^½ J J# K^½ u = z u
+(weighted, symmetric), a mode's z depends on the gain k of a task by ∂ log z/∂ log k, the task's part of ‖u‖², and thus
+of K e². The task with the largest part causes the mode; the others oscillate with it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from cnclik.diagnosis.diagnose import LONGEST, Diagnosis, diagnose
 from cnclik.precision import of_numbers
 from cnclik.record import record, replace
 
-ALIKE = 0.1  # share of a period by which those of one mode may differ
-ALONG = 0.1  # part of a mode below which a task swings along
+ALIKE = 0.1  # relative difference, at most, between the periods of one mode
+ALONG = 0.1  # part of a mode below which a task only oscillates with another one
 
 
 @record
@@ -81,11 +81,13 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
         if progress is not None:
             progress(i + 1, len(signals), name)
     sizes = {name: (gains[name] or 1.0) * float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
-    if None in gains.values():  # gains of some alone say nothing of the others
+    if None in gains.values():  # gains compare only if all are known
         sizes = {name: float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
     seen = {name: _seen(name, each, gains, sizes) for name in each}
     makers = [name for name, one in seen.items() if one.factor is not None]
-    makers.sort(key=lambda name: -(each[name].growth ** each[name].period))  # what a period leaves of a swing
+    makers.sort(
+        key=lambda name: -(each[name].growth ** each[name].period)
+    )  # share of an oscillation left after a period
     lead = each[makers[0]] if makers else None
     for name in set(seen) - set(makers[:1]) if lead is not None and lead.recommended is not None else ():
         seen[name] = _borne(seen[name], lead)
@@ -98,7 +100,7 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
 
 
 def _seen(name, each, gains, sizes) -> TaskDiagnosis:
-    """One task beside those that swing as it does."""
+    """One task beside those that oscillate with the same period."""
     own = each[name]
     made = dict(found=own, alpha=gains[name], along="", share=1.0, recommended_alpha=None, factor=None)
     if not own.rings:
@@ -116,7 +118,7 @@ def _seen(name, each, gains, sizes) -> TaskDiagnosis:
 
 
 def _borne(one, lead) -> TaskDiagnosis:
-    """Compare a task with the limit by the dead time of the largest oscillation; it is the same for all tasks."""
+    """Compares a task with the limit for the dead time of the largest oscillation, which all tasks share."""
     if one.alpha is None:
         return one
     most, now = lead.recommended, one.alpha * lead.Ts

@@ -1,34 +1,35 @@
-"""Turned: what no smaller gain ends. Error and Jacobian in frames turned against each other, and a wrong sign.
+"""Turned: causes that no smaller gain removes: frames of error and Jacobian turned against each other, or a wrong sign.
 
-Turned by θ about an axis, a step leaves e[k+1] = (1 − z e^{iθ}) e[k] of what lies across the axis: a spiral, in which
-one coordinate follows another by a quarter turn. Dead time alone lets all coordinates swing together.
+If the frames are turned by θ about an axis, a step leaves e[k+1] = (1 − z e^{iθ}) e[k] across the axis: a spiral, in
+which one coordinate follows another by a quarter turn. With dead time alone all coordinates oscillate in phase.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-ROUND = 0.2  # |vᵀv|/‖v‖² of a shape v: 0 of a circle, 1 where all swing together; up to this it is a circle
-APART = 0.95  # below this columns do not swing together
+ROUND = 0.2  # |vᵀv|/‖v‖² of a shape v, at most, to count as a circle: 0 for a circle, 1 in phase
+APART = 0.95  # below this, columns are not in phase
 
 
 class Turned(NamedTuple):
     """Frames that are turned against each other."""
 
-    degrees: float  # by which the error's is turned, about the axis, as the Jacobian sees it
-    axis: np.ndarray  # (3,) of the coordinates, in their order; of two the third
+    degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
+    axis: np.ndarray  # (3,) in the order of the coordinates; for two coordinates, the third axis
     z: float
 
 
 def together(shape) -> float:
-    """|vᵀv|/‖v‖² of a shape (k,): 1 where all columns swing together or against each other, 0 of a circle."""
+    """|vᵀv|/‖v‖² of a shape (k,): 1 if all columns are in phase or opposite, 0 for a circle."""
     return float(np.abs(np.sum(shape**2)) / np.sum(np.abs(shape) ** 2))
 
 
 def turned_of(shape, factor):
-    """`Turned` where a complex shape (k,) of two or three coordinates is a circle, of six both halves; else None.
+    """`Turned` if a complex shape (k,) of two or three coordinates, or both halves of six, are circles; otherwise None.
 
-    One that turns in a plane as 1 − z e^{iθ}: λ is told as the factor above the real axis, and the shape the direction.
+    A mode turns in a plane by 1 − z e^{iθ}. λ is given as the factor above the real axis; the shape gives the
+    direction.
     """
     blocks = {2: [shape], 3: [shape], 6: [shape[:3], shape[3:]]}.get(len(shape), [])
     power = [np.sum(np.abs(block) ** 2) for block in blocks]
