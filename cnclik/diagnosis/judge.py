@@ -1,4 +1,4 @@
-"""Judge: decides which modes of a recording belong to the loop and which to a path, and what kind of motion they are."""
+"""Judge: which modes of a recording belong to the loop and which to a path, and what kind of motion they are."""
 
 import enum
 

@@ -85,9 +85,7 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
         sizes = {name: float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
     seen = {name: _seen(name, each, gains, sizes) for name in each}
     makers = [name for name, one in seen.items() if one.factor is not None]
-    makers.sort(
-        key=lambda name: -(each[name].growth ** each[name].period)
-    )  # share of an oscillation left after a period
+    makers.sort(key=lambda name: -(each[name].growth ** each[name].period))  # share left after a period
     lead = each[makers[0]] if makers else None
     for name in set(seen) - set(makers[:1]) if lead is not None and lead.recommended is not None else ():
         seen[name] = _borne(seen[name], lead)

@@ -10,19 +10,19 @@ from cnclik.sweeps import expression
 from cnclik.sweeps.grid import COMPILED_IN, COUNTED, Axis, axis
 
 NAMES = tuple(name for name, option in SWEPT.items() if option.kind == NAME)  # never expressions
-MOST_VALUES = 10_000_000  # of an axis
-MOST_WHOLE = 2**53  # integers beyond it are no floats
+MOST_VALUES = 10_000_000  # values of an axis, at most
+MOST_WHOLE = 2**53  # larger integers are not exact as floats
 KINDS = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed", "per")}
 
 
 def read(name, value, joints=0) -> Axis:
-    """An axis from what a spec says of it.
+    """An axis from its entry in a spec.
 
     Args:
-      joints: of the widest robot: how many numbers a sample per joint has.
+      joints: of the widest robot, the number of values of a sample per joint.
     """
     where = f"axes.{name}"
-    with np.errstate(all="ignore"):  # between ends that are huge there are numbers that aren't finite: `axis` tells
+    with np.errstate(all="ignore"):  # huge ends give values that are not finite, which `axis` reports
         values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
     if name.rpartition(".")[2] in NAMES:
         if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
@@ -44,12 +44,12 @@ def read(name, value, joints=0) -> Axis:
 
 
 def per_joint(name, value) -> bool:
-    """Whether a spec's axis has one number for each joint of the robot, whichever it is."""
+    """Whether a spec's axis has one value per joint of whichever robot."""
     return isinstance(value, dict) and "samples" in value and (name == "q0" or value.get("per") == "joint")
 
 
 def _generated(where, value, joints):
-    """The values that a table stands for."""
+    """The values that a table describes."""
     if not isinstance(value, dict) or len(kinds := [k for k in KINDS if k in value]) != 1:
         raise errors.fail(where, f"be a list or a table with one of {', '.join(KINDS)}", f"is {value!r}")
     (kind,) = kinds
@@ -77,7 +77,7 @@ def _generated(where, value, joints):
 
 
 def _few_enough(where, count):
-    """Raise ArgumentError for more values than fit into memory, before they are made."""
+    """Raise ArgumentError for more values than fit into memory, before they are computed."""
     if count > MOST_VALUES:
         raise errors.fail(where, f"hold at most {MOST_VALUES:,} values", f"asks for {count:,}")
 
@@ -90,7 +90,7 @@ def _numbers(where, value):
 
 
 def _worked_out(where, value):
-    """A value that refers to no other as a number or a list, such as of "4 ms" or "pi/2"; others as they are."""
+    """The number or list that a self-contained value such as "4 ms" or "pi/2" stands for; others unchanged."""
     apart = not isinstance(value, str) or expression.names(where, value)
     return value if apart else _numbers(where, value).tolist()
 
@@ -114,7 +114,7 @@ def _samples(where, value, width):
 
 
 def known_keys(where, table, names):
-    """Raise ArgumentError for a key that is none of the names, with the nearest one."""
+    """Raise ArgumentError for an unknown key, with the nearest known name."""
     for key in table:
         if key not in names:
             raise unknown_key(where, key, names)
@@ -126,5 +126,5 @@ def unknown_key(where, key, names):
 
 
 def meant(found, names) -> str:
-    """What an unknown name may have been meant to be, to stand behind it."""
+    """The text that suggests what an unknown name may mean."""
     return errors.nearest(found, names) or f" (known are {', '.join(names)})"

@@ -23,8 +23,8 @@ from cnclik.sweeps.grid import COMPILED_IN, MOST_AXES, MOST_PROGRAMS, Axis, few_
 from cnclik.sweeps.spec import DEFAULTS, KEYS, LIMIT, OPTIONS, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
-STEPS = 30  # values that follow one from another
-RESERVED = (LIMIT, "progress")  # what else stands in a store beside the axes
+STEPS = 30  # longest chain of values that refer to each other
+RESERVED = (LIMIT, "progress")  # other names in a store
 FIGURES = {
     "heat": ("value", "x", "y", "boundary", "contours"),
     "best": ("value", "x", "y", "among", "boundary"),
@@ -43,7 +43,7 @@ def _are_numbers(value, count=None):
     )
 
 
-_FIGURE_TYPES = {  # of a figure's keys that aren't names
+_FIGURE_TYPES = {  # of a figure's keys that are not names
     "select": (lambda v: isinstance(v, dict), "be a table of an axis' name and value"),
     "limits": (lambda v: _are_numbers(v, 2), "be [least, greatest]"),
     "contours": (lambda v: isinstance(v, bool) or _are_numbers(v), "be true, false or a list of levels"),
@@ -54,10 +54,10 @@ _FIGURE_TYPES = {  # of a figure's keys that aren't names
 
 
 def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
-    """A spec from what a TOML file holds; see `cnclik.sweeps.spec.read`.
+    """A spec from the contents of a TOML file; see `cnclik.sweeps.spec.read`.
 
     Args:
-      folder: where files that it names are looked for first.
+      folder: where files named in the spec are searched first.
     """
     known_keys("SPEC", written, (*KEYS, *TABLES))
     for key in ("question", "expectation"):
@@ -96,13 +96,13 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     joints = _widest(spec) if wide else 0
     spec = dataclasses.replace(spec, axes={n: axis_forms.read(n, value, joints) for n, value in axes.items()})
     spec = dataclasses.replace(spec, axes=_compiled_in(spec))
-    spec.shape()  # not too many programs, before each of them is tried
+    spec.shape()  # refuse too many programs before trying each
     _check_loops(spec)
     return dataclasses.replace(spec, figures=_figures(written.get("figure", []), spec))
 
 
 def axes_named(figure) -> list:
-    """What a figure, checked or not, refers to as axes."""
+    """Names that a figure, checked or not, uses as axes."""
     selected = figure.get("select")
     return [*map(figure.get, ROLES), *(selected if isinstance(selected, dict) else ())]
 
@@ -135,7 +135,7 @@ def _bundles(written) -> dict:
 
 
 def _of_tasks(axes, tasks, of_file) -> dict:
-    """Axes with those of tasks' options by one name, such as "tasks.hands.alpha"; they stand for what a file has."""
+    """Axes, where those of task options have names such as "tasks.hands.alpha"; they replace values of the file."""
     found = {}
     for name, value in axes.items():
         for task in _table(axes, "tasks", "axes.") if name == "tasks" else ():
@@ -166,10 +166,10 @@ def _metrics(names):
 
 
 def _check_names(fixed, axes, bundles, tasks):
-    """Every name is an option or used by an expression; every name used is defined, once, and not by itself."""
+    """Check that every name is an option or used, and that every used name is defined once, without a cycle."""
     tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
-        for name in set(table) & {*KEYS, *TABLES}:  # TOML takes what stands below a table's head for a part of it
+        for name in set(table) & {*KEYS, *TABLES}:  # TOML counts lines below its header to it
             raise errors.fail(name, f"stand above all tables, before [{where}]", f"stands in [{where}]")
     for where, table in {"fixed": fixed, **tables}.items():
         for name, value in table.items():
@@ -188,7 +188,7 @@ def _check_names(fixed, axes, bundles, tasks):
         both = {n for table in first.values() for n in table} & {n for table in second.values() for n in table}
         if both:
             raise errors.fail(f"bundles.{two}", f"leave to {one} what that gives", f"holds {min(both)!r} too")
-    # What every loop has: given by each label of a bundle, or outside of them.
+    # Names that every loop has: given outside of bundles, or by each label of one.
     shared = {name: set.intersection(*map(set, labels.values())) for name, labels in bundles.items()}
     everywhere = set(fixed) | set(axes) | set(DEFAULTS) | {LIMIT} | set().union(*shared.values())
     used = set()
@@ -225,13 +225,13 @@ def _check_names(fixed, axes, bundles, tasks):
 
 
 def _given(fixed, bundles):
-    """What is given for each combination of the bundles' labels."""
+    """The names that are given for each combination of the bundles' labels."""
     for tables in itertools.product(*(labels.values() for labels in bundles.values())):
         yield functools.reduce(operator.or_, tables, fixed)
 
 
 def _check_cycles(known):
-    steps = {}  # from a name to the numbers that it follows from
+    steps = {}  # {name: the numbers it depends on}
 
     def walk(name, seen):
         if name in seen:
@@ -239,7 +239,7 @@ def _check_cycles(known):
         if name not in steps:
             value = (
                 ["M", "delay", "measurement_delay"] if name == LIMIT else known.get(name)
-            )  # method and stage follow from nothing
+            )  # method and stage depend on nothing
             needs = set() if name in NAMES or value is None else expression.names(name, value)
             if len(seen) < STEPS:
                 steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)
@@ -252,13 +252,13 @@ def _check_cycles(known):
 
 
 def _widest(spec) -> int:
-    """Joints of the widest robot there may be: samples per joint are drawn for it, each arm takes its share."""
+    """Joints of the widest robot: samples per joint are drawn for it, and each arm uses the first ones."""
     axes, named = spec.written, [name for name in ("robot", "stack") if name in spec.written]
     every = [[(name, v) for v in axis_forms.read(name, axes[name], 0).values] for name in named]
     most = 0
     for known, *chosen in itertools.product(_given(spec.fixed, spec.bundles), *every):
         lengths = known.get("lengths", axes.get("lengths"))
-        # Their number is all that counts.
+        # Only their number matters.
         count = {"lengths": np.ones(np.shape(lengths)[-1])} if isinstance(lengths, list) else {}
         known = known | dict(chosen) | count
         most = max(most, joints_of(known, known.get, spec))
@@ -269,7 +269,7 @@ def _widest(spec) -> int:
 
 
 def _compiled_in(spec: Spec) -> dict:
-    """Axes on which the number of steps depends run as one program per value."""
+    """Axes that determine the number of steps, as outer axes with one program per value."""
     wanted, queue = set(), {*COMPILED_IN, *NAMES}
     while queue:
         name = queue.pop()
@@ -291,7 +291,7 @@ def _compiled_in(spec: Spec) -> dict:
 
 
 def _check_loops(spec: Spec):
-    """Build the first and the last loop of every label and of every value of the outer axes."""
+    """Build the first and the last loop for every label and every value of the outer axes."""
     outer = {name: tuple(labels) for name, labels in spec.bundles.items()}
     outer |= {a.name: a.values for a in spec.axes.values() if not a.inner}
     base = {name: values[0] for name, values in outer.items()}
@@ -310,12 +310,12 @@ def _check_loops(spec: Spec):
 
 
 def _check_selected(where, value, axis):
-    """Raise ArgumentError unless what a figure selects lies on the axis; of numbers the nearest is meant."""
+    """Raise ArgumentError unless a figure selects a value on the axis; for numbers the nearest counts."""
     if not axis.inner:
         errors.one_of(where, value if isinstance(value, str) else str(value), list(map(str, axis.labels)))
     elif np.ndim(axis.values) == 1:
         least, most = axis.values.min(), axis.values.max()
-        slack = 1e-9 * max(abs(least), abs(most))  # the ends are computed, and rounded
+        slack = 1e-9 * max(abs(least), abs(most))  # computed ends are rounded
         if not least - slack <= errors.number(where, value) <= most + slack:
             raise errors.fail(where, f"lie between {least:g} and {most:g}", f"is {value:g}")
 
@@ -323,7 +323,7 @@ def _check_selected(where, value, axis):
 def _figures(figures, spec: Spec) -> tuple:
     if not isinstance(figures, list):
         raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {figures!r}")
-    axes = {a.name: a for a in (spec.grid().axes if spec.shape().axes else ())}  # cut, which counts the blocks
+    axes = {a.name: a for a in (spec.grid().axes if spec.shape().axes else ())}  # grid() checks the blocks
     dims = list(axes)
     for i, figure in enumerate(figures):
         where = f"figure[{i}]"

@@ -1,4 +1,4 @@
-"""Cost: what a spec will take to run, from its first program and one measured block."""
+"""Cost: an estimate of a spec's run, from its first program and one measured block."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ import numpy as np
 from cnclik.sweeps.program import blocks_at_once, fit
 from cnclik.sweeps.spec import Spec, read
 
-_REST = 2**28  # bytes that the interpreter, JAX and the store take
+_REST = 2**28  # bytes of the interpreter, JAX and the store
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -18,16 +18,16 @@ class Estimate:
     """What a sweep will take."""
 
     loops: int  # points of the grid
-    axes: dict  # their number along each axis
-    programs: int  # how many are compiled
-    blocks: int  # pieces in which the grid is computed
-    block: int  # loops of each piece
+    axes: dict  # number of points along each axis
+    programs: int  # number of compiled programs
+    blocks: int  # number of blocks
+    block: int  # loops of each block
     cores: int  # blocks that run side by side
     memory: int  # while it runs [bytes]
-    block_memory: int  # of that, for blocks [bytes]
+    block_memory: int  # part of it for blocks [bytes]
     disk: int  # of the store, before compression [bytes]
     compile_time: float  # of one program [s]
-    run_time: float  # all blocks, compilation not counted [s]
+    run_time: float  # all blocks, without compilation [s]
 
     @property
     def time(self) -> float:
@@ -52,7 +52,7 @@ def estimate(spec, *, set=()) -> Estimate:
     begun = time.perf_counter()
     jax.block_until_ready(program.run(values))
     block_time = time.perf_counter() - begun
-    # Other programs cost as many times more as they take more evaluations of f.
+    # The cost of other programs is proportional to their evaluations of f.
     costs = np.array([spec.evaluations(p) for p in of.programs])
     cores = blocks_at_once()
     block_memory = program.memory * cores

@@ -1,6 +1,7 @@
-"""Expressions: values of a spec that follow from others, such as duration = "N*Ts" or alpha = "z/Ts".
+"""Expressions: values of a spec that depend on others, such as duration = "N*Ts" or alpha = "z/Ts".
 
-What is no expression may be numbers with a unit, as on the command line: delay = "34ms", q0 = "0 -90 90 deg".
+A text that is not an expression may be numbers with a unit, as on the command line: delay = "34ms", q0 = "0 -90 90
+deg".
 """
 
 import ast
@@ -16,12 +17,12 @@ import numpy as np
 from cnclik import errors, quantities
 from cnclik.problem.options import NAME, NAMES, OF_TASK, SWEPT
 
-DEEPEST = 100  # of brackets and signs inside one another
-MOST = 2.0**1000  # of a number in between: Python's integers would grow until memory is gone
+DEEPEST = 100  # nested brackets and signs, at most
+MOST = 2.0**1000  # intermediate results, at most: Python's integers would grow until memory runs out
 
 
 def _power(base, exponent):
-    """A power; of integers too, which are exact and have no largest one."""
+    """A power, limited also for integers, which have no largest value."""
     whole = isinstance(base, int) and isinstance(exponent, int) and abs(base) > 1
     if whole and exponent * math.log2(abs(base)) > math.log2(MOST):
         raise OverflowError("a power is too large")
@@ -42,15 +43,15 @@ _CONSTANTS = {"pi": math.pi}
 
 
 class _Written(NamedTuple):
-    """Numbers with a unit, of an option in a unit of its own."""
+    """Numbers with a unit, of an option that has a unit."""
 
     text: str
     own: str
-    units: tuple  # of each number, or None
+    units: tuple  # unit of each number, or None
 
     @property
     def needs(self) -> set:
-        """What they follow from: a time in samples from the sampling time."""
+        """The names they depend on: a time in samples depends on the sampling time."""
         return {"Ts"} if self.own == quantities.SAMPLES and "s" in self.units else set()
 
     def value(self, known):
@@ -61,10 +62,10 @@ class _Written(NamedTuple):
 
 @functools.cache
 def parse(name: str, text: str):
-    """The expression's tree, or numbers `_Written` with a unit; ArgumentError for anything else."""
+    """The tree of an expression, or `_Written` for numbers with a unit. Raises: ArgumentError for anything else."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Python about Python, such as 0in
+            warnings.simplefilter("ignore")  # Python's own about texts such as 0in
             tree = ast.parse(text, mode="eval").body
         _check(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -73,7 +74,7 @@ def parse(name: str, text: str):
 
 
 def _written(name, text):
-    own = next((SWEPT[part].unit for part in name.split(".") if part in SWEPT), "1")  # of axes.q0.low that of q0
+    own = next((SWEPT[part].unit for part in name.split(".") if part in SWEPT), "1")  # axes.q0.low has the unit of q0
     try:
         return _Written(text, own, quantities.read(text, own, Ts=1.0, marked=True).written)
     except ValueError as error:
@@ -103,7 +104,7 @@ def _check(node, deep=0):
 
 
 def names(name: str, value) -> set:
-    """Names that a value (a number, an expression, or nested lists of them) refers to."""
+    """Names that a value (a number, an expression, or nested lists of them) uses."""
     if isinstance(value, (list, tuple)):
         return set().union(*(names(name, v) for v in value))
     if not isinstance(value, str):
@@ -116,19 +117,19 @@ def names(name: str, value) -> set:
 
 
 def is_one(name: str, option: str, value) -> bool:
-    """Whether an option of a task is to be worked out: it is of numbers, and none of them is written with its unit."""
+    """Whether a task's option is to be evaluated: it is numeric, and no number in it has a unit."""
     if option not in OF_TASK or OF_TASK[option].kind in (NAME, NAMES):
         return False
     if isinstance(value, (list, tuple)):
         return all(is_one(name, option, v) for v in value)
     try:
         return not isinstance(value, str) or not isinstance(parse(name, value), _Written)
-    except errors.ArgumentError:  # such as degrees, where a point's are metres: who builds the task reads it
+    except errors.ArgumentError:  # such as degrees for a point [m]: the task's builder reports it
         return False
 
 
 def units(name: str, value) -> tuple:
-    """The unit that each number of a value is written with, or None."""
+    """The unit of each number of a value, or None."""
     if isinstance(value, (list, tuple)):
         return sum((units(name, v) for v in value), ())
     tree = parse(name, value) if isinstance(value, str) else None
@@ -136,7 +137,7 @@ def units(name: str, value) -> tuple:
 
 
 def evaluate(name: str, value, known):
-    """A value with its expressions worked out; `known` looks up a name. Lists become arrays."""
+    """A value with its expressions evaluated; `known` looks up a name. Lists become arrays."""
     if isinstance(value, (list, tuple)):
         parts = [evaluate(name, v, known) for v in value]
         try:
@@ -156,7 +157,7 @@ def evaluate(name: str, value, known):
                 return number
             case ast.Name(id=found):
                 value = _CONSTANTS[found] if found in _CONSTANTS else known(found)
-                if isinstance(value, str):  # Python would add them, and repeat them
+                if isinstance(value, str):  # Python's + and * accept texts
                     raise TypeError(f"{found} is a name, not a number")
                 return value
             case ast.BinOp(left=left, op=op, right=right):
@@ -170,7 +171,7 @@ def evaluate(name: str, value, known):
     try:
         if isinstance(tree, _Written):
             return tree.value(known)
-        with np.errstate(all="ignore"):  # what is not finite is told where it is used
+        with np.errstate(all="ignore"):  # users of the value report what is not finite
             found = walk(tree)
         if np.iscomplexobj(found):
             raise ValueError("the result is complex")

@@ -1,8 +1,8 @@
-"""Grid: the axes of a sweep, and how they are cut into blocks of one fixed shape.
+"""Grid: the axes of a sweep, cut into blocks of one fixed shape.
 
-Each combination of the outer axes (methods, robots, whatever is compiled in) is one program, traced once; it runs
-every block of the inner, numeric axes. A block is computed alone, so its numbers don't depend on which blocks ran
-before it, here or in another process.
+Each combination of the outer axes (methods, robots, all that is compiled in) is one program, traced once. It runs every
+block of the inner, numeric axes. Each block is computed alone, so its numbers do not depend on other blocks or
+processes.
 """
 
 import dataclasses
@@ -17,21 +17,21 @@ import numpy as np
 
 from cnclik import errors
 
-MOST_POINTS = 10_000_000_000  # of a grid: tens of gigabytes for each metric
-MOST_AXES = 32  # an array has at most 64, and results bring some of their own
-MOST_PROGRAMS = 1000  # combinations of what is compiled in: each takes about a second
-MOST_BLOCKS = 1_000_000  # each is some files in a store
-LANES = 16384  # in one block: enough to keep the processor busy, few enough to stay near its cache
-COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers on which the shape of a program depends
-COUNTED = ("M",)  # numbers that stay integers: passes are masked, one program does them all
+MOST_POINTS = 10_000_000_000  # points of a grid, at most: tens of gigabytes per metric
+MOST_AXES = 32  # an array has at most 64 axes, and results add some
+MOST_PROGRAMS = 1000  # combinations of compiled-in values, at most; each takes about a second
+MOST_BLOCKS = 1_000_000  # at most; each is some files in a store
+LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
+COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
+COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
 
 class Axis(NamedTuple):
     """One dimension of the grid."""
 
     name: str
-    values: Any  # inner: an array, the first dimension runs along the axis; outer: a tuple of objects
-    labels: tuple | None  # of an outer axis; None marks an inner one
+    values: Any  # inner: an array whose first dimension is the axis; outer: a tuple of objects
+    labels: tuple | None  # labels of an outer axis; None for an inner one
 
     def __len__(self):
         return len(self.values)
@@ -49,9 +49,9 @@ def axis(name: str, values, where=None) -> Axis:
     named objects such as methods, and whatever a dict {label: value} holds.
 
     Args:
-      where: what the user calls it, for messages; the name, if not given.
+      where: its name in messages; default: `name`.
 
-    Raises: ArgumentError for what is none of these, empty or not finite.
+    Raises: ArgumentError for other values, none, or values that are not finite.
     """
     where = where or name
     if isinstance(values, Axis):
@@ -85,20 +85,20 @@ def axis(name: str, values, where=None) -> Axis:
 
 
 def _delay(where, value):
-    """A whole number of samples as an integer, others as they are."""
+    """A whole number of samples as an integer; others unchanged."""
     value = errors.number(where, value, at_least=0)
     return int(value) if float(value).is_integer() else float(value)
 
 
 def few_enough(where, values):
-    """Raise ArgumentError for more values of what is compiled in than anyone can wait for."""
+    """Raise ArgumentError for more compiled-in values than is practical."""
     if len(values) > MOST_PROGRAMS:
         words = f"hold at most {MOST_PROGRAMS:,} values, as each is compiled"
         raise errors.fail(where, words, f"holds {len(values):,}")
 
 
 def _numbers(name, where, values):
-    """The numbers or vectors of an axis as one array, or None where they are something else."""
+    """The numbers or vectors of an axis as one array; None if they are something else."""
     typed = isinstance(values, (range, np.ndarray, jax.Array))
     if not typed and any(isinstance(v, (str, bool)) for v in values):
         return None
@@ -116,7 +116,7 @@ class Block(NamedTuple):
     """A piece of the grid that is computed at once."""
 
     number: int
-    program: int  # which combination of the outer axes
+    program: int  # index of the combination of the outer axes
     region: tuple  # a slice per axis of the grid
 
     @property
@@ -126,9 +126,9 @@ class Block(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """The axes, in the order given, and how they are cut: at most `lanes` points in a block.
+    """The axes, in the given order, cut into blocks of at most `lanes` points.
 
-    `quick` says of a program, by its values of the outer axes, whether it is run so little that it is compiled `quick`,
+    `quick` decides, from a program's values of the outer axes, whether it runs so little that it is compiled `quick`,
     see `cnclik.lanes`.
     """
 
@@ -166,20 +166,22 @@ class Grid:
 
     @property
     def block(self) -> tuple:
-        """Extent of a block along each axis: whole trailing axes, a cut of one, single values before it."""
+        """Extent of a block along each axis: all of the last axes, a cut of the one before, single values of the
+        others.
+        """
         left, extents = self.lanes, []
         for one in reversed(self.axes):
             if not one.inner:
                 extents.append(1)
                 continue
-            # The cut is as even as it can be, so that the last block is padded little.
+            # Even cuts, so that the last block needs little padding.
             pieces = -(-len(one) // max(left, 1))
             extents.append(-(-len(one) // pieces))
             left = left // extents[-1] if pieces == 1 else 0
         return tuple(reversed(extents))
 
     def _cuts(self) -> list:
-        """Where blocks begin along each axis."""
+        """The starts of the blocks along each axis."""
         return [range(0, n, step) for n, step in zip(self.shape, self.block, strict=True)]
 
     @property
@@ -203,7 +205,7 @@ class Grid:
         return out
 
     def lane_values(self, block: Block) -> dict:
-        """Values of the inner axes in every lane of a block; lanes beyond the grid repeat its last value."""
+        """Values of the inner axes in every lane of a block; lanes beyond the grid repeat the last value."""
         steps = [
             np.minimum(np.arange(cut.start, cut.start + extent), len(a) - 1)
             for a, cut, extent in zip(self.axes, block.region, self.block, strict=True)
@@ -213,7 +215,7 @@ class Grid:
         return {a.name: a.values[p.ravel()] for a, p in zip(self.inner, places, strict=True)}
 
     def cut(self, block: Block, lanes):
-        """The result of all lanes of a block as its piece of the grid."""
+        """The results of all lanes of a block as its piece of the grid."""
         full = lanes.reshape(*self.block, *lanes.shape[1:])
         return full[tuple(slice(0, cut.stop - cut.start) for cut in block.region)]
 

@@ -1,7 +1,4 @@
-"""Labels: units, symbols and provenance of what a sweep holds, in memory and in a store alike.
-
-Figures and tables read them from the data.
-"""
+"""Labels: units, symbols and provenance of a sweep's data, in memory and in a store. Figures and tables read them."""
 
 import json
 
@@ -11,7 +8,7 @@ from cnclik.measure.dataset import provenance
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.limits import linear_limit
 
-# Units of axes and of results that bring none.
+# Units of axes, and of results that do not state one.
 UNITS = {
     **{"alpha": "1/s", "Ts": "s", "t": "s", "horizon": "s", "duration": "s", "period": "s"},
     **{"z": "1", "M": "1", "N": "1", "step": "1", "seed": "1", "method": "1", "stage": "1", "robot": "1", "case": "1"},
@@ -20,7 +17,7 @@ SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ", "M": "passes M"}
 
 
 def coordinates(of: Grid, units) -> dict:
-    """Coordinates of all axes: their values; of an axis of vectors their numbers, and the values beside them.
+    """Coordinates of all axes: their values; for an axis of vectors, their numbers with the values beside them.
 
     Returns: {name: (dimensions, values, attributes)}.
     """
@@ -41,17 +38,17 @@ def coordinates(of: Grid, units) -> dict:
 
 
 def environment(dtype=np.float64) -> dict:
-    """What the numbers depend on beside the configuration: versions, dtype, device."""
+    """What the numbers depend on besides the configuration: versions, dtype, device."""
     return {name: value for name, value in provenance(dtype).items() if name != "commit"}
 
 
 def coordinates_of(spec, of: Grid) -> dict:
-    """Every coordinate of a spec's data, {name: (dimensions, values, attributes)}: its axes, and the linear limit."""
+    """All coordinates of a spec's data, {name: (dimensions, values, attributes)}: its axes and the linear limit."""
     return coordinates(of, spec.all_units()) | linear_limit(spec, of)
 
 
 def attributes(spec, of: Grid, outputs) -> dict:
-    """Attributes of a spec's data: what was asked, and in `config` all that the numbers depend on."""
+    """Attributes of a spec's data: the question, and in `config` all that the numbers depend on."""
     asked = {"question": spec.question, "expectation": spec.expectation}
     config = fingerprint(spec) | {
         "lanes": of.lanes,
@@ -67,5 +64,5 @@ def attributes(spec, of: Grid, outputs) -> dict:
 
 
 def fingerprint(spec) -> dict:
-    """What a block's numbers depend on: as JSON gives it back."""
+    """What a block's numbers depend on, as JSON returns it."""
     return json.loads(json.dumps({"data": spec.data(), "environment": environment()}))

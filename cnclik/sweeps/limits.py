@@ -8,18 +8,18 @@ from cnclik.sweeps.grid import Grid
 
 NAME = "limit"
 _ABOUT = {"units": "1", "long_name": "largest stable z of linear theory"}
-_DIGITS = 10  # as many as the search for the limit is good for, and the same on every machine
+_DIGITS = 10  # digits to which the search is accurate, and equal on every machine
 
 
 def linear_limit(spec, of: Grid) -> dict:
     """The largest z with |R(z)| ≤ 1 as a coordinate, over the axes on which it depends.
 
-    R(z) is what a step does to the error where J J# = I and the gain is one number: for the exact pseudoinverse.
-    NaN stands for every other law (damped, transposed, gains per axis) and for drives that lag, inf for a method
-    without a limit.
+    R(z) multiplies the error in a step if J J# = I and the gain is one number: for the exact pseudoinverse. It is NaN
+    for every other law (damped, transposed, gains per axis) and for drives with a lag, and inf for a method without a
+    limit.
 
-    Returns: {"limit": (dimensions, values, attributes)}; {} where no loop has one, or where the spec's own axis z
-    isn't alpha·Ts.
+    Returns: {"limit": (dimensions, values, attributes)}; {} if no loop has one, or if the spec's own axis z is not
+      alpha·Ts.
     """
     passes = [a for a in of.inner if a.name == "M"]
     counts = [{"M": m} for m in passes[0].values] if passes else [{}]
@@ -36,7 +36,7 @@ def linear_limit(spec, of: Grid) -> dict:
 
 
 def _limits(spec, program, counts) -> list:
-    """The limit of one program for each count of passes; NaN where linear theory has none, or lanes differ in it."""
+    """The limit of one program for each count of passes; NaN if linear theory has none or lanes differ in it."""
     lanes = [program | spec.first(last=last) for last in (False, True)]
     for lane in lanes:
         made = spec.build(**lane)

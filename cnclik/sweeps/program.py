@@ -1,7 +1,7 @@
-"""Program: a study compiled for one combination of the outer axes, and blocks of it run side by side.
+"""Program: a study compiled for one combination of the outer axes, and its blocks run side by side.
 
-Everything here traces and runs in float64, whatever JAX's own setting is, in the threads of the pool too: a thread
-knows nothing of the contexts of the one that started it.
+Everything here traces and runs in float64, whatever JAX's setting is. This includes the threads of the pool, as a
+thread does not inherit the context of the one that started it.
 """
 
 import collections
@@ -24,17 +24,17 @@ from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
 from cnclik.threads import cores, side_by_side
 
-MEMORY = 2**30  # bytes that one block may need while it runs
+MEMORY = 2**30  # bytes, at most, of one block while it runs
 
 
 class Output(NamedTuple):
-    """One variable that a study returns, for one lane."""
+    """One variable of a study's result, for one lane."""
 
     name: str
     shape: tuple
     dtype: np.dtype
     dims: tuple
-    about: dict  # attributes: units, and a long_name where there is one
+    about: dict  # attributes: units, and long_name if there is one
 
 
 class Program(NamedTuple):
@@ -43,10 +43,10 @@ class Program(NamedTuple):
     run: Callable  # {name: values per lane} -> {name: results per lane}
     outputs: tuple
     memory: int  # bytes it needs while it runs
-    alone: bool  # whether its blocks must not run side by side, see `shares_threads`
+    alone: bool  # whether its blocks must run one after the other, see `shares_threads`
 
 
-# Dimensions of what `solve` returns, for a study that returns whole trajectories.
+# Dimensions of a `Trajectory`, for a study that returns one.
 _DIMS = {name: METRICS[name].dims for name in ("t", "q", "x", "e", "qdot", "status")}
 _DIMS |= dict.fromkeys(("residual", "contraction"), ("step",))
 
@@ -65,7 +65,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
                 raise errors.fail("axes", "have names of their own", f"{one.name!r} is in the results too")
         return named
 
-    def alone(values):  # all axes are outer: one lane
+    def alone(values):  # one lane, as all axes are outer
         return jax.tree.map(lambda v: v[None], lane(values))
 
     with jax.enable_x64(True):
@@ -73,7 +73,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         shapes = {a.name: jax.ShapeDtypeStruct((count, *a.values.shape[1:]), a.values.dtype) for a in of.inner}
         traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
         compiled = traced.lower().compile(options(traced, of.quick(fixed)))
-    give_back()  # compiling takes some hundred megabytes
+    give_back()  # compiling uses some hundred megabytes
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)
 
@@ -85,7 +85,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
 
 
 def _named(result) -> dict:
-    """What a study may return, as {name: array}."""
+    """The result of a study as {name: array}."""
     if isinstance(result, (Metrics, Mapping)):
         return dict(result.items())
     if dataclasses.is_dataclass(result):
@@ -105,7 +105,7 @@ def _output(name, v, result) -> Output:
 
 
 def fit(study, of: Grid, memory=MEMORY):
-    """The grid with blocks cut so that one needs no more than `memory` bytes, and its first program."""
+    """The grid cut so that a block needs at most `memory` bytes, and its first program."""
     program = compile_program(study, of.programs[0], of)
     while program.memory > memory and math.prod(of.block) > 1:
         of = dataclasses.replace(of, lanes=max(1, int(math.prod(of.block) * memory / program.memory)))
@@ -116,8 +116,8 @@ def fit(study, of: Grid, memory=MEMORY):
 def run_blocks(study, of: Grid, blocks, first: Program | None = None):
     """Compute blocks: yields (block, {name: piece of the grid}) in their order.
 
-    Each core runs a block of its own, and the next ones are running while one is handed out, so that writing
-    takes no time of its own.
+    Each core runs its own block. The next ones already run while the caller handles one, so writing takes no extra
+    time.
     """
     workers = blocks_at_once()
     waiting = collections.deque()
@@ -137,7 +137,7 @@ def run_blocks(study, of: Grid, blocks, first: Program | None = None):
 
 
 def _compiled(study, of, numbers, first):
-    """The programs of these numbers in their order, the next ones compiled while one is in use."""
+    """The programs of these numbers in order; the next ones compile while one is in use."""
     todo = iter([number for number in numbers if first is None or number != 0])
     make = as_here(lambda number: compile_program(study, of.programs[number], of))
     with side_by_side() as pool:
@@ -157,5 +157,5 @@ def _compute(program, of, block):
 
 
 def blocks_at_once() -> int:
-    """How many blocks run side by side: one per core; a single one on an accelerator, which it keeps busy."""
+    """How many blocks run side by side: one per core, or one on an accelerator, which it keeps busy."""
     return cores() if jax.default_backend() == "cpu" else 1

@@ -42,9 +42,9 @@ from cnclik.sweeps.labels import UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "tasks", "walls", "axes", "cases", "bundles", "units", "figure")
-FILES = ("robot", "reference", "stack")  # options that may name one
+FILES = ("robot", "reference", "stack")  # options that may name a file
 LIMIT = "limit"
-PIECES = 8  # blocks of a program, at least, where there are lanes enough
+PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.SWEPT
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {
     "delay": 0,
@@ -54,7 +54,7 @@ DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.d
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
-    """A validated spec. `grid()` is what it runs over, `study` what is run."""
+    """A validated spec. `grid()` is what it runs over, `study` what runs."""
 
     name: str
     question: str
@@ -63,14 +63,14 @@ class Spec:
     lanes: int | None
     metrics: tuple
     fixed: dict
-    tasks: dict  # {task: {option: value}} of a stack; {} where there is none
-    walls: dict  # {wall: {option: value}} of it
+    tasks: dict  # {task: {option: value}} of a stack, or {}
+    walls: dict  # {wall: {option: value}} of the stack
     axes: dict  # name -> Axis
     written: dict  # name -> the axis as written
     bundles: dict  # axis -> {label: {name: value}}; "case" first
     units: dict
     figures: tuple
-    folder: pathlib.Path = pathlib.Path()  # where files named in the spec are looked for first
+    folder: pathlib.Path = pathlib.Path()  # where files named in the spec are searched first
 
     def shape(self) -> Grid:
         """The grid over the cases, the other bundles and the axes, in the order written; not yet cut."""
@@ -83,7 +83,7 @@ class Spec:
         if not found.axes:
             raise errors.fail("axes", "hold at least one axis, such as alpha = [1, 5, 10]", "holds none")
         size = math.prod(len(a) for a in found.inner)
-        # Blocks of a power of two that long loops make smaller, enough of them to keep the cores busy.
+        # Blocks are a power of two, smaller for long loops, and enough to keep the cores busy.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick)
@@ -97,7 +97,7 @@ class Spec:
         return {a.name: a.values[-1 if last else 0] for a in self.axes.values() if a.inner}
 
     def lookup(self, /, **values):
-        """(all that is known of one loop, a function of a name that gives its value, expressions worked out)."""
+        """(all known values of one loop, a function from a name to its value, with expressions evaluated)."""
         chosen = [labels[values.pop(name)] for name, labels in self.bundles.items() if name in values]
         known = functools.reduce(operator.or_, chosen, DEFAULTS | self.fixed) | values
 
@@ -108,7 +108,7 @@ class Spec:
             if name.rpartition(".")[2] in NAMES:
                 return known[name]
             value = expression.evaluate(name, known[name], look)
-            # Samples are as wide as the widest arm.
+            # Samples have values for the widest arm.
             return value[: joints_of(known, look, self)] if per_joint(name, self.written.get(name)) else value
 
         return known, look
@@ -134,7 +134,7 @@ class Spec:
         return made
 
     def _stack(self, known, look) -> dict | None:
-        """The tables of one loop's stack, expressions worked out; None where the spec has none."""
+        """The tables of one loop's stack, with expressions evaluated; None if the spec has none."""
         made = {task: dict(table) for task, table in self.tasks.items()}
         for task, table in made.items():
             for key, value in table.items():
@@ -149,12 +149,12 @@ class Spec:
         return made or None
 
     def file(self, text) -> pathlib.Path | None:
-        """The file that a name stands for, relative to the spec's folder, or None."""
+        """The file of a name, relative to the spec's folder, or None."""
         path = self.folder / str(text)
-        return path if os.path.isfile(path) else None  # which no name is too long for
+        return path if os.path.isfile(path) else None  # unlike Path.is_file, it accepts names of any length
 
     def _limit(self, look):
-        """The linear theory's largest stable z, inf where there is none; for a traced M, from a table."""
+        """The linear theory's largest stable z, inf if there is none; for a traced M, from a table."""
         M = look("M")
         of = functools.partial(_stable, look("method"), look("stage"), float(look("delay") + look("measurement_delay")))
         if errors.concrete(M):
@@ -165,7 +165,7 @@ class Spec:
         return jnp.asarray(table)[M]
 
     def study(self, /, **values) -> Metrics:
-        """One loop: its metrics. What the sweep batches."""
+        """One loop: its metrics. The sweep batches this function."""
         made = self.build(**values)
         return metrics.measure_run(made.run(), made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
@@ -188,7 +188,7 @@ class Spec:
         return known | self.units
 
     def data(self) -> dict:
-        """What the numbers depend on: for JSON, the same for the same data."""
+        """What the numbers depend on, for JSON; equal for equal data."""
         about = {
             "tolerance": self.tolerance,
             "metrics": list(self.metrics),
@@ -211,7 +211,7 @@ def _evaluations(p) -> float:
 
 
 def joints_of(known, look, spec) -> int:
-    """Number of joints of a loop's robot, which nothing else may depend on."""
+    """Number of joints of a loop's robot, which must not depend on the number of joints itself."""
     lengths, file = look("lengths") if "lengths" in known else None, known.get("stack")
     tips = tips_of(Written(spec.tasks, spec.walls) if file is None else read_stack(spec.file(file) or file))
     return robot_and_tip(known["robot"], known.get("tip"), known.get("base"), lengths, tips)[0].n
@@ -220,7 +220,7 @@ def joints_of(known, look, spec) -> int:
 @functools.cache
 def _stable(method, stage, delay, M) -> float:
     method = named(method)
-    with jax.ensure_compile_time_eval():  # a number, also where a loop is being traced
+    with jax.ensure_compile_time_eval():  # a number, even while a loop is traced
         # M as an array: one program for every M.
         stage = stage_from(stage, np.asarray(M), maximum=max(M, 16)) if method.implicit else None
         if delay % 1:
@@ -238,8 +238,8 @@ def read(path, changes=()) -> Spec:
       path: of the TOML file.
       changes: strings "name=value" that override it; the value is TOML.
 
-    Raises: ArgumentError, one line, for what can't be read, is unknown (the nearest name is suggested), is
-    missing, or can't be built into loops.
+    Raises: ArgumentError, one line, for what cannot be read, is unknown (the nearest name is suggested), is
+    missing, or cannot be built into loops.
     """
     from cnclik.sweeps.check import parse
 
@@ -277,7 +277,7 @@ def _change(written, change):
     if path == ["axes"]:
         fixed.pop(key, None)
     elif path == ["fixed"] and axes.pop(key, None) and isinstance(written.get("figure"), list):
-        # Figures over an axis that is gone go with it.
+        # Drop figures over an axis that no longer exists.
         from cnclik.sweeps.check import axes_named
 
         written["figure"] = [f for f in written["figure"] if not isinstance(f, dict) or key not in axes_named(f)]

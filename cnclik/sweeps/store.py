@@ -1,11 +1,10 @@
-"""Store: a sweep on disk, in blocks, that survives whatever ends it.
+"""Store: a sweep on disk, in blocks, that survives interruptions.
 
-`data.zarr` is made whole, with every coordinate and attribute, before the first block runs; one block of the
-grid is one chunk of each variable. A block counts as done once its checksum stands in the group `progress`,
-written last, and is believed only if the data still have it. So a killed run, a lost process or a full disk
-cost the blocks in flight, and a rerun ends with the very bytes of an undisturbed run. The files of coordinates have
-checksums too, held against them before they are unpacked: one that is damaged is written anew by a rerun, and
-refused by a reader.
+`data.zarr` is created with all coordinates and attributes before the first block runs; one block of the grid is one
+chunk of each variable. A block is done once its checksum is in the group `progress`, written last, and only while the
+data match it. So a killed run, a lost process or a full disk costs only the blocks in progress, and a rerun ends with
+the same bytes as an undisturbed run. Coordinates have checksums too, compared before they are unpacked: a rerun
+rewrites a damaged one, and a reader refuses it.
 """
 
 import contextlib
@@ -31,13 +30,13 @@ from cnclik.sweeps.spec import Spec
 from cnclik.writing import OWN, check_own, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
-_MARK = OWN  # in a store: {file: checksum} of its description and of its coordinates' values
-_DESCRIPTION = "zarr.json"  # of a group or an array
-_NOT_DONE = -1  # checksum of a block that is not done; also what a count reads before it is
+_MARK = OWN  # file in a store: {file: checksum} of its description and of its coordinates
+_DESCRIPTION = "zarr.json"  # file that describes a group or an array
+_NOT_DONE = -1  # checksum of an unfinished block, and its value of counts
 
 
 class Store:
-    """An open store: the grid it was made for, and its blocks. Raises ArgumentError where there is none."""
+    """An open store: its grid and its blocks. Raises: ArgumentError if there is none."""
 
     def __init__(self, folder: pathlib.Path, *, name="out", mode="r+"):
         import zarr
@@ -54,26 +53,26 @@ class Store:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
 
     def opened(self):
-        """The data as an `xarray.Dataset`, in the spec's order, loaded on use; nothing is checked."""
+        """The data as an `xarray.Dataset`, in the spec's order, loaded on use and unchecked."""
         import xarray
 
         with _quiet():
             data = xarray.open_zarr(self.path, chunks=None)
-        # A selection would lose the vectors beside the numbers of an axis of samples.
+        # Selecting variables would drop the vectors of an axis of samples.
         return data[list(self.names)].assign_coords(data.coords)
 
     def blocks(self) -> list:
-        """All blocks, numbered as when they were made."""
+        """All blocks, numbered as when the store was created."""
         axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
         return Grid(axes, self.lanes).blocks()
 
     def missing(self) -> list:
-        """The blocks that are not done, or whose data no longer have their checksum."""
+        """The blocks that are not done, or whose data do not match their checksum."""
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
 
     def without(self, name, missing) -> np.ndarray:
-        """A variable as if the missing blocks had not been begun; they are not read."""
+        """A variable as if the missing blocks had not been started; their data are not read."""
         array, numbers = self.group[name], {b.number for b in missing}
         values = np.full(array.shape, array.fill_value, array.dtype)
         for block in self.blocks():
@@ -84,7 +83,7 @@ class Store:
     def _known(self):
         with contextlib.suppress(*_UNREADABLE):
             return self._checksums[:]
-        known = np.full(self._checksums.shape, _NOT_DONE)  # some chunk can't be read: each for itself
+        known = np.full(self._checksums.shape, _NOT_DONE)  # some chunk is unreadable: read them one by one
         for number in range(len(known)):
             with contextlib.suppress(*_UNREADABLE):
                 known[number] = self._checksums[number]
@@ -97,20 +96,20 @@ class Store:
             return None
 
     def write(self, block, piece):
-        """The data, then the checksum that vouches for them."""
+        """Writes the data, then their checksum."""
         for name in self.names:
             self.group[name][block.region] = piece[name]
         self._checksums[block.number] = _checksum_of(piece[name] for name in self.names)
 
     def damaged_coordinates(self) -> list:
-        """Names of the coordinates that are not what was written."""
-        if set(self._mark) == {_DESCRIPTION}:  # of a store that version 0.2 made
+        """Names of the coordinates that differ from what was written."""
+        if set(self._mark) == {_DESCRIPTION}:  # a store made by version 0.2
             return []
         other = self._mark.items() ^ _file_checksums(self.path, self.coordinates).items()
         return sorted({file.partition("/")[0] for file, _ in other})
 
     def foreign(self):
-        """The first file in the store that is no part of it, or None."""
+        """The first file in the store that does not belong to it, or None."""
         array = "|".join(map(re.escape, (*self.names, *self.coordinates, "progress/checksum")))
         own = re.compile(
             rf"\{_MARK}(\.partial)?|((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?"
@@ -119,14 +118,14 @@ class Store:
         return next((name for name in files if not own.fullmatch(name)), None)
 
     def repair(self, spec: Spec) -> None:
-        """Write damaged coordinates anew: they follow from the spec."""
+        """Rewrites damaged coordinates, which follow from the spec."""
         if self.damaged_coordinates():
             for name, (_, values, _) in coordinates_of(spec, spec.grid()).items():
                 self.group[name][...] = _storable(values)
             _mark(self.path, self.coordinates)
 
 
-_UNREADABLE = (OSError, ValueError, RuntimeError)  # what reading a damaged chunk raises
+_UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
 
 
 def _checksum_of(arrays) -> int:
@@ -134,14 +133,14 @@ def _checksum_of(arrays) -> int:
 
 
 def _mark(path, coordinates) -> None:
-    """Note the checksums of the description and the coordinates, which never change, at once."""
+    """Writes the checksums of the description and the coordinates, which never change, atomically."""
     partial = path / f"{_MARK}.partial"
     partial.write_text(json.dumps(_file_checksums(path, coordinates)))
     partial.replace(path / _MARK)
 
 
 def _checked_mark(path) -> dict:
-    """What was noted. Raises: ValueError where the description is not what was written, OSError where none is."""
+    """The checksums. Raises: ValueError if the description is not as written, OSError if there are none."""
     found = json.loads(read_bytes("out", path / _MARK, "a store's checksums"))
     found = {_DESCRIPTION: found} if isinstance(found, int) else {file: int(v) for file, v in dict(found).items()}
     if found.get(_DESCRIPTION) != _file_checksums(path, ())[_DESCRIPTION]:
@@ -157,19 +156,19 @@ def _file_checksums(path, coordinates) -> dict:
 
 
 def _codecs():
-    """How chunks are written: small, and with a checksum of their bytes, so that none is unpacked that is damaged."""
+    """How chunks are written: compressed, then with a checksum, so that no damaged chunk is unpacked."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return [ZstdCodec(level=0), Crc32cCodec()]
 
 
 def _storable(values):
-    """Names as variable-length strings: zarr has no settled form for others."""
+    """Names as variable-length strings, the only form of text that zarr has settled."""
     return values.astype(object) if values.dtype.kind == "U" else values
 
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
-    """Make the empty store. It appears under its name only when it is whole; one that another made meanwhile stays."""
+    """Create the empty store. It appears only once it is complete; one that another process made meanwhile stays."""
     with hidden_folder(folder) as hidden:
         _build(hidden / DATA, spec, of, outputs)
         try:
@@ -208,15 +207,15 @@ def _build(path, spec, of, outputs):
 
 
 def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None:
-    """The folder's store if it has one that belongs to this spec, whole but for blocks that are not done.
+    """The folder's store, repaired, if it belongs to this spec.
 
-    Raises: ArgumentError where it belongs to another spec, or is no sweep's: that is left alone, by `fresh` too.
+    Raises: ArgumentError if it belongs to another spec or, even with `fresh`, if it is not a sweep's.
     """
     folder = errors.path("out", folder)
     path = folder / DATA
     with _disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()  # it can be written
+        tempfile.TemporaryFile(dir=folder).close()  # check that the folder is writable
     if not os.path.exists(path):
         if not overwrite:
             check_own("out", folder, "a sweep")
@@ -227,7 +226,7 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         if foreign is not None:
             raise errors.fail("out", f"hold nothing but the sweep's own files in {DATA}", f"there is {foreign[:80]!r}")
         with _disk(folder), hidden_folder(folder) as hidden:
-            path.rename(hidden / DATA)  # at once: no reader meets half a store
+            path.rename(hidden / DATA)  # atomically: no reader sees half a store
         return None
     found = {k: store.config[k] for k in ("data", "environment")}
     where = _difference(found, fingerprint(spec))
@@ -235,13 +234,13 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         words = "hold results of this very spec (--fresh starts over, another --out keeps both)"
         raise errors.fail("out", words, f"differs in {where}")
     with _disk(folder):
-        remove_abandoned(path.rglob("*.partial"))  # of a write that was cut off
+        remove_abandoned(path.rglob("*.partial"))  # left by an interrupted write
         store.repair(spec)
     return store
 
 
 def _difference(a, b, where=""):
-    """The first place where two JSON values differ, in words."""
+    """The first difference of two JSON values, in words."""
     if isinstance(a, dict) and isinstance(b, dict):
         for key in [*a, *(k for k in b if k not in a)]:
             found = _difference(a.get(key), b.get(key), f"{where}.{key}" if where else key)
@@ -282,7 +281,7 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
                 of, first = program.fit(spec.study, of)
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
-                store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of another process that was quicker
+                store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of a quicker process
                 assert store is not None
                 first = first if store.lanes == of.lanes else None
     with _together(meet, last=True):
@@ -307,7 +306,7 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
 
 @contextlib.contextmanager
 def _together(meet, last=False):
-    """What all processes must come through before any goes on: where one fails, none waits for it."""
+    """Waits for all processes; if one fails, all of them stop."""
     try:
         yield
     except BaseException:
@@ -318,7 +317,7 @@ def _together(meet, last=False):
 
 
 def _share(spec, of, missing, process, processes):
-    """This process's run of neighbouring blocks: few programs to compile, and its share of the evaluations."""
+    """This process's adjacent blocks: few programs to compile, and its share of the evaluations."""
     if processes == 1:
         return missing
     costs = [spec.evaluations(p) for p in of.programs]
@@ -341,9 +340,9 @@ def read(folder):
 
 
 def read_and_missing(folder):
-    """What `read` gives, and how many blocks are not done, or damaged."""
+    """The result of `read`, and the number of blocks that are not done or damaged."""
     folder = errors.path("folder", folder)
-    if not os.path.exists(folder / DATA):  # which no name is too long for
+    if not os.path.exists(folder / DATA):  # a name of any length will do
         raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
     store = Store(folder, name="folder", mode="r")
     damaged = store.damaged_coordinates()
@@ -358,13 +357,13 @@ def read_and_missing(folder):
 
 
 def blocks_missing(folder) -> int:
-    """How many blocks of a folder's sweep are not done, or damaged."""
+    """Number of blocks of a folder's sweep that are not done or damaged."""
     return len(Store(errors.path("folder", folder), name="folder", mode="r").missing())
 
 
 @contextlib.contextmanager
 def _disk(folder, when=""):
-    """Errors of the file system as one line."""
+    """Reports file system errors in one line."""
     try:
         yield
     except OSError as error:
@@ -375,7 +374,7 @@ def _disk(folder, when=""):
 
 @contextlib.contextmanager
 def _quiet():
-    """Without zarr's remark that consolidated metadata is an extension: data open the same without it."""
+    """Silences zarr's warning that consolidated metadata is an extension; the data open without it, too."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         yield

@@ -12,11 +12,11 @@ from cnclik.measure.files import save_csv, save_netcdf
 
 FILES = ("summary.csv", "config.json")
 HISTORY = ("time", "step")
-_WRONG = {  # counts of steps that are 0 for a safe loop, by what it then is
+_WRONG = {  # counts of steps that are 0 for a safe loop, and the word for it
     "not diverging": ("diverged", "growing"),
     "within velocity limits": ("over_velocity",),
 }
-_APART = ("case", "robot")  # whose errors are not compared with each other
+_APART = ("case", "robot")  # axes along which errors are not compared
 
 
 def scalars(data) -> list:
@@ -25,16 +25,16 @@ def scalars(data) -> list:
 
 
 def main_value(data):
-    """The metric that a sweep is judged by: its first error, else its first number."""
+    """The metric that ranks the loops of a sweep: its first error, otherwise its first number."""
     names = scalars(data)
     return next((n for n in names if n.endswith("error")), names[0] if names else None)
 
 
 def judged(data):
-    """(error of each loop, whether it is safe, what safe means here), of the first error; None without an error.
+    """(error of each loop, whether it is safe, the meaning of safe here) for the first error; None without one.
 
-    Safe is a loop whose error is finite, and which is stable and keeps the velocity limits as far as the metrics
-    and the linear limit tell. NaN counts as infinite.
+    A loop is safe if its error is finite, and it is stable and keeps the velocity limits as far as the metrics and the
+    linear limit show. NaN counts as infinite.
     """
     name = main_value(data)
     if name is None or not name.endswith("error"):
@@ -56,9 +56,9 @@ def judged(data):
 
 
 def best(data) -> list:
-    """Sentences that name the safe loop with the least error, for each case and robot; no sentence without an error.
+    """Sentences that name the safe loop with the least error for each case and robot; empty without an error.
 
-    Starts and seeds count by their worst.
+    Starts and seeds count by their worst value.
     """
     if (found := judged(data)) is None:
         return []
@@ -93,7 +93,7 @@ def table(data):
     """Statistics of every scalar metric over the numeric axes, for each combination of the others.
 
     Returns: list of dicts with the names of the other axes, `metric`, `units`, min, q10, median, q90, max,
-    mean (over finite values) and finite (the share of values that are).
+    mean (over finite values) and finite (their share).
     """
     inner = [d for d in data.dims if d in data.coords and (data[d].dtype.kind == "f" or f"{d}_value" in data.coords)]
     rows = []
@@ -111,14 +111,14 @@ def _statistics(values):
     values = np.asarray(values, float)
     finite = np.isfinite(values)
     known = values[finite]
-    ranked = values[~np.isnan(values)]  # infinite ones count as large, undefined ones not at all
+    ranked = values[~np.isnan(values)]  # infinite values count as large, NaN is left out
     quantiles = np.quantile(ranked, [0, 0.1, 0.5, 0.9, 1], method="lower") if ranked.size else np.full(5, np.nan)
     found = dict(zip(("min", "q10", "median", "q90", "max"), quantiles.tolist(), strict=True))
     return found | {"mean": float(known.mean()) if known.size else np.nan, "finite": float(finite.mean())}
 
 
 def texts(data, digits=6) -> list:
-    """The table as rows of texts, its header first."""
+    """The table as rows of texts, header first."""
     rows = table(data)
     names = list(dict.fromkeys(name for row in rows for name in row))
     found = ([row.get(name, "") for name in names] for row in rows)

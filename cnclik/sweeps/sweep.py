@@ -32,7 +32,7 @@ def sweep(
 ) -> "xr.Dataset":
     """Run a study over the grid of some axes, in float64 whatever JAX's own precision is.
 
-    Axes and all that the study makes of them are float64; so are records built from Python numbers and lists. Only a
+    Axes and everything computed from them are float64; so are records built from Python numbers and lists. Only a
     jax.Array that was made in float32 before the call and is used by the study keeps its precision, and a loop that
     starts from it runs in float32; the attribute `dtype` says so. Give such values as NumPy arrays.
 
@@ -94,7 +94,7 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
 
 
 def collect(study, of: Grid, progress=None):
-    """Compute the whole grid: (the grid as it was cut, outputs, {name: array over the grid})."""
+    """Compute the whole grid: (the grid as cut, outputs, {name: array over the grid})."""
     of, first = fit(study, of)
     arrays = {o.name: np.empty((*of.shape, *o.shape), o.dtype) for o in first.outputs}
     done = 0
@@ -112,7 +112,7 @@ def dataset(of: Grid, outputs, arrays, coords, attrs):
 
     Args:
       coords: {name: (dimensions, values, attributes)}.
-      attrs: of the dataset, beside versions, dtype and device.
+      attrs: of the dataset, besides versions, dtype and device.
     """
     import xarray
 
