@@ -24,7 +24,7 @@ class PositionObjective:
     """Mean squared distance between measured positions and those of a chain built from the parameters' values."""
 
     parameters: tuple[pm.Parameter, ...]
-    build: Callable[..., Chain]  # of the values
+    build: Callable[..., Chain]  # function of the values
     q: Float[Array, "K n"]
     measured: Float[Array, "K 3"]
 

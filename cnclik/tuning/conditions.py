@@ -1,4 +1,4 @@
-"""Conditions: under what a loop is judged (noise, drives, a wrong model), and the runs that are drawn from them."""
+"""Conditions: what disturbs a loop that is judged (noise, drives, a wrong model), and the runs drawn from them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from cnclik.tuning.parameters import Adjustable, scaled_links, scheduled
 
 @record
 class Conditions:
-    """What a robot adds to a loop. By default nothing: the measured error is exact, and the motion equals the command.
+    """Disturbances that a robot adds to a loop. By default none: the measured error is exact, and the motion equals the
+    command.
 
     Attributes:
       noise: standard deviation of the measured error, a number or (m,) [m, rad].
@@ -51,7 +52,7 @@ class Conditions:
 
 @record
 class Scenario:
-    """One run that a tuning looks at.
+    """One run of a tuning.
 
     Attributes:
       reference, q0: as for `solve`.
@@ -66,7 +67,7 @@ class Scenario:
 
 
 def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
-    """All runs that a loss is the mean of, stacked: each path with its start, drawn `draws` times.
+    """All runs over which a loss is the mean, stacked: each path with its start, drawn `draws` times.
 
     Args:
       reference: a path, or a list of B paths. q0: (n,) or (B, n) [rad, m].
@@ -82,7 +83,7 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
     rng = np.random.default_rng(int(conditions.seed))
 
-    def perturbed():  # every link's offset longer or shorter by a normal error of the given relative size
+    def perturbed():  # scales every link's offset by a normal relative error
         factors = 1.0 + conditions.model_error * rng.standard_normal(len(law.chain.joints) + 1)
         return scaled_links(law.chain, [float(f) for f in factors])
 
@@ -96,7 +97,7 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
         )
 
     seeds = np.random.default_rng(int(conditions.drive.seed)).integers(1 << 30, size=count * conditions.draws)
-    seeds[0] = conditions.drive.seed  # a single run is that of `solve` with this drive
+    seeds[0] = conditions.drive.seed  # a single run equals `solve` with this drive
     return stack(drawn(k // conditions.draws, seed) for k, seed in enumerate(seeds))
 
 

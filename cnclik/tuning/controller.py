@@ -1,4 +1,4 @@
-"""What a controller needs of a tuned loop: lines to copy, for pink and mink and for a loop of one's own."""
+"""What a controller needs from a tuned loop: lines to copy, for pink and mink and for your own loop."""
 
 import numpy as np
 
@@ -9,15 +9,15 @@ from cnclik.stability.linear import amplification, share_per_step
 from cnclik.stability.peers import to_pink
 from cnclik.tuning import parameters as pm
 
-DAMPED_EXCESS = 1e-3  # by which z may exceed 1 and be printed as 1: damped, a step at z = 1 falls short of the error
+DAMPED_EXCESS = 1e-3  # excess of z over 1 that is printed as 1, as damping shortens a step
 
 
 def controller_lines(tuned) -> dict:
-    """Ready-to-use lines of a `Tuned`: {"rate": for one's own loop, "pink_mink": a gain per step}.
+    """Ready-to-use lines of a `Tuned`: {"rate": for your own loop, "pink_mink": a gain per step}.
 
-    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], 1 − exp(−alpha·Ts) for an exponential method,
-    and add damping (λ²) to JᵀJ. Where they can't run the loop that was tuned, the second one says "no line" and why;
-    where it does not keep its constraints, both do.
+    pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], or 1 − exp(−alpha·Ts) for an exponential method,
+    and add damping (λ²) to JᵀJ. If they cannot run the tuned loop, the second line says "no line" and why; if the loop
+    violates its constraints, both lines do.
     """
     if not tuned.satisfied:
         return dict.fromkeys(("rate", "pink_mink"), "no line: the constraints are not kept")
@@ -42,7 +42,7 @@ def _rate_line(tuned) -> str:
         factor = float(law.feedforward)
         forward = {0.0: "", 1.0: "xdot_d + "}.get(factor, f"{factor:.6g} * xdot_d + ")
         return f"qdot = {name} @ ({forward}{product}){null}  # {when}; {formula}"
-    # The gain is that of a step which is no explicit Euler step: take its rate.
+    # The method is not explicit Euler, so pink and mink need the equivalent gain.
     stage = f", ck.{tuned.stage}" if tuned.method.implicit else ""
     step = f'ck.step(law, path, q, t, {tuned.Ts:.6g}, "{tuned.method.name}"{stage}'
     about = f"law: J# (xdot_d + {product}), {when}; {formula}"
@@ -83,7 +83,7 @@ def _of_each(law, value) -> str:
 
 
 def _costs_line(tuned) -> str:
-    """Of a stack: a gain and a cost for each task."""
+    """For a stack: a gain and a cost per task."""
     law, inverse = tuned.law, tuned.law.inverse
     each = inverse.damping if isinstance(inverse, inverses.Levels) else (inverse,)
     if not all(isinstance(one, inverses.Damped) for one in each):

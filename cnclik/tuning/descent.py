@@ -1,8 +1,8 @@
-"""Descent under constraints: a loss made small, constraints c ≤ 0 kept, nothing non-finite ever accepted.
+"""Descent: minimizes a loss under constraints c ≤ 0, and never accepts a point that is not finite.
 
 The constraints enter an augmented Lagrangian (Nocedal & Wright 2006, eq. 17.65), whose multipliers are updated between
-rounds of steps. Every step evaluates one trial point; one that is not finite, or doesn't descend, is rejected and
-the step shortened. So a round is one compiled program of known length, the same for every start, and can be vmapped.
+rounds of steps. Every step evaluates one trial point. If it is not finite or does not descend, it is rejected and the
+step shortened. So a round is one compiled program of known length, the same for every start, and can be vmapped.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from cnclik.robot.model import one_off
 from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 from cnclik.tuning.parameters import values_of
 
-FORWARD_UP_TO = 8  # parameters: a forward derivative costs one more run each, a reverse one a few runs and their memory
-REACH = 2.0  # largest change of a free number in one step: a factor e² of a gain far below its upper bound
-SHORTER = 0.3  # what is left of a step after a rejection
-REJECTIONS = 12  # in a row after which a descent no longer moves; half as many start the optimizer anew
-ROUNDING = 512  # by how many eps of its size a merit may grow
+FORWARD_UP_TO = 8  # parameters: forward mode costs a run per parameter, reverse mode a few runs and their memory
+REACH = 2.0  # largest change of a free number in a step: a factor e² for a gain far below its upper bound
+SHORTER = 0.3  # factor of a step after a rejection
+REJECTIONS = 12  # in a row that end a descent; half as many restart the optimizer
+ROUNDING = 512  # growth of the merit, in eps of its size, that counts as rounding
 
 
 @record
@@ -56,8 +56,10 @@ class Descent:
 
 
 def _known(optimizer):
-    """An optimizer. None is L-BFGS (Liu & Nocedal 1989) with ten pairs, whose line search is that of `descend`: a part
-    of a program that a later process knows again, as what optax makes, functions made anew, is not."""
+    """An optimizer; None is L-BFGS (Liu & Nocedal 1989) with ten pairs and the line search of `descend`.
+
+    Later processes recognize a program with it in the cache; optax makes new functions each time, which they would not.
+    """
     if optimizer is not None:
         return optimizer
     import optax
@@ -66,37 +68,37 @@ def _known(optimizer):
 
 
 def gradient_mode(count: int, mode="auto") -> str:
-    """How gradients of `count` free numbers are taken: "forward" up to 8, else "reverse"."""
+    """How gradients of `count` free numbers are computed: "forward" up to 8, otherwise "reverse"."""
     return mode if mode != "auto" else "forward" if count <= FORWARD_UP_TO else "reverse"
 
 
 class Carry(NamedTuple):
-    """Where a descent stands."""
+    """The state of a descent."""
 
     u: Float[Array, " p"]
-    merit: Float[Array, ""]  # augmented Lagrangian there; inf: not yet known
+    merit: Float[Array, ""]  # augmented Lagrangian at u; inf: not yet known
     grad: Float[Array, " p"]
     loss: Float[Array, ""]
     constraints: Float[Array, " c"]
     direction: Float[Array, " p"]
     size: Float[Array, ""]
     failures: Int[Array, ""]
-    state: Any  # the optimizer's
-    best: Float[Array, " p"]  # u of the lowest loss seen with all constraints kept
+    state: Any  # state of the optimizer
+    best: Float[Array, " p"]  # u of the lowest loss so far with all constraints kept
     best_loss: Float[Array, ""]
 
 
 class History(NamedTuple):
-    """What a round passed through, one entry per evaluated point."""
+    """The points of a round, one entry per evaluation."""
 
     loss: Float[AnyArray, " *steps"]
-    violation: Float[AnyArray, " *steps"]  # largest constraint; at most 0 where all are kept
+    violation: Float[AnyArray, " *steps"]  # largest constraint; at most 0 if all are kept
     accepted: Bool[AnyArray, " *steps"]
 
 
 @bounded_jit(static_argnames=("optimizer", "constraints"))
 def _begin(starts, *, optimizer, constraints: int) -> Carry:
-    """Descents from (S, p) that have not evaluated anything yet."""
+    """Descents from (S, p) before any evaluation."""
 
     def begin(u):
         zero, inf = jnp.zeros_like(u), jnp.full((), jnp.inf, u.dtype)
@@ -119,7 +121,7 @@ def _begin(starts, *, optimizer, constraints: int) -> Carry:
 
 @one_off(as_given=True, static_argnames=("steps", "optimizer", "mode"))
 def _rounds(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
-    """(`Carry`, `History` (S, steps)) of evaluations from each of S starts, where the optimizer's updates are tried.
+    """(`Carry`, `History` (S, steps)) of evaluations from each of S starts, each trying the optimizer's update.
 
     Args: multipliers: (S, c). weight: (S,) of the quadratic term. scale: (S,) of the loss. mode: of the gradient.
     """
@@ -157,7 +159,7 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
             **dict(u=trial, merit=value, grad=grad, loss=loss, constraints=constraints, direction=direction),
             **dict(size=jnp.ones_like(c.size), failures=jnp.zeros_like(c.failures), state=state),
         )
-        # After some rejections the optimizer's memory is at fault: start it again along the gradient.
+        # After some rejections, clear the optimizer's memory and restart along the gradient.
         failures = c.failures + 1
         again = failures == REJECTIONS // 2
         fallback = -0.1 * c.grad / jnp.maximum(jnp.linalg.norm(c.grad), limits.tiny)
@@ -187,11 +189,11 @@ def _where(condition, a, b):
 
 
 class Descended(NamedTuple):
-    """Where descents from S starts ended."""
+    """The ends of descents from S starts."""
 
     u: np.ndarray  # (S, p) last accepted points
     best: np.ndarray  # (S, p) points of lowest loss with all constraints kept
-    best_loss: np.ndarray  # (S,) inf where there is none
+    best_loss: np.ndarray  # (S,) inf if there is none
     history: History  # (S, evaluations)
     why: str  # "converged", "steps" or "stuck"
 
@@ -200,11 +202,11 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
     """Descend from S starts (S, p) in rounds that share the evaluations; see the module.
 
     Args:
-      objective: a record with `parameters`, called with their values for (loss, constraints (c,)).
+      objective: a record with `parameters`; called with their values, it returns (loss, constraints (c,)).
       scale: (S,) factors of the loss, so that it is about 1.
       constraints: how many there are.
-      descent: how; its `starts` don't count here.
-      tolerance: relative change of the loss over a round under which, with constraints kept, it has converged.
+      descent: settings; its `starts` are ignored here.
+      tolerance: relative change of the loss over a round that counts as converged if the constraints are kept.
       progress: called after each round with (evaluations done, all, loss and violation of the best start), or None.
     """
     errors.progress(progress)
@@ -218,7 +220,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
     weight = np.full((count,), 10.0, dtype)
     per_round = max(2, descent.steps // descent.rounds)
     rounds = max(1, descent.steps // per_round)
-    nothing = float(jnp.finfo(dtype).eps) ** 1.5  # a scaled loss below is 0
+    nothing = float(jnp.finfo(dtype).eps) ** 1.5  # a smaller scaled loss counts as 0
     pieces, why = [], "steps"
     before = violation_before = np.full(count, np.inf)
     for i in range(rounds):
@@ -232,7 +234,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
             at = int(np.argmin(np.where(violation <= 1e-3, loss, np.inf)))
             kept = "kept" if violation[at] <= 0 else f"exceeded by {100 * violation[at]:.2g} %"
             progress((i + 1) * per_round, rounds * per_round, f"loss {loss[at]:.5g}, constraints {kept}")
-        with np.errstate(invalid="ignore"):  # of a loss that was infinite, and is
+        with np.errstate(invalid="ignore"):  # inf − inf for losses that stay infinite
             settled = np.abs(before - loss) <= tolerance * np.abs(loss)
         exact = loss * np.asarray(scale) < nothing
         stuck = np.asarray(carry.failures) >= REJECTIONS
@@ -245,7 +247,7 @@ def descend(objective, starts, scale, *, constraints, descent=Descent(), toleran
         slow = (violation > 1e-4) & (violation > 0.25 * violation_before)
         weight = np.minimum(np.where(slow, 4.0 * weight, weight), 1e7)
         before, violation_before = loss, violation
-        # The merit has changed: evaluate it again where we are, the optimizer's memory empty.
+        # The merit has changed: evaluate it again at u, and clear the optimizer's memory.
         fresh = _begin(carry.u, optimizer=optimizer, constraints=constraints)
         carry = fresh._replace(best=carry.best, best_loss=carry.best_loss, loss=carry.loss)
     history = History(*(np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True)))

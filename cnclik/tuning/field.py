@@ -10,13 +10,13 @@ from cnclik.tuning.parameters import Adjustable, scheduled
 
 @in_float64
 def radius_field(tuned, q=None):
-    """Spectral radius of the linear loop at rest at q over gains and sampling times around a tuned one.
+    """Spectral radius of the linear loop at rest at q over gains and sampling times around a tuned loop.
 
-    Through the drive of the tuning. In float64 whatever JAX's setting is.
+    With the drive of the tuning; in float64 whatever JAX's setting is.
 
     Args:
-      tuned: `Tuned`. q: (n,) [rad, m]; by default the end of the tuned run.
-    Returns: an xarray.Dataset over (Ts, alpha), alpha being the gain's largest |eigenvalue| [1/s].
+      tuned: `Tuned`. q: (n,) [rad, m]; default: the end of the tuned run.
+    Returns: an xarray.Dataset over (Ts, alpha), where alpha is the gain's largest |eigenvalue| [1/s].
     """
     import xarray as xr
 

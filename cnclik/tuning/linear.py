@@ -1,4 +1,4 @@
-"""The loop at rest as matrices: what one step does to a small error, late or not, and how large that is, smoothly."""
+"""The loop at rest as matrices: the effect of one step on a small error, delayed or not, and smooth bounds of it."""
 
 import jax
 import jax.numpy as jnp
@@ -18,23 +18,23 @@ from cnclik.stability.rates import parts_at_rest
 from cnclik.stability.spectrum import at_rest, directions, of_error, one_step
 from cnclik.stability.tasks import bounded_rates
 
-SQUARINGS = 10  # of a matrix whose radius is bounded: its power p = 1024
+SQUARINGS = 10  # of a matrix to bound its radius: the power p = 1024
 
 
 # --- maps ---------------------------------------------------------------------------------------------
 
 
 def maps_at_rest(law, q, Ts, method, stage):
-    """How one step multiplies a small error (m, m), and a small motion in the null space of J (n, n); and what it takes
-    of an error (m, m). Pure.
+    """How one step multiplies a small error (m, m) and a small motion in the null space of J (n, n); and the share it
+    removes of an error (m, m). Pure.
 
-    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J). Its eigenvalues along the task are 0. A stack takes
-    most where its tasks get all that they ask for; errors that no joint can do anything about count as such.
+    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J), whose eigenvalues along the task are 0. A stack
+    removes most where all its tasks are fulfilled; errors that no joint can affect count as removed like that.
     """
     (law, held), method = at_rest(law, None, q), _forgetful(method)
     if law.null_velocity is not None:
         moved, rows = one_step(law, held, q, Ts, method, stage)
-        inverse = jnp.linalg.pinv(rows)  # once: of two batches side by side LAPACK's threads may wait for each other
+        inverse = jnp.linalg.pinv(rows)  # computed once: LAPACK's threads may deadlock in two simultaneous batches
         across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
         found = of_error(moved, rows, inverse=inverse)
         return found, across @ moved @ across, _taken(found)
@@ -55,7 +55,7 @@ def _taken(found):
 
 
 def _forgetful(method):
-    """A one-step method that does to a small error at rest what the method does."""
+    """A one-step method with the same effect on a small error at rest."""
     same = at_rest_as(method)
     if same.steps > 1:
         raise errors.fail("method", "be a one-step or an exponential method to be tuned", f"is {method}")
@@ -63,7 +63,7 @@ def _forgetful(method):
 
 
 def driven_map(a, drive, Ts):
-    """The step of a loop through its drives as one matrix, from A (..., m, m), that of the error at rest."""
+    """The step of a loop through its drives as one matrix, from the map A (..., m, m) of the error at rest."""
     if drive.prompt:
         return a
     steps = a - np.eye(a.shape[-1], dtype=a.dtype)
@@ -71,10 +71,9 @@ def driven_map(a, drive, Ts):
 
 
 def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
-    """Largest share of an error that a step may remove: without overshoot, even with a dead time longer by
-    `delay_margin` samples, and with at most this noise gain: d^d/(d + 1)^(d + 1) of dead time d.
+    """Largest share of an error that a step may remove: d^d/(d + 1)^(d + 1) for a dead time d.
 
-    See `driven_limits`.
+    It does not overshoot even with `delay_margin` more samples, and has at most this noise gain. See `driven_limits`.
     """
     found = []
     for joints in each_drive(looked_at_drive(drive)):
@@ -89,8 +88,8 @@ def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
 def radius_bound(matrix):
     """A smooth upper bound of the spectral radius, ‖A^p‖^(1/p) with p = 1024 (Gelfand 1941).
 
-    In the Frobenius norm: at most a factor m^(1/2p) above it for normal matrices (0.09 % for m = 6). Eigenvalues
-    themselves have no derivative where they coincide, as all do for exact J# and one gain.
+    In the Frobenius norm it exceeds the radius of normal matrices by at most a factor m^(1/2p) (0.09 % for m = 6).
+    Eigenvalues themselves have no derivative where they coincide, as all do for exact J# and one gain.
     """
 
     def square(carry, share):
@@ -108,16 +107,16 @@ def radius_bound(matrix):
 
 
 def radius_estimate(matrix):
-    """`radius_bound` divided by what it is for the identity, m^(1/2p).
+    """`radius_bound` divided by its value for the identity, m^(1/2p).
 
-    Right where all eigenvalues are equal in size, and at most that factor too small elsewhere: for bounds that are
-    to be reached, such as 1 for a direction that nothing acts on.
+    It is exact if all eigenvalues have equal size, and otherwise at most that factor too small: for bounds that are to
+    be reached, such as 1 for a direction that nothing acts on.
     """
     return radius_bound(matrix) / matrix.shape[0] ** (0.5 ** (SQUARINGS + 1))
 
 
 def measured_radius(matrices):
-    """Largest spectral radius of matrices (..., K, m, m), NumPy arrays, by eigenvalues; inf where one isn't finite."""
+    """Largest spectral radius of matrices (..., K, m, m), NumPy arrays, by eigenvalues; inf if one is not finite."""
     finite = np.isfinite(matrices).all((-1, -2, -3))
     values = np.linalg.eigvals(np.where(finite[..., None, None, None], matrices, 0.0))
     return np.where(finite, np.abs(values).max((-1, -2)), np.inf)
@@ -129,7 +128,7 @@ def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
     Args:
       law: its alpha, of any shape, is scaled. q: (n,).
       alpha, Ts: (k,) largest |eigenvalue| of the gain [1/s], sampling time [s].
-      method, stage: as for `solve`. drive: what lies between command and motion.
+      method, stage: as for `solve`. drive: between command and motion.
     Returns: (k,).
     """
     loop = loop_at_rest(law, None, q, _forgetful(method), stage, drive)

@@ -1,7 +1,7 @@
 """Losses: smooth functions of a run that a tuning minimizes.
 
-A loss maps a `View` to a number in the unit that its description names; weighted sums of losses are losses, too. Times
-beyond the horizon have weight 0, so that loops with different sampling times are judged over the same time.
+A loss maps a `View` to a number in the unit that its description gives. Weighted sums of losses are losses, too. Times
+beyond the horizon have weight 0, so that loops with different sampling times are compared over the same time.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ from cnclik.tuning.linear import driven_map
 
 
 class View(NamedTuple):
-    """What a loss may look at.
+    """The quantities that a loss may use.
 
     Attributes:
-      run: the `Trajectory`; its e is the true error, of a stack times what each coordinate counts in the law that
-        tuning starts from: its weight over the damping of its level, at most 1.
-      weight: (N,) shares of the horizon, of e[1] … e[N] and of the N steps, summing to 1. e[0] is given, not earned.
+      run: the `Trajectory`; its e is the true error. For a stack, each coordinate is multiplied by its weight over the
+        damping of its level, at most 1, in the law that tuning starts from.
+      weight: (N,) shares of the horizon, of e[1] … e[N] and of the N steps, summing to 1; e[0] is given and does not
+        count.
       Ts: sampling time [s].
       horizon: [s].
-      tolerance: what counts as arrived [m, rad].
+      tolerance: error that counts as settled [m, rad].
       maps: (K, m, m) one-step maps of the error at rest along the path.
     """
 
@@ -46,12 +47,12 @@ def _squares(rows):
 
 
 def _root_mean(view, rows, skip=0):
-    """√ of the weighted mean of ‖row‖², the first `skip` weights left out."""
+    """√ of the weighted mean of ‖row‖², without the first `skip` weights."""
     return safe_sqrt(jnp.sum(view.weight[skip:] * _squares(rows)))
 
 
 def _sum_of_powers(a, q):
-    """Σ AᵏQAᵏᵀ over k = 0 … 4095, doubled each time."""
+    """Σ AᵏQAᵏᵀ over k = 0 … 4095, by doubling."""
     for _ in range(12):
         q = q + a @ q @ jnp.swapaxes(a, -1, -2)
         a = a @ a
@@ -59,7 +60,7 @@ def _sum_of_powers(a, q):
 
 
 def _deviation(p):
-    """RMS over axes and path of what has the covariances p (K, m, m)."""
+    """RMS over axes and path of the standard deviations with covariances p (K, m, m)."""
     return safe_sqrt(jnp.mean(jnp.diagonal(p, axis1=-2, axis2=-1)))
 
 
@@ -108,10 +109,10 @@ LATE = Drive(delay=1.0)
 
 
 def delay(view: View):
-    """What is left of a unit error if it is measured one sample late: √(Σ ‖e[k]‖²), RMS over axes and path [1].
+    """Sensitivity to one sample of dead time: √(Σ ‖e[k]‖²) of a unit error, RMS over axes and path [1].
 
-    e[k+1] = e[k] + (A − I) e[k−1]: √((1 + z)/((1 − z) z (2 + z))) for explicit Euler, least at z = 0.466; not finite
-    where the late loop is unstable.
+    e[k+1] = e[k] + (A − I) e[k−1]: √((1 + z)/((1 − z) z (2 + z))) for explicit Euler, least at z = 0.466; not finite if
+    the delayed loop is unstable.
     """
     m = view.maps.shape[-1]
     start = jnp.zeros((2 * m, 2 * m), view.maps.dtype).at[:m, :m].set(jnp.eye(m, dtype=view.maps.dtype))
@@ -122,7 +123,7 @@ LOSSES = {f.__name__: f for f in (tracking, worst, settling, effort, jerk, noise
 
 
 def terms(loss):
-    """A loss as a user names it, as (function, weight) pairs: a name, {name: weight}, or a function of a `View`."""
+    """A loss in the user's form (a name, {name: weight}, or a function of a `View`) as (function, weight) pairs."""
     if callable(loss):
         return ((loss, 1.0),)
     if isinstance(loss, str):
@@ -137,7 +138,7 @@ def terms(loss):
 
 
 def in_words(loss) -> str:
-    """A loss as a user named it, in words."""
+    """A loss in the user's form, in words."""
     if isinstance(loss, str):
         return loss
     if isinstance(loss, dict):

@@ -1,4 +1,4 @@
-"""Objective: loss and constraints of a loop over its scenarios, as a function of what is tuned."""
+"""Objective: loss and constraints of a loop over its scenarios, as a function of the tuned values."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, Scenario, rollout, scenarios
 from cnclik.tuning.losses import View, terms
 
-INTERVALS = 8  # along each path: at their ends the spectral radius is asked for
-TOGETHER = 16  # values judged in one go: one shape, one program
-CONSTRAINT_TOLERANCE = 2**22 * np.finfo(float).eps  # exceeded by less, relatively, a constraint is kept: rounding
+INTERVALS = 8  # along each path, at whose ends the spectral radius is computed
+TOGETHER = 16  # values judged at once, so that one program serves all
+CONSTRAINT_TOLERANCE = 2**22 * np.finfo(float).eps  # relative excess of a constraint that counts as rounding
 CONSTRAINTS = ("spectral radius", "overshoot", "null space", "joint velocity")
 
 
@@ -81,26 +81,26 @@ class Goal:
 
 
 class Judged(NamedTuple):
-    """What values lead to: largest numbers along the runs, as in `Performance`; inf for what is not finite."""
+    """The performance for some values: largest numbers along the runs, as in `Performance`; inf if not finite."""
 
     loss: Float[np.ndarray, ""]
     radius: Float[np.ndarray, ""]
     null_radius: Float[np.ndarray, ""]
     correction: Float[np.ndarray, ""]
     speed: Float[np.ndarray, ""]
-    excess: Float[np.ndarray, " 4"]  # by how much each of CONSTRAINTS is exceeded, relatively; −inf: it is not set
-    postures: Float[np.ndarray, "BK n"]  # where these were measured
-    growths: Float[np.ndarray, "BK n n"]  # projections on motions of the null space that grow there by themselves
+    excess: Float[np.ndarray, " 4"]  # relative excess of each of CONSTRAINTS; −inf: it is not set
+    postures: Float[np.ndarray, "BK n"]  # where the radii were computed
+    growths: Float[np.ndarray, "BK n n"]  # projections on null-space motions that grow there by themselves
     run: Trajectory  # of the first scenario
 
     @property
     def violation(self) -> float:
-        """By how much the worst constraint is exceeded; at most 0 where all are kept."""
+        """Relative excess of the worst constraint; at most 0 if all are kept."""
         return float(np.max(self.excess))
 
     @property
     def feasible(self) -> bool:
-        """Whether all constraints are kept, but for rounding."""
+        """Whether all constraints are kept, to rounding."""
         return bool(self.violation <= CONSTRAINT_TOLERANCE)
 
 
@@ -111,22 +111,22 @@ class LoopObjective:
     loop: pm.Adjustable
     parameters: tuple[pm.Parameter, ...]
     scenarios: Scenario  # with a leading axis B
-    postures: Float[AnyArray, "BK n"]  # where the spectral radius is asked for
-    growths: Float[AnyArray, "BK n n"]  # motions of the null space there that grow by themselves, see `growing`
-    moments: Float[AnyArray, " BK"]  # of the horizon, for a gain schedule
+    postures: Float[AnyArray, "BK n"]  # where the spectral radius is computed
+    growths: Float[AnyArray, "BK n n"]  # null-space motions that grow there by themselves, see `growing`
+    moments: Float[AnyArray, " BK"]  # shares of the horizon, for a gain schedule
     losses: tuple[tuple[Callable, AnyArray], ...]  # (function, weight) pairs
     margin: Float[AnyArray, ""]
     largest_correction: Float[AnyArray, ""]  # largest share of an error that a step may remove; inf: any
-    limits: Float[AnyArray, " j"] | None  # joint velocity limits, and which joints have them
+    limits: Float[AnyArray, " j"] | None  # joint velocity limits of the joints that have one
     joints: tuple[int, ...]
     horizon: Float[AnyArray, ""]
     tolerance: Float[AnyArray, ""]
     N: int
-    drive: Drive  # where joints differ, each drive counts as one for all joints
+    drive: Drive  # if joints differ, each drive counts for all joints
     method: Method | Multistep
     stage: Stage
-    counts: Float[AnyArray, " m"] | None  # what each coordinate of a stack counts in the loss, as the law was given
-    contracts: bool  # whether the margin asks for more than the bound on corrections gives
+    counts: Float[AnyArray, " m"] | None  # weight of each coordinate of a stack in the loss, from the original law
+    contracts: bool  # whether the margin is stricter than the bound on corrections
 
     @property
     def moves_null_space(self) -> bool:
@@ -135,7 +135,7 @@ class LoopObjective:
 
     @property
     def constraints(self) -> int:
-        """How many constraints there are: known without tracing them."""
+        """The number of constraints, known without tracing."""
         kinds = 1 + self.contracts * len(each_drive(self.drive)) + self.moves_null_space
         return kinds * len(self.postures) + len(self.joints)
 
@@ -159,7 +159,7 @@ class LoopObjective:
         return jax.vmap(run)(self.scenarios)
 
     def _along(self, of, loop, postures):
-        """of(law, q) at postures (B·K, n), with the gain that a schedule has there."""
+        """of(law, q) at postures (B·K, n), with the gain of the schedule there."""
         return jax.vmap(lambda q, moment: of(pm.scheduled(loop, moment), q))(postures, self.moments)
 
     def _maps(self, loop, postures):
@@ -181,7 +181,7 @@ class LoopObjective:
         return jnp.mean(jax.vmap(of_run)(runs, maps.reshape(len(runs.q), -1, *maps.shape[1:])))
 
     def _speed(self, runs):
-        """Largest |q̇| over its limit, per joint that has one (j,)."""
+        """Largest |q̇| over its limit, for each joint that has one (j,)."""
         largest = jnp.max(jnp.abs(runs.qdot[..., jnp.array(self.joints, int)]), axis=(0, 1))
         return largest / self.limits
 
@@ -203,7 +203,7 @@ class LoopObjective:
         return self._loss(loop, runs, maps), jnp.concatenate(constraints)
 
     def observe(self, values) -> dict:
-        """What `judge` needs of the runs that the values lead to, along which maps are taken. Pure."""
+        """The input of `judged`: the runs with these values, along which the maps are taken. Pure."""
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
         moments = jnp.linspace(0, 1, INTERVALS + 1)
@@ -223,9 +223,10 @@ class LoopObjective:
         }
 
     def judged(self, seen: dict) -> Judged:
-        """`Judged` of what `observe` found of many values, NumPy arrays with a leading axis.
+        """`Judged` for many results of `observe`, NumPy arrays with a leading axis.
 
-        Eigenvalues are NumPy's: of two batches of them in one compiled program LAPACK's threads wait for each other.
+        The eigenvalues are computed by NumPy, as LAPACK's threads wait for each other in two batches of one compiled
+        program.
         """
         maps = seen["maps"]
         finite = np.isfinite(seen["loss"]) & seen["finite"]
@@ -242,7 +243,7 @@ class LoopObjective:
         radius = known(np.max([*map(linear.measured_radius, driven)], axis=0))
         null_radius, correction = (known(linear.measured_radius(v)) for v in (across, seen["taken"]))
         speed = known(seen["speed"])
-        with np.errstate(divide="ignore", invalid="ignore"):  # no correction is small enough where none is stable
+        with np.errstate(divide="ignore", invalid="ignore"):  # an unstable loop has no allowed correction
             ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
         is_set = [True, float(self.largest_correction) < np.inf, self.moves_null_space, bool(self.joints)]
         excess = np.where(is_set, np.stack(ratios, -1) - 1.0, -np.inf)
@@ -261,9 +262,9 @@ def _observed(objective, values):
 
 @in_float64
 def judge(objective, many, *, together: int = TOGETHER) -> list:
-    """`Judged` of each of many values (tuples, one entry per parameter), NumPy arrays in them. In float64.
+    """`Judged` for each of many values (tuples, one entry per parameter), with NumPy arrays. In float64.
 
-    Args: together: how many are judged in one go; fewer are filled up to it, so that there is one program.
+    Args: together: how many are judged at once; fewer are padded, so that one program serves all.
     """
     found = []
     for i in range(0, len(many), together):
@@ -277,10 +278,10 @@ def judge(objective, many, *, together: int = TOGETHER) -> list:
 
 @in_float64
 def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5), **goal) -> LoopObjective:
-    """The objective that `tune` descends, for judging values found in other ways. In float64. Args: as for `tune`."""
+    """The objective of `tune`, to judge values found in other ways. In float64. Args: as for `tune`."""
     check_loop(law)
     goal = Goal(**goal)
-    assert goal.margin is not None  # `Goal` has filled it in
+    assert goal.margin is not None  # `Goal` has set it
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=2)
@@ -319,12 +320,12 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
 
 
 def steps_to(horizon, Ts) -> int:
-    """Steps of Ts up to the horizon, the last one perhaps beyond it."""
+    """Steps of Ts that reach the horizon, the last one perhaps beyond it."""
     return int(np.ceil(float(horizon) / float(Ts) - 1e-9))
 
 
 def _limits(chain, velocity_limit):
-    """Which joints have a velocity limit, and how large it is."""
+    """The joints with a velocity limit, and the limits."""
     if velocity_limit is None:
         return (), None
     if isinstance(velocity_limit, str):

@@ -1,4 +1,4 @@
-"""One page on a tuning, in Markdown: what was found, what a controller needs of it, its figures."""
+"""A tuning on one page, in Markdown: the result, the lines for a controller, the figures."""
 
 import math
 
@@ -24,7 +24,8 @@ CAPTIONS = {
 def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     """A `Tuned` on one page.
 
-    Args: name: of the loop. seconds: what it took, or None. figures: names of figures beside the page, of CAPTIONS.
+    Args: name: of the loop. seconds: duration of the tuning, or None. figures: names of figures beside the page, of
+      CAPTIONS.
     """
     method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
     loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {1e3 * tuned.Ts:g} ms."
@@ -44,7 +45,7 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
 
 
 def page_rows(tuned, seconds=None) -> list:
-    """[(name, text)]: what was found, in numbers with their units. Args: as for `page`."""
+    """[(name, text)]: the result in numbers with their units. Args: as for `page`."""
     before, after = tuned.before, tuned.after
     rows = [
         (p.name, f"{in_words(tuned.values[p.name])}{with_unit(p)} (from {in_words(p.start)})") for p in tuned.parameters

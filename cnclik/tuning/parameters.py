@@ -1,7 +1,7 @@
-"""Parameters of a loop that may be tuned, and the transforms that keep them inside their bounds.
+"""Parameters of a loop that can be tuned, and the transforms that keep them inside their bounds.
 
-An optimizer moves free numbers u; what they stand for can't leave its bounds, whatever u is: numbers by a logistic
-function, symmetric positive definite gains by one of their eigenvalues.
+An optimizer moves free numbers u. For any u their values stay within the bounds: numbers by a logistic function,
+symmetric positive definite gains by one of their eigenvalues.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cnclik.shapes import AnyArray, Float
 from cnclik.stability.spectrum import largest_rate
 
 BOX, SPD = "box", "spd"
-INSIDE = 1e-6  # a start on a bound is moved inside by this fraction of the range, where derivatives still tell
+INSIDE = 1e-6  # fraction of the range by which a start on a bound moves inside, where derivatives are not 0
 
 
 @record
@@ -33,7 +33,7 @@ class Parameter:
     """One thing to tune.
 
     Attributes:
-      name: what it is called in results.
+      name: its name in results.
       kind: "box": every entry lies between `lower` and `upper`; "spd": a symmetric positive definite matrix whose
         eigenvalues do.
       start: where tuning starts; its shape is the parameter's.
@@ -52,7 +52,7 @@ class Parameter:
 
 
 def parameter(name, start, lower, upper, put, *, kind=BOX, unit="1") -> Parameter:
-    """A `Parameter`, checked. Raises ArgumentError for bounds that leave no room."""
+    """A checked `Parameter`. Raises: ArgumentError for bounds that leave no room."""
     start = np.asarray(errors.array(name, start, finite=False), float)
     shapes = ((), start.shape) if kind == BOX else ((),)
     lower, upper = (np.asarray(errors.array(f"bounds of {name}", v, *shapes), float) for v in (lower, upper))
@@ -67,16 +67,16 @@ def parameter(name, start, lower, upper, put, *, kind=BOX, unit="1") -> Paramete
 
 
 def size(p: Parameter) -> int:
-    """How many free numbers the parameter has."""
+    """Number of free numbers of the parameter."""
     m = np.shape(p.start)[-1] if np.ndim(p.start) else 1
     return m * (m + 1) // 2 if p.kind == SPD else int(np.prod(np.shape(p.start), dtype=int))
 
 
 def bounded(p: Parameter, u):
-    """The value that the free numbers u (size,) stand for; within its bounds for every finite u.
+    """The value for the free numbers u (size,); within its bounds for every finite u.
 
-    box: lower + (upper − lower)/(1 + exp(−u)). spd: lower I + (upper − lower)(I − (I + S)⁻¹) with S = LLᵀ and
-    L lower triangular with diagonal exp(u/2): an eigenvalue s of S gives lower + (upper − lower) s/(1 + s).
+    box: lower + (upper − lower)/(1 + exp(−u)). spd: lower I + (upper − lower)(I − (I + S)⁻¹) with S = LLᵀ and L lower
+    triangular with diagonal exp(u/2): an eigenvalue s of S gives lower + (upper − lower) s/(1 + s).
     """
     if p.kind == BOX:
         value = p.lower + (p.upper - p.lower) * jax.nn.sigmoid(u.reshape(np.shape(p.start)))
@@ -91,7 +91,7 @@ def bounded(p: Parameter, u):
 
 
 def free(p: Parameter, value):
-    """Free numbers of a value, moved inside the bounds where it is on or beyond them; the inverse of `bounded`."""
+    """The free numbers of a value, which is moved inside its bounds if necessary; the inverse of `bounded`."""
     value = np.nan_to_num(np.asarray(value, float), nan=1.0)
     if p.kind == BOX:
         share = np.clip((value - p.lower) / (p.upper - p.lower), INSIDE, 1 - INSIDE)
@@ -105,13 +105,13 @@ def free(p: Parameter, value):
 
 
 def values_of(parameters, u):
-    """The parameters' values, one per parameter, from all free numbers in one vector."""
+    """The parameters' values from one vector of all free numbers."""
     ends = np.cumsum([size(p) for p in parameters])
     return tuple(bounded(p, u[end - size(p) : end]) for p, end in zip(parameters, ends, strict=True))
 
 
 def known_values(parameters, u):
-    """`values_of` for numbers, as NumPy arrays."""
+    """`values_of` as NumPy arrays."""
     return tuple(map(np.asarray, _values_of(tuple(parameters), np.asarray(u))))
 
 
@@ -128,13 +128,13 @@ def free_of(parameters, values):
 
 @record
 class Adjustable:
-    """The part of a loop that parameters are put into.
+    """The part of a loop that contains the parameters.
 
     Attributes:
       law: the right-hand side.
       Ts: sampling time [s].
-      schedule: (K,) gains [1/s] at K instants evenly spread over the horizon, linear between them, that the law's
-        alpha is scaled to (its largest rate); or None: alpha as it is.
+      schedule: (K,) gains [1/s] at K instants evenly spread over the horizon, linear between them, to which the law's
+        alpha is scaled (its largest rate); None: alpha is constant.
     """
 
     law: Law
@@ -143,21 +143,21 @@ class Adjustable:
 
 
 def put(loop: Adjustable, parameters, values) -> Adjustable:
-    """The loop with all values in it."""
+    """The loop with all values set."""
     for p, value in zip(parameters, values, strict=True):
         loop = p.put(loop, value)
     return loop
 
 
 def gain_per_step(loop: Adjustable) -> float:
-    """z = alpha·Ts of the loop: of the largest |eigenvalue| of a gain matrix, of the largest gain of a schedule."""
+    """z = alpha·Ts of the loop, for the largest |eigenvalue| of a gain matrix or the largest gain of a schedule."""
     if loop.schedule is not None:
         return float(np.max(loop.schedule)) * float(loop.Ts)
     return largest_rate(loop.law.alpha) * float(loop.Ts) if np.any(loop.law.alpha) else 0.0
 
 
 def scheduled(loop: Adjustable, share):
-    """The law at a share 0 … 1 of the horizon: its alpha as the schedule has it there."""
+    """The law with the schedule's alpha at a share 0 … 1 of the horizon."""
     if loop.schedule is None:
         return loop.law
     schedule = jnp.asarray(loop.schedule)
@@ -168,7 +168,7 @@ def scheduled(loop: Adjustable, share):
 
 
 def scaled_links(chain, factors):
-    """The chain with its links' offsets longer by factors (n + 1,): those before each joint, then the tip's."""
+    """The chain with its links' offsets scaled by factors (n + 1,), before each joint and at the tip."""
 
     def stretch(offset, factor):
         return Offset(position=scale(factor, offset.position), rotation=offset.rotation)
@@ -178,7 +178,7 @@ def scaled_links(chain, factors):
 
 
 def _in_law(changes):
-    """A `put` that changes fields of the law: changes(law, value) is {field: what is in it}."""
+    """A `put` that changes fields of the law: changes(law, value) is {field: new content}."""
 
     def put(loop, value):
         return replace(loop, law=replace(loop.law, **changes(loop.law, value)))
@@ -192,7 +192,7 @@ def _with_tool(chain, value):
 
 KNOTS = 5  # of a gain schedule
 
-# What each name starts from, its default bounds, where it is put, its unit. Functions of (law, Ts).
+# Start, default bounds, `put` and unit of each name, as functions of (law, Ts).
 
 
 def _alpha(law, Ts):
@@ -203,7 +203,7 @@ def _alpha(law, Ts):
 
 
 def _schedule(law, Ts):
-    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` takes the matrix as symmetric
+    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` needs a symmetric matrix
 
 
 def _damping(law, Ts):
@@ -245,11 +245,11 @@ _KNOWN = {
 NAMES = tuple(_KNOWN)
 _POSITIVE = ("alpha", "schedule", "damping", "weights", "Ts")
 
-# The same of one task of a stack, "hands.alpha": functions of (law, Ts, task), and of (law, task, value).
+# The same for a task of a stack, "hands.alpha": functions of (law, Ts, task), and of (law, task, value).
 
 
 def even(values):
-    """A task's numbers as one, where they are alike."""
+    """A task's values as one number if they are equal."""
     first = values.flat[0]
     return first if np.all(values == first * (np.eye(len(values)) if values.ndim == 2 else 1.0)) else values
 
@@ -278,7 +278,7 @@ def _level(law, task):
 
 
 def _task_damping(law, Ts, task):
-    """Up to half the way to the next level's, as a ratio: the order of levels is that of their dampings."""
+    """The damping of a level, up to halfway (as a ratio) to the next level's: dampings define the order of levels."""
     i = _level(law, task)
     each = [float(one.damping) for one in law.inverse.damping]
     start = each[i]
@@ -308,13 +308,13 @@ _OF_TASK = {
 }
 
 
-@functools.cache  # one function for one name: programs are found by it
+@functools.cache  # the same function for the same name, as it is a key of programs
 def _put_in_task(what, task):
     return _in_law(lambda law, value: _OF_TASK[what][1](law, task, value))
 
 
 def _of_stack(law) -> dict:
-    """{name: those of tasks that it stands for}: of all tasks, of each level the first."""
+    """{name: the names of tasks' parameters it stands for}, one per task, or the first of each level."""
     tasks = [name for name, _ in law.task.tasks]
     levels = isinstance(law.inverse, inverses.Levels)
     found = {what: [f"{task}.{what}" for task in tasks] for what in ("alpha", "weights") if tasks}
@@ -322,7 +322,7 @@ def _of_stack(law) -> dict:
 
 
 def kind_of(name: str) -> str:
-    """What a parameter is, of whichever task."""
+    """The kind of a parameter, whichever task it belongs to."""
     return name.rpartition(".")[2]
 
 
@@ -359,9 +359,9 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
 
 
 def chosen(over, loop: Adjustable, bounds) -> tuple:
-    """What is tuned, as a user names it: names and `Parameter`s, with bounds {name: (lower, upper)}.
+    """The tuned parameters, given as names and `Parameter`s with bounds {name: (lower, upper)}.
 
-    Of a stack "alpha", "damping" and "weights" are those of all its tasks.
+    For a stack, "alpha", "damping" and "weights" stand for those of all its tasks.
     """
     over = tuple(over) if isinstance(over, (tuple, list)) else (over,)
     if not over:

@@ -1,4 +1,4 @@
-"""Result of a tuning: as a record, as plain numbers for a file, and in words."""
+"""Result of a tuning: a record, plain numbers for a file, and words."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _WHY = {
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
 
-AT_LIMIT = 0.01  # of a joint's velocity limit, within which a run is held back by it
+AT_LIMIT = 0.01  # of a joint's velocity limit; a run this close to it is limited by it
 _NEARLY_NO_GAIN = (
     "The gain is nearly zero: an error would not be removed within the whole path. Here the loss grows with it, as it "
     "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
@@ -138,12 +138,12 @@ class Tuned:
 
     @property
     def satisfied(self) -> bool:
-        """Whether all constraints are kept, as measured along the tuned run."""
+        """Whether all constraints are kept along the tuned run."""
         return bool(self.after.violation <= CONSTRAINT_TOLERANCE)
 
     @property
     def why(self) -> str:
-        """The status in a sentence, and others where what was found is hardly a loop, or may run away."""
+        """The status in a sentence, with remarks if the result is hardly a loop or may run away."""
         astray = rebased.astray(self.conditions.drive, self.Ts)
         return f"{self._how_it_ended} But {astray}." if astray else self._how_it_ended
 
@@ -169,19 +169,19 @@ class Tuned:
 
 
 def with_unit(parameter) -> str:
-    """Its unit, to be written behind a value."""
+    """The unit as a suffix of a value."""
     return "" if parameter.unit == "1" else f" {parameter.unit}"
 
 
 def kept_in_words(tuned) -> str:
-    """Whether the constraints are kept."""
+    """Whether the constraints are kept, in words."""
     if tuned.satisfied:
         return "kept"
     return f"NOT kept, that on {tuned.after.worst} exceeded by {100 * tuned.after.violation:.3g} %"
 
 
 def gradient_in_words(count, mode, method, stage) -> str:
-    """Which derivative a tuning takes: its mode, how many free numbers, and how implicit stages enter it.
+    """The derivative of a tuning: its mode, the number of free numbers, and how implicit stages enter it.
 
     Args: count: free numbers. mode: "auto", "forward" or "reverse". method, stage: as for `solve`.
     """
@@ -199,10 +199,10 @@ FRONT = ("z", "loss", "noise_gain", "delay_margin", "violation")
 
 
 def result(objective, values, before, after, others, *, goal, reference, q0, gradient, **ended) -> Tuned:
-    """`Tuned` from the values chosen, one per parameter, and what was judged.
+    """`Tuned` from the chosen values, one per parameter, and the judgements.
 
-    Args: others: (values, `Judged`) of gains of other sizes. reference, q0, gradient: as `tune` was given them. ended:
-      path_speed, status, history, starts, evaluations of `Tuned`.
+    Args: others: (values, `Judged`) for other gains. reference, q0, gradient: as given to `tune`. ended: path_speed,
+      status, history, starts, evaluations of `Tuned`.
     """
     parameters = objective.parameters
     loop, own = (
@@ -234,7 +234,7 @@ def result(objective, values, before, after, others, *, goal, reference, q0, gra
 
 
 def _copied(tree):
-    """With arrays of its own: those that a float64 computation has seen are not for one in float32, see `precision`."""
+    """A copy with new arrays, as arrays used in a float64 computation must not be used in float32, see `precision`."""
     return jax.tree.map(np.array, tree)
 
 
@@ -245,7 +245,7 @@ def _performance(objective, loop, judged) -> Performance:
         violation=judged.violation,
         worst=CONSTRAINTS[int(np.argmax(judged.excess))],
         z=pm.gain_per_step(loop),
-        # With a tuned Ts the program runs as many steps as the smallest one needs: cut at the horizon.
+        # With a tuned Ts the program runs as many steps as the smallest Ts needs: cut at the horizon.
         run=truncate(judged.run, min(objective.N, steps_to(objective.horizon, loop.Ts))),
     )
 
@@ -260,7 +260,7 @@ _AS_THEY_ARE = (
 
 
 def to_json(tuned: Tuned, **about) -> dict:
-    """The result as nested tables of plain numbers, lists and texts, ready for `json`; what is infinite is null.
+    """The result as nested tables of plain numbers, lists and texts for `json`; infinite numbers become null.
 
     Args: about: more entries, such as config={...}.
     """

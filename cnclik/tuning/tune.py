@@ -26,12 +26,12 @@ from cnclik.tuning.descent import Descent, History, descend
 from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
-FRONT = 5.0  # factor by which gains beside the tuned one are larger or smaller
+FRONT = 5.0  # largest factor between the gains of the front and the tuned gain
 FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
 
 
 class Candidate(NamedTuple):
-    """A point of the free numbers, and what it leads to."""
+    """A point of the free numbers, and its performance."""
 
     u: np.ndarray  # (p,)
     judged: Judged
@@ -77,12 +77,12 @@ def tune(
     own = tuple(p.start for p in parameters)
     fallbacks = _gains_over_z(objective)
     before, *judged = judge(objective, [own, *fallbacks])
-    # The gain, of those spread over z, that keeps the constraints best.
+    # The gain over z that keeps the constraints best.
     safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))
     if not np.isfinite(judged[safe].loss):
         return _without_run(objective, own, before, given)
     anchor, run = pm.free_of(parameters, fallbacks[safe]), judged[safe]
-    objective = replace(objective, postures=run.postures, growths=run.growths)  # constraints along that run
+    objective = replace(objective, postures=run.postures, growths=run.growths)  # constrain along that run
     rng = np.random.default_rng(int(goal.conditions.seed))
     begun = [
         _nearest_feasible(objective, u, anchor)
@@ -119,7 +119,7 @@ def tune(
 
 
 def _without_run(objective, own, before, given) -> Tuned:
-    """What is found where no gain has a finite run."""
+    """The result if no gain has a finite run."""
     own = _values(objective, pm.free_of(objective.parameters, own))
     history = {name: np.zeros(0) for name in History._fields}
     ended = dict(status="non-finite", history=history, starts=np.full(1, np.inf), evaluations=0)
@@ -143,7 +143,7 @@ def _gains(objective) -> list:
 
 
 def _gains_over_z(objective):
-    """Values to fall back on: gains spread over z = alpha·Ts, everything else as it is (inside its bounds)."""
+    """Values to fall back on: gains spread over z = alpha·Ts, all else unchanged (inside its bounds)."""
     start = {p.name: _bounded(p, p.start) for p in objective.parameters}
     even = {p.name: np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)) for p in _gains(objective)}
     Ts = float(start.get("Ts", objective.loop.Ts))
@@ -155,7 +155,7 @@ def _gains_over_z(objective):
 
 
 def _front(objective, values) -> list:
-    """(values, `Judged`) of the tuned gain in other sizes: what a smaller or larger one costs."""
+    """(values, `Judged`) of smaller and larger gains than the tuned one."""
     gains, tuned = _gains(objective), {p.name: v for p, v in zip(objective.parameters, values, strict=True)}
     sizes = np.geomspace(1 / FRONT, FRONT, TOGETHER) if gains else ()
     made = [tuple((tuned | {p.name: _bounded(p, s * tuned[p.name]) for p in gains}).values()) for s in sizes]
@@ -175,15 +175,15 @@ def _least_bad(candidates):
 
 
 def _nearest_feasible(objective, u, anchor) -> Candidate:
-    """The point nearest to u on the way to the anchor that keeps the constraints, or the least bad."""
+    """The point nearest to u on the line to the anchor that keeps the constraints, or the least bad one."""
     line = _between(objective, u, anchor, np.linspace(0, 1, TOGETHER))
     return next((c for c in line if c.judged.feasible), _least_bad(line))
 
 
 def _restored(objective, candidates) -> Candidate:
-    """The best of the candidates; one that ended just outside is first brought back to the boundary.
+    """The best of the candidates; one that ended just outside is first moved back to the boundary.
 
-    That one may be better than all that were kept.
+    It may then be better than all others.
     """
     feasible = [c for c in candidates if c.judged.feasible]
     if not feasible:
@@ -197,14 +197,14 @@ def _restored(objective, candidates) -> Candidate:
 
 
 def _boundary(objective, far, near) -> Candidate:
-    """The last point on the way from `near` (which keeps the constraints) towards `far` that keeps them."""
+    """The last point on the line from `near` (which keeps the constraints) towards `far` that keeps them."""
     low, high, last = 0.0, 1.0, near  # shares towards `near`
     for _ in range(3):
         shares = np.linspace(low, high, TOGETHER)
         line = _between(objective, far.u, near.u, shares)
         i = next((i for i, c in enumerate(line) if c.judged.feasible), None)
         last = last if i is None else line[i]
-        if not i:  # none of them, or the farthest
+        if not i:  # none keeps them, or the farthest one
             break
         low, high = shares[i - 1], shares[i]
     return last
