@@ -22,6 +22,10 @@ def walls_from(tables: dict[str, Table], chain: Chain) -> tuple[Wall, ...]:
     for name, one in tables.items():
         with errors.within(one.where):
             made += _walls(name, one, chain)
+    names = [wall.name for wall in made]
+    if twice := [name for name in names if names.count(name) > 1]:
+        must = "have different names; `corners` make NAME_1, NAME_2, ..."
+        raise errors.fail("walls", must, f"have {twice[0]!r} twice")
     return tuple(made)
 
 

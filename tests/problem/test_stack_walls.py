@@ -84,6 +84,8 @@ def test_corners_of_feet_are_walls_of_the_centre_of_mass():
     close(ck.wall_distance(made, q), ck.wall_distance(law, q), atol=1e-12)
     assert [one.name for one in made.limits.walls] == [f"soles_{i}" for i in (1, 2, 3, 4)]
     assert all(one.rate == 7.0 for one in made.limits.walls)
+    with pytest.raises(ck.ArgumentError, match=r"`walls` must have different names.* have 'soles_2' twice"):
+        ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table, "soles_2": {"joints": "left_s0", "above": 0}})
     other = ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table | {"corners": corners}}).law
     close(ck.wall_distance(other, q), ck.wall_distance(made, q), atol=1e-12)
 
