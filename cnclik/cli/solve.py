@@ -203,11 +203,12 @@ def fastest(chain, qdot):
 
     from cnclik.quantities import plainly
 
-    most = np.nan_to_num(np.abs(qdot), nan=np.inf).max(axis=0)
-    share = most / np.maximum(np.array(chain.velocity_limit, float), 1e-12)
+    most, limit = np.abs(qdot).max(axis=0), np.array(chain.velocity_limit, float)
+    most = np.where(np.isnan(most), np.inf, most)
+    share = np.where(np.isfinite(limit), most / np.maximum(np.where(np.isfinite(limit), limit, 1.0), 1e-12), 0.0)
     i, k = int(np.argmax(most)), int(np.argmax(share))
     fast = f"up to {plainly(most[i])} {chain.units[i]}/s ({chain.joint_names[i]})"
-    if not np.isfinite(chain.velocity_limit).any():
+    if not np.isfinite(limit).any():
         return f"{fast}, no limits"
     part = f"{100 * share[k]:.3g} % of" if share[k] < 10 else f"{plainly(share[k])} times"
     return f"{fast}, {part} {'its limit' if i == k else f'the limit of {chain.joint_names[k]}'}"

@@ -55,7 +55,9 @@ def wanted_of(args) -> Wanted:
             f"{aim.label} " * several + " ".join(f"{v:.5g}" for v in v_d)
             for aim, v_d in zip(every, args.target, strict=True)
         ]
-        lines = (f"Target {'; '.join(of)} m{', quaternion w x y z' * (max(map(len, args.target)) > 3)}.",)
+        sizes = set(map(len, args.target))  # a quaternion alone has four numbers
+        units = " m" * (sizes != {4}) + ", quaternion w x y z" * (max(sizes) > 3)
+        lines = (f"Target {'; '.join(of)}{units}.",)
         return made._replace(targets=by_name(task, [[one] for one in args.target]), lines=lines)
     _look_at_units(args, chain, task, {})
     drawn = f"{args.random:,} random reachable ones, seed {args.seed}" if args.random else f"those of {args.targets}"
