@@ -48,11 +48,20 @@ def judged(data):
     if "stable" in data:
         safe &= data.stable == 1
         words.append("ending stable")
-    z = data["z"] if "z" in data.dims else data["alpha"] * data["Ts"] if {"alpha", "Ts"} <= set(data.dims) else None
+    z = _z(data)
     if z is not None and "limit" in data.coords and data.limit.notnull().any():
         safe &= ~(z >= data.limit)
         words.append("below the linear stability limit")
     return value, safe, ", ".join(dict.fromkeys(words))
+
+
+def _z(data):
+    """alpha·Ts of the loops, of axes and fixed numbers; None where one of them is neither."""
+    if "z" in data.dims:
+        return data["z"]
+    fixed = json.loads(data.attrs.get("spec", "{}")).get("fixed", {})
+    alpha, Ts = (data[name] if name in data.dims else fixed.get(name) for name in ("alpha", "Ts"))
+    return None if any(v is None or isinstance(v, str | list) for v in (alpha, Ts)) else alpha * Ts
 
 
 def best(data) -> list:
