@@ -44,7 +44,7 @@ def runs_of_stack(found, rest, said) -> list:
     law, stack = found.law, said.stack
     push = PUSH * (-1.0) ** np.arange(law.chain.n)
     q0 = np.clip(rest + push, np.array(law.chain.lower), np.array(law.chain.upper))
-    settled = max(one.now.settling_time if one.now else math.inf for one in stack.tasks.values())
+    settled = max(one.now.settling_time if one.now else math.inf for one in stack.tasks.values() if one.alpha)
     N = min(max(math.ceil(2 * settled / found.Ts), 40), 400) if math.isfinite(settled) else 400
     made = dataclasses.replace(found, reference=held_at(law, np.asarray(rest)), q0=q0, N=N)
     tight, runs = stack.tasks[stack.least_room], []

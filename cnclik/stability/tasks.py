@@ -44,7 +44,7 @@ class TaskAdvice:
         direction.
       yields_to: the task that takes most of this direction, or "".
       now, recommended: `Gain` of the task with the others at rest, in directions that are not lost; None where
-        unstable, the other gains as for `largest_stable_alpha`.
+        unstable, the other gains as for `largest_stable_alpha`, or where its gain is 0.
     """
 
     alpha: float

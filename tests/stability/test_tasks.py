@@ -1,6 +1,7 @@
 """What each task of a stack bears, against loops that are run; what it gets of what it asks for; how levels leak."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.cli.advice import does_of_tasks
 from cnclik.cli.stacked import at_targets
 from cnclik.stability import tasks
 from cnclik.stability.loop import LoopAtRest
@@ -288,6 +290,12 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([*asked, *["--target", "1", "2", "3"] * 3])
     assert "`target` must be given at most once for each tip (left.left_gripper, right" in capsys.readouterr().err
+
+
+def test_a_task_without_a_gain_is_not_called_unstable():
+    law = law_of({"tip": 20.0, "angle": 0.0, "rest": 5.0}, ck.damped(0.3))
+    said = ck.advise(law, None, Q, Ts=TS, method="EE")
+    assert [row[3] for row in does_of_tasks(SimpleNamespace(Ts=TS), said)][1] == "no gain"
 
 
 def test_tips_without_a_target_keep_that_of_the_file():
