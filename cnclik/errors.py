@@ -221,7 +221,8 @@ def ending(name: str, path, *endings) -> str:
 # What the field calls methods and options that have short names here.
 _ALIAS = {"euler": "ee", "forward euler": "ee", "explicit euler": "ee", "backward euler": "ie", "implicit euler": "ie"}
 _ALIAS |= dict.fromkeys(("dt", "timestep", "hz", "rate", "freq", "frequency"), "ts")
-_ALIAS |= {"gain": "alpha", "kp": "alpha", "latency": "delay", "dead-time": "delay", "lambda": "damping"}
+_ALIAS |= dict.fromkeys(("latency", "dead-time", "dead_time"), "delay")
+_ALIAS |= {"gain": "alpha", "kp": "alpha", "lambda": "damping"}
 
 
 def nearest(value, names) -> str:

@@ -95,6 +95,7 @@ def test_options_are_named_as_they_are_typed():
         (["--dt", "0.01"], "(did you mean '--Ts'?)."),
         (["--gain", "5"], "(did you mean '--alpha'?)."),
         (["--latency", "5"], "(did you mean '--delay'?)."),
+        (["--dead_time", "5"], "(did you mean '--delay'?)."),
     ):
         with pytest.raises(errors.ArgumentError) as caught:
             arguments.parse(Solve, ["panda", *argv], prog="x", description="x")
