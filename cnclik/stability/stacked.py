@@ -33,7 +33,8 @@ class TaskSeen:
 
     Attributes:
       name: its own, or its tip's. words: its late error, with what became of it.
-      settled: whether it arrived, or follows its target. shrinks: whether the error is on its way down.
+      settled: whether it arrived, follows its target, or has a gain of 0.
+      shrinks: whether the error is on its way down.
       of_tips: whether it is of positions and orientations of tips.
     """
 
@@ -82,7 +83,9 @@ def _seen(case, name, parts, some, enough) -> TaskSeen:
     behind = rms(np.linalg.norm(case.wanted_velocity[:, some], axis=1)) * case.loop[0]
     moving = behind > case.seen.floor
     follows = moving and rms(late) <= max(behind, case.noise)
-    settled = bool(late.max() <= max(enough, ARRIVED * size[0], 4 * case.noise) or follows)
+    alpha = np.asarray(case.law.alpha, float)
+    idle = alpha.ndim > 0 and not alpha[some].any()  # such as a base that is held back
+    settled = bool(late.max() <= max(enough, ARRIVED * size[0], 4 * case.noise) or follows or idle)
     shrinks = not case.moving and bool(late.max() < STALL_RATIO * before.max() and late.max() <= before.min())
     grows = not case.moving and bool(np.median(late) > GROWN * np.median(before))
     units = np.array(case.law.task.units)[some]
@@ -90,7 +93,8 @@ def _seen(case, name, parts, some, enough) -> TaskSeen:
     each += [("", np.linalg.norm(e[-quarter:, ~np.isin(units, ("m", "rad"))], axis=1))] * (not each)
     said = " and ".join(aloud(float(part.max()), unit) for unit, part in each)
     said = said if late.max() > case.seen.floor else "no more than rounding"
-    kinds = {"follows": follows, "settled": settled, "lags": moving, "shrinking": shrinks, "growing": grows}
+    kinds = {"no gain": idle, "follows": follows, "settled": settled}
+    kinds |= {"lags": moving, "shrinking": shrinks, "growing": grows}
     became = next((word for word, holds in kinds.items() if holds), "stays")
     of_tips = all(hasattr(part, "axes") for part in parts.parts)
     return TaskSeen(name=name, words=f"{name} {said} ({became})", settled=settled, shrinks=shrinks, of_tips=of_tips)

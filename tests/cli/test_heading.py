@@ -10,7 +10,6 @@ import pytest
 import cnclik as ck
 from cnclik import errors
 from cnclik.cli import main
-from cnclik.cli.solve import fastest
 from cnclik.problem.build import problem_from
 from cnclik.robot import poses
 
@@ -122,12 +121,6 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--reference", "circle", "--radius", "0.05", *run])
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
-
-
-def test_the_fastest_joint_of_a_run_that_diverged_has_no_share_of_a_limit_that_it_lacks():
-    chain = ck.replace(ck.planar_arm([1.0, 1.0]), velocity_limit=(np.inf, 1.0))
-    for lost in (np.nan, np.inf):
-        assert fastest(chain, np.array([[lost, 2.0]])) == "up to inf rad/s (q1), 200 % of the limit of q2"
 
 
 def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, capsys):

@@ -137,9 +137,20 @@ def test_every_joint_that_is_meant_is_named():
         fastest(ck.replace(column, velocity_limit=(9.0, 2.0)), np.full((3, 2), 0.5))
         == "up to 0.5 m/s (q1), 25 % of the limit of q2"
     )
+    for lost in (np.nan, np.inf):  # a run that diverged, and a joint without a limit
+        said = fastest(ck.replace(column, velocity_limit=(np.inf, 2.0)), np.array([[lost, 1.0]]))
+        assert said == "up to inf m/s (q1), 50 % of the limit of q2"
     run = SimpleNamespace(e=np.ones((3, 2)), status=np.zeros(2, int))
     rows = [name for name, _ in task_rows("rest ", run, ck.joints(column.joint_names).on(column))]
     assert rows == ["rest prismatic joint error", "rest revolute joint error", "rest steps"]
+
+
+def test_a_task_without_a_gain_leaves_nothing_to_settle():
+    task = ck.stack(tip=ck.position("xy"), still=ck.joints(["q1"]))
+    law = ck.Law(arm(9.0, 9.0, 9.0), task, alpha={"tip": 5.0, "still": 0.0}, inverse=ck.damped(0.05))
+    there = ck.hold(np.asarray(ck.forward(law.chain, Q[:3]).position[:2]) + np.array([0.1, 0.2]))
+    _, told = judged(law, ck.hold_at(law.chain, task, Q[:3], tip=there), Q[:3])
+    assert told.kind == Behaviour.SETTLED and re.search(r"still [\d.]+ m?rad \(no gain\)", told.sentence), told
 
 
 def test_a_path_that_waits_for_nobody_has_no_share_of_its_speed():
