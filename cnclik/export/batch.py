@@ -9,7 +9,7 @@ from cnclik.engine.compiler import build, closed_after, opened
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
-PART = 2048  # lanes that a core takes at a time
+PART = 2048  # lanes per call of a core
 
 
 class _Column(ctypes.Structure):
@@ -17,14 +17,14 @@ class _Column(ctypes.Structure):
 
 
 class Batch:
-    """The native function for many lanes; built when it is first asked for."""
+    """The native function for many lanes, built at the first call."""
 
     def __init__(self, folder, manifest, dtype):
         name = f"{manifest['name']}_batch"
         if not manifest.get("batch"):
             raise errors.fail("batch", "be asked for when exporting, c(..., batch=True)", "is not in this folder")
         self.inputs, self.outputs, self.dtype = manifest["batch"]["inputs"], manifest["batch"]["outputs"], dtype
-        library = build([folder / f"{name}.c"], folder, flags=["-O2"])  # as quick as -O3, built in half the time
+        library = build([folder / f"{name}.c"], folder, flags=["-O2"])  # as quick as -O3, and built in half the time
         self.library = closed_after(opened(library))
         self.function = getattr(self.library, name)
         self.function.restype = None
@@ -56,7 +56,7 @@ class Batch:
         return found
 
     def _values(self, parameters, given, named) -> dict:
-        """{name: value} of all that the function takes."""
+        """{name: value} of all inputs and parameters."""
         own = [row["name"] for row in self.inputs if row["name"] not in parameters]
         if len(given) > len(own):
             raise errors.fail("arguments", f"be at most {', '.join(own)}", f"are {len(given)}")
@@ -70,7 +70,7 @@ class Batch:
         return known
 
     def _columns(self, known):
-        """What the C function is given, and how many lanes there are."""
+        """The inputs of the C function, and the number of lanes."""
         columns, lanes, alive = (_Column * len(self.inputs))(), set(), []
         for column, row in zip(columns, self.inputs, strict=True):
             name, shape = row["name"], tuple(row["shape"])
@@ -83,7 +83,7 @@ class Batch:
         if len(lanes) != 1:
             found = ", ".join(map(str, sorted(lanes))) or "none"
             raise errors.fail("arguments", "have one leading axis of lanes of the same size", f"have {found}")
-        columns.alive = alive  # as long as what points to it
+        columns.alive = alive  # keeps the memory alive as long as the pointers
         (count,) = lanes
         if not count:
             raise errors.fail("arguments", "hold at least one lane", "hold 0")

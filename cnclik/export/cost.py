@@ -1,4 +1,4 @@
-"""Cost: how many operations a call takes at most, and whether there is such a number."""
+"""Cost: the largest number of operations of a call, if it is bounded."""
 
 from collections import Counter
 
@@ -10,7 +10,7 @@ _KINDS = ("arithmetic", "division and root", "library")
 
 
 def operations(program) -> dict:
-    """{kind: how many} of the dearest way through; comparisons are not counted. Raises: `UnsupportedError`."""
+    """{kind: number} on the most expensive path, without comparisons. Raises: `UnsupportedError`."""
     total = _block(program.graph.root, live([node for out in program.outs for node in cells_of(out)]))
     return {name: total[name] for name in _KINDS}
 
@@ -36,7 +36,7 @@ def _region(item, needed) -> Counter:
 
 
 def _rounds(loop) -> int:
-    """The most rounds of a `while`: one where its first ends it, or as many as it counts while a count is too small."""
+    """The most rounds of a `while`: one if the first round ends it, otherwise the number that it counts."""
     begins = loop.begins
     again = loop.then[loop.carries.index(begins)] if begins in loop.carries else None
     if again is not None and again.known and not again.value:

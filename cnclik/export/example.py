@@ -1,4 +1,4 @@
-"""Example: test vectors, a C program that runs them, and the README that goes with it."""
+"""Example: test vectors, a C program that runs them, and the README of an export."""
 
 import jax
 import numpy as np
@@ -16,11 +16,11 @@ from cnclik.version import __version__
 
 BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {sources} -lm -o example"
 COUNT = 8
-TOLERANCE = {8: 1e-9, 4: 1e-3}  # by the size of a number: other compilers round differently
+TOLERANCE = {8: 1e-9, 4: 1e-3}  # {bytes of a number: tolerance}, as other compilers round differently
 
 
 def inputs(request, program) -> dict:
-    """{"group.name": (count, size)}: postures around a good one, targets near by; the last with a NaN in it."""
+    """{"group.name": (count, size)}: postures around a good one with targets nearby; the last has a NaN."""
     random, chain, task = np.random.default_rng(0), request.law.chain, request.law.task
     start = np.asarray(start_posture(chain, task), float)
     q = start + random.uniform(-0.2, 0.2, (COUNT, chain.n))
@@ -46,7 +46,7 @@ def inputs(request, program) -> dict:
 
 
 def results(program, given) -> dict:
-    """{"group.name": (count, size)} of all results; of a search the status alone."""
+    """{"group.name": (count, size)} of all results; for a search only the status."""
     if program.fn is None:
         lost = np.isnan(given["input.q"]).any(1, keepdims=True)
         return {"output.status": np.where(lost, int(ReachStatus.NON_FINITE), int(ReachStatus.SOLVED))}
@@ -61,7 +61,7 @@ def results(program, given) -> dict:
 
 
 def example(request, program, names) -> str:
-    """`example.c`: its main returns 0 where all vectors agree, else how many do not."""
+    """`example.c`: its main returns the number of test vectors that do not agree."""
     given = inputs(request, program)
     wanted = results(program, given)
     name = names.name
@@ -111,7 +111,7 @@ def example(request, program, names) -> str:
 
 
 def _is_another(names, field) -> str:
-    """Whether a whole number is another; where numbers are lost, whether the status doesn't tell."""
+    """C: whether a whole number differs; if NaN is expected, whether the status does not report it."""
     other = f"output.{field.name} != out_{field.name}[i][0]"
     if names.statuses is not Status:
         return other
@@ -120,7 +120,7 @@ def _is_another(names, field) -> str:
 
 
 def _differs(names, near) -> str:
-    """The function that compares numbers; how far a NaN spreads is not held, as the status tells of it."""
+    """The C function that compares numbers; how far a NaN spreads is not compared, as the status reports it."""
     return f"""static int differs(const {names.real} *found, const {names.real} *wanted, int size)
 {{
   int i, wrong = 0;
@@ -152,7 +152,7 @@ outside: `q += Ts * output->qdot`, one step a call, and hand them in rounded.
 
 
 def readme(program, names, configuration, files, counted) -> str:
-    """What the files are, how to build them, and what each number means. `counted`: operations at most."""
+    """What the files are, how to build them, and the meaning of each number. `counted`: operations at most."""
     ops = ", ".join(f"{n} {what}" for what, n in counted.items())
     groups = {**program.inputs, "output": program.outputs["output"]}
     rows = [(f"`{g}->{f.name}`", f.about, f.size) for g, fields in groups.items() for f in fields]

@@ -1,4 +1,4 @@
-"""Fields: arguments and results of an exported function, and what the arrays in a tree of records are called."""
+"""Fields: arguments and results of an exported function, and names of the arrays in a tree of records."""
 
 import dataclasses
 import functools
@@ -11,7 +11,7 @@ from cnclik import errors
 from cnclik.engine.routine import INT, REAL, Field
 from cnclik.record import is_literal
 
-_OWN = "own_"  # before the names of fields in a user's records, which may be words of C
+_OWN = "own_"  # prefix of fields in a user's records, whose names may be C keywords
 
 
 def leaves(tree, path=()):
@@ -29,7 +29,7 @@ def leaves(tree, path=()):
 
 
 def names(paths) -> list:
-    """A short name for each path: its last words, as many as it takes to tell them apart."""
+    """A short name for each path: as many of its last words as distinguish it."""
     found = []
     for path in paths:
         for count in range(1, len(path) + 1):
@@ -55,7 +55,7 @@ _ABOUT = {
 
 
 def parameters(tree, runtime):
-    """Fields of the arrays in a tree, and the function that puts others in their place."""
+    """Fields of the arrays in a tree, and the function that replaces the arrays."""
     flat, treedef = jax.tree.flatten(tree)
     if not all(map(errors.concrete, flat)):
         raise errors.fail("law", "hold numbers to be exported", "is traced by JAX")

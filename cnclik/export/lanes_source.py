@@ -80,6 +80,6 @@ static void lanes(int64_t first, int64_t n, int32_t steps, const {names.name}_co
 
 
 def _kept(names, field, where):
-    """What stores a result, where it is wanted."""
+    """The C text that stores a result if it is wanted."""
     store = entry(np.dtype(np.int32) if field.kind == INT else names.dtype, where, field.size)
     return lambda at, *words: f"if ({where}) {store(at, *words)}"

@@ -45,7 +45,7 @@ def load(folder: str | os.PathLike, **parameters) -> "Compiled":
 
 
 def _manifest(folder) -> dict:
-    """The manifest of a folder. Raises: ArgumentError where it, or the source, is not as it was written."""
+    """The manifest of a folder. Raises: ArgumentError if it or the source was changed."""
     text, found = read_bytes("folder", folder / MANIFEST, "a folder written by cnclik.export.c"), None
     with contextlib.suppress(ValueError, RecursionError):
         found = json.loads(text)
@@ -58,7 +58,7 @@ def _manifest(folder) -> dict:
     return found
 
 
-_TO_READ = ("README.md", "example.c")  # of an export, which nothing is built from
+_TO_READ = ("README.md", "example.c")  # files of an export that are not compiled
 
 
 def compiled(law: Law | Chain, reference: Reference | None = None, **options) -> "Compiled":
@@ -78,7 +78,7 @@ class Compiled:
     One object has one set of buffers: each thread needs its own.
     """
 
-    temporary: tempfile.TemporaryDirectory | None = None  # that it lies in, see `compiled`
+    temporary: tempfile.TemporaryDirectory | None = None  # its folder, see `compiled`
 
     def __init__(self, folder, manifest):
         self.manifest, self.folder = manifest, folder
@@ -89,7 +89,7 @@ class Compiled:
         self.buffers["output"] = _Buffer(manifest["outputs"], self.dtype)
         library = closed_after(opened(self.library, lets_go=what == "solve"))
         function = getattr(library, name)
-        function.library = library  # open for as long as there is who may call it
+        function.library = library  # stays open as long as it may be called
         function.restype = ctypes.c_int32 if what in ("step", "solve", "reach") else None
         addresses = [b.address for b in self.buffers.values()]
         of_loop = (ctypes.c_int32, ctypes.c_void_p) if what == "solve" else ()
@@ -157,15 +157,15 @@ class Compiled:
 class Answer(NamedTuple):
     """Joint values for one target, in the words of `cnclik.Reached`."""
 
-    q: np.ndarray  # (n,) the answer; else the nearest pose found, NaN where the target is
+    q: np.ndarray  # (n,) the answer; otherwise the nearest pose found; NaN if the target is
     status: ReachStatus  # SOLVED, OUT_OF_REACH, OUT_OF_BUDGET or NON_FINITE
     position_error: float  # [m]
     orientation_error: float  # [rad]
-    evaluations: int  # looks at a posture
+    evaluations: int  # number of evaluated postures
 
 
 class _Buffer:
-    """A C struct as NumPy arrays: its numbers side by side, whole numbers where the struct has them."""
+    """A C struct as NumPy arrays: its numbers together, and whole numbers if the struct has any."""
 
     def __init__(self, fields, dtype):
         layout = np.dtype(
@@ -178,7 +178,7 @@ class _Buffer:
                 self.views[f["name"]][...] = f["value"]
         self.bytes = self.record.reshape(1).view(np.uint8)
         self.address = self.record.ctypes.data
-        # The numbers at the start of the struct, all in one array, and which of them are whose.
+        # The numbers at the start of the struct in one array, and the place of each field in it.
         self.places, at = {}, 0
         for f in fields:
             size = int(np.prod(f["shape"]))
@@ -189,10 +189,10 @@ class _Buffer:
 
 
 def _input(buffers):
-    """Where q is written (its array and shape), and the function that writes a call's other arguments."""
+    """Where q is written (its array and shape), and the function that writes the other arguments of a call."""
     buffer = buffers["input"]
     numbers, at = buffer.numbers, buffer.places
-    # (array, place) of each: a number is soonest written among the others.
+    # (array, place) of each field: the quickest way to write a number.
     slots = {name: (view, ...) if view.shape else (numbers, at[name][0]) for name, view in buffer.views.items()}
     q, *others = slots.values()
     intos, places = zip(*others, strict=True) if others else ((), ())
@@ -211,14 +211,14 @@ def _input(buffers):
 
 
 def _joints(q, shape):
-    """Joint values as an array, if they are of the shape."""
-    if type(q) is np.ndarray and q.shape == shape and q.dtype.kind == "f":  # soon, as most are
+    """Joint values as an array, if they have the shape."""
+    if type(q) is np.ndarray and q.shape == shape and q.dtype.kind == "f":  # the common case, quick
         return q
     return errors.array("q", q, shape, finite=False)
 
 
 class NativeStep(Step):
-    """A `Step` whose arrays are cut out of the function's numbers when they are asked for."""
+    """A `Step` that slices its arrays from the function's numbers when they are used."""
 
     def __getattr__(self, name):
         fields = self.__dict__
@@ -252,7 +252,7 @@ def _stepper(made, function, addresses):
         if past is not None:
             past[...] = 0 if history is None else history
         status = function(*addresses)
-        made = new()  # no __init__: a record's own checks take longer than the step
+        made = new()  # without __init__, whose checks take longer than the step
         fields = made.__dict__
         fields["_numbers"], fields["_places"], fields["status"] = copied(), places, status
         if past is not None:
@@ -286,7 +286,7 @@ def _solver(made, function, addresses):
 
 
 def _counted(first, N) -> int:
-    """Evaluations in N steps, from those in the first few."""
+    """Evaluations in N steps, extrapolated from the first few."""
     return first[N] if len(first) > N else first[-1] + (N - len(first) + 1) * (first[-1] - first[-2])
 
 
@@ -304,7 +304,7 @@ def _caller(made, function, addresses):
 
 
 def _of_tips(views, make):
-    """What is made of a tip's numbers; of several tips by their names in C."""
+    """The result for one tip, or {name in C: result} for several tips."""
     each: dict = {}
     for name, view in views.items():
         tip, _, what = name.rpartition("_")
@@ -313,7 +313,7 @@ def _of_tips(views, make):
     return made.get("", made)
 
 
-_RESULTS = {  # of what a function returns, and its output
+_RESULTS = {  # result of each function from its output
     "fk": lambda _, views: _of_tips(views, lambda made: Pose(**made)),
     "jacobian": lambda _, views: _of_tips(views, lambda made: made["jacobian"]),
     "reach": lambda status, views: Answer(

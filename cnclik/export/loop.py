@@ -1,4 +1,4 @@
-"""Loop: the loop in time as one program, for many lanes; and what marks a step that grew."""
+"""Loop: the loop in time as one program for many lanes, and the test for a growing step."""
 
 import functools
 
@@ -10,7 +10,7 @@ from cnclik.export.trace import Request, Stepping, read_as
 from cnclik.integrate.loop import loop_of, one, start
 
 RESULTS = ("q", "e", "x", "qdot", "residual", "contraction", "least", "status")
-_OVER_TIME = {  # of all steps together: how two are put together, and what is before the first
+_OVER_TIME = {  # results over all steps: how two values combine, and the initial value
     "residual": (jnp.maximum, 0),
     "contraction": (jnp.maximum, 0),
     "least": (jnp.minimum, jnp.inf),
@@ -19,12 +19,12 @@ _OVER_TIME = {  # of all steps together: how two are put together, and what is b
 
 
 def trace_loop(request: Request, wanted=RESULTS) -> Routine:
-    """A loop of `steps` steps: joints, error and coordinates at its end, and what is known of all steps.
+    """A loop of `steps` steps: joints, error and coordinates at its end, and results over all steps.
 
     Args: wanted: names of results.
     """
     step = Stepping(request, timed=True)
-    # A column of a batch holds real numbers.
+    # The columns of a batch are real numbers.
     groups = {"parameters": [f._replace(kind=REAL) for f in step.groups["parameters"]], "input": step.groups["input"]}
     kinds = [f.kind for some in (step.groups["parameters"], step.groups["input"]) for f in some]
     outputs = {f.name: f for f in step.outputs if f.name in wanted}
@@ -50,7 +50,7 @@ def trace_loop(request: Request, wanted=RESULTS) -> Routine:
         if request.method.steps > 1:
             carry = jax.lax.fori_loop(0, early, functools.partial(advance, True), carry)
         state, found = jax.lax.fori_loop(early, steps, functools.partial(advance, False), carry)
-        end = one(loop, False, state, steps)[1]  # a step of length 0, of which only what it looks at is left
+        end = one(loop, False, state, steps)[1]  # a step of length 0, of which only the observation is used
         found = {"q": state.q, "e": end.e, "x": end.x} | found
         return [found[name] for name in RESULTS if name in wanted]
 
@@ -59,7 +59,7 @@ def trace_loop(request: Request, wanted=RESULTS) -> Routine:
 
 
 def trace_growth(request: Request) -> Routine:
-    """Whether a step grew: from the errors `e` at its two ends, at the times `t`."""
+    """Whether a step is GROWING, from the errors `e` at its two ends, at the times `t`."""
     step = Stepping(request, timed=True)
     groups = {name: step.groups[name] for name in ("parameters", "input")}
     ends = [Field("t", (2,)), Field("e", (2, request.law.task.m))]

@@ -1,7 +1,7 @@
-"""Reach source: the search of `cnclik.reach` for one target: reaching/c/search.c, with a few of its seeds.
+"""Reach source: the search of `cnclik.reach` for one target: reaching/c/search.c with a few of its seeds.
 
-From where the arm is, then from the nearest seed of ever another set, then from any; where no try arrives, downhill to
-the nearest pose. Lengths are in the chain's own unit inside, see `reaching.units`.
+It starts from the current posture, then from the nearest seed of each set in turn, then from any seed. If no try
+arrives, it descends to the nearest pose. Lengths inside are in the chain's own unit, see `reaching.units`.
 """
 
 from typing import NamedTuple
@@ -21,25 +21,25 @@ from cnclik.reaching.units import of_joints
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length
 
-SEEDS = 64  # postures that are written into the source, by default
-SHIPPED = (4, 3, 2, 1)  # sets of them: the first that so many can be dealt out to
+SEEDS = 64  # default number of postures in the source
+SHIPPED = (4, 3, 2, 1)  # number of sets: the first that divides the number of postures
 TOLERANCE = (1e-6, 1e-6)  # [m], [rad]
-LEAST = 64.0  # roundings, that a tolerance is at least
+LEAST = 64.0  # smallest tolerance, in roundings
 
 
 class Reaching(NamedTuple):
-    """What the C is written from."""
+    """The inputs of the C source."""
 
     asked: asked.Asked  # in the chain's own unit
-    look: Routine  # of a lane of the search: look, and step on
-    call: Routine  # what the exported function takes and gives, without a graph
-    postures: np.ndarray  # (K, n) to start from
-    features: np.ndarray  # (aims, sets, 13, K / sets) their tips, as `seeds.Compared` has them
-    before: tuple[str, ...]  # what stands before the names of each aim's arguments
+    look: Routine  # one evaluation and step of the search
+    call: Routine  # arguments and results of the exported function, without a graph
+    postures: np.ndarray  # (K, n) start postures
+    features: np.ndarray  # (aims, sets, 13, K / sets) their tips, in the form of `seeds.Compared`
+    before: tuple[str, ...]  # prefix of the names of each aim's arguments
 
 
 def trace_reach(request: Request, count: int) -> Reaching:
-    """The look and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
+    """The evaluation and the tables. Raises: ArgumentError, `UnsupportedError` naming what has no C form."""
     errors.integer("seeds", count, at_least=1, at_most=SETS * SIZE)
     law, least = request.law, LEAST * np.finfo(request.dtype).eps
     search = asked.asked_of(
@@ -79,19 +79,19 @@ def trace_reach(request: Request, count: int) -> Reaching:
 
 
 def _axes(aim) -> tuple:
-    """Which coordinates of a target's position are told."""
+    """The coordinates of a target's position that are given."""
     return (0, 1, 2) if aim.own[0] and aim.linear else aim.linear
 
 
 def most_operations(reaching: Reaching) -> dict:
-    """Operations of a call at most."""
+    """The largest number of operations of a call."""
     tries = reaching.call.inputs["parameters"][-1].value
     looks = tries * (strategy.CAREFUL + strategy.SLOW) + strategy.PLACES * strategy.DOWNHILL
     return {what: count * looks for what, count in operations(reaching.look).items()}
 
 
 def reach_source(reaching: Reaching, names: Names) -> tuple:
-    """The text of all functions, and what `helpers` are for."""
+    """The text of all functions, and the `functions` for `helpers`."""
     of, (_, sets, _, size) = reaching.asked, reaching.features.shape
     lines, used = statements(reaching.look, names, lambda _, f: f"s->{f.name}")
     told = {"W": 1, "LANE(v, i)": "(*(&(v) + (i)))", "SPLAT(x)": "(x)", "ENTRY": "static"}
@@ -170,7 +170,7 @@ def _table(names, real, name, values) -> str:
 
 
 def _far(reaching, names) -> str:
-    """Statements that tell whether a target is farther from the first joint than the stretched arm is long."""
+    """Statements that test whether a target is farther from the first joint than the stretched arm is long."""
     of, c, lines = reaching.asked, names.number, []
     least, chain = LEAST * np.finfo(names.dtype).eps, reaching.asked.chain
     for a, aim in enumerate(aims(of.task)):

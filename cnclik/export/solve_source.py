@@ -6,7 +6,7 @@ from cnclik.export.source import GROUPS, Names, arguments, statements
 
 
 def solve_header(program, names: Names) -> str:
-    """The part of the header that is of the loop alone."""
+    """The part of the header for the loop."""
     rows = "\n".join(
         f"  {'int32_t' if name == 'status' else names.real} *{name}; /* {about} */"
         for name, about in (
@@ -31,13 +31,15 @@ typedef struct {{
 
 
 def signature(program, names) -> str:
-    """The loop's own line."""
+    """The declaration of the loop."""
     given = arguments(program, names, ("output",))
     return f"int32_t {names.name}({given},\n  int32_t steps, const {names.name}_trajectory *trajectory)"
 
 
 def _grown(growth, names) -> tuple:
-    """The function that tells whether a step grew, which of the loop's arguments it takes, what `helpers` are for."""
+    """The function that tests whether a step grew, the loop's arguments that it takes, and the `functions` for
+    `helpers`.
+    """
     ends = {"output": "grown", "ends": "{}"}
     lines, functions = statements(growth, names, lambda g, f: ends.get(g, f"{g}->{f.name}").format(f.name))
     used = [g for g in ("parameters", "input") if any(f"{g}->" in line for line in lines)]
@@ -48,7 +50,7 @@ def _grown(growth, names) -> tuple:
 
 
 def solve_source(program, growth, names: Names, n, m) -> tuple:
-    """The loop, and the function that tells whether a step grew; and what `helpers` are for."""
+    """The loop, the function that tests whether a step grew, and the `functions` for `helpers`."""
     grown, used, functions = _grown(growth, names)
     given = ", ".join([*(g if g != "input" else "&at" for g in GROUPS if program.inputs[g]), "output"])
     kept = keep = restore = ""

@@ -15,18 +15,18 @@ GROUPS = ("parameters", "input", "history")
 REACHED = tuple(ReachStatus[name] for name in ("SOLVED", "OUT_OF_REACH", "OUT_OF_BUDGET", "NON_FINITE"))
 
 
-PREFIX = "clik_"  # of all names that others see: so none is a keyword, a macro, or a function of a library
+PREFIX = "clik_"  # prefix of all public names, so that none is a keyword, a macro, or a library function
 
 
 class Names:
-    """How things are called in the C of one export."""
+    """The names in the C of one export."""
 
     def __init__(self, name, dtype, what):
         name = PREFIX + name.removeprefix(PREFIX)
         self.name, self.dtype, self.what = name, np.dtype(dtype), what
         self.real = "float" if self.dtype.itemsize == 4 else "double"
         self.suffix = "f" if self.real == "float" else ""
-        self.entry = f"{name}_step" if what == "solve" else name  # one call
+        self.entry = f"{name}_step" if what == "solve" else name  # function for one call
         self.statuses = {"step": Status, "solve": Status, "reach": REACHED}.get(what, ())
 
     def type(self, group) -> str:
@@ -43,20 +43,20 @@ class Names:
 
 
 def comment(text) -> str:
-    """A block comment, whatever a robot's joints are called."""
+    """A block comment that is safe for any name of a joint."""
     text = "".join(c if " " <= c <= "~" or c == "\n" else "?" for c in text)
-    for mark in ("*/", "/*", "??"):  # comments that end or begin, trigraphs
+    for mark in ("*/", "/*", "??"):  # ends or starts of comments, trigraphs
         text = text.replace(mark, f"{mark[0]} {mark[1]}")
     lines = [line for part in text.strip().split("\n") for line in (textwrap.wrap(part, 110) or [""])]
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in lines), " */"]) + "\n"
 
 
 def header(program, names, configuration, more="") -> str:
-    """The header: types, the status bits, and what can be called.
+    """The header: types, the status bits, and the functions.
 
     Args:
       configuration: the configuration in words, line by line.
-      more: what else can be called.
+      more: further declarations.
     """
     groups = {g: fields for g, fields in program.inputs.items() if fields}
     groups["output"] = program.outputs["output"]
@@ -81,7 +81,7 @@ def header(program, names, configuration, more="") -> str:
 
 
 def guarded(name, about, text) -> str:
-    """A header of C and C++, with a comment above."""
+    """A header for C and C++, with a comment at the top."""
     guard = f"{name.upper()}_H"
     return f"""{comment(about)}#ifndef {guard}
 #define {guard}
@@ -122,7 +122,7 @@ def arguments(program, names, ending=("output",)) -> str:
 
 
 def signature(program, names) -> str:
-    """The C function's own line."""
+    """The declaration of the C function."""
     returns = "int32_t" if names.statuses else "void"
     return f"{returns} {names.entry}({arguments(program, names)})"
 
@@ -132,9 +132,9 @@ def defaults_signature(names) -> str:
 
 
 def source(program, names, more=None, inside=None) -> str:
-    """The whole source file. `inside`: other functions for the one of the program; `more`: what stands at its end.
+    """The whole source file. `inside`: functions in place of the program's own; `more`: text at the end.
 
-    Each is a text with what `helpers` are for.
+    Each is a text with the `functions` for `helpers`.
     """
     function, used = inside or body(program, names)
     ending, also = more or ("", set())
@@ -149,13 +149,13 @@ def source(program, names, more=None, inside=None) -> str:
 
 
 def statements(program, names, place=lambda group, field: f"{group}->{field.name}"):
-    """(lines of a function of the program, what its `helpers` are for); `place` tells where fields are."""
+    """(lines of a function of the program, the `functions` for `helpers`); `place` gives the C place of a field."""
     writer = ScalarWriter(program.graph, program.given, program.outs, *program.places(place), f"{names.name}_")
     return writer.statements(), writer.functions
 
 
 def body(program, names):
-    """The exported function's text, and what `helpers` are for."""
+    """The exported function's text, and the `functions` for `helpers`."""
     lines, used = statements(program, names)
     given = [g for g in program.inputs if program.inputs[g]]
     lines[:0] = [f"  (void){g};" for g in given if not any(f"{g}->" in text for text in lines)]

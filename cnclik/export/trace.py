@@ -1,4 +1,4 @@
-"""Trace: what is exported, as a graph with named arguments and results."""
+"""Trace: an export as a graph with named arguments and results."""
 
 import re
 from typing import NamedTuple
@@ -29,16 +29,16 @@ class Request(NamedTuple):
     """What is to be exported."""
 
     law: Law
-    reference: Reference | References | None  # None: the target is an argument
+    reference: Reference | References | None  # None: the target is an argument of the function
     method: Method | Multistep
     stage: Stage
     dtype: np.dtype
     what: str
-    runtime: tuple[str, ...] | None  # names of parameters that stay arguments; None for all
+    runtime: tuple[str, ...] | None  # names of the parameters set at run time; None: all
 
 
 def trace(request: Request) -> Routine:
-    """The routine of a request. Raises: `UnsupportedError` naming what has no C form."""
+    """The routine of a request. Raises: `UnsupportedError`, which names what has no C form."""
     if request.what in ("fk", "jacobian"):
         return _of_chain(request)
     step = Stepping(request, timed=request.what == "solve")
@@ -46,7 +46,7 @@ def trace(request: Request) -> Routine:
 
 
 def read_as(request: Request, fn, groups, outputs) -> Routine:
-    """The routine of a function in the dtype, and with the parameters at run time, that are asked for."""
+    """The routine of a function, with the requested dtype and parameters at run time."""
     runtime = request.runtime
     fixed = [f.name for f in groups.get("parameters", ()) if runtime is not None and f.name not in runtime]
     return read(fn, groups, outputs, dtype=request.dtype, fixed=fixed)
@@ -59,7 +59,7 @@ class Stepping:
     """A step's arguments and results, and the functions of flat arguments that make it."""
 
     def __init__(self, request: Request, *, timed):
-        """timed: whether the time is an argument even where the target is one, which then moves with its velocity."""
+        """timed: whether the time is an argument even if the target is one, which then moves with its velocity."""
         self.request, law = request, request.law
         n, m = law.chain.n, law.task.m
         tree = (law, request.stage) if request.reference is None else (law, request.stage, request.reference)
@@ -110,12 +110,12 @@ class Stepping:
 
 
 def _start(dtype):
-    """The time 0: what moves for so long has not moved, however fast."""
+    """The time 0, at which no target has moved, whatever its velocity."""
     return of_the_model(jnp.zeros((), dtype))
 
 
 def targets(task) -> list:
-    """[(what stands before the names of a target's arguments, its parts)]: hands_, where a task has a name."""
+    """[(prefix of a target's arguments, its parts)]; the prefix is hands_ for a task named hands."""
     every = task.targets
     if len(every) == 1 and not task.tasks:
         return [("", every[0][1])]
@@ -125,15 +125,15 @@ def targets(task) -> list:
 
 
 def _identifiers(names, kind="task") -> list:
-    """Names as C may have them; what begins with a number begins with its kind."""
+    """Names as C identifiers; a name that starts with a digit gets its kind as a prefix."""
     words = [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names]
-    for i, word in enumerate(words):  # names that differ in nothing that C knows
+    for i, word in enumerate(words):  # names that are equal in C
         words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"{kind}_{word}"
     return words
 
 
 def _of_target(before, parts):
-    """The arguments of a target: where it is, and how fast it moves."""
+    """The arguments of a target: its place and its velocity."""
     of = f" of {before[:-1]}" if before else " in the task's coordinates"
     for part in parts.parts:
         if part.turns:
@@ -149,12 +149,11 @@ def _of_target(before, parts):
 
 
 def place(part) -> str:
-    """What the argument of a part's target is called."""
     return "rotation" if part.turns else "position" if hasattr(part, "axes") else "values"
 
 
 def _target(law, inputs):
-    """The targets as arguments: where they are, and how fast they move."""
+    """The targets from the arguments: their places and velocities."""
     named, t = iter(targets(law.task)), _start(inputs["q"].dtype)
 
     def one(_, parts):

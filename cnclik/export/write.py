@@ -101,17 +101,17 @@ def c(
 
 
 def digest(content: bytes) -> str:
-    """What a file is recognised by."""
+    """The checksum of a file."""
     return hashlib.sha256(content).hexdigest()
 
 
 def digest_of(about: dict) -> str:
-    """What a manifest is recognised by."""
+    """The checksum of a manifest."""
     return digest(json.dumps(about, sort_keys=True).encode())
 
 
 def _read(read, *args):
-    """A program. Raises: ArgumentError, one line that names what has no C form."""
+    """A program. Raises: ArgumentError, one line that names the operation without a C form."""
     try:
         return read(*args)
     except UnsupportedError as error:
@@ -119,7 +119,7 @@ def _read(read, *args):
 
 
 def checked(law, reference, what, method, stage, dtype, name, runtime, batch=False):
-    """What is to be exported, and the name. Raises: ArgumentError."""
+    """The request and the name of an export. Raises: ArgumentError."""
     errors.one_of("what", what, WHAT)
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         raise errors.fail("name", "be a C identifier of at most 60 letters such as clik_step", f"is {name!r}")
@@ -145,7 +145,7 @@ _DTYPES = {"float64": "float64", "float32": "float32", "double": "float64", "flo
 
 
 def configuration(request: Request) -> list:
-    """What was exported, in words, line by line."""
+    """The exported configuration in words, line by line."""
     law, lines = request.law, []
     lines.append(f"{request.what} for {brief(law.chain)}, in {request.dtype}")
     if request.what in ("fk", "jacobian"):
@@ -163,7 +163,7 @@ def configuration(request: Request) -> list:
 
 
 def _evaluations(request) -> list:
-    """Evaluations of f in a loop of 0, 1, 2 … steps, until each further one costs as much as the one before."""
+    """Evaluations of f in a loop of 0, 1, 2 … steps, until each further one costs the same."""
     if request.what not in ("step", "solve"):
         return []
     count = request.method.steps + 2
@@ -171,7 +171,7 @@ def _evaluations(request) -> list:
 
 
 def _wanted(names) -> tuple:
-    """Results of a batch by name."""
+    """Results of a batch, by name."""
     if not isinstance(names, (tuple, list)):
         raise errors.fail("batch", "be True or names of results such as q and e", f"is {names!r}")
     for name in names:
@@ -180,7 +180,7 @@ def _wanted(names) -> tuple:
 
 
 def manifest(request, program, names, looped=None) -> dict:
-    """What a program that calls the functions must know."""
+    """All that a program that calls the functions needs to know."""
 
     def row(f):
         value = None if f.value is None else np.asarray(f.value).tolist()
