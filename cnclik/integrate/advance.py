@@ -55,14 +55,14 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
     """One step of the loop, of a law whose chain is a `Model`.
 
     Args:
-      history: of a multistep method, see `cnclik.integrate.history.blank`; else None.
-      starting: whether a multistep method is to be started: by a step of `starter`, remembered.
+      history: of a multistep method, see `cnclik.integrate.history.blank`; None for others.
+      starting: whether a multistep method makes a step of its `starter`, which it remembers.
     """
     known = reference if reference.known else tangent(reference, law.task, t)
     at, begun = observe(law, known, t, q), None
     if method.steps == 1 or starting:
         made_with = starter(method) if starting else method
-        # A loop over the stages is compiled several times faster, and runs 15 to 25 % slower.
+        # A loop over the stages compiles several times faster, but runs 15 to 25 % slower.
         looped = starting or not (made_with.implicit or len(made_with.b) < 3)
         looped = looped and made_with.c[0] == 0
         begun = _of_tableau(law, known, q, at, t, Ts, made_with, stage, looped=looped)
@@ -94,11 +94,11 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
 
 
 def summed(chain, q, step, lost, law=None):
-    """q + step and what a rounding lost there, to be added with the next step (Kahan 1965); `lost`: with the last.
-    With a law, within the position limits that it keeps. Of rotations nothing is remembered.
+    """q + step, and the rounding error of the sum, to be added with the next step (Kahan 1965). `lost`: that of the
+    last step. With a law, within its position limits. Rotations have no rounding error to carry.
 
-    In single precision steps below half a spacing of q would else come to nothing: the loop would stop short of its
-    target by ulp(q)/2/(alpha·Ts). Without derivatives: what is lost has none.
+    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
+    target by ulp(q)/2/(alpha·Ts). The rounding error has no derivatives.
     """
     step, y = step + lost, centre(chain, q)
     after = y + step if law is None else inside(law, y, y + step)
@@ -106,7 +106,7 @@ def summed(chain, q, step, lost, law=None):
 
 
 def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:
-    """A step of a tableau, from what the law sees at q and t."""
+    """A step of a tableau, from the law's observation at q and t."""
     if method.exponential:
         return Begun(*exponential_march(law, reference, q, at, t, Ts, method, stage, looped=looped))
 

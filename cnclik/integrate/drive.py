@@ -22,12 +22,12 @@ from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
-MOST = 101  # samples of dead time and of a measurement's together: theory's matrices have as many rows
-LARGEST = 1e12  # a quantity of a drive, and its inverse: beyond, products of them are no numbers
-TERMS = 15  # of the exponential's series: 0.5^16/16! is below rounding
-FASTEST = 5e4  # rates of a drive times Ts: what is faster is at rest within a sample, and as fast as this
-_ABSENT = ("lag", "joint_noise", "resolution")  # not there where they are 0
-_QUANTITIES = (  # of all joints or of each
+MOST = 101  # samples of dead time and measurement delay together, the number of rows of theory's matrices
+LARGEST = 1e12  # a quantity of a drive, or its inverse, at most: products of larger ones overflow
+TERMS = 15  # terms of the exponential's series: 0.5^16/16! is below rounding
+FASTEST = 5e4  # rates of a drive times Ts, at most: faster drives are at rest within a sample anyway
+_ABSENT = ("lag", "joint_noise", "resolution")  # absent if they are 0
+_QUANTITIES = (  # shared by all joints or one per joint
     *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
 )
 
@@ -112,12 +112,12 @@ class Drive:
 
     @property
     def steps_positions(self) -> bool:
-        """Whether the drive receives a position that steps, and not a velocity."""
+        """Whether the drive's input is a stepping position rather than a velocity."""
         return self.command == "position" and self.order > 0
 
     @property
     def adds_up(self) -> bool:
-        """Whether the loop depends on the sum of steps that the controller keeps."""
+        """Whether the loop depends on the controller's sum of steps."""
         return self.feedback == "commanded" or (self.steps_positions and self.feedback == "measured")
 
     @property
@@ -127,17 +127,17 @@ class Drive:
 
     @property
     def prompt(self) -> bool:
-        """Whether the loop is the one without drives."""
+        """Whether the loop equals the one without drives."""
         return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded"
 
     @property
     def absent(self) -> bool:
-        """Whether the loop is the one without drives, and sees the motion itself."""
+        """Whether the loop equals the one without drives, and the measurement equals the motion."""
         return self.prompt and self.exact
 
     @property
     def lumped(self) -> Self:
-        """The drive with all delays in one place, as dead time; stability is the same."""
+        """The drive with all delays lumped into the dead time; stability is the same."""
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
 
     @property
@@ -155,7 +155,7 @@ class Drive:
 
 
 def _none(value) -> bool:
-    """Whether a quantity is known not to be there."""
+    """Whether a quantity is known to be absent."""
     return is_literal(value) and value == 0
 
 
@@ -172,7 +172,7 @@ def _check(name, value, *, zero):
 
 
 def check_drive(drive, chain) -> Drive:
-    """The drive; raises ArgumentError unless it is a `Drive` that fits a chain."""
+    """The drive. Raises: ArgumentError unless it is a `Drive` that fits a chain."""
     errors.kind("drive", drive, Drive, "be Drive(...)")
     if chain.balls and drive.steps_positions:
         raise errors.fail("drive", "take velocities on a free base, whose positions are no sums", "takes positions")
@@ -191,32 +191,32 @@ class Sampled:
 
     phi: Float[AnyArray, "*n s s"]
     now: Float[AnyArray, "*n s"]
-    late: Float[AnyArray, "*n s"] | None  # None where the dead time is of whole samples
+    late: Float[AnyArray, "*n s"] | None  # None if the dead time is a whole number of samples
     whole: int  # d
 
     @property
     def size(self) -> int:
-        """States of a joint."""
+        """Number of states of a joint."""
         return self.phi.shape[-1]
 
     @property
     def remembered(self) -> int:
-        """Commands of the past that still act."""
+        """Number of past commands that still act."""
         return self.whole + (self.late is not None)
 
     def moved(self, x, line, u):
-        """States (..., n, s) a sample later, from those before, the commands on the way (the newest first), and u."""
+        """The states (..., n, s) one sample later. line: the commands under way, newest first; u: the new command."""
         x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
         return x if self.late is None else x + self.late * line[self.whole][..., None]
 
     def beside(self, axes: int):
-        """Several drives, beside which are so many more axes."""
+        """Several drives, with `axes` more axes after theirs."""
         at = tuple(range(-2 - axes, -2)), tuple(range(-1 - axes, -1))
         late = None if self.late is None else np.expand_dims(self.late, at[1])
         return replace(self, phi=np.expand_dims(self.phi, at[0]), now=np.expand_dims(self.now, at[1]), late=late)
 
     def transfer(self, at):
-        """Of the motion over the command, at points of the plane (...), of a drive that is one for all joints."""
+        """The transfer function from command to motion at points z (...), for one drive shared by all joints."""
         at = np.asarray(at)[..., None]
         force = self.now * at**-self.whole
         if self.late is not None:
@@ -225,10 +225,10 @@ class Sampled:
 
 
 def sampled(drive: Drive, Ts) -> Sampled:
-    """The drive at a sampling time, exact for a constant command (zero-order hold); NumPy where all is known.
+    """The drive at a sampling time, exact for a constant command (zero-order hold); in NumPy if all is known.
 
-    Γ₀ and Γ₁ are the effects of a command in the part of the sample after its arrival, and of the previous command in
-    the part before (Åström & Wittenmark 1997, Section 2.3).
+    Γ₀ is the effect of a command in the part of the sample after its arrival, Γ₁ that of the previous command in the
+    part before (Åström & Wittenmark 1997, Section 2.3).
     """
     whole = math.floor(drive.delay)
     share = drive.delay - whole
@@ -245,21 +245,21 @@ def sampled(drive: Drive, Ts) -> Sampled:
 
 
 def moving(drive: Drive, Ts):
-    """`sampled`, or None where motion is the controller's own step."""
+    """`sampled`, or None if the motion is the controller's own step."""
     return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
 
 
 def _continuous(drive, Ts, xp):
-    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis is that of the joints, if any.
+    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis, if any, is that of the joints.
 
-    G's own states are y = 1/(lag s + 1) u, or ẏ₀ = ω₀ y₁, ẏ₁ = ω₀ (u − y₀) − 2ζω₀ y₁, which no time scales badly.
+    G's own states are y = 1/(lag s + 1) u, or ẏ₀ = ω₀ y₁, ẏ₁ = ω₀ (u − y₀) − 2ζω₀ y₁, which are well scaled.
     """
     if drive.order == 1:
         rate = xp.minimum(1.0 / xp.asarray(drive.lag), FASTEST / Ts)
         rows, force = [[-rate]], [rate]
     else:
         w, zeta = xp.broadcast_arrays(xp.asarray(drive.natural_frequency), xp.asarray(drive.damping_ratio))
-        slower = xp.minimum(1.0, FASTEST / (2 * zeta * w * Ts))  # of ω₀² and 2ζω₀: their ratio, the slow rate, stays
+        slower = xp.minimum(1.0, FASTEST / (2 * zeta * w * Ts))  # of ω₀² and 2ζω₀, so the slow rate stays
         damping, w = slower * 2 * zeta * w, xp.minimum(xp.sqrt(slower) * w, FASTEST / Ts)
         rows, force = [[0 * w, w], [-w, -damping]], [0 * w, w]
     if not drive.steps_positions:  # q̇ = y₀
@@ -279,10 +279,12 @@ def _held(a, b, h, known):
 
 
 def _exponential(a):
-    """exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times. SciPy's calls LAPACK, whose threads
-    wait for each other longer than so small a matrix takes."""
+    """exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
+
+    SciPy's calls LAPACK, whose threads wait for each other longer than such a small matrix takes.
+    """
     size = np.abs(a).sum(-1).max(initial=0.0)
-    doublings = max(math.frexp(size)[1] + 1, 0)  # then at most a half
+    doublings = max(math.frexp(size)[1] + 1, 0)  # scales the norm to at most 1/2
     a, less = a / 2.0**doublings, np.zeros_like(a)
     for k in range(TERMS, 0, -1):
         less = (a + a @ less) / k
@@ -295,16 +297,16 @@ def _exponential(a):
 
 
 class Driven(NamedTuple):
-    """Where drives are."""
+    """The state of the drives."""
 
     x: Float[Array, "n s"]
-    line: Float[Array, "d n"]  # commands that still act, the newest first
+    line: Float[Array, "d n"]  # commands that still act, newest first
     sent: Float[Array, " n"]  # the sum of the controller's steps
-    limited: tuple[Array, Array] | None  # (n,), (n,): the last command as the drive took it, and how fast it changed
+    limited: tuple[Array, Array] | None  # (n,), (n,): the last limited command, and its rate of change
 
 
 def resting(chain, drive: Drive, model: Sampled, q) -> Driven:
-    """At rest at q (n,), and commanded to be there."""
+    """Drives at rest at q (n,), commanded to stay there."""
     x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
     held = q if drive.steps_positions else jnp.zeros_like(q)
     bounded = not (drive.drive_velocity is drive.drive_acceleration is None)
@@ -312,13 +314,13 @@ def resting(chain, drive: Drive, model: Sampled, q) -> Driven:
 
 
 def reached(chain, q, at: Driven):
-    """The joint values (n,) that drives have come to in a sample from q (n,), and the drives in the chart there."""
+    """The joint values (n,) after a sample that starts at q (n,), and the drives in the chart centred there."""
     after = chart.out(chain, q, at.x[:, 0])
     return after, at._replace(x=at.x.at[:, 0].set(chart.centre(chain, after))) if chain.balls else at
 
 
 def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
-    """A sample later, the controller having asked for a step (n,) from the joint values q (n,) that it looked at."""
+    """The drives one sample later, after the controller's step (n,) from the joint values q (n,) that it used."""
     sent = chart.moved(chain, q if drive.feedback == "rebased" else at.sent, step)
     u = sent if drive.steps_positions else step / Ts
     limited = at.limited
@@ -329,7 +331,7 @@ def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driv
 
 
 def _within_limits(drive, u, before, Ts):
-    """The command as a drive takes it that is no faster than its limits, and changes its speed no faster."""
+    """The command within the drive's limits of velocity and acceleration."""
     last, speed = before
     wanted = (u - last) / Ts if drive.steps_positions else u
     if drive.drive_acceleration is not None:
@@ -342,7 +344,7 @@ def _within_limits(drive, u, before, Ts):
 
 
 def measured_joints(drive, q, k):
-    """Joint values that the controller gets at step k for joint values q (n,): with noise and encoder resolution."""
+    """The controller's measurement of joint values q (n,) at step k, with noise and encoder resolution."""
     if not _none(drive.joint_noise):
         key = jax.random.fold_in(
             jax.random.key(jnp.asarray(drive.seed).astype(jnp.uint32)), jnp.asarray(k).astype(jnp.int32)
@@ -365,7 +367,7 @@ def white_noise(sigma, N: int, m: int, seed=0):
         raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
     errors.seed(seed)
     dtype = jnp.asarray(sigma).dtype
-    # Numbers of a known seed are no part of the program that they are drawn in.
+    # With a known seed the numbers are drawn outside of the traced program.
     with jax.ensure_compile_time_eval() if errors.concrete(seed) else contextlib.nullcontext():
         drawn = jax.random.normal(jax.random.key(jnp.asarray(seed).astype(jnp.uint32)), (N, m), dtype)
     return (

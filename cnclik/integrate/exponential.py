@@ -18,20 +18,20 @@ from cnclik.robot.chart import centre
 from cnclik.shapes import Array, Float
 from cnclik.task.task import velocity
 
-CLOSED = 2  # order up to which a turn has its closure, see `closure`
+CLOSED = 2  # largest order with a closure of rotations, see `closure`
 
 
 class Start(NamedTuple):
-    """What a step is to do, as known at its start."""
+    """The quantities of a step that are known at its start."""
 
-    feedback: Float[Array, " m"]  # held over the step
+    feedback: Float[Array, " m"]  # constant over the step
     velocity: Float[Array, " m"]  # φ ẋ_d at the start
     mean: Float[Array, " m"]  # φ times the target's mean velocity over the step
-    null: Float[Array, " n"] | None  # null-space velocity, a posture's held over the step
+    null: Float[Array, " n"] | None  # null-space velocity, constant over the step for a posture
 
 
 def start(law, reference, q, at, t, Ts) -> Start:
-    """What the law's exact solution asks of a step, from what the law sees at q and t."""
+    """The parts of a step's exact solution, from the law's observation at q and t."""
     to = ahead(law, reference, at, t, Ts)
     null, factor = null_velocity(law, q), null_over_step(law, Ts)
     return Start(
@@ -43,11 +43,11 @@ def start(law, reference, q, at, t, Ts) -> Start:
 
 
 def closure(law, mean, quadrature, turns, *, remembered=False):
-    """What a quadrature of ẋ_d misses of the target's motion, as a velocity (m,).
+    """The part of the target's motion that a quadrature of ẋ_d misses, as a velocity (m,).
 
-    Rotations have it where `turns` (1 or 0) says so: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators
-    (Magnus 1954), so that it is a gain to order 2 and a loss beyond. Parts in a tip's own frame have none of what is
-    `remembered`, in the frames of other instants.
+    Rotations are included if `turns` is 1, not 0: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators
+    (Magnus 1954), so including them helps up to order 2 and harms beyond. Parts in a tip's own frame omit what is
+    `remembered`, as it is in the frames of other instants.
     """
     missed, task, found = mean - quadrature, law.task, []
     for part, where in zip(task.parts, task.slices, strict=True):

@@ -1,7 +1,7 @@
-"""History: what a multistep method remembers of past steps, and when it forgets.
+"""History: what a multistep method remembers of past steps, and when it drops it.
 
-A history is dropped, and the order rises again step by step, where the past says nothing about the next step: after a
-jump of the target, a change of the sampling time, a step that a limit changed, or a large change of J#. This costs no
+A history is dropped, and the order rises again step by step, when the past does not predict the next step: after a jump
+of the target, a change of the sampling time, a step that a limit changed, or a large change of J#. This costs no
 evaluation.
 """
 
@@ -21,21 +21,21 @@ from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, Float, Int
 
-UNEVEN = 0.1  # relative change of the sampling time from which on the past is dropped
-_SLACK = 64  # roundings that count as no motion of a target
+UNEVEN = 0.1  # relative change of the sampling time above which the past is dropped
+_SLACK = 64  # motion of a target that counts as none, in roundings
 
 
 @record
 class Entry:
-    """What is remembered of one instant; None for what a method has no use for."""
+    """What is remembered of one instant; None for what a method does not use."""
 
     q: Float[Array, " n"] | None = None
     slope: Float[Array, " n"] | None = None  # f there
-    columns: Float[Array, "m n"] | None = None  # columns of J#, of the weighted task; with a factor, of Jᵀ
+    columns: Float[Array, "m n"] | None = None  # columns of the weighted task's J#, or of Jᵀ if there is a factor
     factor: Float[Array, " m_m"] | None = None  # (m(m + 1)/2,) between Jᵀ and J#, see `law.inverse.remembered`
     velocity: Float[Array, " m"] | None = None  # ẋ_d, times the feed-forward factor
-    null: Float[Array, " n"] | None = None  # what J# times a task velocity was not part of
-    rows: Float[Array, "m n"] | None = None  # weighted rows of J, for a posture term, where no factor tells them
+    null: Float[Array, " n"] | None = None  # null-space part of q̇
+    rows: Float[Array, "m n"] | None = None  # weighted rows of J, for a posture term without a factor
 
 
 @record
@@ -44,11 +44,11 @@ class History:
 
     Attributes:
       entries: (p − 1) `Entry`s, the newest first.
-      aims: where the targets were at the last step, of each part of the task.
-      speed: norm of the target's own velocity, there.
+      aims: the targets at the last step, for each part of the task.
+      speed: norm of the target's velocity at the last step.
       Ts: length of the last step [s].
-      count: how many entries count.
-      made: steps made since the start, up to p − 1: so many are made by the starting method.
+      count: number of valid entries.
+      made: steps since the start, up to p − 1, the number made by the starting method.
     """
 
     entries: tuple[Entry, ...]
@@ -60,7 +60,7 @@ class History:
 
 
 def blank(law: Law, q, method):
-    """The history of a loop before its first step from q (n,); None for a one-step method."""
+    """The history of a loop before its first step, from q (n,); None for a one-step method."""
     if method.steps == 1:
         return None
     n, m = law.chain.n, law.task.m
@@ -86,7 +86,7 @@ def blank(law: Law, q, method):
 
 
 def remembers_q(law: Law, method) -> bool:
-    """Whether joint values are remembered: by formulas on them, and to carry slopes from chart to chart."""
+    """Whether joint values are remembered: for formulas that use them, and to carry slopes between charts."""
     return len(getattr(method, "a", "")) > 1 or bool(law.chain.balls)
 
 
@@ -96,22 +96,22 @@ def holds_posture(law: Law) -> bool:
 
 
 def remembers_null(law: Law) -> bool:
-    """Whether null-space velocities of past instants are of use."""
+    """Whether null-space velocities of past instants are needed."""
     return not isinstance(law.null_velocity, Posture) and (law.null_velocity is not None or law.limits is not None)
 
 
 def remembers_rows(law: Law) -> bool:
-    """Whether the rows of J are remembered for a posture, beside what is remembered of J#."""
+    """Whether the rows of J are remembered for a posture, in addition to J#."""
     return holds_posture(law) and not remembers_factor(law)
 
 
 def remembers_factor(law: Law) -> bool:
-    """Whether J# is remembered as Jᵀ and the factors of J Jᵀ + λ² I: a fraction of what its columns cost."""
+    """Whether J# is remembered as Jᵀ and the factor of J Jᵀ + λ² I, which costs much less than its columns."""
     return getattr(law.inverse, "factors", False) and law.limits is None and law.task.m <= law.chain.n
 
 
 def checked(history, method, law):
-    """Raise ArgumentError unless it is a history of this method and law, or None."""
+    """Raise ArgumentError unless it is None or a history of this method and law."""
     if history is None:
         return None
     if method.steps == 1:
@@ -132,23 +132,23 @@ def checked(history, method, law):
 
 
 class Mark(NamedTuple):
-    """Where the targets are, and their own velocity, whatever a controller is told or measures."""
+    """The targets and their true velocity, independent of measurements and of what the controller knows."""
 
     aims: tuple[Array, ...]
     velocity: Float[Array, " w"]
 
 
 def mark(law: Law, reference, at, t) -> Mark:
-    """The target's mark at t; `at` is what the law sees there."""
+    """The target's mark at t. Args: at: the law's observation there."""
     true = true_motion(reference, law.task)
     return Mark(at.aims, at.motion) if true is reference else Mark(*sample(true, law.task, t))
 
 
 def valid(history: History, law: Law, at: Mark, Ts):
-    """How many entries count at an instant: all that did, or none after a jump or another sampling time.
+    """The number of valid entries at an instant: none after a jump or a change of the sampling time, otherwise all.
 
-    A target has jumped where it went farther than the speeds at both ends of the step, added, explain, and rounding:
-    twice what a mean speed does, so that motion from rest, at any acceleration, is no jump.
+    A target has jumped if it moved farther than Ts times the sum of its speeds at both ends of the step, plus rounding.
+    That is twice the motion at the mean speed, so starting from rest, at any acceleration, is no jump.
     """
     parts = law.task.parts
     moved = [part.went(now, before) for part, now, before in zip(parts, at.aims, history.aims, strict=True)]
@@ -161,7 +161,7 @@ def valid(history: History, law: Law, at: Mark, Ts):
 
 
 def remember(history: History, law: Law, entry: Entry, at: Mark, Ts, count) -> History:
-    """The history after a step, `count` of its entries counting then."""
+    """The history after a step, with `count` valid entries."""
     dtype = history.Ts.dtype
 
     def like(value, old):

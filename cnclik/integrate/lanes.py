@@ -27,8 +27,8 @@ from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
-BLOCK = 1 << 15  # lanes that one call of a compiled program carries: bounds memory, feeds the cores
-DEVICE_BLOCK = 1 << 18  # the same on a GPU, where so many stay in its cache: up to twice as fast as 2**20
+BLOCK = 1 << 15  # lanes per call of a compiled program: few enough for memory, enough to feed the cores
+DEVICE_BLOCK = 1 << 18  # the same on a GPU, to fit its cache: up to twice as fast as 2**20
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
@@ -85,7 +85,7 @@ def lanes(
             return traced(*args)
         if isinstance(found, Program):
             return jax.tree.unflatten(function.trees[key_of(avals)], jax.device_put(found(leaves, size, cores)))
-        if size <= tile or (workers[0] is not None and len(workers) == 1):  # one device, where arrays stay
+        if size <= tile or (workers[0] is not None and len(workers) == 1):  # one device: arrays stay there
             return compiled(*args)
         read = in_scalars() and isinstance(function.scalars.of(avals), Derived)
         able = workers if read or not on_cpu else workers[:1]  # LAPACK, see `cnclik.hints.shares_threads`
@@ -95,14 +95,14 @@ def lanes(
 
 
 def options(traced, quick=False) -> dict:
-    """How to compile a traced program (`jax.jit(fn).trace(...)`), for a CPU and while hints are on."""
+    """Compiler options of a traced program (`jax.jit(fn).trace(...)`), for a CPU and while hints are on."""
     if jax.default_backend() != "cpu":
         return {}
     return known_options(QUICK_COMPILE if quick else OPTIONS if is_wide(traced.jaxpr) else {})
 
 
 def _hinted(fn):
-    """The function compiled with the options its program may have."""
+    """The function compiled with its program's options."""
     plain, found = jax.jit(fn), Recent()
     hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
 
@@ -114,14 +114,14 @@ def _hinted(fn):
 
 
 def _signature(leaves, treedef) -> tuple:
-    """What one lane of the arguments looks like: calls in which it agrees run the same program."""
+    """The types of one lane of the arguments: equal ones share a program."""
     return treedef, *[(x.shape[1:], x.dtype) for x in leaves]
 
 
 def _size(leaves) -> int:
-    """The batch size all leaves share."""
+    """The batch size of all leaves."""
     for leaf in leaves:
-        if not hasattr(leaf, "dtype"):  # np.shape of a list's numbers is ()
+        if not hasattr(leaf, "dtype"):  # the numbers of a list have shape ()
             raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {leaf!r}")
     sizes = {leaf.shape[:1] for leaf in leaves}
     if len(sizes) != 1 or sizes == {()}:
@@ -134,7 +134,7 @@ def _size(leaves) -> int:
 
 
 def _block(size, tile, block, workers):
-    """Lanes per call: at most `block`, in whole tiles, so that every worker gets as many calls."""
+    """Lanes per call: at most `block`, in whole tiles, so that all workers get equally many calls."""
     calls = workers * -(-size // (workers * block))
     return -(-size // (calls * tile)) * tile
 
@@ -144,8 +144,8 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
 
     Args:
       tile, block: lanes of a tile, on a CPU and elsewhere.
-      count: how many lanes, from the first, are wanted; of the others' results nothing is said. Traced, so that one
-        program serves batches of any size up to that of `args`.
+      count: number of wanted lanes, from the first; results of others are undefined. Traced, so that one program
+        serves batches of any size up to that of `args`.
     """
     size = _size(jax.tree.leaves(args))
     tile = min(tile if jax.default_backend() == "cpu" else block, size)
@@ -159,7 +159,7 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
         return one(0)
 
     def put(i, out):
-        start = jnp.minimum(i * tile, size - tile)  # the last tile overlaps the one before it: no padding
+        start = jnp.minimum(i * tile, size - tile)  # the last tile overlaps the one before instead of being padded
         return jax.tree.map(lambda o, y: lax.dynamic_update_slice_in_dim(o, y, start, 0), out, one(start))
 
     shapes = jax.eval_shape(lambda: one(0))
@@ -168,7 +168,7 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
 
 
 def _blocks(compiled, ready, leaves, treedef, size, block, workers):
-    """Run blocks side by side; each result is copied into place as soon as it is there."""
+    """Run blocks side by side; each result is copied into place as soon as it is ready."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
     key = block, switched_on(), _signature(leaves, treedef)
 

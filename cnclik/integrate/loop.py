@@ -1,10 +1,10 @@
-"""Loop: the loop in time is a state and a step, which measures, advances, paces, and passes the robot's drives.
+"""Loop: the loop in time, as a state and a step that measures, advances, paces, and passes the robot's drives.
 
 `solve` runs it and keeps the trajectory, `outcome` reduces it, tuning differentiates it, sweeps run many. Without
-drive, noise and pace a step is the law's own, `advance`.
+drive, noise and pace a step is `advance`.
 
-A measurement acts through one vector per step: the measured error is w[k] away from the error that the law's own chain
-has. A step keeps w[k] constant, like a controller that measures once per sample.
+A measurement acts through one vector per step, w[k], the difference between the measured error and the error of the
+law's own chain. It is constant during a step, as for a controller that measures once per sample.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from cnclik.shapes import Array, Float
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Loop:
-    """What is the same in all steps of a loop, of one dtype: made by `loop_of`."""
+    """The constants of a loop, of one dtype: made by `loop_of`."""
 
     law: Law
     reference: Reference | References
@@ -49,40 +49,40 @@ class Loop:
     Ts: Float[Array, ""]
     t0: Float[Array, ""]
     N: int
-    drive: Drive  # what lies between command and motion
-    model: Sampled | None  # it, as `moving` samples it
+    drive: Drive  # between command and motion
+    model: Sampled | None  # the drive, sampled by `moving`
     noise: Float[Array, "N m"] | None  # added to the measured error
-    plant: Model | None  # the chain as it really is, if not the law's
-    gained: Callable | None  # (law, t) to the law at time t
-    pace: Pace | None  # limits that are kept by going slower
-    waits: bool  # whether the path then waits for the robot
-    ahead: Corners | None  # the path's corners, where they are known
+    plant: Model | None  # the real chain, if it is not the law's
+    gained: Callable | None  # gained(law, t): the law at time t
+    pace: Pace | None  # limits that the loop keeps by slowing down
+    waits: bool  # whether the path waits for the robot
+    ahead: Corners | None  # the path's corners, if known
 
     @property
     def measured(self) -> bool:
-        """Whether something lies between what the law asks for and what happens, or is seen."""
+        """Whether command and motion, or motion and measurement, differ."""
         return not (self.noise is None and self.plant is None and self.drive.absent)
 
     @property
     def late(self) -> int:
-        """Samples by which a measurement is late."""
+        """Delay of a measurement [samples]."""
         return 0 if self.drive.feedback == "commanded" else self.drive.measurement_delay
 
     @property
     def truth(self):
-        """The law of what truly moves."""
+        """The law with the real chain."""
         return self.law if self.plant is None else replace(self.law, chain=self.plant)
 
 
 class State(NamedTuple):
-    """Where a loop is."""
+    """The state of a loop."""
 
     q: Float[Array, " n"]  # the robot's joint values
-    history: History | None  # of a multistep method
-    lost: Float[Array, " n"] | None = None  # of q, by rounding, in float32
+    history: History | None  # memory of a multistep method
+    lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
     drives: Driven | None = None
-    late: tuple[Array, ...] = ()  # errors that were measured and have not arrived
-    path: Float[Array, ""] | None = None  # time on a path that waits
+    late: tuple[Array, ...] = ()  # measured errors on their way
+    path: Float[Array, ""] | None = None  # time on the path, if it waits
     pacing: Pacing | None = None
 
 
@@ -107,7 +107,7 @@ def loop_of(
 
 
 def start(loop: Loop, q0, *, compensated=False) -> State:
-    """The state at rest at q0 (n,). Args: compensated: whether q adds up what a rounding takes, see `summed`."""
+    """The state at rest at q0 (n,). Args: compensated: whether rounding errors of q are carried, see `summed`."""
     first = observe(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
     return State(
         q0,
@@ -154,11 +154,11 @@ def one(loop: Loop, starting, state: State, k):
 
 
 def _measured(loop, state, t, k):
-    """(joint values that the controller sees, its reference as it is then, what is true, errors still on their way)"""
+    """(joint values the controller uses, its reference then, the true observation, errors still on their way)"""
     law, reference, q = loop.law, loop.reference, state.q
     at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
     seen = state.drives.sent if commanded else q if loop.drive.exact else measured_joints(loop.drive, q, k)
-    # A camera sees the tip where it is; of its own commands a controller knows what its model says.
+    # A camera sees the real tip; from its own commands a controller knows only the model's tip.
     found = at.e if seen is q else observe(law if commanded else loop.truth, reference, t, seen).e
     measured = (found, *state.late)[loop.late]
     if loop.noise is not None:
@@ -171,17 +171,17 @@ def _measured(loop, state, t, k):
 
 
 def _between(task, measured, at):
-    """What the targets are to be moved by (w,) so that their error is the measured one (m,), and not that of `at`."""
+    """The shift w of the targets that turns the error of `at` into the measured error (m,)."""
     parts = zip(task.parts, at.aims, task.slices, strict=True)
     return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
 
 
 def _paced(loop, made, pacing, t, q):
-    """(the step within the limits, where the pace is, time on the path)
+    """(the step within the limits, the state of the pace, time on the path)
 
-    Where the path waits, a step of the method is made over the time that the last one took of it, share·Ts: methods
-    keep their order, and multistep methods a memory of even steps. Where it does not, steps are made over Ts and then
-    scaled, and a scaled step is the first of a new memory.
+    If the path waits, the method makes a step over the path time of the last step, share·Ts. So methods keep their
+    order, and multistep methods remember even steps. Otherwise steps are made over Ts and then scaled, and a scaled
+    step starts a new memory.
     """
     stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
     s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q))
@@ -189,7 +189,7 @@ def _paced(loop, made, pacing, t, q):
     status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
     status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
     history = made.history
-    if history is not None:  # the past says nothing of what is beyond a corner
+    if history is not None:  # the past does not predict the path beyond a corner
         new = s < 1 if not loop.waits else loop.ahead is not None and stop <= s * loop.Ts
         count = history.count if new is False else jnp.where(new, 0, history.count)
         history = replace(history, count=count, Ts=s * loop.Ts if loop.waits else history.Ts)
@@ -225,7 +225,7 @@ def run(loop: Loop, q0, *, end=False):
     steps, path = found
     tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
     made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost, tasks)
-    if loop.measured:  # with noise an error grows and shrinks by chance
+    if loop.measured:  # with noise an error grows and shrinks at random
         return made
     grown, each = growing(loop.law, loop.reference, made.target_time, made.e)
     if made.task_status is not None:

@@ -16,17 +16,17 @@ from cnclik.shapes import Array, Float
 
 
 class Moved(NamedTuple):
-    """One step over any field: where it went, how, and what the field was at its start."""
+    """One step over any field: its result, its quality, and the field at its start."""
 
     q: Float[Array, " n"]
     qdot: Float[Array, " n"]
-    first: Any  # an `Evaluation`, of a law's field
+    first: Any  # an `Evaluation`, for a law's field
     residual: Float[Array, ""]
     contraction: Float[Array, ""]
 
 
 def charted(chain, start, field):
-    """A law's field as a method sees it in the chart centred at `start` (n,), see `cnclik.robot.chart`."""
+    """A law's field in the chart centred at `start` (n,), see `cnclik.robot.chart`."""
     if not chain.balls:
         return field
 
@@ -44,12 +44,12 @@ def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=Fa
     use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one.
 
     Args:
-      first: field(0, q), where it is known.
-      at: what the field takes in place of c, one for each stage: what else it needs of that instant.
-      looped: an explicit method's stages as a loop, compiled once; the first is at c = 0.
+      first: field(0, q), if known.
+      at: arguments of the field in place of c, one per stage, if it needs more than the time.
+      looped: run an explicit method's stages as a loop, which is compiled once; the first stage is at c = 0.
     """
     at = method.c if at is None else at
-    first = field(at[0], q) if first is None else first  # explicit Euler: a stage of most methods, where others start
+    first = field(at[0], q) if first is None else first  # explicit Euler's, a stage of most methods
     if looped:
         return _looped(field, q, Ts, method, first, at)
     slopes = []
@@ -99,7 +99,7 @@ def _moved(q, Ts, method, slopes, first, residual, contraction) -> Moved:
 
 
 def combine(weights, vectors):
-    """Σ wᵢ vᵢ, without those whose weight is known to be 0."""
+    """Σ wᵢ vᵢ, without terms whose weight is known to be 0."""
     parts = [w * v for w, v in zip(weights, vectors, strict=True) if not (type(w) is float and w == 0)]
     return functools.reduce(operator.add, parts)
 

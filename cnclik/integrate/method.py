@@ -48,7 +48,7 @@ class Method:
             raise errors.fail("A", "be lower triangular, row i with i + 1 entries for each of `b`", f"is {self.A!r}")
         if len(c) != len(b):
             raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
-        most = len(b) + any(row[-1] != 0 for row in A)  # of s stages the order is s at most, and s + 1 of implicit ones
+        most = len(b) + any(row[-1] != 0 for row in A)  # s stages have order s at most, implicit ones s + 1
         left = _conditions(A, np.array(b), np.array(c), most + 1)
         made = {"A": A, "b": b, "c": c, "order": check_order(self.order, b, left)}
         for name, value in made.items():
@@ -66,13 +66,14 @@ class Method:
 
     @property
     def steps(self) -> int:
-        """How many instants it uses: the present one."""
+        """Number of instants that it uses: one."""
         return 1
 
 
 def _conditions(A, b, c, most):
-    """What the conditions of the orders 1 to `most` leave: Σ bᵢ Φᵢ(t) − 1/γ(t) of every rooted tree t with as many
-    vertices (Hairer, Nørsett & Wanner 1993, II.2)."""
+    """The residuals of the conditions of orders 1 to `most`: Σ bᵢ Φᵢ(t) − 1/γ(t) for every rooted tree t with as many
+    vertices (Hairer, Nørsett & Wanner 1993, II.2).
+    """
     A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
     for order in range(1, most + 1):
         weighed = [_weight(A, tree) for tree in trees(order)]
@@ -81,12 +82,12 @@ def _conditions(A, b, c, most):
 
 @functools.cache
 def trees(order):
-    """Rooted trees of so many vertices; each is the sorted tuple of the trees that grow from its root."""
+    """Rooted trees with `order` vertices; each is the sorted tuple of the subtrees at its root."""
     return ((),) if order == 1 else tuple(sorted({new for tree in trees(order - 1) for new in _grown(tree)}))
 
 
 def _grown(tree):
-    """Trees with a leaf more."""
+    """Trees with one more leaf."""
     yield tuple(sorted((*tree, ())))
     for i, branch in enumerate(tree):
         for new in _grown(branch):
@@ -159,7 +160,7 @@ RK4 = Method(
     source="Kutta (1901); R(z) = 1 − z + z²/2 − z³/6 + z⁴/24",
 )
 
-MethodLike = Method | Multistep | str  # or its name
+MethodLike = Method | Multistep | str  # a method or its name
 
 
 def named(method, argument="method") -> Method | Multistep:
@@ -202,11 +203,11 @@ EXP_AB2, EXP_AB3, EXP_AB4 = map(exponential, (AB2, AB3, AB4))
 _EXPONENTIAL = EXP_EE, EXP_HEUN, EXP_MIDPOINT, EXP_RK4, EXP_AB2, EXP_AB3, EXP_AB4
 METHODS = {m.name: m for m in (*_PLAIN, *_OF_STEPS, *_EXPONENTIAL)}
 
-DEFAULT = EXP_MIDPOINT  # no memory, no limit of z, and second order: see results/methods
+DEFAULT = EXP_MIDPOINT  # second order, without a memory or a limit of z: see results/methods
 
 
 def starter(method):
-    """The one-step method that the first steps of a multistep one are made with: RK4, or EXP-RK4."""
+    """The one-step method of the first steps of a multistep method: RK4, or EXP-RK4."""
     return EXP_RK4 if method.exponential else RK4
 
 
@@ -214,7 +215,7 @@ def starter(method):
 
 
 def evaluations_per_step(method, stage, n: int) -> Count:
-    """Evaluations of f(q, t) that one step of n joints costs; an array where the stage's M is one."""
+    """Evaluations of f(q, t) in one step with n joints; an array if the stage's M is one."""
     if method.steps > 1:
         return 1
     explicit = sum(1 for i, row in enumerate(method.A) if row[i] == 0)
@@ -224,7 +225,7 @@ def evaluations_per_step(method, stage, n: int) -> Count:
 
 
 def evaluations_of(method, stage, n: int, N: int) -> Count:
-    """Evaluations of f(q, t) in N steps of n joints, those of the starting method among them."""
+    """Evaluations of f(q, t) in N steps with n joints, including those of the starting method."""
     several = N * evaluations_per_step(method, stage, n)
     if method.steps == 1:
         return several
@@ -232,5 +233,5 @@ def evaluations_of(method, stage, n: int, N: int) -> Count:
 
 
 def early_steps(method, N: int) -> int:
-    """How many of N steps the starting method makes."""
+    """Number of steps, at most N, by the starting method."""
     return min(method.steps - 1, N)

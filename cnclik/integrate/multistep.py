@@ -17,7 +17,7 @@ import numpy as np
 
 from cnclik import errors
 
-ROUNDING = 1e-9  # of weights that were written as decimals
+ROUNDING = 1e-9  # rounding of weights written as decimals
 
 
 @functools.cache
@@ -28,7 +28,7 @@ def adams(p: int) -> tuple:
     """
     weights = []
     for j in range(p):
-        polynomial = [Fraction(1)]  # in s, the constant first
+        polynomial = [Fraction(1)]  # coefficients in s, constant first
         for i in (*range(j), *range(j + 1, p)):
             polynomial = [(i * a + b) / (i - j) for a, b in zip([*polynomial, 0], [0, *polynomial], strict=True)]
         weights.append(float(sum(x / (k + 1) for k, x in enumerate(polynomial))))
@@ -36,14 +36,14 @@ def adams(p: int) -> tuple:
 
 
 def weights_of(name, values) -> tuple:
-    """Weights of a method, or its times, as a tuple of floats."""
+    """Weights or times of a method as a tuple of floats."""
     return tuple(float(x) for x in errors.array(name, values, (None,)))
 
 
 def check_order(order, b, left) -> int:
-    """A method's order, a whole number; ArgumentError where its weights are of less.
+    """A method's order, a whole number. Raises: ArgumentError if its weights have a lower order.
 
-    Args: left: what the conditions of the orders 1, 2, … leave, those of an order together; 0 where they hold.
+    Args: left: residuals of the conditions of orders 1, 2, …, one tuple per order; 0 if they hold.
     """
     order = errors.integer("order", order, at_least=1)
     left = iter(left)
@@ -82,7 +82,7 @@ class Multistep:
         a, b = (weights_of(name, getattr(self, name)) for name in "ab")
         if abs(sum(a) - 1) > ROUNDING:
             raise errors.fail("a", "hold weights whose sum is 1", f"holds {list(a)}")
-        roots = np.roots([1.0, *(-w for w in a)])  # growth of the past, whatever Ts is (Dahlquist 1956)
+        roots = np.roots([1.0, *(-w for w in a)])  # growth of errors of the past for any Ts (Dahlquist 1956)
         growth = max(map(abs, roots))
         if growth > 1 + ROUNDING**0.5:
             raise errors.fail("a", "have no root of λᵖ = Σⱼ aⱼ λᵖ⁻¹⁻ʲ beyond 1", f"has one of size {growth:.4g}")
@@ -104,17 +104,17 @@ class Multistep:
 
     @property
     def implicit(self) -> bool:
-        """Never: for the sake of one name for all methods."""
+        """False, as for an explicit `Method`."""
         return False
 
     @property
     def steps(self) -> int:
-        """How many instants the formula uses, the present one among them."""
+        """Number of instants that the formula uses, including the present one."""
         return max(len(self.a), len(self.b))
 
     @property
     def table(self) -> tuple:
-        """(a, b), both of `steps` weights, by how many instants before the present one are remembered.
+        """(a, b), each with `steps` weights, by the number of remembered instants before the present one.
 
         With all of them it is the formula itself; with fewer, Adams-Bashforth of rising order up to its own.
         """
@@ -123,7 +123,7 @@ class Multistep:
 
 
 def _missed(a, b, k) -> float:
-    """What the formula is off by at the end of a step from 0 to 1 along tᵏ."""
+    """The error of the formula at the end of a step from 0 to 1 along tᵏ."""
     past = sum(w * (-j) ** k for j, w in enumerate(a))
     return past - 1.0 + sum(w * k * (-j) ** (k - 1) for j, w in enumerate(b))
 

@@ -27,11 +27,11 @@ from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
 
-TURNING = 0.6  # part of the acceleration that following the path may take at a steady share; the rest changes the share
-BENDING = 0.5  # and part of the jerk
-EASING = 0.5  # part of the jerk with which the share comes to rest at what the path allows
+TURNING = 0.6  # part of the acceleration for following the path at a constant share; the rest changes it
+BENDING = 0.5  # the same part of the jerk
+EASING = 0.5  # part of the jerk for easing the share to the path's limit
 CHAIN = "chain"
-FAR = 1e6  # [s] stands for never: finite, so that derivatives are
+FAR = 1e6  # [s] stands for never; finite, so that derivatives are finite
 
 
 @record
@@ -80,7 +80,7 @@ class Pacing:
 
     Attributes:
       velocity, acceleration: (n,) paced velocity and acceleration of the last sample [rad/s, rad/s²; m].
-      asked: (n,) velocity that the loop asked for. turn, bend: (n,) its derivatives f′, f″ along the path.
+      asked: (n,) velocity requested by the loop. turn, bend: (n,) its derivatives f′, f″ along the path.
       share: s of the last step; a path that waits has advanced by share·Ts. Off the path: the share of the requested
         motion that the joints made.
       excess: largest share of an acceleration or jerk limit that the step needs with the best s. It is above 1 where no
@@ -104,7 +104,7 @@ class Pacing:
 
 
 def _whole(dtype):
-    """The whole of a limit, and rounding."""
+    """A whole limit, plus rounding."""
     return 1 + 1024 * jnp.finfo(dtype).eps
 
 
@@ -130,7 +130,7 @@ def paced(
     Args:
       pace: with velocity limits as numbers.
       state: from `pace_at_rest`, then the state that the previous call returned.
-      dq: (n,) step that the loop asks for, q̇·Ts [rad, m], with q̇ from any library.
+      dq: (n,) requested step, q̇·Ts [rad, m], with q̇ from any library.
       Ts: sampling time [s].
       stop: path time until the path stops or has a corner [s], where known: the motion slows down before it.
       sharpness: relative change of the path's velocity there.
@@ -160,7 +160,7 @@ def _vector(name, value):
 
 
 def check_pace(pace, n: int, chain=None) -> Pace:
-    """The pace, the velocities of a chain filled in; raises ArgumentError unless it is a `Pace` for n joints."""
+    """The pace with the chain's velocity limits filled in. Raises: ArgumentError unless it is a `Pace` for n joints."""
     errors.kind("pace", pace, Pace, "be Pace(...)")
     for name in ("velocity", "acceleration", "jerk"):
         if np.ndim(getattr(pace, name)) == 1:
@@ -187,7 +187,7 @@ def _scaled(pace, state, dq, Ts, stop, sharpness):
 
 
 def _max(v):
-    """The largest entry, by its place: the derivative of `jnp.max` is NaN where XLA rounds v twice in two ways."""
+    """The largest entry, by its index: the derivative of `jnp.max` is NaN if XLA rounds v in two ways."""
     v = v.ravel()
     return v[jnp.argmax(v)]
 
@@ -197,14 +197,14 @@ def _largest(v):
 
 
 def share(pace, state, f, Ts, stop, sharpness, room=None):
-    """(s, the next state) for an asked velocity f (n,); the velocity to take is the state's.
+    """(s, the next state) for a requested velocity f (n,); the resulting velocity is in the state.
 
-    Args: room: (2, n) how far each joint may go down and up [rad, m], or None where no limits are kept.
+    Args: room: (2, n) distance of each joint to its lower and upper limit [rad, m]; None: no limits are kept.
     """
     dtype, limits = f.dtype, (pace.velocity, pace.acceleration, pace.jerk)
     v, a, j = (None if w is None else jnp.broadcast_to(jnp.asarray(w, dtype), f.shape) for w in limits)
-    v = None if v is None else jnp.maximum(v, 1e-12)  # a chain may forbid a joint to move
-    # Smoothed over a sample of path time, so that a share of nearly 0 divides nothing by nearly 0.
+    v = None if v is None else jnp.maximum(v, 1e-12)  # a velocity limit may be 0
+    # Smoothed over a sample of path time, to avoid divisions by a share of nearly 0.
     passed = jnp.where(state.begun, Ts * state.share, 0.0)
     asked = jnp.where(state.begun, state.asked, f)
     turn = (state.turn * Ts + (f - asked)) / (passed + Ts)
@@ -222,7 +222,7 @@ def share(pace, state, f, Ts, stop, sharpness, room=None):
     velocity = s * f
     if not (a is None and j is None):
         velocity = jnp.where(leaves, _braked(a, j, state, wanted * f, Ts), velocity)
-        if room is not None:  # a joint that could brake too late for its limit brakes now
+        if room is not None:  # a joint that could not brake later brakes now
             late = _too_late(a, j, state, velocity, Ts, room)
             velocity = jnp.where(late, _braked(a, j, state, jnp.zeros_like(f), Ts), velocity)
             leaves, excess = leaves | late.any(), jnp.where(late.any(), jnp.maximum(excess, 2.0), excess)
@@ -240,20 +240,20 @@ def share(pace, state, f, Ts, stop, sharpness, room=None):
 
 
 def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
-    """The share that the path allows, now and as far as it is seen to bend, approached with bounded jerk."""
+    """The share that the path allows, now and as far as its bend is predicted, approached with bounded jerk."""
     caps, heavy, stiff = [1.0], None, None
     if v is not None:
         room = v
-        if j is not None:  # what f grows by itself has to be stopped: v + q̈²/(2 j) ≤ V
+        if j is not None:  # leave room to stop the growth of f: v + q̈²/(2 j) ≤ V
             gains = jnp.maximum(0.0, jnp.sign(f) * state.share**2 * turn)
             room = v - jnp.minimum(gains * gains / (2 * EASING * j), v / 2)
         caps.append(1 / jnp.maximum(1.0, _largest(f / room)))
     if a is not None:
-        heavy = _largest(f / a)  # its inverse is the largest ṡ
-        lag = Ts if j is None else 2 * _max(jnp.where(jnp.isfinite(a), a, 0.0) / j)  # until it brakes with all it has
+        heavy = _largest(f / a)  # the inverse of the largest ṡ
+        lag = Ts if j is None else 2 * _max(jnp.where(jnp.isfinite(a), a, 0.0) / j)  # time until it brakes fully
         grows = jnp.maximum(0.0, jnp.sign(turn) * bend) / (TURNING * a)
         now = jnp.abs(turn) / (TURNING * a) + grows * state.share * lag
-        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: what the path allows at x, and what is braked by then.
+        # s² ≤ min over x ≥ 0 of 1/(now + grows·x) + 2 ṡ x: the path's limit at x, plus the braking until then.
         there = jnp.maximum(jnp.maximum(1.0, now), safe_sqrt(grows * heavy / (2 * (1 - TURNING))))
         caps.append(jnp.sqrt(jnp.minimum(1.0, -_max((now - 2 * there) / there**2))))
     if j is not None:
@@ -266,7 +266,7 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
         cap = jnp.minimum(cap, other)
     if j is None:
         return cap
-    # The square root law, ṡ = √(2 s̈ (cap − s)), whose last sample is dead-beat.
+    # The square root law, ṡ = √(2 s̈ (cap − s)), which arrives exactly in its last sample.
     gap = cap - state.share
     return state.share + 2 * EASING * gap * Ts / (
         jnp.sqrt((EASING * Ts) ** 2 + 2 * EASING * stiff * jnp.abs(gap)) + EASING * Ts
@@ -274,7 +274,7 @@ def _borne(v, a, j, state, f, turn, bend, Ts, stop, sharpness):
 
 
 def _before(stop, sharpness, heavy, stiff, Ts):
-    """The share from which all motion stops in a path time `stop`, or as much of it as a corner is sharp."""
+    """The share from which all motion can stop within a path time `stop`, or slow down for a corner's sharpness."""
     stop, slowness, floor = jnp.clip(stop, 1e-3 * Ts, 1e6 * Ts), 1.0, 1.0
     if heavy is not None:
         slowness = jnp.maximum(1.0, heavy / stop) ** 0.5
@@ -286,13 +286,13 @@ def _before(stop, sharpness, heavy, stiff, Ts):
 
 
 def _inside(a, j, state, f, Ts, room):
-    """The largest share with which each joint can brake before its position limit, and no step ends beyond it."""
+    """The largest share with which each joint can brake before its position limit and no step ends beyond it."""
     size, towards = jnp.abs(f), jnp.sign(f)
     near = (size > 0) & (room > 0)
     size, room = jnp.where(near, size, 1.0), jnp.where(near, jnp.minimum(room, FAR), FAR)
     heavy, stiff = (None if w is None else size / w for w in (a, j))
     left = room
-    if j is not None:  # until its acceleration has gone
+    if j is not None:  # distance until its acceleration is 0
         speeds, gains = (jnp.maximum(0.0, towards * w) for w in (state.velocity, state.acceleration))
         lasts = gains / j
         left = room - lasts * (speeds + gains * lasts / 3)
@@ -300,10 +300,10 @@ def _inside(a, j, state, f, Ts, room):
 
 
 def _kept(a, j, state, f, Ts, most):
-    """(low, high, excess): the shares in [0, most] that break a and j least, and by which part of a limit.
+    """(low, high, excess): the shares in [0, most] that violate a and j least, and the largest share of a limit used.
 
-    Each limit of each joint says |s g − b| ≤ 1. Intervals on a line have a point in common if any two of them do
-    (Helly), so that the least μ for which all |s g − b| ≤ μ can be kept is found from pairs.
+    Each limit of each joint says |s g − b| ≤ 1. Intervals on a line have a common point if any two of them do (Helly),
+    so the least μ with all |s g − b| ≤ μ follows from pairs.
     """
     g, b = [], []
     if a is not None:
@@ -338,7 +338,7 @@ def _braked(a, j, state, wanted, Ts):
     gap = wanted - state.velocity
     if j is None:
         return state.velocity + jnp.clip(gap, -a * Ts, a * Ts)
-    # As the share: the acceleration has gone when the wanted velocity is reached.
+    # As for the share: the acceleration is 0 when the wanted velocity is reached.
     size = jnp.abs(gap)
     change = 2 * EASING * gap / (safe_sqrt((EASING * Ts) ** 2 + 2 * EASING * size / j) + EASING * Ts)
     change = jnp.clip(change, state.acceleration - j * Ts, state.acceleration + j * Ts)
@@ -348,17 +348,17 @@ def _braked(a, j, state, wanted, Ts):
 
 
 def _too_late(a, j, state, velocity, Ts, room):
-    """Which joints, after a step at a velocity (n,), `_braked` could not stop before a position limit any more."""
+    """The joints that `_braked` could not stop before a position limit after a step at a velocity (n,)."""
     v, grows = (jnp.stack([-w, w]) for w in (velocity, (velocity - state.velocity) / Ts))
     far = _stopping(a, j, v, grows, Ts)
     return ((far > 0) & (far + v * Ts > room)).any(axis=0)
 
 
 def _stopping(a, j, v, grows, Ts):
-    """How far joints go on towards a limit, at v and at an acceleration `grows` towards it, while `_braked` stops them.
+    """How far joints move towards a limit until `_braked` stops them, from v and an acceleration `grows` towards it.
 
-    With a jerk limit: on with all of it to where the braking can ease, at a itself for a while where it gets there,
-    and eased to rest. One that still moves away goes on from where it turns round.
+    With a jerk limit, braking has three phases: full jerk, constant acceleration a if it is reached, and easing to
+    rest. A joint that still moves away continues from its turning point.
     """
     fast = jnp.maximum(v, 0.0)
     if j is None:
@@ -381,13 +381,13 @@ def _stopping(a, j, v, grows, Ts):
 
 
 def _steepness(state, f, Ts):
-    """By how much f falls per unit of motion [1/s], where the last step was off the path: what f′ = −α f is of α."""
+    """The decrease of f per unit of motion [1/s] if the last step was off the path: α, for f′ = −α f."""
     moved = Ts * safe_sqrt(jnp.sum(state.velocity**2))
     found = safe_sqrt(jnp.sum((f - state.asked) ** 2)) / jnp.where(moved > 0, moved, 1.0)
     return jnp.where(state.over & (moved > 0), found, 0.0)
 
 
 def _along(velocity, f):
-    """The share of f that a velocity makes."""
+    """The share of f in a velocity."""
     size = jnp.sum(f * f)
     return jnp.where(size > 0, jnp.clip(jnp.sum(velocity * f) / jnp.where(size > 0, size, 1.0), 0.0, 1.0), 1.0)

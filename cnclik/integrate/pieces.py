@@ -1,4 +1,4 @@
-"""Pieces: a long run in several pieces of equal length, so that one program serves runs of any number of steps."""
+"""Pieces: a long run in pieces of equal length, so that one program serves runs of any number of steps."""
 
 import numpy as np
 
@@ -10,20 +10,20 @@ PIECE = 2000  # steps of a piece, at most
 
 
 def piece_of(method, N: int) -> int:
-    """Steps of the pieces of a run of N; all of them for a multistep method, whose memory would begin anew."""
+    """Steps per piece of a run of N; N for a multistep method, which would lose its memory."""
     return N if method.steps > 1 else min(N, PIECE)
 
 
 def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
-    """Yield the runs of `size` steps each that are, one after the other, `solve`'s N steps and the rest of the last.
+    """Yield runs of `size` steps each, which together are `solve`'s N steps and the rest of the last piece.
 
-    Args: as for `solve`, of concrete values; the method makes single steps, or `size` is at least N.
+    Args: as for `solve`, with concrete values; the method makes single steps, or `size` is at least N.
     """
     part, q = None, q0
     for begun in range(0, N, size):
         if part is None or np.isfinite(q).all():
             part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
-        else:  # lost, as it is for good
+        else:  # lost for good
             last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *steps_of(part))}
             last = {name: np.broadcast_to(value[-1:], value.shape) for name, value in last.items()}
             part = replace(part, t=np.asarray(part.t) + size * Ts, **last)

@@ -1,4 +1,4 @@
-"""Steps with a memory: one evaluation of f per step, combined with those of the instants before.
+"""Steps with a memory: one evaluation of f per step, combined with earlier ones.
 
 Plain formulas remember slopes and joint values, see `cnclik.integrate.multistep`. Exponential ones remember J# and ẋ_d,
 so that the feedback and the closure of this step act through the same mean of J#:
@@ -6,10 +6,9 @@ so that the feedback and the closure of this step act through the same mean of J
   q⁺ = q + Ts Σⱼ βⱼ J#[k−j] (v[k−j] + w),   v = ẋ_d,
   w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σⱼ βⱼ v[k−j].
 
-A step is made from its own evaluation alone, as an (exponential) Euler step, where that evaluation or the combination
-would violate a limit that the law respects; such a step respects what Euler respects. So is an exponential step where
-J# has changed much since the last one: far from the target at a large gain, or near a singularity, the past predicts
-nothing.
+If its own evaluation or the combination would violate a limit that the law respects, a step uses its own evaluation
+alone, as an (exponential) Euler step, and respects what Euler respects. So does an exponential step if J# has changed
+much since the last one: far from the target at a large gain, or near a singularity, the past predicts nothing.
 """
 
 from __future__ import annotations
@@ -39,30 +38,30 @@ from cnclik.law.limits import within
 from cnclik.robot.chart import between, centre, into, rates
 from cnclik.shapes import Array, Bool
 
-TURNED = 1.0  # share of two joint velocities' larger square from which on their difference is that of another J#
+TURNED = 1.0  # squared difference of two joint velocities, over the larger square, that means another J#
 
 
 class Stepped(NamedTuple):
-    """A step and what is remembered of it."""
+    """A step and its new memory."""
 
     moved: Moved
     history: History | None = None
-    restarted: Bool[Array, ""] | None = None  # whether what was remembered has been dropped
+    restarted: Bool[Array, ""] | None = None  # whether the memory was dropped
 
 
 class Begun(NamedTuple):
-    """A step that the starting method made, and what an exponential one was to do."""
+    """A step by the starting method, and the exponential one's `Start`."""
 
     moved: Moved
     to: Start | None = None
 
 
 def over_history(law, reference, q, at, now, t, Ts, method, history: History, begun: Begun | None) -> Stepped:
-    """A step of a multistep method, from what the law sees at q and t.
+    """A step of a multistep method, from the law's observation at q and t.
 
     Args:
       now: the target's `mark`.
-      begun: while it starts, the starting method's own step.
+      begun: during the start, the starting method's step.
     """
     count = valid(history, law, now, Ts)
     make = _exponential if method.exponential else _plain
@@ -82,7 +81,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
 
 
 def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
-    """Evaluation, slope, and entry of a formula on f; nothing of it is left alone."""
+    """Evaluation, slope, and entry of a formula on f, and None, as it remembers no J#."""
     first = evaluate_at(law, q, at) if begun is None else begun.moved.first
     entry = Entry(q=q if remembers_q(law, method) else None, slope=first.qdot)
     if begun is not None:
@@ -98,12 +97,12 @@ def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
 
 
 def _carried(law, q, entry: Entry, qdot):
-    """A past instant's joint velocity as a slope in the chart of this one."""
+    """A past instant's joint velocity as a slope in the present chart."""
     return rates(law.chain, into(law.chain, q, entry.q), qdot) if law.chain.balls else qdot
 
 
 def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
-    """Evaluation, slope, and entry of an exponential formula, and whether J# has become another one."""
+    """Evaluation, slope, and entry of an exponential formula, and whether J# has changed."""
     to = start(law, reference, q, at, t, Ts) if begun is None else begun.to
     alone = to.feedback + to.mean
     first = resolve(law, q, at, alone, to.null) if begun is None else begun.moved.first
@@ -126,7 +125,7 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     quadrature = combine(betas, [e.velocity for e in entries])
     turns = 1.0 if method.order <= CLOSED else jnp.where(count < CLOSED, 1.0, 0.0).astype(Ts.dtype)
     held = to.feedback
-    if reference.known:  # else the past velocities foretell the motion, and nothing is known to be missed
+    if reference.known:  # otherwise only past velocities predict the motion, so there is no closure
         held = held + closure(law, to.mean, quadrature, turns, remembered=True)
     parts = [_applied(e, weighted(law.task, e.velocity + held)) for e in entries]
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
@@ -141,14 +140,14 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
 
 
 def _columns(first: Evaluation, m, q):
-    """The columns of J# (m, n), and no factor."""
+    """The columns of J# (m, n), and None as the factor."""
     return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype)), None
 
 
 def _another(now, past, velocity, before, held):
-    """Whether J# itself has changed by more than the past can foretell, between two instants' joint velocities.
+    """Whether J# has changed by more than the past can predict, judged by the joint velocities of two instants.
 
-    Not where the target's own velocity has changed by half of what was asked for: that is no doing of J#.
+    False if the target's own velocity changed by half of the requested velocity, as J# is not the cause then.
     """
     apart, most = now - past, jnp.maximum(now @ now, past @ past)
     change, asked = velocity - before, before + held
@@ -161,19 +160,19 @@ def _rows(entry: Entry):
 
 
 def _applied(entry: Entry, velocity):
-    """J# of a past instant times a weighted task velocity (m,)."""
+    """J# of a past instant, times a weighted task velocity (m,)."""
     return remembered(entry.columns, entry.factor, velocity)
 
 
 def broken(law, qdot, q, Ts):
-    """Whether a velocity, or where it leads to, is beyond a limit that the law respects, by more than rounding."""
+    """Whether a velocity, or the posture it leads to, violates a limit of the law by more than rounding."""
     rounding = 64 * jnp.finfo(qdot.dtype).eps
     kept = within(law, centre(law.chain, q), qdot, Ts)[1]
     return jnp.any(jnp.abs(qdot - kept) > rounding * jnp.abs(qdot))
 
 
 def primed(law, reference, past, t, Ts, method, history: History) -> History:
-    """The history of a loop that was at the joint values `past`, newest first, the target being as it is at t."""
+    """The history of a loop that was at the joint values `past`, newest first, with the target as it is at t."""
     for q in reversed(past):
         at = observe(law, reference, t, q)
         make = _exponential if method.exponential else _plain

@@ -33,11 +33,11 @@ from cnclik.record import cast, placed
 from cnclik.robot.model import modelled
 from cnclik.shapes import ArrayLike, Float, Number
 
-SOON = 1 << 14  # evaluations of f, for each joint and each task coordinate, up to which XLA's answer comes sooner
+SOON = 1 << 14  # evaluations of f, per joint and task coordinate, up to which XLA answers sooner
 
 
 def answers_soon(evaluations, law) -> bool:
-    """Whether so many evaluations of f are sooner made by the source as XLA compiles it with few passes than as C."""
+    """Whether so few evaluations of f are done sooner by XLA with few passes than by C, compilation included."""
     return evaluations <= SOON * law.chain.n * law.task.m
 
 
@@ -105,14 +105,14 @@ def simulate(
         raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    model = None if drive is None else moving(drive, Ts)  # exactly, where Ts is known
+    model = None if drive is None else moving(drive, Ts)  # in NumPy if Ts is known
     known, given = (law, reference, stage, drive, plant, pace, method), (q0, _number(Ts, q0), _number(t0, q0))
     if gained is not None:
         return whole_run(*known, *given, model, noise, N=N, gained=gained)
     loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
-    if len(loops) > 1:  # each has programs of its own
+    if len(loops) > 1:  # each has its own programs
         loops.within(lambda loop: len(loop.entries))
-    with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace in a tenth of C's time
+    with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace ten times faster than C
         return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
 
 
@@ -149,13 +149,13 @@ def _is_soon(law, method, stage, N) -> bool:
 
 
 def _computed(fn, known, given, soon, is_soon=lambda: True):
-    """fn(*known, *given): of numbers as C; else by JAX, in the arrays that the joint values are.
+    """fn(*known, *given): as C for numbers, otherwise by JAX, in the array type of the joint values.
 
     Args:
       fn: `Numbers`.
-      soon: how XLA compiles it with few passes, for numbers; used where is_soon(), else the engine's scalars are.
+      soon: fn for XLA with few passes, for numbers if is_soon(); otherwise the engine's scalars are used.
     """
-    if is_read():  # by the engine: the source as it is
+    if is_read():  # the engine reads the source itself
         return fn.source(known, given)
     if (found := fn(known, given)) is not None:
         return found
@@ -172,12 +172,12 @@ def _as_numpy(x):
 
 
 def _number(value, q):
-    """A known number in the type of the joint values, whatever type it came in: one type, one compiled program."""
+    """A known number in the dtype of the joint values, so that one program serves all number types."""
     return q.dtype.type(value) if errors.concrete(value) else value
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
-    """Raise ArgumentError where the arguments of a loop don't fit; q as an array (n,) and the method as a `Method`."""
+    """q as an array (n,) and the method as a `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
     errors.kind("law", law, Law)
     method = named(method)
     errors.kind("reference", reference, REFERENCE, A_REFERENCE)
@@ -187,12 +187,12 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     q = errors.array(name, q, (law.chain.n,))
     if isinstance(q, np.ndarray):
         wide = q.dtype.itemsize >= 8 and jax.config.jax_enable_x64
-        q = q.astype(np.float64 if wide else np.float32, copy=False)  # of any precision and order of bytes
+        q = q.astype(np.float64 if wide else np.float32, copy=False)  # from any precision and byte order
     return q, method
 
 
 def check_time(name, t, Ts, dtype, N: int = 1) -> None:
-    """Raise ArgumentError where the dtype of a run cannot resolve a step at its times t … t + N·Ts.
+    """Raise ArgumentError if the dtype of a run cannot resolve a step at its times t … t + N·Ts.
 
     With t from time.time() in float32, whose spacing is 128 s there, every step would see the same target.
     """
@@ -200,9 +200,9 @@ def check_time(name, t, Ts, dtype, N: int = 1) -> None:
         return
     t, Ts = float(t), float(Ts)
     last, eps = abs(t) + N * Ts, _eps(dtype)
-    if last * eps <= Ts:  # float spacing is at most this
+    if last * eps <= Ts:  # an upper bound of the float spacing
         return
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond the dtype's range there are no instants at all
+    with np.errstate(over="ignore", invalid="ignore"):  # times beyond the dtype's range become inf
         gap, run = (float(np.nan_to_num(np.spacing(dtype.type(at)), nan=np.inf)) for at in (abs(t), last))
     if gap > Ts:
         must = "be counted from the start of the motion, or the loop run in float64 (x64 enabled, q in float64)"
@@ -223,9 +223,9 @@ def whole_run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, mod
 
 
 def end(law, reference, q0, Ts, N, method, stage):
-    """(q (n,), e (m,)) after N steps of which nothing is kept. Pure; the arguments of `solve`, unchecked.
+    """(q (n,), e (m,)) after N steps, without a trajectory. Pure; the arguments of `solve`, unchecked.
 
-    Where `lanes` hands out `solve(...).e[-1]`, each step's e is stored on the way: a tenth of an explicit step.
+    If `lanes` returns `solve(...).e[-1]`, each step's e is stored on the way, which costs a tenth of an explicit step.
     """
     q, _, e = run(loop_of(law, reference, q0, Ts, N, method, stage, t0=np.zeros((), q0.dtype)), q0, end=True)
     return q, e
@@ -235,7 +235,7 @@ solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), Recen
 
 
 def one_step(law, reference, stage, method, q, t, Ts, history):
-    """What `step` computes. Pure."""
+    """The computation of `step`. Pure."""
     check(reference, law.task)
     law, reference, history = cast((modelled(law), reference, history), q.dtype)
     t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)

@@ -19,7 +19,7 @@ from cnclik.record import record
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, Float, Int
 
-Count = int | Int[Array, ""]  # of passes: compiled in, or of each lane
+Count = int | Int[Array, ""]  # number of passes: compiled in, or one per lane
 
 
 class Solved(NamedTuple):
@@ -31,7 +31,7 @@ class Solved(NamedTuple):
 
 
 class Stage(Protocol):
-    """How an implicit slope is found: a stage is called with g, f at the step's start, h, and what is known of k."""
+    """A method to find an implicit slope, called with g, f at the step's start, h, and what is known of k."""
 
     @property
     def tolerance(self) -> float: ...
@@ -42,7 +42,7 @@ class Stage(Protocol):
 
 
 class _Passes:
-    """Passes k ← improved(k): a stage in words, "picard(5)", and what it costs."""
+    """Passes k ← improved(k): the text of a stage, "picard(5)", and its cost."""
 
     def __str__(self):
         return f"{type(self).__name__.lower()}({self.M})"
@@ -112,7 +112,7 @@ class Newton(_FromPrediction):
 def _iterate(stage, improve, start, h) -> Solved:
     """M passes of k ← improve(k), with the size of the last two changes."""
     zero, counted = jnp.zeros((), start.dtype), type(stage.M) is int
-    # The start counts as the first change, from rest: so M = 0 has a residual that means something.
+    # The start counts as the first change, from rest, so that M = 0 has a meaningful residual.
     size = safe_norm(start)
 
     def one(carry, i):
@@ -121,7 +121,7 @@ def _iterate(stage, improve, start, h) -> Solved:
         moved = safe_norm(new - slope)
         if counted:
             return (new, moved, change), None
-        # Lanes that have had their M passes keep what they have; the shape stays that of `maximum`.
+        # Lanes that have done their M passes keep their slope; the loop always runs `maximum` passes.
         live = i < stage.M
         new = jnp.where(live, new, slope)
         return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
@@ -129,7 +129,7 @@ def _iterate(stage, improve, start, h) -> Solved:
     passes = stage.M if counted else stage.maximum
     (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
     change, before = lax.stop_gradient((change, before))
-    # Two changes of rounding size, of the slope or of the joints, say nothing: what has arrived contracts with 0.
+    # Two changes of rounding size, of the slope or of the joints, mean convergence: the contraction is 0.
     rounding = 8 * jnp.finfo(zero.dtype).eps
     told = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
     ratio = jnp.where(told, change / jnp.where(told, before, 1.0), 0.0)
@@ -146,7 +146,7 @@ def _predict(first, h, ahead):
 
 
 def _matrix(linear, like):
-    """The matrix (n, n) of a linear map of vectors over the joints, its columns pushed side by side."""
+    """The matrix (n, n) of a linear map of vectors over the joints, by mapping all unit vectors at once."""
     return jax.vmap(linear, out_axes=1)(jnp.eye(len(like), dtype=like.dtype))
 
 

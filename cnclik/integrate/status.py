@@ -15,7 +15,7 @@ from cnclik.precision import of_numbers
 from cnclik.robot.rotations import library, safe_sqrt
 from cnclik.shapes import ArrayLike
 
-Run = TypeVar("Run", bound=Any)  # a `Trajectory`, whose class is of a module above
+Run = TypeVar("Run", bound=Any)  # a `Trajectory`, whose class is in a later module
 
 
 class Status(enum.IntFlag):
@@ -24,22 +24,22 @@ class Status(enum.IntFlag):
     OK = 0
     NOT_CONVERGED = 1  # an implicit stage's last change exceeded its tolerance, or `bounded` was cut short
     NEAR_SINGULAR = 2  # least singular value of the task Jacobian below the law's `near_singular`
-    AT_LIMIT = 4  # a joint at or beyond a limit after the step, or held back by one
+    AT_LIMIT = 4  # a joint at or beyond a limit after the step, or stopped by one
     NON_FINITE = 8  # a joint value or error that is NaN or infinite
     OVER_VELOCITY = 16  # a joint faster than its velocity limit
-    GROWING = 32  # the error grew by more than its target moved, see `growing`; `step` can't tell
-    TASK_TOO_LARGE = 64  # more task coordinates than joints: what remains of the error is a compromise
+    GROWING = 32  # the error grew by more than its target moved, see `growing`; not set by `step`
+    TASK_TOO_LARGE = 64  # more task coordinates than joints: the remaining error is a compromise
     RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
-    DIVERGED = 256  # joint values beyond any meaning, see `far`, though still finite
+    DIVERGED = 256  # joint values too large to be meaningful, see `far`, but finite
     OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
-    WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: `Trajectory.walls` says by how much
+    WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: see `Trajectory.walls`
 
 
-MISSED = 1e-4  # [m/s, rad/s] what a wall misses, more than that, is no rounding
+MISSED = 1e-4  # [m/s, rad/s] violation of a wall that exceeds rounding
 
 LOST = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
 NO_DEFECT = Status.RESTARTED
-OWN = Status.NEAR_SINGULAR | Status.GROWING  # what each task of a stack has of its own
+OWN = Status.NEAR_SINGULAR | Status.GROWING  # the bits that each task of a stack has alone
 
 _REMEDY = {
     Status.NON_FINITE: "reduce alpha·Ts, use damped(...), or clamp the error (error_clamp)",
@@ -66,7 +66,7 @@ def names(status: ArrayLike) -> str:
 
 
 def level(status: ArrayLike) -> np.ndarray:
-    """How bad each status is, as a place in `cnclik.markup.LEVELS`: 0 fine, 1 warning, 2 lost."""
+    """The severity of each status, as an index of `cnclik.markup.LEVELS`: 0 fine, 1 warning, 2 lost."""
     status = np.asarray(status)
     return np.where(status & LOST.value, 2, np.where(status & ~NO_DEFECT.value, 1, 0))
 
@@ -85,7 +85,7 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
     The message names the first bad step (and lane), its time, and a remedy. The values are read, so this cannot be used
     under jit.
     """
-    if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is of a module above
+    if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is in a later module
         raise errors.fail("run", "be a Trajectory", f"is {type(run).__name__}")
     status = np.asarray(run.status) & ~int(allow | Status.RESTARTED)
     if not status.any():
@@ -100,7 +100,7 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
 
 
 def rounding_of(qdot):
-    """What a wall may miss at joint velocities (..., n), and still hold (..., 1)."""
+    """How much a wall may be missed by rounding, at joint velocities (..., n): (..., 1)."""
     xp = library(qdot)
     return MISSED * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
 
@@ -112,7 +112,7 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     finite = jnp.isfinite(size + jnp.sum(e))
     status = jnp.where((residual > tolerance) | first.cut, int(Status.NOT_CONVERGED), 0)
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
-    # A singular value that is not a number is not known to be large enough.
+    # A singular value that is NaN counts as too small.
     status |= jnp.where(jnp.min(first.least) >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
     outside, fast = first.limited, too_fast(chain, qdot)
     if chain.bounded:
@@ -128,31 +128,31 @@ def flags(law, q, qdot, e, residual, tolerance, first):
 
 
 def task_flags(law, first):
-    """The bits of each task of a stack, (tasks,), of one step; None where there is no stack."""
+    """The bits of each task of a stack in one step, (tasks,); None without a stack."""
     if not law.task.tasks:
         return None
     return jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
 
 
 def _at_limit(v, low, high):
-    """Whether a joint is at a limit, or beyond; one that has a single value is not where it has that."""
+    """Whether a joint is at or beyond a limit; a joint whose limits are equal is not, at that value."""
     return ((v <= low) | (v >= high)) & ((v != low) | (v != high))
 
 
 def too_fast(chain, qdot):
-    """Whether a joint is faster than its limit, by more than rounding; False where there is none."""
+    """Whether a joint exceeds its velocity limit by more than rounding; False without a limit."""
     if not chain.slowed:
         return False
     return jnp.any(jnp.abs(qdot) > chain.velocity_limit * (1 + 64 * jnp.finfo(qdot.dtype).eps))
 
 
 def far(dtype) -> float:
-    """Σ|q_i| [rad, m] from which on joint values mean nothing: 1e6, or where a float's spacing is 0.002 (float32)."""
+    """Σ|q_i| [rad, m] above which joint values are meaningless: 1e6, or where the float spacing is 0.002 (float32)."""
     return min(1e6, 2.0**-9 / float(jnp.finfo(dtype).eps))
 
 
-GROWTH = 1.01  # an error that is larger than this times the one before has grown
-REVERSAL = 0.999  # and so has one that swung to the other side and is larger than this times the one before
+GROWTH = 1.01  # an error grows if it exceeds this times the one before
+REVERSAL = 0.999  # or if its sign changes and it exceeds this times the one before
 
 
 def growing(law, reference, t, e):
@@ -160,18 +160,17 @@ def growing(law, reference, t, e):
 
     Returns: (N,), and (N, tasks) or None.
 
-    A step has grown where ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s; s is
-    what the target's own motion in the step explains, and rounding, 64 eps (1 + ‖e[k]‖). Where |R(z)| < 1 the loop
-    stays below both, ringing included; from |R(z)| = 1 on it does not, also where it is bounded and shakes. Of a stack
-    the norm is that which its weights and levels give errors, see `cnclik.law.law.metric`: else a task that gives way
-    to others would count as growth. Of one of its tasks, what the errors of the others shrank by is no growth of its
-    own, either.
+    An error grows in a step if ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or if e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s. Here
+    s is the target's own motion in the step, plus rounding, 64 eps (1 + ‖e[k]‖). With |R(z)| < 1 the loop stays below
+    both, even if it rings; from |R(z)| = 1 on it does not, even if it is bounded. For a stack the norm includes its
+    weights and levels, see `cnclik.law.law.metric`: otherwise a task that gives way to others would count as growing.
+    For one of its tasks, the decrease of the other tasks' errors is subtracted, too.
     """
     task, moved, each = law.task, motion(reference, law.task, t), []
     e = metric(law) * e if task.tasks else e
     for _, at in task.each:
         own = np.zeros(task.m, bool)
-        own[at] = True  # chosen, not indexed: an entry at a time would be read
+        own[at] = True  # select instead of index: indices are read entry by entry
         rest = safe_sqrt(jnp.sum(jnp.where(own, 0.0, e) ** 2, axis=1))
         each.append(_grown(e[:, at], moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
     return _grown(e, moved), jnp.stack(each, axis=1) if each else None

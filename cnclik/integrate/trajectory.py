@@ -55,7 +55,7 @@ class Trajectory:
     walls: Float[Array, "*lanes N k"] | None = None
 
     def __getitem__(self, name: str) -> Trajectory:
-        """The run of a stack as one of its tasks sees it: with its x and e, and its own status."""
+        """The run of one task of a stack: its x and e, and its own status."""
         names = [task for task, _, _ in self.tasks]
         i = names.index(errors.one_of("name", name, names)) if names else _no_tasks(name)
         own = slice(*self.tasks[i][1:])
@@ -95,7 +95,7 @@ class Trajectory:
         return "\n".join(lines)
 
     def _repr_html_(self):
-        """In a notebook: its text and, for one lane, a plot of the error with the steps that are not OK marked."""
+        """For notebooks: its text and, for one lane, a plot of the error that marks the steps that are not OK."""
         text = f"<pre>{markup.escaped(repr(self))}</pre>"
         known = all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self))
         if not known or np.ndim(self.status) != 1 or len(self.status) == 0:
@@ -160,7 +160,7 @@ def truncate(run: Trajectory, N: int) -> Trajectory:
 
 
 def steps_of(run):
-    """Names of what a run, or a step, has of each step."""
+    """Names of the fields per step of a run or a step."""
     return STEPS + tuple(name for name in ("task_status", "walls") if getattr(run, name) is not None)
 
 
