@@ -39,7 +39,7 @@ class Behaviour(enum.StrEnum):
     RINGING = "ringing"
     SHAKING = "shaking"
     DIVERGING = "diverging"
-    AT_LIMIT = "stuck at a limit"
+    AT_LIMIT = "held back by a limit"
     OUT_OF_REACH = "out of reach"
     STALLED = "no progress"
     BEYOND_LIMITS = "beyond the robot's limits"

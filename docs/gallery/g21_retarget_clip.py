@@ -16,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
+from cnclik.robot.poses import quaternions
 
 jax.config.update("jax_enable_x64", True)
 installed = importlib.metadata.files("example-robot-data") or []
@@ -45,7 +46,7 @@ seen, rng = places(q), np.random.default_rng(0)
 columns = {"time": t}
 for tip, at in seen.items():
     noisy = np.asarray(at.position) + 0.005 * rng.normal(size=(len(t), 3))
-    turned = np.asarray(ck.robot.poses.quaternions(np.asarray(at.rotation)))
+    turned = np.asarray(quaternions(np.asarray(at.rotation)))
     named = {f"{tip}.{name}": value for name, value in zip("xyz", noisy.T, strict=True)}
     columns |= named | {f"{tip}.q{name}": value for name, value in zip("wxyz", turned.T, strict=True)}
 clip = pathlib.Path(tempfile.mkdtemp()) / "clip.csv"

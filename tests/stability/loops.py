@@ -356,7 +356,7 @@ def falsehood(loop, said, run, whole, of):
     path, swings = moving(loop, t[N]), restless(loop, whole)
     floor = max(1e-9, ARRIVED * float(np.linalg.norm(run.e[0])))
     if not np.isfinite(finally_):
-        stays = ("settled", "settled with lag", "converging", "stuck at a limit", "no progress")
+        stays = ("settled", "settled with lag", "converging", "held back by a limit", "no progress")
         return "it is lost in the end" if kind in stays else ""
     if kind in ("settled", "settled with lag"):
         if path and ends(loop) is not None:  # while the line lasts
@@ -382,7 +382,7 @@ def falsehood(loop, said, run, whole, of):
     if kind == "ringing" and not rings(loop, run):
         return "the error does not swing"
     stays = 0.7 * claimed <= finally_ <= 2 * claimed + floor
-    if kind in ("stuck at a limit", "no progress") and not moving(loop, t[round(0.75 * N)]) and not stays:
+    if kind in ("held back by a limit", "no progress") and not moving(loop, t[round(0.75 * N)]) and not stays:
         return f"{finally_:.2g} later"
     if kind == "out of reach" and ((arrived(whole) and not path) or reachable(loop, run)):
         return f"it is in reach, {finally_:.2g} later"
