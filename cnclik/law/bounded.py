@@ -1,11 +1,11 @@
 """Bounded least squares: the joint velocities within bounds that have the least weighted task error.
 
-They are the minimum of Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|², which without bounds is what a damped inverse gives, in
-low ≤ q̇ ≤ high: found by projected Newton steps (Bertsekas 1982), a descent from face to face of the box.
+They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² in low ≤ q̇ ≤ high; without bounds this is a damped inverse. The method
+is projected Newton steps (Bertsekas 1982), a descent from face to face of the box.
 
-What is missing at walls, floor − G q̇ > 0, costs its square over their softness: so there is a least, too, where walls
-contradict each other or the bounds, and they share what is missing. Multipliers y raise the floor by softness·y, and
-keep walls all the same (Hestenes 1969; Powell 1969).
+A violated wall, floor − G q̇ > 0, costs its square over the wall's softness. So a minimum exists even if walls
+contradict each other or the bounds, and they share the violation. Multipliers y raise the floor by softness·y, and
+thereby keep the walls exactly (Hestenes 1969; Powell 1969).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from cnclik.law.walls import Rows, Wall, rows_at
 from cnclik.record import brief, record, replace
 from cnclik.shapes import Array, Bool, Float, Int, Number
 
-LEAST = 1e-10  # of the trace of J Jᵀ, for λ²: with less what rounding leaves of H = Jᵀ D⁻¹ J + I is no longer I
-_LEVER = 1e-6  # [m, rad] a wall is as soft as one that joint velocities of cost 1 move by this, at least
-_ROUNDS = 4  # of descents after the first, where walls are still missed
+LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
+_LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
+_ROUNDS = 4  # further descents, at most, while walls are violated
 
 
 class Problem(NamedTuple):
@@ -38,7 +38,7 @@ class Problem(NamedTuple):
     low: Float[Array, " n"]
     high: Float[Array, " n"]
     walls: Rows | None = None
-    soft: Float[Array, " k"] | None = None  # of walls
+    soft: Float[Array, " k"] | None = None  # softness of the walls
     raised: Float[Array, " k"] | None = None  # added to the floor of the walls
 
     def hessian(self):
@@ -55,15 +55,15 @@ class Problem(NamedTuple):
         return jnp.clip(qdot, self.low, self.high)
 
     def shut(self, qdot, slope):
-        """Which joints are locked: at a bound and pushed outwards, or with equal bounds."""
+        """The joints that are locked: at a bound and pushed outwards, or with equal bounds."""
         out = ((qdot >= self.high) & (slope > 0)) | ((qdot <= self.low) & (slope < 0))
         return out | (self.low >= self.high)
 
     def behind(self, walls: Rows, shut, push=0.0) -> Problem:
-        """With walls and their multipliers; they are as soft as the joints that are not shut move them, gᵀ H⁻¹ g.
+        """With walls and their multipliers; a wall's softness is √eps·gᵀ H⁻¹ g over the unlocked joints.
 
-        Times √eps: what a wall then misses of what it asks, and what rounding takes where walls contradict, are of one
-        size. Where all joints that move a wall are shut, it is as soft as by each joint alone.
+        With √eps, a wall's violation and the rounding where walls contradict each other have the same size. If all
+        joints that move a wall are locked, its softness is as by each joint alone.
         """
         hessian, squares = self.hessian(), walls.rows * walls.rows
         across = newton(hessian, shut).half(walls.rows)
@@ -73,7 +73,7 @@ class Problem(NamedTuple):
         return self._replace(walls=walls, soft=soft, raised=soft * push)
 
     def missing(self, qdot):
-        """(k,) of the raised floor; None without walls."""
+        """(k,) violation of the raised floor; None without walls."""
         return None if self.walls is None else self.walls.floor + self.raised - self.walls.rows @ qdot
 
     def pushes(self, qdot):
@@ -88,9 +88,9 @@ class Problem(NamedTuple):
         return 0.5 * jnp.sum((jnp.maximum(missing, 0.0) ** 2 - jnp.maximum(before, 0.0) ** 2) / self.soft)
 
     def newton(self, hessian, shut, push):
-        """Newton's step of the joints that are not shut, behind the walls that push.
+        """Newton's step of the unlocked joints, with the walls that push.
 
-        A function of the slope without pushes and of what is missing, that returns what these walls then push with too.
+        A function of the slope without wall forces and of the violations; it also returns the walls' new forces.
         """
         step = newton(hessian, shut)
         if push is None:
@@ -111,7 +111,7 @@ class Problem(NamedTuple):
 class Newton(NamedTuple):
     """Newton's step of the free joints, for a slope."""
 
-    factor: Float[Array, "n n"]  # L Lᵀ = H, the last joints eliminated first: along a tree nothing is filled in
+    factor: Float[Array, "n n"]  # L Lᵀ = H, the last joints eliminated first: a tree then causes no fill-in
     shut: Bool[Array, " n"]
 
     def __call__(self, slope):
@@ -119,21 +119,21 @@ class Newton(NamedTuple):
         return jnp.where(self.shut, 0.0, made)
 
     def half(self, slopes):
-        """L⁻¹ of some, (k, n), as columns (n, k)."""
+        """L⁻¹ of several slopes (k, n), as columns (n, k)."""
         return dense.triangular(self.factor, jnp.where(self.shut, 0.0, slopes)[..., ::-1].T)
 
 
 def newton(hessian, shut) -> Newton:
-    """The factor; a joint with a tiny pivot is locked."""
+    """The factor of H; a joint with a tiny pivot is locked."""
     size = lax.stop_gradient(jnp.diagonal(hessian))
     lock = jnp.where(shut, size / jnp.finfo(size.dtype).eps ** 2, 0.0)
     return Newton(dense.cholesky(dense.shifted(hessian, lock)[::-1, ::-1]), shut)
 
 
 def nearest(slope, curvature, most, missing, goes, soft):
-    """The t from 0 to `most` with the least ½ curvature t² − slope t + ½ Σ max(0, missing − t goes)²/soft.
+    """The t from 0 to `most` that minimizes ½ curvature t² − slope t + ½ Σ max(0, missing − t goes)²/soft.
 
-    The derivative is linear between kinks, where a wall begins or ends to push.
+    The derivative is linear between kinks, where a wall starts or stops pushing.
     """
     kink = jnp.clip(jnp.where(goes != 0, missing / jnp.where(goes != 0, goes, 1.0), 0.0), 0.0, most)
     at = jnp.concatenate([jnp.stack([jnp.zeros_like(most), most]), kink])
@@ -153,15 +153,15 @@ class _Pass(NamedTuple):
     held: Bool[Array, ""]  # whether joints at a bound must stay there
     settled: Bool[Array, ""]
     passes: Int[Array, ""]
-    push: Any  # (k,) of walls, or None
+    push: Any  # (k,) forces of walls, or None
 
 
 def descent(of: Problem, start, passes) -> _Pass:
-    """The least within bounds, in at most so many passes from a start; in each the cost falls.
+    """The minimum within bounds, after at most `passes` passes from a start; the cost falls in each.
 
-    A pass locks the joints that would go out and makes a Newton step of the others: whole where it stays within bounds,
-    else clipped, or up to the first bound, whichever costs less. Where the first bound has won, no joint is let go
-    before a whole step: without that, some are let go and locked for ever.
+    A pass locks the joints that would leave the bounds and makes a Newton step of the others. It takes the whole step
+    if it stays within bounds, otherwise the step clipped or up to the first bound, whichever costs less. After a step
+    up to the first bound, no joint is unlocked before a whole step: otherwise some would unlock and lock for ever.
     """
     hessian, eps = of.hessian(), jnp.finfo(start.dtype).eps
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
@@ -169,9 +169,7 @@ def descent(of: Problem, start, passes) -> _Pass:
     def reached(qdot, left, held, passes, push):
         slope = of.slope(qdot, left, push)
         goes = jnp.abs(of.clip(qdot + slope * per_size) - qdot)
-        if (
-            push is not None
-        ):  # what walls push, and the task pulls, may be large and balance each other but for rounding
+        if push is not None:  # large forces of walls and task may cancel to rounding
             pulls = jnp.abs(left) @ jnp.abs(of.b) + jnp.abs(push) @ jnp.abs(of.walls.rows)
             goes = goes - 64 * eps * per_size * pulls
         settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
@@ -206,7 +204,7 @@ def descent(of: Problem, start, passes) -> _Pass:
             return jnp.where(won, first, clipped), jnp.where(won, taken * toward, moved), won
 
         fits = jnp.all(clipped == at.qdot + whole)
-        if push is not None:  # and the same walls push, before and after
+        if push is not None:  # and the same walls push before and after
             fits &= jnp.all((push > 0) == (at.push > 0)) & jnp.all((at.push > 0) | (of.pushes(clipped) == 0))
         qdot, moved, held = lax.cond(fits, lambda: (clipped, moved, jnp.bool_(False)), shorter)
         push = None if push is None else jnp.where(fits, push, of.pushes(qdot))
@@ -218,9 +216,9 @@ def descent(of: Problem, start, passes) -> _Pass:
 
 
 def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
-    """The least behind walls: a descent, and more while walls are missed by more than their softness.
+    """The minimum behind walls: a descent, and more while walls are violated by more than their softness.
 
-    Each of the further descents has the multipliers of the one before, and walls as soft as on the face where it ended.
+    Each further descent uses the multipliers of the one before, and the softness on the face where it ended.
     """
     if walls is None:
         return descent(of, start, passes)
@@ -234,7 +232,7 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
         found, rounds = at
         missing, size = walls.floor - walls.rows @ found.qdot, walls.size(found.qdot)
         much = 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
-        return (rounds < _ROUNDS) & (found.settled & jnp.any(missing > much))  # as C has a bound of its rounds
+        return (rounds < _ROUNDS) & (found.settled & jnp.any(missing > much))  # exports need a bound of the rounds
 
     first = descent(of.behind(walls, of.low >= of.high), start, passes)
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
@@ -249,7 +247,7 @@ class Bounded:
     walls: tuple[Wall, ...] = ()
 
     def on(self, chain) -> Bounded:
-        """With its walls on this robot. Raises: ArgumentError for tips and joints that it has not."""
+        """The limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
@@ -278,8 +276,8 @@ class Bounded:
             known, others, found = lax.stop_gradient((of, walls, asked))
             found = kept(known, others, found, self.passes)
             shut, push = known.shut(found.qdot, found.slope), found.push
-            # One step more on the face has all derivatives of the least there, and takes away what rounding left, and
-            # what walls missed. Of a descent that was cut short it would lead anywhere, and has the derivatives alone.
+            # One more step on the face has all derivatives of the minimum there, and removes rounding and
+            # violations of walls. After a descent that was cut short only its derivatives are used.
             qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(of, shut, push)
             step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot, of.w - of.b @ qdot), face.missing(qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))

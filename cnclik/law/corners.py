@@ -10,9 +10,9 @@ from cnclik.law.reference import by_target, sample
 from cnclik.record import record
 from cnclik.task.task import Task
 
-ABRUPT = 4.0  # a change of velocity from instant to instant this many times the middle one of five is a jump
-SHARP = 0.02  # and this part of the velocity
-_HALVINGS = 24  # of a step, to say when it jumps
+ABRUPT = 4.0  # factor over the median of five velocity changes that makes a change a jump
+SHARP = 0.02  # and the smallest jump as a share of the velocity
+_HALVINGS = 24  # halvings of a step, to find when it jumps
 
 
 @record
@@ -48,7 +48,7 @@ def corners(reference, task: Task, t) -> Corners | None:
         return None
     reference, t = lax.stop_gradient((reference, t))
 
-    # A user's own function may do what can't be done to many instants at once; and loops that are read stay loops.
+    # Not vmapped: a user's function may not allow it, and loops that are read stay loops.
     in_turn = is_read() or any(isinstance(one.curve, Path) for one, _ in by_target(reference, task))
     each = lax.map if in_turn else lambda fn, x: jax.vmap(fn)(x)
     N = t.shape[0] - 1
@@ -66,7 +66,7 @@ def corners(reference, task: Task, t) -> Corners | None:
         """Of the step from instant k on: (time of its jump or inf, how sharp it is, k or N)."""
         before, after = w[k], w[k + 1]
         larger = jnp.maximum(size(before), size(after))
-        # Of five, as a corner at an instant may show on both sides of it.
+        # Of five, as a corner at an instant may affect both sides.
         beside = jnp.median(jnp.stack([change[jnp.clip(k + i, 0, N - 1)] for i in range(-2, 3)]))
         jumps = (change[k] > ABRUPT * beside) & (change[k] > SHARP * larger)
 

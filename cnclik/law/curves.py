@@ -26,10 +26,9 @@ Rotation = Float[Array, "3 3"] | None
 
 
 def interval(times, t):
-    """Index k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one beyond them.
+    """Index k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
 
-    By halving, of operations that every program of ours may hold: what `jnp.searchsorted` is made of differs between
-    versions of JAX.
+    By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX.
     """
     times, last = jnp.asarray(times), times.shape[0] - 1
 
@@ -108,7 +107,7 @@ class Spline:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
         k = interval(self.times, t)
         inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
-        # Held at both ends; the jvp of a clip would halve the velocity exactly at an end.
+        # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
         dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
 
         def at(c):
@@ -138,7 +137,7 @@ class Path:
 
 @record
 class Tangent:
-    t: Float[Array, ""]  # where it touches the path that it stands for
+    t: Float[Array, ""]  # where it touches the path
     position: Float[Array, " d"] | None
     velocity: Float[Array, " d"] | None
     rotation: Rotation
@@ -151,7 +150,7 @@ class Tangent:
 
 
 def _progress(t, duration):
-    """t/duration up to 1, then held: still moving at t = duration itself, up to rounding of k·Ts."""
+    """t/duration up to 1, then constant; it still moves at t = duration, up to rounding of k·Ts."""
     return jnp.where(t > duration * (1 + 1e-6), 1.0, t / duration)
 
 
@@ -167,11 +166,11 @@ def cubic(times, values, closed, name):
         if not closed:
             v = _velocities(h, slope, rest, rest)
         else:
-            # A full turn comes back with the quaternion's other sign, which is the same rotation.
+            # After a full turn the quaternion has the other sign, which is the same rotation.
             sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
             if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
                 raise errors.fail(name, "end where it starts for a closed path", "does not")
-            # With velocities p at the start and sign·p at the end v = still + p·moved: p makes acceleration continuous.
+            # Velocities p at the start and sign·p at the end give v = still + p·moved; p makes acceleration continuous.
             still, moved = _velocities(h, slope, rest, rest), _velocities(h, 0 * slope, rest + 1, rest + sign)
             ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (still, moved)]
             v = still + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
@@ -209,7 +208,7 @@ def _velocities(h, slope, first, last):
 
 
 def _running(xp, fn, state, rows):
-    """All states of a recursion over the rows of some arrays, as arrays."""
+    """All states of a recursion over the rows of some arrays, stacked."""
     if xp is jnp:
         return lax.scan(lambda state, row: (fn(state, row),) * 2, state, rows)[1]
     made = []

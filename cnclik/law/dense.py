@@ -13,7 +13,7 @@ from cnclik.engine.tracing import is_read
 
 
 def wide_side(rows):
-    """The matrix, or its transpose, whichever has fewer rows."""
+    """The matrix or its transpose, whichever has fewer rows."""
     return rows if len(rows) <= rows.shape[1] else rows.T
 
 
@@ -23,7 +23,7 @@ def shifted(matrix, shift):
 
 
 def cholesky(matrix):
-    """L of a symmetric positive definite matrix L Lᵀ; NaN where it isn't."""
+    """L of a symmetric positive definite matrix L Lᵀ; NaN if it is not positive definite."""
     return jnp.linalg.cholesky(matrix, symmetrize_input=False) if is_read() else _cholesky(matrix)
 
 
@@ -33,9 +33,9 @@ def cholesky_solve(lower, b):
 
 
 def solved(matrix, b):
-    """Solution x of A x = b, A symmetric positive definite and b a vector; not as good where A is nearly singular.
+    """Solution x of A x = b, A symmetric positive definite and b a vector; less accurate if A is nearly singular.
 
-    By XLA an elimination, which is compiled in half the time of a factor, and calls no LAPACK.
+    For XLA it is an elimination, which compiles in half the time of a factorization and calls no LAPACK.
     """
     if is_read():
         return cholesky_solve(cholesky(matrix), b)
@@ -62,15 +62,15 @@ def triangular(lower, b, *, transposed=False, unit=False):
 
 
 def packed(lower):
-    """Of a Cholesky factor L √D: L below its diagonal of ones and 1/D on it, row by row, as a vector (m(m+1)/2,)."""
+    """A Cholesky factor L √D as a vector (m(m+1)/2,), row by row: L below its unit diagonal, and 1/D on it."""
     inverse = 1.0 / jnp.diagonal(lower)
     unit = lower * inverse
     return jnp.where(np.eye(len(lower), dtype=bool), inverse * inverse, unit)[np.tril_indices(len(lower))]
 
 
 def packed_solve(vector, b):
-    """`cholesky_solve` with a factor that is `packed`, for a vector: without a root or a division."""
-    ends = np.cumsum(np.arange(len(b) + 1))  # row by row: of a scatter into many cells the engine has no C
+    """`cholesky_solve` of a vector with a `packed` factor, without a root or a division."""
+    ends = np.cumsum(np.arange(len(b) + 1))  # row by row, as the engine has no C for a large scatter
     both = jnp.stack([jnp.pad(vector[i:j], (0, len(b) - (j - i))) for i, j in itertools.pairwise(ends)])
     half = jnp.diagonal(both) * triangular(both, b, unit=True)
     return triangular(both, half, transposed=True, unit=True)
@@ -83,7 +83,7 @@ def inverse_trace(lower):
 
 
 def _sweeps(m):
-    """Of cyclic Jacobi, after which m rows are orthogonal to rounding; m = 2 needs exactly one rotation."""
+    """Cyclic Jacobi sweeps that make m rows orthogonal to rounding; m = 2 needs exactly one rotation."""
     return (0, 0, 1, 6, 7, 8, 9)[m] if m <= 6 else 8 + m.bit_length()
 
 
@@ -109,7 +109,7 @@ def orthogonal_rows(rows):
         sine = cosine * tangent
         return jnp.concatenate([cosine * a - sine * b, sine * a + cosine * b, both])[order], None
 
-    # Each row of W carries its row of Uᵀ behind it, so that one rotation turns both.
+    # Each row of W is followed by its row of Uᵀ, so that one rotation turns both.
     both = jnp.concatenate([rows, jnp.eye(m, dtype=rows.dtype)], axis=1)
     both, _ = lax.scan(turn, both, None, length=_sweeps(m) * rounds)
     return both[:, n:].T, both[:, :n]
@@ -118,8 +118,8 @@ def orthogonal_rows(rows):
 def _round(m):
     """The pairs of a round-robin tournament of m, the seats of the next round, and the number of rounds.
 
-    The first m, or m − 1 where m is even, go round the table; who has nobody opposite meets the last, who stays. Places
-    are those of the winners, the losers and all, one after the other.
+    The first m, or m − 1 if m is even, rotate around the table. One of them has no opponent and plays the last, who
+    stays. Seats are listed as winners, losers and all.
     """
     table = m - 1 + m % 2
     pairs = [(i, table - 1 - i) for i in range(table // 2)] + [(table // 2, m - 1)] * (m > table)
@@ -133,7 +133,7 @@ def _round(m):
 def least_squared(rows):
     """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector.
 
-    With u held, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite at any.
+    With constant u, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite for any.
     """
     left, turned = orthogonal_rows(lax.stop_gradient(rows))
     squares = jnp.sum(turned**2, axis=1)
@@ -145,14 +145,14 @@ def least_squared(rows):
 def pinv(rows):
     """Moore-Penrose pseudoinverse, as the m rows of its transpose, and the least singular value.
 
-    Well conditioned, it is Jᵀ (J Jᵀ)⁻¹, refined; the singular value is then an estimate, from below and within √m.
-    Else, and for one or two rows, J# = Σ wᵢ uᵢᵀ/σᵢ² over the singular values above max(m, n)·10·eps·σ_max, as
+    For well conditioned J it is Jᵀ (J Jᵀ)⁻¹, refined; the singular value is then a lower estimate, within √m.
+    Otherwise, and for one or two rows, J# = Σ wᵢ uᵢᵀ/σᵢ² over the singular values above max(m, n)·10·eps·σ_max, as
     numpy.linalg.pinv truncates, so a rank-deficient J is included. Its derivative is taken from the closed form (Golub
     & Pereyra 1973, eq. 4.12) and not through a decomposition:
 
       dJ# = −J# dJ J# + J# J#ᵀ dJᵀ (I − J J#) + (I − J# J) dJᵀ J#ᵀ J#,
 
-    right wherever the rank is locally constant, and finite everywhere. The least singular value carries no
+    exact wherever the rank is locally constant, and finite everywhere. The least singular value carries no
     derivative.
     """
     if len(rows) > rows.shape[1]:
@@ -170,10 +170,11 @@ def _pinv(rows):
 
 
 def _pinv_by_elimination(rows):
-    """Jᵀ (J Jᵀ)⁻¹ =: P once refined, the least singular value from below within √m, and whether to trust them.
+    """Jᵀ (J Jᵀ)⁻¹ =: P, refined once, a lower estimate of the least singular value within √m, and whether to trust
+    them.
 
-    P (2I − J P) squares what is left of I − J P, of the size eps·κ²: in the end as good as any, eps·κ, while
-    κ³ < 1/eps. κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹) tells; a singular J makes that infinite or NaN.
+    P (2I − J P) squares the error I − J P of size eps·κ². The result is as good as any, eps·κ, while κ³ < 1/eps. The
+    test uses κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹), which is infinite or NaN for a singular J.
     """
     lower, inverse, trusted = _eliminated(rows)
     first = cholesky_solve(lower, rows)
@@ -189,8 +190,10 @@ def _eliminated(rows):
 
 @jax.custom_jvp
 def pinv_applied(rows, columns, t):
-    """J# t of `pinv` for no more rows than joints, refined with vectors: P t + P (t − J P t). Its derivatives are made
-    of J#'s `columns`, by `pinv`, which else are not looked at."""
+    """J# t of `pinv` for at most as many rows as joints, refined with vectors: P t + P (t − J P t).
+
+    Its derivatives use J#'s `columns`, by `pinv`, which are not used otherwise.
+    """
     if len(rows) <= 2:
         return t @ _pinv(rows)[0]
     lower, _, trusted = _eliminated(rows)
@@ -232,9 +235,9 @@ def _pinv_jvp(primals, tangents):
 
 # --- without LAPACK -----------------------------------------------------------------------------------
 
-# LAPACK's batches share the threads of the program that calls them, and where two are under way they may wait for each
-# other for good (jaxlib 0.10.2). So a batch is eliminated column by column, all lanes at once; one matrix is LAPACK's.
-_WRITTEN_OUT = 8  # columns up to which that is no loop
+# LAPACK's batches share the threads of the calling program, and two at the same time may deadlock (jaxlib 0.10.2). So a
+# batch is eliminated column by column, all lanes at once; LAPACK handles single matrices.
+_WRITTEN_OUT = 8  # columns, at most, that are eliminated without a loop
 
 
 @jax.custom_jvp

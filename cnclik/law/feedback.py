@@ -1,15 +1,15 @@
 """Feedback held over a step: the error decays by its exact factor, whatever the gain and the sampling time.
 
-The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). What it asks of the feedback over a whole
-step, held, is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
+The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). A constant feedback over the step that
+reaches it is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
 
-The error of an orientation goes along with the target's turn T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
-law says Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. What is asked for at an instant
-within the step is thus k e^{−k·s} T(s) e_R, and held over the step, to second order in the turn, the mean of T(s) at
-both ends times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis do the same, exactly for small e_R.
+The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
+law gives Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. The feedback at an instant within
+the step is thus k e^{−k·s} T(s) e_R. A constant one is, to second order in the turn, the mean of T(s) at both ends
+times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
 
-This is the law's solution where the controller is told the target's own velocity, all of it, and no error is clamped.
-Else the error is taken as measured at the step's start, and what isn't told of the target's motion is not foreseen.
+This is the law's solution if the controller knows the target's whole velocity and no error is clamped. Otherwise the
+error is the one measured at the step's start, and unknown motion of the target is not predicted.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from cnclik.shapes import Array, Float
 from cnclik.task.task import velocity
 
 HALVINGS = 24  # doublings of a gain matrix's factor, enough for alpha·Ts = 1e6 and more
-_TERMS = 9  # of the series there
-_NEAR = 0.01  # below this z the series is exact, while the quotient's derivative loses digits
+_TERMS = 9  # terms of the series
+_NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
 
 
 # --- the factor ---------------------------------------------------------------------------------------
@@ -75,7 +75,7 @@ def _doubled(k, Ts):
 
 
 def _along(law, rate, turns, share):
-    """A task velocity (m,) with that of each orientation taken along by a share of the target's turn."""
+    """A task velocity (m,) whose rotational parts turn with the target by a share of its turn."""
     if all(turn is None for turn in turns):
         return rate
     found = []
@@ -86,21 +86,21 @@ def _along(law, rate, turns, share):
 
 
 def held_feedback(law: Law, e, turns, Ts):
-    """What a step's feedback asks of the task (m,), held over the step, from the error at its start.
+    """The feedback (m,) of a step, constant over the step, from the error at its start.
 
     Args:
       e: (m,).
-      turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None for none, and where it is not a whole orientation.
+      turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None without a turn or a whole orientation.
       Ts: [s]; at 0 it is K e.
     """
     return _along(law, gain(per_step(law.alpha, Ts), clamped(law, e)), turns, 0.5)
 
 
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
-    """What a step's feedback asks of the task (m,) at each of some times within it, in units of Ts.
+    """The feedback (m,) of a step at each of some times within it, in units of Ts.
 
-    They are slopes of the parabola through what the error's decay moves the tip by, (I − e^{−K·c·Ts}) e, at c = 0, 1/2
-    and 1. A quadrature of second order or more makes of them the whole decay, and one of order 3 or 4 keeps its order,
+    They are slopes of the parabola through the tip's motion as the error decays, (I − e^{−K·c·Ts}) e, at c = 0, 1/2, 1.
+    A quadrature of second order or more integrates them to the whole decay; one of order 3 or 4 keeps its order,
     as 3c² − 3c + 1/2, along which they miss the decay, is orthogonal to 1 and c. From K·Ts = 1 on the parabola gives
     way to the chord, whose slope is the same everywhere: 3 e/Ts at first and −e/Ts at last lead a far start astray.
 
@@ -109,7 +109,7 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
       turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
     """
     e = clamped(law, e)
-    half, whole = (gain(per_step(law.alpha, c * Ts), e) for c in (0.5, 1.0))  # mean rates over as much of the step
+    half, whole = (gain(per_step(law.alpha, c * Ts), e) for c in (0.5, 1.0))  # mean rates over half and all of the step
     k = jnp.abs(jnp.asarray(law.alpha))
     z = Ts * jnp.max(k if k.ndim < 2 else jnp.sum(k, axis=1))
     half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)
@@ -137,7 +137,7 @@ class Ahead(NamedTuple):
 
 
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
-    """The target's motion from t to t + Ts as a controller knows it; `at` is what the law sees at t.
+    """The target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
 
     A velocity that the controller is told is all that it knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
     """

@@ -1,7 +1,7 @@
-"""J#: how a task velocity becomes joint velocities.
+"""J#: turns a task velocity into joint velocities.
 
-An inverse is a record that, called with the rows of J, factors them once and returns a `Factored`: a
-function to apply J# to any number of task velocities, and what the factorisation says of singularity.
+An inverse is a record. Called with the rows of J, it factors them once and returns a `Factored`: a function that
+applies J# to any number of task velocities, and estimates of singularity.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ class Factored(NamedTuple):
 
     apply: Callable
     least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
-    shift: ArrayLike | None = None  # λ², or one of each row, where this is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
+    shift: ArrayLike | None = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
     memory: Callable | None = None  # returns the memory of J# for `remembered`; None: its columns
 
 
-# Of the trace of J Jᵀ, below which a shift leaves no pivot of a singular one surely positive: from 1 on they are in all
-# but some of 100,000 products of random matrices of rank 1 to 5, from 2 on in all.
+# Smallest shift over the trace of J Jᵀ, in roundings, that keeps the pivots of a singular one positive: 1 suffices for
+# all but some of 100,000 products of random matrices of rank 1 to 5, 2 for all.
 _ROUNDINGS = 4
-_OF_NONE = 1e-6  # [m², 1] trace that a J J^T of zeros counts as: of a joint with a millimetre of arm
+_OF_NONE = 1e-6  # [m², 1] trace that stands for a J Jᵀ of zeros: that of a joint with an arm of 1 mm
 
 
 def remembered(rows, factor, t):
-    """J# t from what an inverse wants remembered: its columns (m, n) alone, or those of Jᵀ, and the factors between."""
+    """J# t from an inverse's memory: its columns (m, n), or those of Jᵀ with the factor."""
     return (t if factor is None else dense.packed_solve(factor, t)) @ rows
 
 
@@ -60,11 +60,11 @@ class Pseudoinverse:
 class Damped:
     """See `damped`."""
 
-    factors = True  # whether `memory` has factors, for a task of no more rows than joints
+    factors = True  # whether `memory` has factors, for a task with at most as many rows as joints
     damping: Number  # λ, never λ²
 
     def shift(self, rows):
-        """λ², and an estimate of the least singular value where it comes with it."""
+        """λ², and an estimate of the least singular value if λ² depends on one."""
         return self.damping * self.damping, None
 
     def __call__(self, rows) -> Factored:
@@ -133,7 +133,7 @@ class Levels:
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
     damping: tuple[Damped | ManipulabilityDamped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
-    e: Any = None  # (m,) the weighted error, where it is known and counts
+    e: Any = None  # (m,) the weighted error, if known and needed
 
     @property
     def by_error(self):
@@ -178,17 +178,17 @@ def least_of(rows):
 
 
 def damped_apply(rows, shift):
-    """Application of Jᵀ (J Jᵀ + D)⁻¹, the factors behind it, and D: shift·I, or diag(shift) of one for each row.
+    """The function that applies Jᵀ (J Jᵀ + D)⁻¹, its factors, and D: shift·I, or diag(shift) with one per row.
 
-    A shift is no less than what rounding needs.
+    A shift is at least what rounding needs.
     """
     m, n = rows.shape
-    if m > n and jnp.ndim(shift):  # rows that count alike: λ J/λᵢ, with the least λ of all
+    if m > n and jnp.ndim(shift):  # rows of equal damping: λ J/λᵢ, with the least λ
         least = jnp.min(shift)
         alike = jnp.sqrt(least / shift)
         apply, factor, made = damped_apply(alike[:, None] * rows, least)
         return lambda t: apply(alike * t), factor, shift * (made / least)
-    wide = rows if m <= n else rows.T[::-1]  # the last joints first: along a tree nothing is filled in
+    wide = rows if m <= n else rows.T[::-1]  # the last joints first: a tree then causes no fill-in
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
     shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
@@ -201,7 +201,7 @@ def damped_apply(rows, shift):
 
 
 def tiny_shift(rows):
-    """A shift at the rounding of J Jᵀ: too small to be seen away from singularities, and no division by 0 at one."""
+    """A shift at the rounding of J Jᵀ: negligible away from singularities, and no division by 0 at one."""
     trace = jnp.sum(rows**2)
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
 
@@ -211,7 +211,7 @@ class Transpose:
     """See `transpose`."""
 
     def __call__(self, rows) -> Factored:
-        shift = 1e-12  # only so that the factorisation behind the estimate never divides by 0
+        shift = 1e-12  # prevents a division by 0 in the estimate's factorization
         wide = dense.wide_side(rows)
         factor = dense.cholesky(dense.shifted(wide @ wide.T, shift))
         return Factored(lambda t: t @ rows, _least(factor, shift), memory=lambda: (rows, None))

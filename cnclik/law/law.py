@@ -60,7 +60,7 @@ class Law:
     chain: Chain
     task: Task
     _: dataclasses.KW_ONLY
-    alpha: Any  # an array, once it is made
+    alpha: Any  # an array, after the constructor
     inverse: Callable[..., Factored] = Pseudoinverse()
     limits: Callable[..., Limited] | None = None
     null_velocity: Callable[[Array], Array] | ArrayLike | None = None
@@ -121,7 +121,7 @@ class Law:
 
 
 def _not_negative(alpha):
-    """The gain, if it draws the error towards 0: entries, or real parts of a matrix's eigenvalues, of at least 0."""
+    """The gain, checked not to push the error away from 0: entries, or real parts of eigenvalues, are at least 0."""
     if errors.concrete(alpha):
         rates = np.linalg.eigvals(np.asarray(alpha)).real if alpha.ndim == 2 else np.asarray(alpha)
         rounding = 0.0 if alpha.ndim < 2 else 100 * np.finfo(rates.dtype).eps * np.abs(alpha).max()
@@ -172,19 +172,19 @@ def check_loop(law, *references) -> None:
 
 
 class Evaluation(NamedTuple):
-    """One evaluation of f(q, t), and what it was made of."""
+    """One evaluation of f(q, t) and its ingredients."""
 
     qdot: Float[Array, " n"]  # joint velocities
     e: Float[Array, " m"]  # task errors
-    x: Callable  # () to the task coordinates of the tip (m,)
+    x: Callable  # x(): the task coordinates of the tip (m,)
     rows: Float[Array, "m n"]  # of the task Jacobian, weighted
     apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
     least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
     correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
-    limited: bool | Bool[Array, ""] = False  # whether a limit changed what the task asked for
-    cut: bool | Bool[Array, ""] = False  # whether the search within limits ended before it had settled
-    task_velocity: Float[Array, " m"] | None = None  # what was asked of the task, weighted
-    memory: Callable | None = None  # () to what is to be remembered of J#, see `cnclik.law.inverse.remembered`
+    limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
+    cut: bool | Bool[Array, ""] = False  # whether the search within limits was cut short
+    task_velocity: Float[Array, " m"] | None = None  # weighted task velocity
+    memory: Callable | None = None  # memory(): the memory of J#, see `cnclik.law.inverse.remembered`
     walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
@@ -194,7 +194,7 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
 
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
-    """f at q, from what the law sees there."""
+    """f at q, from an observation there."""
     asked = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
     return resolve(law, q, at, asked, null_velocity(law, q))
 
@@ -246,20 +246,20 @@ def metric(law: Law):
 
 
 class Observation(NamedTuple):
-    """What the law sees at an instant; of a stage that needs no error, the rows alone."""
+    """The law's observation at an instant; for a stage that needs no error, only the rows."""
 
     rows: Float[Array, "m n"]  # of the task Jacobian, unweighted
     robot: At
     e: Float[Array, " m"] | None = None
-    x: Callable | None = None  # () to (m,)
+    x: Callable | None = None  # x(): task coordinates (m,)
     xdot_d: Float[Array, " m"] | None = None
     aims: tuple[Array, ...] = ()  # the targets, of each part of the task
-    motion: Float[Array, " w"] | None = None  # and their own velocities: ẋ_d, but of parts in a tip's own frame
+    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for parts in a tip's own frame
 
 
 @precise
 def observe(law: Law, reference, t, q) -> Observation:
-    """All that the law sees at q and t."""
+    """The law's full observation at q and t."""
     aims, motion = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
     return Observation(
@@ -275,13 +275,13 @@ def observe(law: Law, reference, t, q) -> Observation:
 
 @precise
 def rows_at(law: Law, q, aims=None) -> Observation:
-    """The rows of J alone."""
+    """An observation of the rows of J only."""
     robot = At(modelled(law.chain), q)
     return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
 def correct(law: Law, q, rows, made, h, r):
-    """(I − h ∂f/∂q)⁻¹ r with the derivative of J# left out: what an implicit stage needs at any alpha·Ts.
+    """(I − h ∂f/∂q)⁻¹ r without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
 
     With the weighted rows B = WJ, A = B# and C = WKW⁻¹ the derivative is −A C B, and by the push-through identity
     (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. For exact J# and scalar gain, A B is a projection
@@ -324,10 +324,10 @@ def weighted_gain(law):
 
 
 def clamped(law: Law, e):
-    """The error as the gain sees it: position and orientation parts shortened to `error_clamp` (Buss & Kim 2005).
+    """The error that the gain multiplies: position and orientation parts shortened to `error_clamp` (Buss & Kim 2005).
 
-    At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², c the curvature of x(q): with
-    the error clamped to E, λ² > alpha·Ts·E·c/2 settles in front of any target, however far; unclamped it shakes.
+    At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², with c the curvature of x(q). With
+    the error clamped to E, λ² > alpha·Ts·E·c/2 lets it settle in front of any target, however far; unclamped it shakes.
     """
     if law.error_clamp is None:
         return e
@@ -349,5 +349,5 @@ def null_velocity(law: Law, q):
 
 
 def weighted(task: Task, items):
-    """Rows (m, n) or components (m,) times the task's weights: what J# takes."""
+    """Rows (m, n) or components (m,) times the task's weights: the input of J#."""
     return items if task.weights is None else (task.weights * items.T).T

@@ -1,7 +1,7 @@
-"""Limits: joint velocities that respect the robot's limits, with the task kept while freedom is left.
+"""Limits: joint velocities that respect the robot's limits, and keep the task while freedom is left.
 
-A limits record is called with the inverse, the chain, q, the rows of the task Jacobian, the task velocity and
-the null-space velocity, and returns a `Limited`.
+A limits record is called with the inverse, the chain, q, the rows of the task Jacobian, the task velocity and the
+null-space velocity, and returns a `Limited`.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, Bool, Float, Number
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
-WIDE = 4 * math.pi  # [rad, m] a wider range, or one that is open, has limits that are felt as far as those of this one
-NOISE = 0.05  # relative, of two of `_beyond_reach`: each feels the rounding of J Jᵀ, some 1/64 of its shift
+WIDE = 4 * math.pi  # [rad, m] the limits of a wider or open range act as in a range of this width
+NOISE = 0.05  # relative rounding error of `_beyond_reach`: J Jᵀ is rounded by some 1/64 of its shift
 
 
 class Limited(NamedTuple):
     """Joint velocities within limits."""
 
     qdot: Float[Array, " n"]
-    apply: Callable  # the J# that acts at these velocities
+    apply: Callable  # applies the J# that holds at these velocities
     least: Float[Array, ""]  # estimate of the least singular value of J
-    limited: bool | Bool[Array, ""]  # whether a limit changed what was asked for
-    cut: bool | Bool[Array, ""] = False  # whether a search for them ended before it had settled
+    limited: bool | Bool[Array, ""]  # whether a limit changed the velocities
+    cut: bool | Bool[Array, ""] = False  # whether the search was cut short
     walls: Float[Array, " k"] | None = None  # ∇h·q̇ + rate·h of each wall, see `cnclik.law.walls`
 
 
@@ -43,7 +43,7 @@ class Limited(NamedTuple):
 class Scaled:
     """See `velocity_scaling`."""
 
-    positions = False  # are not looked at
+    positions = False  # position limits are ignored
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         factored = inverse(rows)
@@ -61,7 +61,7 @@ def velocity_scaling() -> Scaled:
 
 
 def slowed(chain, qdot):
-    """The velocities scaled to the slowest joint, and whether that changed them."""
+    """The velocities scaled to the slowest joint, and whether this changed them."""
     if not chain.slowed:
         return qdot, False
     size, most = jnp.abs(qdot), chain.velocity_limit
@@ -91,7 +91,7 @@ class Weighted:
             null = roots * roots * null
             back = null if back is None else back + null
         qdot, late = slowed(chain, through(factored.apply, rows, velocity, back))
-        # Held back: a joint four times as heavy as it would be in mid-range, unless it can't move at all.
+        # Limited: a joint four times as heavy as in mid-range, unless it cannot move at all.
         stopped = jnp.any((roots < 0.5) & (chain.lower < chain.upper))
         return Limited(qdot=qdot, apply=factored.apply, least=plain.least, limited=late | stopped)
 
@@ -106,7 +106,7 @@ def roots_of(chain, q, qdot):
     room = jnp.where(free, room, 1.0)
     below, above = (jnp.clip(gap, 0.0, 0.5 * room) for gap in (q - low, high - q))
     near = jnp.minimum(below, above)
-    half = 2.0 * near * (room - near)  # written so that there is no root of 0
+    half = 2.0 * near * (room - near)  # in a form without the root of 0
     root = half / jnp.sqrt(half * half + room * room * (room - 2.0 * near))
     return jnp.where(free, jnp.where(qdot * (below - above) > 0, root, 1.0), 0.0)
 
@@ -145,16 +145,16 @@ def bounds(rate, chain, q):
 
 
 class _Pass(NamedTuple):
-    """What a pass of the saturation hands to the next."""
+    """The state between passes of the saturation."""
 
     locked: Float[Array, " n"]  # 1 where a joint moves at its bound
-    fixed: Float[Array, " n"]  # null-space velocities, those of locked joints at their bounds
-    done: Bool[Array, ""]  # a pass met every bound with the whole task
-    best: Float[Array, ""]  # largest share of the task met so far, negative while no share fits
-    qdot: Float[Array, " n"]  # the velocities that met it
-    kept: Float[Array, " n"]  # and the joints locked then
+    fixed: Float[Array, " n"]  # null-space velocities; locked joints have their bounds
+    done: Bool[Array, ""]  # whether a pass kept all bounds with the whole task
+    best: Float[Array, ""]  # largest share of the task so far, negative while no share fits
+    qdot: Float[Array, " n"]  # the velocities with this share
+    kept: Float[Array, " n"]  # the joints locked with this share
     limited: Bool[Array, ""]
-    reached: Float[Array, ""]  # what is out of reach of all joints, see `_beyond_reach`; infinite before the first pass
+    reached: Float[Array, ""]  # the part that no joints can reach, see `_beyond_reach`; inf before the first pass
 
 
 @record
@@ -169,12 +169,12 @@ class Saturated:
             qdot = through(plain.apply, rows, velocity, null)
             return Limited(qdot=qdot, apply=plain.apply, least=plain.least, limited=False)
         low, high = bounds(self.rate, chain, q)
-        # A zero of the loop's dtype that is NaN where q or the task is: added below to what is chosen by comparisons,
-        # all of them false for NaN, so that no lane that is not finite passes for one at rest.
+        # A zero of the loop's dtype that is NaN if q or the task is. It is added below to results of comparisons, which
+        # are all false for NaN, so that no such lane looks like one at rest.
         zero = (jnp.sum(q) + jnp.sum(velocity)) * 0.0
         if not isinstance(inverse, Levels):
             found = _saturated(inverse, rows, velocity, None, null, low, high, zero)
-            # Where no share fits, not even 0, a joint has to come back and no freedom is left: least squares, clipped.
+            # If not even the share 0 fits, a joint has to come back and no freedom is left: clipped least squares.
             qdot, limited = jnp.clip(found.qdot + zero, low, high), found.limited
         else:  # each level adds what those above leave free, and the least change of them that its own share asks for
             qdot, limited = 0.0 * q + zero, False
@@ -196,9 +196,9 @@ def _free(rows, locked):
 
 
 def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
-    """The largest share of `velocity` (m,) that fits, less what is there already (m,), or None."""
+    """The largest share of `velocity` (m,) that fits, minus what is already there (m,), if anything."""
     asked = safe_norm(velocity)
-    # A joint with a single value is no joint: out from the first pass on.
+    # A joint whose limits are equal is locked from the first pass on.
     fixed = jnp.where(low < high, zero, zero + 1.0)
 
     def one(at: _Pass) -> _Pass:
@@ -207,7 +207,7 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
         along = apply(velocity)
         there = rows @ at.fixed
         rest = at.fixed - apply(there if less is None else there + less)
-        # Is the task still within reach of the joints that are left? Of geometry, that is: what a damped
+        # Can the remaining joints still reach the task? By geometry alone: what a damped
         # inverse holds back next to a singularity is no reason to stand still.
         beyond = _beyond_reach(left, velocity)
         lost = beyond > (1 + NOISE) * at.reached + 0.01 * asked
@@ -246,7 +246,7 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
         limited=never,
         reached=zero + jnp.inf,
     )
-    passes = max(rows.shape[1] - len(rows), 0) + 2  # most loops are done with the first
+    passes = max(rows.shape[1] - len(rows), 0) + 2  # most loops need only the first
     found, _ = lax.scan(lambda at, _: (lax.cond(at.done, lambda at: at, one, at), None), start, None, length=passes)
     return found
 
@@ -254,9 +254,9 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
 def _beyond_reach(rows, velocity):
     """Norm of the part of a task velocity that no joint velocity gives.
 
-    shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0; twice over, so that single precision, whose
-    shift is large, takes for out of reach only what lies in directions of σ below 0.01 of ‖J‖. The rounding of J Jᵀ
-    is felt in it: to NOISE.
+    shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0. It is applied twice, so that single precision,
+    whose shift is large, finds only directions with σ below 0.01 of ‖J‖ out of reach. It is accurate to NOISE, by the
+    rounding of J Jᵀ.
     """
     shift = tiny_shift(rows)
     factor = dense.cholesky(dense.shifted(rows @ rows.T, shift))
@@ -276,11 +276,11 @@ def _share(a, b, low, high, locked):
     moves = jnp.abs(a) > slack
     inverse = 1.0 / jnp.where(moves, a, 1.0)
     one, two = (low - b) * inverse, (high - b) * inverse
-    cap = jnp.where(moves, jnp.maximum(one, two), -1.0)  # what doesn't move is outside whatever the share is
+    cap = jnp.where(moves, jnp.maximum(one, two), -1.0)  # a joint that does not move stays outside for any share
     cap = jnp.where(out, cap, 2.0)
     most, least = jnp.minimum(jnp.min(cap), 1.0), jnp.max(jnp.where(free & moves, jnp.minimum(one, two), 0.0))
     s = jnp.where((most >= jnp.maximum(least, 0.0)) & (most >= 0), most, -1.0)
-    # The most critical joint, the first of several, is the one locked next.
+    # The most critical joint, or the first of several, is locked next.
     critical = out & (cap <= jnp.min(cap))
     worst = (critical & (jnp.cumsum(critical) == 1)).astype(a.dtype)
     return s, worst, jnp.where(whole > high, high, low), jnp.any(out)
@@ -307,11 +307,11 @@ def saturation(rate: Number = 10.0) -> Saturated:
 
 
 def within(law, q, qdot, Ts):
-    """(q after a step, its velocity) of a law with limits: as asked for, but across none of them.
+    """(q after a step, its velocity) of a law with limits: the requested step, but across no limit.
 
-    What the law keeps at each of its evaluations, a combination of several, or a step that is too long, may not. All
-    velocities are scaled alike; a joint that would cross a position limit ends on it, and one that is outside doesn't
-    go farther out.
+    Each evaluation of the law respects the limits, but a combination of several, or too long a step, may not. All
+    velocities are scaled by the same factor. A joint that would cross a position limit stops on it, and one that is
+    outside does not move farther out.
     """
     qdot, _ = slowed(law.chain, qdot)
     after = q + Ts * qdot
@@ -324,14 +324,14 @@ def within(law, q, qdot, Ts):
 
 
 def inside(law, q, after):
-    """Joint values after a step from q, within the position limits that the law respects, or as far outside as q."""
+    """Joint values after a step from q, within the law's position limits, or as far outside as q."""
     if not _keeps_positions(law):
         return after
     return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))
 
 
 def room(law, q):
-    """(2, n) how far the joints may go down and up, or None where the law keeps no position."""
+    """(2, n) distance of the joints to their lower and upper limits; None if the law keeps no position limits."""
     if not _keeps_positions(law):
         return None
     return jnp.maximum(jnp.stack([q - law.chain.lower, law.chain.upper - q]), 0.0)

@@ -56,7 +56,7 @@ class MaximizeManipulability:
 
     def _measure(self, chain, q):
         wide = dense.wide_side(rows(self.task, At(chain, q)))
-        # A shift at rounding level: w has a kink at 0, where this stays finite.
+        # A shift at rounding level keeps the derivative finite at w = 0, where w has a kink.
         return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(wide @ wide.T, tiny_shift(wide)))))
 
 
@@ -83,7 +83,7 @@ class WithoutDrift:
 
 
 def evaluated(wanted, q):
-    """q̇₀ (n,) of a null-space velocity, a record or a function of q, or itself."""
+    """q̇₀ (n,) of a null-space velocity, which is a record, a function of q, or an array."""
     if dataclasses.is_dataclass(wanted):
         return wanted(q)
     values, n = wanted(q) if callable(wanted) else wanted, len(q)
@@ -94,7 +94,7 @@ def evaluated(wanted, q):
 
 
 def without(wanted, drift):
-    """A null-space velocity without a constant part (n,): q̇₀(q) − c. A posture stays one, drawn towards elsewhere."""
+    """A null-space velocity minus a constant part (n,): q̇₀(q) − c. A posture remains one, with another rest."""
     if isinstance(wanted, Posture) and not wanted.balls:
         return replace(wanted, rest=jnp.asarray(wanted.rest) - drift / wanted.rate)
     return WithoutDrift(wanted, drift)

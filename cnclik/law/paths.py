@@ -299,7 +299,7 @@ def rotation_matrix(name, value):
     return poses.rotations(name, errors.array(name, value, (3, 3), (4,)))
 
 
-@bounded_jit  # as a whole: one by one, its many small operations would each be compiled on first use
+@bounded_jit  # jitted as a whole, as each of its many small operations would be compiled on first use
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
     return log_so3(last @ first.T)

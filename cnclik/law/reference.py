@@ -87,10 +87,10 @@ def references(**by_name: Reference | References) -> References:
 
 
 def of_each(fn, reference, task: Task):
-    """References with fn(reference, parts) in the place of each that a task has a target for; one alone as such.
+    """References with each target's reference replaced by fn(reference, parts); a single one stays single.
 
-    Where no reference is given, None, they are made: fn(None, parts).
-    Raises: ArgumentError where a target has none, or one has no target.
+    If no reference is given (None), they are made by fn(None, parts).
+    Raises: ArgumentError if a target has no reference, or a reference no target.
     """
     return _of_each(fn, reference, task.targets)
 
@@ -112,7 +112,7 @@ def _of_each(fn, reference, targets):
 
 
 def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
-    """For each target of a task its reference, and the parts that it is for."""
+    """The reference of each target of a task, with the parts it is for."""
     found: list = []
     of_each(lambda *pair: found.append(pair), reference, task)
     return found
@@ -183,7 +183,7 @@ def motion(reference, task: Task, t):
         return jnp.concatenate([part.chart(a) for part, a in zip(task.parts, aims, strict=True)]).astype(t.dtype)
 
     every = [one for one, _ in by_target(reference, task)]
-    # A user's own function may do what can't be done to many instants at once; the engine keeps a loop as one.
+    # Not vmapped, as a user's function may not allow it; the engine keeps it as a loop.
     in_turn = is_read() or any(isinstance(one.curve, Path) for one in every)
     found = jax.lax.map(chart, t) if in_turn else jax.vmap(chart)(t)
     moved = safe_sqrt(jnp.sum((found[1:] - found[:-1]) ** 2, axis=1))
@@ -194,7 +194,7 @@ def motion(reference, task: Task, t):
 
 
 def check(reference, task: Task) -> None:
-    """Raise ArgumentError where the reference's targets do not fit the task."""
+    """Raise ArgumentError if the reference's targets do not fit the task."""
     for one, parts in by_target(reference, task):
         target = jax.eval_shape(one.curve, 0.0)
         for part in parts.parts:

@@ -10,7 +10,7 @@ from cnclik.law.curves import Spline, quaternions_of
 from cnclik.law.reference import Reference
 from cnclik.shapes import ArrayLike, Float, Number
 
-KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # and how late each is at least [longest periods]
+KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # kinds, and the least delay of each [longest periods]
 
 
 def resampled(

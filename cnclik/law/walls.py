@@ -26,7 +26,7 @@ class Rows(NamedTuple):
     floor: Float[Array, " k"]
 
     def size(self, qdot):
-        """(k,) of what is missing, were nothing to balance."""
+        """(k,) size of the terms of each violation, for its rounding."""
         return jnp.abs(self.floor) + jnp.abs(self.rows) @ jnp.abs(qdot)
 
 
@@ -41,7 +41,7 @@ class Wall:
     name: str = ""
 
     def on(self, chain) -> Wall:
-        """The wall of this robot."""
+        """The wall for this robot."""
         return replace(self, task=self.task.on(chain))
 
     def distance(self, robot: At):
@@ -221,7 +221,7 @@ def _bent(walls, chain, q, qdot):
 
 
 def _of_each(one, *of):
-    """A function of vectors, over all leading axes."""
+    """A function of single vectors applied over all leading axes."""
     for _ in range(np.ndim(of[0]) - 1):
         one = jax.vmap(one)
     return one(*of)
