@@ -6,17 +6,17 @@ import math
 from cnclik import errors
 from cnclik.robot.tree import NO_OFFSET, Edge, Tree
 
-BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # names of bases, and the type of their joint
-BALL = "rotation"  # one of three joints that form a rotation; their values are its rotation vector
+BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # {name of a base: type of its joint}
+BALL = "rotation"  # kind of each of three joints that form a rotation; their values are its rotation vector
 _X, _Y, _Z = NO_OFFSET[1]
 _ALONG, _ABOUT = ([(name, kind, axis) for name, axis in zip(names, (_X, _Y, _Z), strict=True)]
                   for names, kind in (("xyz", "prismatic"), (("rx", "ry", "rz"), BALL)))  # fmt: skip
 
 
 def grounded(tree: Tree, base=None) -> tuple[Tree, str]:
-    """(the tree, its first link), on a base that is one of `BASES` or a link.
+    """(the tree, its first link), on one of `BASES` or on a link.
 
-    Raises: ArgumentError for a base that moves where the file has a joint of its own for that.
+    Raises: ArgumentError for a moving base if the file has its own joint for that.
     """
     if base is None or base in tree.links:
         return tree, base or tree.root
@@ -32,11 +32,11 @@ def grounded(tree: Tree, base=None) -> tuple[Tree, str]:
 
 
 def unfolded(tree: Tree, base, tips) -> Tree:
-    """The tree with the joints on the ways from its first link to the tips as joints of one coordinate each.
+    """The tree with the joints between its first link and the tips split into joints of one coordinate each.
 
-    A planar joint is P, P, R: two ways in the plane across its axis, then the turn about it. A floating one is P, P, P
-    along the axes of its place, then three that are one rotation, which a ball joint is alone. In between stand links
-    without a shape.
+    A planar joint becomes P, P, R: two translations in the plane across its axis, then the rotation about it. A
+    floating joint becomes P, P, P along the axes of its frame, then three joints that form one rotation, as a ball
+    joint does. The links in between have no shape.
     """
     ways = {edge.name for tip in tips for way in tree.way(tip, base) for edge in way}
     edges = tuple(part for edge in tree.edges for part in (_parts(edge) if edge.name in ways else [edge]))
@@ -69,9 +69,9 @@ def _parts(edge):
 
 
 def _across(axis):
-    """Two axes of the plane across a unit axis, right-handed with it; x and y where that is z."""
+    """Two axes across a unit axis, right-handed with it; x and y if the axis is z."""
     x, y, z = axis
-    if z > -0.5:  # the shortest turn that takes z there takes x and y along
+    if z > -0.5:  # the shortest rotation from z to the axis, applied to x and y
         k = 1 / (1 + z)
         return (1 - k * x * x, -k * x * y, -x), (-k * x * y, 1 - k * y * y, -y)
     k = 1 / (1 - z)

@@ -31,13 +31,13 @@ REVOLUTE, PRISMATIC = "revolute", "prismatic"
 class Joint:
     """One joint. Its value is `multiplier · q[coordinate] + offset`: mimic joints share a coordinate."""
 
-    kind: str  # "revolute", "prismatic", or "rotation", of three in a row that are one, see `cnclik.robot.chart`
+    kind: str  # "revolute", "prismatic", or "rotation" for three in a row that form one, see `cnclik.robot.chart`
     axis: Triple  # unit vector in the joint's own frame
     origin: Offset
     coordinate: int
     multiplier: Number = 1.0
     offset: Number = 0.0
-    parent: int | None = None  # index of the joint that carries it, −1 for the base; None: the one before
+    parent: int | None = None  # index of the joint that carries it, −1 for the base; None: the previous one
 
 
 @record
@@ -59,7 +59,7 @@ class Chain:
     lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
     upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
     velocity_limit: tuple[Number, ...]  # (n,) [rad/s or m/s], inf where unlimited
-    masses: tuple[Mass, ...] = ()  # of the base, then of each joint, with what is fixed to it; () where none are known
+    masses: tuple[Mass, ...] = ()  # of the base, then of each joint, with all links fixed to it; () if unknown
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
@@ -94,7 +94,7 @@ class Chain:
         return 0
 
     def way(self, tip: int) -> list[int]:
-        """Indices of the joints from the base to a tip, given by its index."""
+        """Indices of the joints from the base to the tip with this index."""
         found, parents, i = [], self.parents, self.tips[tip].joint
         while i >= 0:
             found.append(i)
@@ -103,7 +103,7 @@ class Chain:
 
     @property
     def balls(self) -> tuple[tuple[int, int], ...]:
-        """Of each rotation that is three joints the index of the first and its coordinate."""
+        """(index of the first joint, its coordinate) for each rotation made of three joints."""
         return tuple((i, j.coordinate) for i, j in enumerate(self.joints) if j.kind == BALL)[::3]
 
     @property
@@ -119,7 +119,7 @@ class Chain:
 
     @property
     def periodic(self) -> tuple[bool, ...]:
-        """For each coordinate whether a whole turn of it changes nothing: all its joints turn, by whole multiples."""
+        """For each coordinate, whether a whole turn changes nothing: its joints all rotate, by whole multiples."""
         slow = {j.coordinate for j in self.joints if j.kind != REVOLUTE or not _is_whole(j.multiplier)}
         return tuple(i not in slow for i in range(self.n))
 
@@ -337,7 +337,7 @@ def _scalars(name, values, size=None) -> tuple:
 
 
 def _known(name, values, n):
-    """Limits (n,) as floats; None where they are traced or belong to several lanes."""
+    """Limits (n,) as floats; None if they are traced or belong to several lanes."""
     parts = values if isinstance(values, (tuple, list)) else ()
     if any(np.ndim(v) for v in parts) or not all(map(errors.concrete, (values, *parts))):
         return None
@@ -374,7 +374,7 @@ def offset_of(name, transform, places=False) -> Offset:
         must = "be one pose: " + poses.FORMS + ", or a position (3,)" * places
         raise errors.fail(name, must, f"has shape {np.shape(found[0])}" if found else f"is {transform!r}")
     position, rotation = found
-    if isinstance(transform, (list, tuple)):  # Python numbers stay literal, also beside traced ones
+    if isinstance(transform, (list, tuple)):  # Python numbers stay literal, even next to traced ones
         written = [x for part in transform for x in (part if isinstance(part, (list, tuple)) else [part])]
         if all(map(is_number, written)):
             position, rotation = position.tolist(), rotation.tolist()

@@ -1,9 +1,9 @@
 """Exchange of joint values and velocities with models of Pinocchio and MuJoCo, matched by joint names.
 
-Both write a free joint as a position and a unit quaternion, seven numbers, Pinocchio in the order x y z w, MuJoCo in
-w x y z; Pinocchio also writes the angle of a continuous joint, and of a planar one, as its cosine and sine. Velocities
-of a free joint: MuJoCo's are those of `cnclik.robot.chart`, ṗ along the world's axes and ω in the base's own;
-Pinocchio's are Rᵀṗ and ω, of a planar joint likewise Rᵀṗ.
+Both write a free joint as a position and a unit quaternion, seven numbers: Pinocchio in the order x y z w, MuJoCo w x y
+z. Pinocchio also writes the angle of a continuous or planar joint as cosine and sine. For a free joint, MuJoCo's
+velocities are those of `cnclik.robot.chart`, ṗ along the world's axes and ω in the base's own; Pinocchio's are Rᵀṗ and
+ω, and Rᵀṗ for a planar joint.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _of_mujoco(model) -> list:
 
 
 def _matched(robot, slots) -> Iterable:
-    """(slot, our coordinates of it or None) of each joint of a model; its only free or planar one is our base."""
+    """(slot, our coordinates of it or None) for each joint of a model; its only free or planar joint is our base."""
     names = {name: i for i, name in enumerate(errors.kind("robot", robot, Chain).joint_names)}
     alone = sum(slot.kind in ("free", "planar") for slot in slots) == 1
     for slot in slots:
@@ -132,7 +132,7 @@ def _from(robot, slots, q, v, sizes, order, own):
 
 
 def _theirs(kind, mine):
-    """(a joint's values as others write them, with w x y z, and how it is turned) from ours."""
+    """(a joint's values in the other library's form, with w x y z; its rotation) from ours."""
     if kind == "one":
         return mine, None
     if kind in ("planar", "circle"):
@@ -168,7 +168,7 @@ def _about_z(c, s):
 
 
 def _turned(velocity, rotation):
-    """A joint's velocity with its linear part turned, of a free or a planar one."""
+    """The velocity of a free or planar joint with its linear part rotated."""
     count = {6: 3, 3: 2}.get(velocity.shape[-1], 0)
     if rotation is None or not count:
         return velocity

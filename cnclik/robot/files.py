@@ -17,7 +17,7 @@ _FIRST = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->|<!\w[^>]*>)
 
 
 def read_robot(robot) -> Tree:
-    """The kinematic tree of a URDF or MJCF file, of the text of one, or of a model of MuJoCo's.
+    """The kinematic tree of a URDF or MJCF file, of its text, or of a MuJoCo model.
 
     Raises: ArgumentError as `load_urdf` and `load_mjcf`.
     """
@@ -29,7 +29,7 @@ def read_robot(robot) -> Tree:
 
 
 def is_mjcf(robot) -> bool:
-    """Whether it is a model of MuJoCo's, or a file or text whose first element is <mujoco>."""
+    """Whether it is a MuJoCo model, or a file or text whose first element is <mujoco>."""
     if type(robot).__module__.partition(".")[0] == "mujoco":
         return True
     if isinstance(robot, str) and robot.lstrip("\ufeff \t\r\n").startswith("<"):
@@ -43,10 +43,10 @@ def is_mjcf(robot) -> bool:
 
 
 def file_of(name: str) -> str | None:
-    """The file behind a name: the name itself if it is a file or ends like one, or a file of robot_descriptions, which
-    downloads known robots; None for anything else.
+    """The file for a name: the name itself if it is a file or ends like one, or the file of a robot of
+    robot_descriptions, which downloads it; None for anything else.
 
-    Raises: ArgumentError where robot_descriptions knows the name and cannot load it.
+    Raises: ArgumentError if robot_descriptions knows the name but cannot load it.
     """
     if os.path.exists(name) or name.lower().endswith(ENDINGS):
         return name
@@ -57,7 +57,7 @@ def file_of(name: str) -> str | None:
         return None
     try:
         loaded = importlib.import_module(module)
-    except Exception as error:  # of the network, of git, of a disk
+    except Exception as error:  # network, git and disk raise different errors
         must = f"be one that {_DESCRIPTIONS} can load"
         raise errors.fail("robot", must, f"{name!r} ends with {errors.in_a_line(error)}") from None
     for kind in ("URDF_PATH", "MJCF_PATH"):

@@ -1,7 +1,7 @@
 """Fixed transforms: geometry in which numbers stay numbers and traced values stay traced.
 
-Vectors are tuples of scalars, matrices are tuples of rows. A product with a Python 0 or 1 leaves no trace: the rest of
-the geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
+Vectors are tuples of scalars, matrices tuples of rows. Products with a Python 0 or 1 are folded, so the rest of the
+geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ZERO = (0.0, 0.0, 0.0)
 
 
 def is_number(a) -> bool:
-    """Whether a scalar is one of Python's own numbers, which are compiled in."""
+    """Whether a scalar is a Python number, which is compiled in."""
     return type(a) in (float, int)
 
 
@@ -63,7 +63,7 @@ def transpose(m):
 
 
 def rotation_parts(axis):
-    """a aᵀ, [a]× and I − a aᵀ of a unit axis: a rotation about it is their sum, times 1, the sine and the cosine.
+    """a aᵀ, [a]× and I − a aᵀ of a unit axis: a rotation about it is their sum, weighted by 1, sine and cosine.
 
     Rodrigues' formula (Murray, Li & Sastry 1994, eq. 2.14).
     """
@@ -81,7 +81,7 @@ def rotation_about(axis, sine, cosine):
 
 
 def turn(axis, angle):
-    """Rotation by a fixed angle; sines of literal multiples of π/2 are made exact, so that they fold."""
+    """Rotation by a fixed angle; sines of literal multiples of π/2 are exact, so that they fold."""
     if is_number(angle):
         sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))
         sine, cosine = (round(v) * 1.0 if abs(abs(v) - 1) < 1e-15 else v for v in (sine, cosine))
@@ -94,23 +94,22 @@ def turn(axis, angle):
 
 @record
 class Offset:
-    """A fixed transform: rotation (rows), then position, as seen from the frame before."""
+    """A fixed transform: rotation (rows), then position, in the previous frame."""
 
     position: Triple = ZERO  # [m]
     rotation: tuple[Triple, ...] = IDENTITY
 
 
 def compose(first: Offset, second: Offset) -> Offset:
-    """The transform `first`, then `second` as seen from there."""
+    """The transform `first`, then `second` in the frame after it."""
     return Offset(position=placed(first, second.position), rotation=matmul(first.rotation, second.rotation))
 
 
 def placed(offset: Offset, point: Triple) -> Triple:
-    """A point as seen from the frame before, of one as seen from an offset."""
+    """A point given in the frame of an offset, in the previous frame."""
     return vadd(offset.position, matvec(offset.rotation, point))
 
 
 def inverse(offset: Offset) -> Offset:
-    """The transform that takes a fixed one back."""
     back = transpose(offset.rotation)
     return Offset(position=scale(-1.0, matvec(back, offset.position)), rotation=back)

@@ -34,7 +34,7 @@ def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float
 
 
 def _computed(fn):
-    """The arrays of fn(model, q), in a list: by NumPy, which compiles nothing, where all are numbers."""
+    """The arrays of fn(model, q), in a list: by NumPy, which does not compile, if all are numbers."""
     program = bounded_jit(lambda chain, q, tip: fn(cast(modelled(chain), q.dtype), q, tip), static_argnames="tip")
 
     def call(chain, q, tip):
@@ -91,7 +91,7 @@ def manipulability(
       q, tip: as for `forward`.
       task: what is controlled, as of a law, which names its own tips; by default the whole 6-row geometric Jacobian.
     """
-    if not (task is None or isinstance(getattr(task, "targets", None), tuple)):  # a task's class is of a room above
+    if not (task is None or isinstance(getattr(task, "targets", None), tuple)):  # a task's class is in a later room
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
     q = as_joint_values(chain, q)
     if task is None:

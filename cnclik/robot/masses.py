@@ -17,22 +17,22 @@ class Mass:
     """Mass and centre of mass of the links between a joint (or the base) and the next joints."""
 
     mass: Number = 0.0  # [kg]
-    center: Triple = ZERO  # [m], as seen from the joint; of what the base carries from there
+    center: Triple = ZERO  # [m], in the joint's frame, or in the base's for its mass
 
 
 def _sum(*each: tuple) -> Mass:
-    """Several, as (mass, centre), as one."""
+    """Several (mass, centre) as one."""
     whole = sum(mass for mass, _ in each)
     moment = functools.reduce(vadd, (scale(mass, center) for mass, center in each), ZERO)
     return Mass(mass=whole, center=scale(1.0 / whole, moment)) if each else Mass()
 
 
 def lumped(inertials: dict, at: dict, count: int) -> tuple[Mass, ...]:
-    """The masses of the base and of each joint; () where there are none.
+    """The masses of the base and of each joint; () if there are none.
 
     Args:
-      inertials: {link: (mass, its centre as seen from the link)}.
-      at: {link: (index of the joint that carries it, −1 of the base, where it is as seen from there)}.
+      inertials: {link: (mass, its centre in the link's frame)}.
+      at: {link: (index of the joint that carries it, −1 for the base; its place in that frame)}.
       count: of joints.
     """
     found: list = [[] for _ in range(count + 1)]
@@ -49,7 +49,7 @@ def put(masses: tuple[Mass, ...], base: Offset) -> tuple[Mass, ...]:
 
 
 def added(one: tuple[Mass, ...], other: tuple[Mass, ...], joint: int) -> tuple[Mass, ...]:
-    """The masses of a robot that carries another one on a joint; () where one of them has none."""
+    """The masses of a robot that carries another one on a joint; () if one of them has none."""
     if not one or not other:
         return ()
     both = [(m.mass, m.center) for m in (one[joint + 1], other[0]) if m.mass]
@@ -57,7 +57,7 @@ def added(one: tuple[Mass, ...], other: tuple[Mass, ...], joint: int) -> tuple[M
 
 
 def shares(chain) -> Float[Array, "j+1 4"]:
-    """Of what the base carries, then of each joint: its share s of all mass, and its centre, as s·(c, 1).
+    """For the base, then for each joint: its share s of the total mass and its centre, as s·(c, 1).
 
     Raises: ArgumentError for a robot without masses.
     """

@@ -1,4 +1,4 @@
-"""MJCF: the kinematic tree of a model that MuJoCo reads. MuJoCo is loaded with the first model."""
+"""MJCF: the kinematic tree of a MuJoCo model. MuJoCo is loaded with the first model."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _compiled(model) -> tuple:
             return file, model.copy().compile()
         if text:
             return file, mujoco.MjModel.from_xml_string(model.lstrip("\ufeff \t\r\n"))
-        read_bytes("model", model, "an MJCF file")  # raises our own message for an unreadable file
+        read_bytes("model", model, "an MJCF file")  # reports an unreadable file in our words
         return file, mujoco.MjModel.from_xml_path(os.fspath(model))
     except (ValueError, mujoco.FatalError) as error:
         if isinstance(error, errors.ArgumentError):
@@ -128,7 +128,7 @@ def _edge(name, kind, parent, child, origin: Offset, axis=(1.0, 0.0, 0.0), bound
 
 
 def _joints_of(model, i, parent, body, joints, coupled) -> list:
-    """The way from a body's parent to it: a joint for each of its own, about its place in the body's frame.
+    """The joints from a body's parent to it: one for each of its own, about its place in the body's frame.
 
     A joint's value is MuJoCo's qpos, which moves the body by the difference to its reference, qpos0.
     """
@@ -141,7 +141,7 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
         )
         origin = compose(at, Offset(position=vsub(place, before)))
         (leader, *mimic), bounds = coupled.get(joints[k], ("",)), (-math.inf, math.inf)
-        origin = Offset() if kind == "floating" else origin  # its values are the body's place, in the world
+        origin = Offset() if kind == "floating" else origin  # its values are the body's place in the world
         if kind in MOVING:
             rest = (mimic[1] if leader is None else 0.0) - float(model.qpos0[model.jnt_qposadr[k]])
             origin = compose(origin, moved(kind, axis, rest))
@@ -155,7 +155,7 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
 
 
 def _couplings(file, model, joints) -> dict:
-    """{joint: (the joint that it follows, multiplier, offset)}; None in place of a joint that it stays at an offset."""
+    """{joint: (the joint that it follows, multiplier, offset)}; None instead of a joint for a constant value."""
     found: dict = {}
     left = []
     for k in np.flatnonzero(model.eq_active0):

@@ -30,25 +30,27 @@ class Model:
     """A `Chain` as arrays: j joints, n coordinates."""
 
     n: int  # joint coordinates
-    transforms: tuple[Float[Array, "j 4 4"] | None, ...]  # A, B, C, D as above; D is None where all joints are revolute
+    transforms: tuple[Float[Array, "j 4 4"] | None, ...]  # A, B, C, D as above; D is None if all joints are revolute
     axes: Float[Array, "j 3"]  # unit vectors in the joints' own frames
-    turning: Bool[AnyArray, " j"] | None  # true for revolute joints; None where all are
+    turning: Bool[AnyArray, " j"] | None  # true for revolute joints; None if all are
     mimic: tuple[Float[Array, "j n"], Float[Array, " j"]] | None  # multipliers and offsets of the joint values, if any
-    balls: tuple[tuple[int, int], ...]  # of each rotation that is three joints the index of the first, its coordinate
-    parents: tuple[int, ...]  # of each joint the index of the one that carries it, −1 for the base
-    tips: tuple[Float[Array, "4 4"], ...]  # as seen from the joints that carry them
-    carriers: tuple[int, ...]  # indices of those
-    tip_names: tuple[str, ...] | None  # None of a robot with one tip, so that robots of a shape share their programs
-    supports: Float[np.ndarray, "tips j"] | None  # 1 for the joints that move a tip, else 0; None where all move all
+    balls: tuple[tuple[int, int], ...]  # see `Chain.balls`
+    parents: tuple[int, ...]  # index of the joint that carries each joint, −1 for the base
+    tips: tuple[Float[Array, "4 4"], ...]  # in the frames of the joints that carry them
+    carriers: tuple[int, ...]  # indices of these joints
+    tip_names: tuple[str, ...] | None  # None for one tip: equal shapes share programs
+    supports: (
+        Float[np.ndarray, "tips j"] | None
+    )  # 1 for the joints that move a tip, else 0; None if all joints move all tips
     lower: Float[Array, " n"]  # as in `Chain`
     upper: Float[Array, " n"]
     velocity_limit: Float[Array, " n"]
-    bounded: bool  # whether some joint has a position limit, as far as that is known
-    slowed: bool  # and a velocity limit
-    standing: tuple[Float[Array, "j 4 4"], Float[Array, "j 4 4 n"]] | None = None  # frames of joints, derivatives by q
+    bounded: bool  # whether some joint has a position limit, as far as known
+    slowed: bool  # whether some joint has a velocity limit, as far as known
+    standing: tuple[Float[Array, "j 4 4"], Float[Array, "j 4 4 n"]] | None = None  # see `standing`
 
     def tip_number(self, tip: str | None = None) -> int:
-        """Which of the tips has this name; None: the only one."""
+        """Index of the tip with this name; None: the only one."""
         return 0 if self.tip_names is None else self.tip_names.index(errors.one_of("tip", tip, self.tip_names))
 
 
@@ -60,11 +62,11 @@ class Frames:
     rotation: Float[Array, "3 3"]
     axes: Float[Array, "j 3"]
     points: Float[Array, "j 3"]  # [m]
-    support: Float[np.ndarray, " j"] | None = None  # 1 for the joints that move the tip, else 0; None where all do
+    support: Float[np.ndarray, " j"] | None = None  # 1 for the joints that move the tip, else 0; None if all do
 
 
 def joint_frames(chain: Model, q):
-    """The joints' frames in the base frame (..., j, 4, 4), each after its joint's motion, at q (..., n)."""
+    """The joints' frames (..., j, 4, 4) in the base frame, each after its joint's motion, at q (..., n)."""
     if chain.standing is not None:
         return _standing(*chain.standing, q)
     xp = library(q, chain.tips[0])
@@ -76,7 +78,7 @@ def joint_frames(chain: Model, q):
     at: list = []
     starts = [first for first, _ in chain.balls]
     for i, parent in enumerate(chain.parents):
-        if i - 1 in starts or i - 2 in starts:  # their three axes are those of the frame that they turn together
+        if i - 1 in starts or i - 2 in starts:  # the three axes of a rotation are those of its frame
             at.append(at[-1])
             continue
         frame = own[..., i, :, :] if parent < 0 else at[parent] @ own[..., i, :, :]
@@ -85,7 +87,7 @@ def joint_frames(chain: Model, q):
 
 
 def _turn(w):
-    """Transforms (..., 4, 4) that turn by rotation vectors (..., 3)."""
+    """Rotations by rotation vectors (..., 3), as transforms (..., 4, 4)."""
     xp, (cosine, v) = library(w), quaternion(w)
     none, one = xp.zeros_like(cosine), xp.ones_like(cosine)
     rows = rotation_from_quaternion((cosine, v[..., 0], v[..., 1], v[..., 2]))
@@ -93,9 +95,9 @@ def _turn(w):
 
 
 def frames(chain: Model, q, tip: int = 0) -> Frames:
-    """All frames at q (n,), as arrays; NumPy's where all are numbers, and then also of q (..., n).
+    """All frames at q (n,), as arrays; as NumPy arrays if all are numbers, and then also for q (..., n).
 
-    Args: tip: the number of the tip.
+    Args: tip: index of the tip.
     """
     xp = library(q, chain.tips[tip])
     chain = chain if xp is np else of_the_model(chain)
@@ -108,9 +110,10 @@ def frames(chain: Model, q, tip: int = 0) -> Frames:
 
 
 def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
-    """The centre of mass at q (n,) as a tip: its rows of the Jacobian are those of `jacobian_rows`.
+    """The centre of mass at q (n,) as a tip: `jacobian_rows` gives its rows of the Jacobian.
 
-    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, with cᵢ the centre and sᵢ the share of all that the joint carries.
+    Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, where cᵢ is the centre and sᵢ the share of the mass that it
+    carries.
     """
     at = joint_frames(chain, q)
     xp = library(at, bodies)
@@ -126,15 +129,15 @@ def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
     share, points = carried[..., 3], at[..., :3, 3]
     own = carried[..., :3] / xp.where(share > 0, share, 1.0)[..., None]
     axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
-    points = place[..., None, :] - own + points  # so that it is seen from there as what the joint carries from its axis
+    points = place[..., None, :] - own + points  # common centre − point = own − axis point
     turn = xp.broadcast_to(xp.eye(3, dtype=place.dtype), (*place.shape, 3))
     return Frames(position=place, rotation=turn, axes=axes, points=points, support=share)
 
 
 def standing(chain: Model, q) -> Model:
-    """The chain whose frames stand as they are at q (n,), and whose derivatives by the joint values are those at q.
+    """The chain with constant frames as at q (n,), and with their derivatives by the joint values there.
 
-    For what is differentiated at q alone: of many loops that rest there, all that depends on frames is computed once.
+    For functions that are differentiated only at q: many loops at rest there share the computation of the frames.
     """
     at = functools.partial(joint_frames, chain)
     return replace(chain, standing=(at(q), jax.jacfwd(at)(q)))
@@ -178,7 +181,7 @@ def modelled(tree):
 
 
 def _model(chain: Chain) -> Model:
-    xp = np if all(map(errors.concrete, jax.tree.leaves(chain))) else jnp  # NumPy compiles nothing
+    xp = np if all(map(errors.concrete, jax.tree.leaves(chain))) else jnp  # NumPy does not compile
     nothing = ((0.0,) * 3,) * 3
 
     def matrix(rotation, position=fixed.ZERO, last=0.0):
@@ -226,10 +229,10 @@ def _model(chain: Chain) -> Model:
 
 
 def one_off(fn=None, *, as_given=False, compiler=QUICK_COMPILE, **options):
-    """`jax.jit`, with its arguments, for programs that are run once or twice: compiled `quick`, see `quick_jit`.
+    """`jax.jit`, with its arguments, for programs that run once or twice: compiled `quick`, see `quick_jit`.
 
-    Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape; unless
-    they are wanted `as_given`, by a function that changes their links or has one for each lane.
+    Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape. With
+    `as_given` they stay chains, for a function that changes their links or has one per lane.
     """
     if fn is None:
         return functools.partial(one_off, as_given=as_given, compiler=compiler, **options)
@@ -238,7 +241,7 @@ def one_off(fn=None, *, as_given=False, compiler=QUICK_COMPILE, **options):
     @functools.wraps(fn)
     def call(*args, **named):
         if not all(map(errors.concrete, jax.tree.leaves((args, named)))):
-            return jitted(*args, **named)  # part of another program
+            return jitted(*args, **named)  # inside another program
         return quick(*(args if as_given else map(modelled, args)), **named)
 
     return call

@@ -9,7 +9,7 @@ from cnclik.robot.poses import PoseLike
 
 
 def with_tip(chain: Chain, offset: Offset, tip: str | None = None) -> Chain:
-    """The chain with a tip where an offset from its joint says."""
+    """The chain with the tip at an offset from its joint."""
     number = chain.tip_number(tip)
     tips = (replace(t, offset=offset) if i == number else t for i, t in enumerate(chain.tips))
     return replace(chain, tips=tuple(tips))
@@ -37,7 +37,7 @@ def with_base(chain: Chain, base: PoseLike) -> Chain:
 
 
 def _placed(joints, parents, base):
-    """Joints with a fixed transform before those that the base carries."""
+    """Joints with a fixed transform before those on the base."""
     return tuple(
         replace(joint, origin=compose(base, joint.origin)) if parent < 0 else joint
         for joint, parent in zip(joints, parents, strict=True)

@@ -4,9 +4,9 @@ import math
 
 from cnclik import errors
 
-LONG = 50.0  # [m] from a joint to the next
-TURNS = 30.0  # [rad] of a joint's limit
-FAST = 60.0, 720.0  # [rad/s] of a joint's velocity limit: beyond them, and where it is 100 or 1000, it is no limit
+LONG = 50.0  # [m] between joints
+TURNS = 30.0  # [rad] joint limit
+FAST = 60.0, 720.0  # [rad/s] range of suspicious velocity limits; larger ones, 100 and 1000 stand for no limit
 
 
 def remark_on_robot(chain) -> None:

@@ -1,6 +1,6 @@
-"""Poses as users give them: read and checked in one place, the same for every door.
+"""Poses in the user's forms, read and checked in one place for all interfaces.
 
-A rotation may be as rough as three decimals; what is known is then made a rotation exactly, in float64.
+A rotation may be as rough as three decimals; a known one is then made exact, in float64.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from cnclik import errors
 from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
 from cnclik.shapes import ArrayLike
 
-ROUGH = 1e-3  # of a rotation: how far lengths of its rows are from 1, and cosines of their angles from 0
-_EXACT = 1e-12  # the same of one that is taken as it is
-NORM = 1e-2  # how far a quaternion's norm may be from 1: 0.71 0.71 0 0
+ROUGH = 1e-3  # largest deviation of a rotation's row lengths from 1, and of cosines between rows from 0
+_EXACT = 1e-12  # the same for one that is used unchanged
+NORM = 1e-2  # largest deviation of a quaternion's norm from 1, as for 0.71 0.71 0 0
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])  # row of a transform
 FORMS = "a 4×4 transform, [x, y, z, w, x, y, z], a Pose, or an object with translation and rotation"
 
@@ -29,16 +29,16 @@ class Posed(Protocol):
     def rotation(self) -> Any: ...
 
 
-PoseLike = ArrayLike | Posed  # numbers may be a position alone
+PoseLike = ArrayLike | Posed  # numbers may be only a position
 
 
 def whole(name, value, *, finite=True):
-    """(positions (..., 3), rotations (..., 3, 3)) of what is a whole pose, or several; None for anything else.
+    """(positions (..., 3), rotations (..., 3, 3)) of one or several whole poses; None for anything else.
 
     Args:
       value: of FORMS; transforms (4, 4) or (B, 4, 4), numbers (7,) or (B, 7).
-      finite: whether numbers must be finite; what is not passes for a status to tell of.
-    Raises: ArgumentError for transforms and quaternions that are none.
+      finite: whether numbers must be finite; otherwise a status reports them.
+    Raises: ArgumentError for invalid transforms and quaternions.
     """
     place = next((p for p in ("translation", "position") if hasattr(value, p)), None)
     if place and hasattr(value, "rotation"):
@@ -68,7 +68,7 @@ def rotations(name, value, *, finite=True):
 
 
 def quaternions(found) -> np.ndarray:
-    """Unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations: of the products qᵢqⱼ the largest's row."""
+    """Unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations: from the largest row of the products qᵢqⱼ."""
     found = np.asarray(found, float)
     rows = np.array(products_of_quaternion(np.moveaxis(found, (-2, -1), (0, 1))))
     rows = np.moveaxis(rows, (0, 1), (-2, -1))
@@ -78,12 +78,12 @@ def quaternions(found) -> np.ndarray:
 
 
 def library(*arrays):
-    """NumPy where all is known, JAX's where something is traced."""
+    """NumPy if all is known, JAX's if something is traced."""
     return np if all(map(errors.concrete, jax.tree.leaves(arrays))) else jnp
 
 
 def shape_of(value) -> tuple:
-    """The shape of an array or of nested sequences, of what is traced, too; () where rows have several lengths."""
+    """The shape of an array, traced or not, or of nested sequences; () if rows have different lengths."""
     if not isinstance(value, (list, tuple)):
         return tuple(getattr(value, "shape", ()))
     inner = set(map(shape_of, value))
@@ -91,7 +91,7 @@ def shape_of(value) -> tuple:
 
 
 def _float(value):
-    """In float64 where it is known: half precision would be off by a thousandth."""
+    """In float64 if it is known: half precision would have an error of a thousandth."""
     return np.asarray(value, float) if errors.concrete(value) else value
 
 
@@ -117,13 +117,13 @@ def _from_matrices(name, value):
     value = _float(value)
     with np.errstate(over="ignore", invalid="ignore"):
         gap, right = _gaps(value)
-        if value.ndim == 2 and gap <= _EXACT and right:  # a control loop asks for one at a time
+        if value.ndim == 2 and gap <= _EXACT and right:  # quick, as a control loop converts one at a time
             return value
         gap, right = np.atleast_1d(gap), np.atleast_1d(right)
         wrong = (gap > ROUGH) | ((gap <= ROUGH) & ~right)
         if (gap <= _EXACT).all() and not wrong.any():
             return value
-        wrong = wrong & np.isfinite(value).all(axis=(-1, -2)).ravel()  # of others the status tells
+        wrong = wrong & np.isfinite(value).all(axis=(-1, -2)).ravel()  # the status reports others
         if wrong.any():
             k = int(np.argmax(wrong))
             raise errors.fail(
@@ -132,17 +132,17 @@ def _from_matrices(name, value):
                 f"{_what_it_is(value.reshape(-1, 3, 3)[k])}{_at(wrong, k)}",
             )
         made, rough = value.reshape(-1, 3, 3).copy(), ~(gap <= _EXACT)
-        for _ in range(3):  # to the nearest rotation: what is off by ROUGH is then off by its eighth power
+        for _ in range(3):  # to the nearest rotation: an error of ROUGH becomes its eighth power
             some = made[rough]
             made[rough] = some @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(some, -1, -2) @ some)
     return made.reshape(value.shape)
 
 
 def _gaps(r):
-    """How far matrices (..., 3, 3) are from having rows of length 1 at right angles, and whether they are right-handed.
+    """Deviation of matrices (..., 3, 3) from orthonormal rows, and whether they are right-handed.
 
-    Written out: of ten thousand a product and a determinant from the library take twenty times as long, and of one
-    Python's own numbers are quicker than NumPy's.
+    Written out: for ten thousand matrices the library's product and determinant take twenty times as long; for one,
+    Python's numbers are quicker than NumPy's.
     """
     alone = r.ndim == 2
     a, b, c, d, e, f, g, h, i = r.reshape(9).tolist() if alone else np.ascontiguousarray(r.reshape(-1, 9).T)
@@ -159,7 +159,7 @@ def _gaps(r):
 
 
 def _what_it_is(r) -> str:
-    """What a matrix is that is no rotation."""
+    """What is wrong with a matrix that is not a rotation."""
     lengths = np.linalg.norm(r, axis=1)
     scale = lengths.mean()
     if scale and np.abs(r @ r.T / scale**2 - np.eye(3)).max() < ROUGH:
@@ -170,7 +170,7 @@ def _what_it_is(r) -> str:
 
 
 def _check_last_row(name, found):
-    """Raise ArgumentError unless transforms (..., 4, 4), where they are finite, end with 0 0 0 1."""
+    """Raise ArgumentError unless transforms (..., 4, 4), if finite, end with 0 0 0 1."""
     if not errors.concrete(found):
         return
     found = np.asarray(found).reshape(-1, 4, 4)

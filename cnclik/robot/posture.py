@@ -1,6 +1,6 @@
 """Posture: length of an arm, whether it is planar, distance of postures from singularities, and start postures.
 
-Of a task, whose class is in a later room, `rows_at`, `lengths` and `each` are used.
+A task's class is in a later room; its `rows_at`, `lengths` and `each` are used.
 """
 
 import functools
@@ -15,7 +15,7 @@ from cnclik.robot.fixed import IDENTITY
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
 
-_FAR = 1e6  # [rad, m] a limit beyond it says nothing of where to start
+_FAR = 1e6  # [rad, m] larger limits do not influence the start posture
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
@@ -45,7 +45,7 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
         return xp.full(points.shape[:-1], -math.inf)
     origin = way[0].origin.position
     away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
-    size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # squares stay finite
+    size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # keeps squares finite
     longest = (1 + 64 * float(np.finfo(away.dtype).eps)) * arm_length(chain, number=number)  # with room for rounding
     return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - longest
 
@@ -59,14 +59,14 @@ def is_planar(chain: Chain) -> bool:
 
 
 def task_jacobians(chain: Chain, task, postures):
-    """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which compiles nothing."""
+    """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which does not compile."""
     return np.array(task.rows_at(modelled(chain), np.asarray(postures, float)))
 
 
 def least_singular_values(chain: Chain, task, postures):
-    """Least singular value of the task Jacobian at each of (K, n) postures, lengths in units of the arm's own.
+    """Least singular value of the task Jacobian at each of (K, n) postures, with lengths in the arm's own unit.
 
-    Of a stack the least of its tasks' own.
+    For a stack, the least of its tasks' values.
     """
     j = task_jacobians(chain, task, postures)
     j[:, task.lengths] /= arm_length(chain)
@@ -75,7 +75,7 @@ def least_singular_values(chain: Chain, task, postures):
 
 
 def evenly(count: int, n: int):
-    """Points (count, n) that fill the unit cube evenly, the same on every machine; the first is its middle.
+    """Points (count, n) that fill the unit cube evenly, the same on every machine; the first is its centre.
 
     An additive sequence (Roberts 2018).
     """

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def library(*arrays):
-    """NumPy, which compiles nothing, where all of some arrays are its own, else JAX's."""
+    """NumPy, which does not compile, if all arrays are NumPy's; otherwise JAX's."""
     return np if all(isinstance(v, (np.ndarray, np.generic)) for v in arrays) else jnp
 
 
@@ -19,15 +19,15 @@ def safe_norm(v):
 def safe_sqrt(x):
     """√x with derivative 0 (not NaN) at x = 0.
 
-    What stands for 0 below the root is a rounding: a compiler may work x out twice, once without rounding a product
-    (fused multiply-add), and find 0 only once; with 1 there, a target that rests would then have moved by 1 m.
+    A rounding replaces 0 below the root. A compiler may compute x twice, once with a fused multiply-add, and find 0
+    only once; with 1 instead of a rounding, a resting target would then seem to have moved by 1 m.
     """
     zero, least = x == 0, float(jnp.finfo(jnp.result_type(x)).eps) ** 2
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, least, x)))
 
 
 def axial(m):
-    """Twice the vector of a 3×3 matrix's antisymmetric part: of a rotation by θ about a, 2 sin θ a."""
+    """Twice the vector of a 3×3 matrix's antisymmetric part: 2 sin θ a for a rotation by θ about a."""
     return jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
 
 
@@ -39,7 +39,7 @@ def crossed(w):
 
 
 def exp_so3(w):
-    """Rotation of a rotation vector [rad]: exp([w]×) = I + a [w]× + b [w]×², finite with all derivatives at w = 0."""
+    """Rotation by a rotation vector [rad]: exp([w]×) = I + a [w]× + b [w]×², finite with all derivatives at w = 0."""
     squared = w @ w
     small = squared < 1e-4
     safe = jnp.where(small, 1.0, squared)
@@ -85,7 +85,7 @@ def products_of_quaternion(r):
 
 
 def rotation_from_quaternion(q):
-    """Rotation of a unit quaternion (w, x, y, z), as rows of scalars, or of arrays where q is four of them."""
+    """Rotation of a unit quaternion (w, x, y, z), as rows of scalars, or of arrays if q is four arrays."""
     w, x, y, z = q
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -124,7 +124,7 @@ def log_quaternion(w, v):
 
 
 def turn_from(a, b):
-    """log(exp(−a) exp(b)) of rotation vectors [rad]: exact relative to their size, however small they are."""
+    """log(exp(−a) exp(b)) of rotation vectors [rad], with a small relative error however short they are."""
     (wa, va), (wb, vb) = half_turn(a), half_turn(b)
     w = wa * wb + va @ vb
     v = wa * vb - wb * va - jnp.cross(va, vb)

@@ -1,6 +1,6 @@
 """The kinematic tree of a URDF file: links, joints, limits, masses. Read without loading JAX.
 
-Meshes and plugin sections are passed over, so nothing has to be found next to the file.
+Meshes and plugin sections are skipped, so no other files are needed.
 """
 
 import codecs
@@ -17,14 +17,14 @@ from cnclik.reading import read_bytes
 from cnclik.robot.plausible import remark_on_angles
 
 MOVING = ("revolute", "continuous", "prismatic")
-_OWN = ("utf-8", "utf8", "utf-16", "us-ascii", "ascii", "iso-8859-1")  # encodings that the parser itself knows
-MOST = 1e12  # of a length or angle [m, rad]: products of larger ones leave the range of floats
+_OWN = ("utf-8", "utf8", "utf-16", "us-ascii", "ascii", "iso-8859-1")  # encodings that the parser knows
+MOST = 1e12  # largest length or angle [m, rad]: products of larger ones overflow
 NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclasses.dataclass(frozen=True)
 class Edge:
-    """A joint of the tree, as the file has it."""
+    """A joint of the tree, as in the file."""
 
     name: str
     type: str
@@ -32,31 +32,31 @@ class Edge:
     child: str
     origin: tuple  # position [m], rows of the rotation
     axis: tuple
-    lower: float  # [rad, m], −inf where the file gives none
+    lower: float  # [rad, m], −inf if the file gives none
     upper: float
-    velocity: float  # [rad/s, m/s], inf where the file gives none
+    velocity: float  # [rad/s, m/s], inf if the file gives none
     mimic: tuple | None  # (joint name, multiplier, offset)
 
 
 @dataclasses.dataclass(frozen=True)
 class Tree:
-    """What a URDF file says of its kinematics: one root, every other link the child of one joint."""
+    """The kinematics of a URDF file: one root; every other link is the child of one joint."""
 
     file: str
     name: str
     root: str
     links: tuple
     edges: tuple  # of Edge, in the file's order
-    inertials: dict  # link name -> (mass [kg], its centre as seen from the link [m]), of those that have a mass
+    inertials: dict  # link name -> (mass [kg], its centre in the link's frame [m]), of links with a mass
 
     @functools.cached_property
     def above(self) -> dict:
-        """Link name -> the joint it hangs on."""
+        """Link name -> the joint that carries it."""
         return {e.child: e for e in self.edges}
 
     @functools.cached_property
     def below(self) -> dict:
-        """Link name -> the joints that hang on it."""
+        """Link name -> the joints on it."""
         found = {link: [] for link in self.links}
         for e in self.edges:
             found[e.parent].append(e)
@@ -67,7 +67,7 @@ class Tree:
         return tuple(link for link in self.links if not self.below[link])
 
     def way(self, tip, base=None) -> tuple:
-        """The way from base (by default the root) to tip: joints up to where both hang, and down from there."""
+        """The path from base (default: the root) to tip: joints up to the common link, and down from there."""
         up, down = ([*self._upward(link)] for link in (base or self.root, tip))
         while up and down and up[-1] is down[-1]:
             up.pop(), down.pop()
@@ -130,7 +130,7 @@ def _root(file, data):
     try:
         parser.Parse(data, True)
         root = builder.close()
-    except (expat.ExpatError, ValueError, AssertionError, LookupError) as error:  # LookupError: an unknown encoding
+    except (expat.ExpatError, ValueError, AssertionError, LookupError) as error:  # a LookupError is an unknown encoding
         empty = not data.strip()
         what = "is empty" if empty else f"is not well-formed XML: {error}"
         raise errors.fail("path", "name a URDF file", f"{file} {what}") from None
@@ -142,7 +142,7 @@ def _root(file, data):
 
 
 class _Written(NamedTuple):
-    """A joint as the file has it, read but not judged."""
+    """A joint as in the file, unchecked."""
 
     name: str
     type: str
@@ -150,12 +150,12 @@ class _Written(NamedTuple):
     child: str
     origin: tuple | None  # position, and the angles roll, pitch, yaw about the fixed axes
     axis: tuple
-    limit: tuple | None  # lower, upper, velocity; None what isn't given
+    limit: tuple | None  # lower, upper, velocity; None if not given
     mimic: tuple | None
 
 
 def _decoded(file, data: bytes):
-    """Bytes as they are where the parser knows their encoding, else the text by the encoding that they name."""
+    """Bytes unchanged if the parser knows their encoding, otherwise the decoded text."""
     named = re.match(rb"""\s*<\?xml[^>]*?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""", data)
     encoding = named[1].decode() if named else "utf-8"
     try:
@@ -207,7 +207,7 @@ def _written(file, element) -> _Written:
 
 
 def _inertials(file, root) -> dict:
-    """{link: (mass, its centre)}; none where one can't be read, which is remarked on: kinematics needs none of them."""
+    """{link: (mass, its centre)}; empty, with a remark, if one is unreadable, as kinematics needs none of them."""
     found = {}
     for link in root.iterfind("link"):
         mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
@@ -256,9 +256,7 @@ def _tree(file, name, links, joints, inertials) -> Tree:
             raise bad(f"has a loop: link {joint.child!r} hangs on {parent[joint.child].name!r} and {joint.name!r}")
         parent[joint.child] = joint
     rooted = known - set(parent)
-    for (
-        link
-    ) in links:  # up from every link, as far as is not known to lead to a root: whoever meets itself is in a loop
+    for link in links:  # go up from every link until a known one: who meets itself is in a loop
         way = {}
         while link not in rooted:
             if link in way:
@@ -281,7 +279,7 @@ def _edge(file, joint) -> Edge:
     origin, axis = NO_OFFSET, (1.0, 0.0, 0.0)
     if joint.origin is not None:
         position, angles = joint.origin
-        if not all(abs(x) <= MOST for x in (*position, *angles)):  # nor NaN
+        if not all(abs(x) <= MOST for x in (*position, *angles)):  # refuses NaN, too
             raise bad(f"has an origin that is not finite, or not within ±{MOST:g}")
         origin = snapped(position), tuple(map(snapped, _rotation(*angles)))
     lower, upper, velocity, mimic = -math.inf, math.inf, math.inf, None
@@ -299,15 +297,15 @@ def _edge(file, joint) -> Edge:
         if joint.limit is not None:
             low, high, velocity = joint.limit
             if joint.type != "continuous" and (low, high) != (None, None):
-                lower, upper = low or 0.0, high or 0.0  # one of the two omitted is 0, says the format
-            velocity = abs(velocity or math.inf)  # 0 is what exporters write where they know none
+                lower, upper = low or 0.0, high or 0.0  # by the format, one omitted limit is 0
+            velocity = abs(velocity or math.inf)  # exporters write 0 for an unknown limit
         if math.isnan(lower) or math.isnan(upper) or math.isnan(velocity):
             raise bad("has a limit that is not a number")
         if lower > upper:
             raise bad(f"has lower limit {lower:g} above upper limit {upper:g}")
         if lower > MOST or upper < -MOST:
             raise bad(f"has limits from {lower:g} to {upper:g}, neither of them within ±{MOST:g}")
-        lower = lower if lower >= -MOST else -math.inf  # what exporters write for none, such as 1e16
+        lower = lower if lower >= -MOST else -math.inf  # exporters write 1e16 and the like for none
         upper = upper if upper <= MOST else math.inf
         if joint.mimic is not None:
             mimic = joint.mimic
@@ -318,5 +316,5 @@ def _edge(file, joint) -> Edge:
 
 
 def snapped(values):
-    """Rounding dust of sines and cosines made exact, so that literal zeros and ones fold away."""
+    """Sines and cosines within rounding of 0 and ±1 made exact, so that literal zeros and ones fold."""
     return tuple(float(round(x)) if abs(x - round(x)) < 1e-15 else x for x in values)

@@ -52,7 +52,7 @@ def load_urdf(
 
 
 def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=None, freeze=None) -> Chain:
-    """The robot of a tree that was read before. Args and raises: as `load_urdf`."""
+    """The robot of a tree. Args and raises: as `load_urdf`."""
     tree, base = grounded(tree, base if base is None or base in BASES else link_of(tree, "base", base))
     if tips is None:
         end = tip_of(tree, tip, base)
@@ -82,8 +82,9 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
 
 
 def _walked(tree, base, links, frozen) -> tuple:
-    """(joints on the ways from base to links, {link: (index of the joint that carries it, where it is as seen from
-    there)}, the joints that are followed, one a coordinate)"""
+    """(joints between base and links, {link: (index of the joint that carries it, its place in that frame)}, the
+    followed joint of each coordinate)
+    """
     by_name = {e.name: e for e in tree.edges}
     joints, at, followed, leaders = [], {base: (-1, Offset())}, [], {}
     for link in links:
@@ -115,7 +116,7 @@ def _walked(tree, base, links, frozen) -> tuple:
 def _around(before: Offset, edge, turned) -> tuple:
     """The pose of a joint, its axis, and the offset after its motion."""
     origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
-    if turned:  # traversed from its child, a joint turns the other way
+    if turned:  # traversed from its child, a joint acts in the opposite direction
         return before, scale(-1.0, edge.axis), inverse(origin)
     return compose(before, origin), edge.axis, Offset()
 
@@ -135,9 +136,9 @@ def moved(kind: str, axis, value) -> Offset:
 
 
 def _rest(tree, at, frozen) -> None:
-    """Adds to `at` what hangs on joints that are no coordinates: they stay as near to 0 as their limits let them.
+    """Adds to `at` the links on joints without a coordinate, which stay as near to 0 as their limits allow.
 
-    What only a floating or planar joint holds is left out: it is another body. Ball joints stand as they are given.
+    Links on a floating or planar joint are left out, as they are another body. Ball joints keep the orientation in the file.
     """
     waiting = [*at]
     for link in waiting:
@@ -158,7 +159,7 @@ def _at_rest(edge, frozen) -> float:
 
 
 def _ends(tree, tips) -> dict:
-    """{name of a tip: (its link, where it is as seen from there)}"""
+    """{name of a tip: (its link, its place in the link's frame)}"""
     named = tips if isinstance(tips, dict) else {}
     if not named and isinstance(tips, (list, tuple)) and all(isinstance(link, str) for link in tips):
         named = {link: link for link in tips}
@@ -172,7 +173,7 @@ def _ends(tree, tips) -> dict:
 
 
 def _frozen(tree, freeze) -> dict:
-    """{name of a joint that does not move: its value}, checked."""
+    """{name of a fixed joint: its value}, checked."""
     moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
     if not isinstance(freeze, (dict, type(None))):
         raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
@@ -190,7 +191,7 @@ def _frozen(tree, freeze) -> dict:
 
 
 def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
-    """The name of the last link: the one given, or the only one that can be meant. Args and raises: as `load_urdf`."""
+    """The name of the last link: the given one, or the only possible one. Args and raises: as `load_urdf`."""
     base = tree.root if base is None or base in BASES else link_of(tree, "base", base)
     if tip is not None:
         return link_of(tree, "tip", tip)
@@ -206,7 +207,7 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
 
 
 def _remark_on_a_jaw(tip, up, down):
-    """Remark on a default tip that the last joint moves like a gripper's jaw: it is probably not the wanted one."""
+    """Remark on a default tip that the last joint moves like a gripper's jaw: it is probably not the intended one."""
     moving = [edge for edge in (*up, *down) if edge.type != "fixed"]
     named = [_JAW.search(f"{edge.name} {edge.child}") is not None for edge in moving]
     if named and named[-1] and not named[0]:
@@ -221,9 +222,9 @@ def _leader(by_name, edge, known):
     """The joint that an edge follows (itself, if it is no mimic) and how: value = multiplier·q + offset.
 
     Args:
-      known: {name: this of edges that were looked at}, which grows.
+      known: {name: the results so far}, which is extended.
     """
-    way = {}  # names of mimics, in the order in which they follow one another
+    way = {}  # names of mimics, in the order in which they follow each other
     while edge.mimic is not None and edge.name not in known:
         way[edge.name] = edge
         name = edge.mimic[0]
@@ -251,7 +252,7 @@ def link_of(tree, name, link):
     if isinstance(link, str) and link in tree.links:
         return link
     padded = [known for known in tree.links if isinstance(link, str) and known.strip() == link.strip()]
-    if len(padded) == 1:  # some files have spaces round a name, which nobody sees
+    if len(padded) == 1:  # some files have invisible spaces around a name
         return padded[0]
     hint = errors.nearest(link, tree.links)
     raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
