@@ -39,9 +39,7 @@ class Model:
     tips: tuple[Float[Array, "4 4"], ...]  # in the frames of the joints that carry them
     carriers: tuple[int, ...]  # indices of these joints
     tip_names: tuple[str, ...] | None  # None for one tip: equal shapes share programs
-    supports: (
-        Float[np.ndarray, "tips j"] | None
-    )  # 1 for the joints that move a tip, else 0; None if all joints move all tips
+    supports: Float[np.ndarray, "tips j"] | None  # 1 for the joints that move a tip, else 0; None if all move all
     lower: Float[Array, " n"]  # as in `Chain`
     upper: Float[Array, " n"]
     velocity_limit: Float[Array, " n"]

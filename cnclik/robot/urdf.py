@@ -138,7 +138,7 @@ def moved(kind: str, axis, value) -> Offset:
 def _rest(tree, at, frozen) -> None:
     """Adds to `at` the links on joints without a coordinate, which stay as near to 0 as their limits allow.
 
-    Links on a floating or planar joint are left out, as they are another body. Ball joints keep the orientation in the file.
+    Links on a floating or planar joint are another body and left out. Ball joints keep the file's orientation.
     """
     waiting = [*at]
     for link in waiting:
