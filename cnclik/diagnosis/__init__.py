@@ -1,8 +1,8 @@
-"""What a recording says of the loop behind it.
+"""What a recording shows about the loop behind it.
 
-`diagnose`: does it ring, how late is the robot, what gain is that, and which would end it; `diagnose_tasks`: which
-task's gain of a stack it is. `fit_drive`: the drive that lies between recorded commands and the recorded motion. NumPy
-and SciPy only.
+`diagnose` finds ringing, the dead time, the present gain, and the gain that stops the ringing; `diagnose_tasks` finds
+which task's gain of a stack causes it. `fit_drive` fits the drive between recorded commands and the recorded motion.
+NumPy and SciPy only.
 """
 
 from cnclik.diagnosis.diagnose import Diagnosis, diagnose

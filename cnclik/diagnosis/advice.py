@@ -195,7 +195,7 @@ def growth_without_end(factor, shape, clear, alpha, Ts) -> dict:
         "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain helps."
     )
     more = factor - 1
-    share = np.nan if alpha is None else alpha * Ts / more  # factor ** d of a loop with d samples of dead time
+    share = np.nan if alpha is None else alpha * Ts / more  # factor ** d, for d samples of dead time
     made = {"growth": factor, "z": -alpha * Ts if share >= 1 / NEAR else -more, "cause": "wrong sign"}
     if share < 1 / NEAR:
         note += f" It grows by {more:.3g} per sample and alpha·Ts is {alpha * Ts:.3g}: there is another cause as well."

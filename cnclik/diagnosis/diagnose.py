@@ -61,22 +61,22 @@ class Diagnosis:
       Ts: sampling time of recording and loop [s].
       period: of the oscillation [samples]; growth: factor of its amplitude per sample. A monotone decay has growth
         alone.
-      factors: (g,) complex, of all modes that were found, the dominant first; of each pair one.
-      z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is at least that. Of a
-        wrong sign z is negative: −alpha·Ts, or, where alpha is not given, what it is without dead time.
-      lag: time constant [s], where there is one; then d is no whole number.
+      factors: (g,) complex, of all modes, the dominant one first; one of each conjugate pair.
+      z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is a lower bound. For a
+        wrong sign z is negative: −alpha·Ts, or, without alpha, the value without dead time.
+      lag: time constant [s], if there is one; then d may be a fraction.
       cause: "dead time", "lag" (with dead time), "turned frames" or "wrong sign".
       angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn
         the error by −angle.
-      phase_delay: dead time that the dominant factor alone says, not a whole number.
-      confidence: in d, 0 to 1. pure: whether gain and dead time explain all of the recording; else a drive lags as
-        well, of which d is part.
+      phase_delay: dead time from the phase of the dominant factor alone, not a whole number.
+      confidence: in d, 0 to 1. pure: whether gain and dead time explain the whole recording; otherwise a drive lags,
+        too, and d includes its delay.
       stable, monotone, recommended: limits of z at this dead time, see `DrivenLimits`.
-      factor: by which the gain is to be multiplied. alpha, recommended_alpha: gain now, if given, and then [1/s].
+      factor: factor for the gain. alpha, recommended_alpha: present gain, if given, and recommended gain [1/s].
       amplitude: (k,) largest part of the oscillation, or decay, in each column [unit of the column].
-      noise: (k,) standard deviation of what is left in each column.
-      first: row where what was looked at begins. path, modes: (n, k) what of it is path, and the rest but for noise.
-      note: what else is to be said.
+      noise: (k,) standard deviation of the residual of each column.
+      first: first row of the analysed part. path, modes: (n, k) the path and the modes in this part.
+      note: further remarks.
     """
 
     kind: Kind

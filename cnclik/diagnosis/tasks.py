@@ -23,10 +23,10 @@ ALONG = 0.1  # part of a mode below which a task only oscillates with another on
 
 @record
 class TaskDiagnosis:
-    """What the errors of one task show.
+    """The result for the errors of one task.
 
     Attributes:
-      found: `Diagnosis` of them alone. share: its share of the mode in which it oscillates; 1 where no other task does.
+      found: `Diagnosis` of them alone. share: its share of the mode in which it oscillates; 1 if no other task does.
         z changes by this many per cent for one per cent of its gain, for tasks in one unit and with equal weights.
       along: the task with which it oscillates, whose gain should be changed, or "".
       alpha, recommended_alpha: present gain, if given, and recommended one [1/s]. factor: their ratio. None where the
@@ -45,7 +45,7 @@ class TaskDiagnosis:
 
 @record
 class StackDiagnosis:
-    """What a recording of several tasks shows.
+    """The result for a recording of several tasks.
 
     Attributes:
       tasks: {name: `TaskDiagnosis`}. change: names of the tasks whose gain should be changed, most important first.

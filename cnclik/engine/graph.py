@@ -134,7 +134,6 @@ class Graph:
         return Node(op, args, params, shape, dtype, value, block, self.count, exact)
 
     def const(self, value, dtype, *, exact=False) -> Node:
-        """A known scalar."""
         dtype = np.dtype(dtype)
         value = np.asarray(value, dtype)[()]
         key = ("const", dtype.str, value.tobytes(), exact)

@@ -57,7 +57,6 @@ class Reader:
         self.g = graph
 
     def constant(self, value, aval=None):
-        """A known array."""
         if hasattr(value, "dtype") and random.is_key(value):
             return Opaque(value)
         value = np.asarray(value, getattr(aval, "dtype", None))
@@ -73,7 +72,6 @@ class Reader:
         return walk(jaxpr, map(self.constant, consts), values, lambda v: self.constant(v.val, v.aval), self.equation)
 
     def equation(self, eqn, inputs) -> list:
-        """Results of one equation."""
         name = eqn.primitive.name
         if name in CALLS:
             jaxpr, consts = called(eqn.params)

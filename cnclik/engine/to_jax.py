@@ -69,7 +69,6 @@ class _Writer:
         return [self.result(out, d) for out, d in zip(self.outs, dtypes, strict=True)]
 
     def result(self, out, dtype):
-        """A result as an array."""
         if isinstance(out, Node):
             return self.whole(out)
         shape = (out.length,) if isinstance(out, Rows) else ()
@@ -104,7 +103,6 @@ class _Writer:
         self.operations(group)
 
     def operations(self, nodes):
-        """Operations on scalars, in stages."""
         if not self.fenced:
             for n in nodes:
                 self.values[n.number] = self.applied(n, self.of)
@@ -120,7 +118,6 @@ class _Writer:
         self.stages_of(rest)
 
     def is_there(self, n) -> bool:
-        """Whether a node has a value."""
         return n.known or n.number in self.values
 
     def sines(self, nodes):

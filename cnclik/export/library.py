@@ -103,9 +103,9 @@ class Compiled:
 
         Args:
           q: (n,) joint values [rad, m].
-          given, named: the other fields of the C function's `input`, in order or by name; what is left out keeps the
-            value of the call before, at first that of the export. `history` of a multistep method is what the step
-            before handed back; None starts anew.
+          given, named: the other fields of the C function's `input`, in order or by name; omitted ones keep the
+            value of the previous call, at first that of the export. `history` of a multistep method is the one that
+            the previous step returned; None starts again.
           N: steps, of "solve" alone.
 
         Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "reach" an `Answer`, of "fk" `cnclik.Pose`,
@@ -120,7 +120,7 @@ class Compiled:
           q: (lanes, n), or (n,) where something else has a leading axis of lanes.
           N: steps, of "solve" alone.
           given, named: the other fields of `input`, and parameters by name, each for all lanes or with a leading axis
-            of lanes; what is left out is as it was exported. A target moves on with its velocity from time `t` on.
+            of lanes; omitted ones are as exported. A target moves with its velocity from time `t` on.
           cores: how many may work at once, by default all this process may use.
 
         Returns: {name: (lanes, ...)}: q, e and x at the end, qdot of the last step, the largest residual and

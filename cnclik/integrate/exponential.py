@@ -1,6 +1,6 @@
 """Exponential steps: the error decays by its exact factor, and a tableau integrates the joints' path.
 
-See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedback` for what the feedback asks.
+See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedback` for the feedback.
 """
 
 from __future__ import annotations

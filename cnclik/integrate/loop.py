@@ -92,7 +92,7 @@ def loop_of(
 ) -> Loop:  # fmt: skip
     """A loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
 
-    Args: as for `solve`, and as the attributes say; `model` where the drive was sampled before.
+    Args: as for `solve`, and for the attributes; `model` if the drive is already sampled.
     """
     check(reference, law.task)
     drive = drive or Drive()

@@ -10,7 +10,7 @@ target, f′ = −α f, must slow down before the target, as in a bend before it
 same bounds (Bobrow, Dubowsky & Gibson 1985); here they look ahead by one order of the path.
 
 Where no share keeps the limits of acceleration and jerk, as after a jump of the target during the motion, the joints
-leave the path: each brakes, within its limits, towards the velocity that the law asks for. The loop measures where it
+leave the path: each brakes, within its limits, towards the law's velocity. The loop measures where it
 is and comes back. If the law keeps position limits, a joint that could no longer stop before its limit brakes instead.
 """
 

@@ -44,8 +44,8 @@ class Axis(NamedTuple):
 def axis(name: str, values, where=None) -> Axis:
     """Read one axis.
 
-    Numbers, in a list or an array, run inside one program: in float64 where they are floats or stand in a list, as
-    integers where they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names,
+    Numbers, in a list or an array, run inside one program: in float64 if they are floats or in a list, as
+    integers if they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names,
     named objects such as methods, and whatever a dict {label: value} holds.
 
     Args:

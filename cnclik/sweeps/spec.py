@@ -4,7 +4,7 @@ Everything a loop depends on is a named value, by the names of `cnclik.problem.O
 `[axes]` varies others; `[cases.NAME]` holds bundles of them (an arm with its start and target) that make an axis of
 their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
-stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` say how
+stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` define how
 the error is measured that is fed back. `[tasks.NAME]` are the tables of a stack of tasks, whose options may be
 expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls.
 """

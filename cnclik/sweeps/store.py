@@ -270,7 +270,7 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
 
     Returns: whether the whole sweep is now done (other processes may still be at it).
     Raises: ArgumentError for a store of another spec, a folder that can't be written, a full disk, or another
-      process that could not begin; what is done is kept, and the same call goes on from there.
+      process that could not start; completed blocks are kept, and the same call continues from there.
     """
     folder, meet = errors.path("out", folder), meet or (lambda well, last: well)
     of, first, store = spec.grid(), None, None
@@ -331,10 +331,10 @@ def _share(spec, of, missing, process, processes):
 def read(folder):
     """The sweep of a folder as an `xarray.Dataset`, loaded on use.
 
-    Every block is held against its checksum first, which reads all of it once; one that is damaged counts as not done
+    Every block is first compared with its checksum, which reads all of it once; a damaged one counts as not done
     (`blocks_missing`): NaN, and -1 for counts, never other numbers.
 
-    Raises: ArgumentError where there is none, or one whose coordinates are damaged.
+    Raises: ArgumentError if there is none, or if its coordinates are damaged.
     """
     return read_and_missing(folder)[0]
 

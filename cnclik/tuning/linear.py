@@ -29,7 +29,7 @@ def maps_at_rest(law, q, Ts, method, stage):
     removes of an error (m, m). Pure.
 
     With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J), whose eigenvalues along the task are 0. A stack
-    removes most where all its tasks are fulfilled; errors that no joint can affect count as removed like that.
+    removes most where all its tasks are fulfilled; errors that no joint can affect count as removed in the same way.
     """
     (law, held), method = at_rest(law, None, q), _forgetful(method)
     if law.null_velocity is not None:

@@ -39,18 +39,18 @@ CONSTRAINTS = ("spectral radius", "overshoot", "null space", "joint velocity")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Goal:
-    """What is tuned, what is made small, and what is kept.
+    """The tuned parameters, the loss, and the constraints.
 
     Attributes:
       over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
-        Ts), or `parameters.Parameter`s of one's own.
+        Ts), or your own `parameters.Parameter`s.
       bounds: {name: (lower, upper)} in place of the defaults.
       loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
       delay_margin: further dead time [samples] with which a step still must not overshoot. With A the one-step map of
         the error, |1 − λ(A)| ≤ d^d/(d + 1)^(d + 1) where that makes d samples: z ≤ 1/4 for explicit Euler and drives
         that follow at once.
-      noise_gain: bound of the standard deviation of the motion per unit of white noise of what is measured.
-      ringing: True lets go of both: what is made small is the loss alone, and with it the loop rings.
+      noise_gain: bound of the standard deviation of the motion per unit of white measurement noise.
+      ringing: True drops both: only the loss is minimized, and the loop rings.
       margin: bound of the spectral radius of the loop at rest, at 9 postures along each path; the error then shrinks
         at least by this factor per step. 1, stable, by default; 0.9 for a loop that may ring.
       velocity_limit: (n,) [rad/s, m/s], one number for all joints, "chain": the robot's own, or None.

@@ -58,13 +58,13 @@ class Performance:
     Attributes:
       loss: the minimized loss.
       radius: spectral radius in the task's directions at rest, delay included: the factor of a small error per step.
-      null_radius: spectral radius in the null space of J; 1 where nothing acts there or where the null-space velocity
+      null_radius: spectral radius in the null space of J; 1 if nothing acts there or if the null-space velocity
         leaves one posture for another, 0 without a null space.
       correction: share of a small error that one step removes, |1 − λ|: z for explicit Euler and exact J#.
       noise_gain: standard deviation of the motion per unit of white measurement noise, by linear theory.
       delay_margin: additional dead time that the loop tolerates [samples]; inf for any.
-      speed: |q̇| over its limit; 0 where there are no limits.
-      violation: relative amount by which the worst constraint is exceeded; at most 0 where all are kept.
+      speed: |q̇| over its limit; 0 without limits.
+      violation: relative amount by which the worst constraint is exceeded; at most 0 if all are kept.
       worst: name of this constraint.
       z: alpha·Ts (largest |eigenvalue| of a gain matrix, largest gain of a schedule).
       run: `Trajectory` of the first scenario.
@@ -97,12 +97,12 @@ class Tuned:
       margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
       front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what other gains
         cost, all else as tuned.
-      path_speed: |q̇| over its limit with nearly no gain (z = 0.01): what the path itself takes.
+      path_speed: |q̇| over its limit with nearly no gain (z = 0.01), as the path alone requires.
       before, after: `Performance` as given and as tuned.
       status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
       history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.
       starts: (S,) loss each start ended with, inf where it kept no constraints.
-      gradient: how derivatives were taken, in words.
+      gradient: how derivatives were computed, in words.
       evaluations: runs with their gradient, all starts together.
     """
 

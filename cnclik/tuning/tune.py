@@ -67,7 +67,7 @@ def tune(
         Default: alpha, for the RMS error, without overshoot for one more sample of dead time, with a noise gain of at
         most 0.5, the robot's own velocity limits, and drives without delay.
 
-    Returns: `Tuned`; it keeps every constraint, or says by how much it does not.
+    Returns: `Tuned`; it keeps every constraint, or states by how much it does not.
     Raises: ArgumentError for arguments that do not fit.
     """
     errors.kind("descent", descent, Descent, "be Descent(...)")
