@@ -2,7 +2,7 @@
 
 The engine (`cnclik.engine`) reads the function into scalars. On a CPU with a C compiler they become C on vectors.
 Else JAX gets it scalar by scalar, and the batch in tiles of a few dozen lanes, so few that a tile's data stay in the
-cache. A function that can't be read is vmapped as it is. Batches run in blocks of bounded size, side by side on all
+cache. A function that cannot be read is vmapped unchanged. Batches run in blocks of bounded size, side by side on all
 cores, or on all devices.
 """
 

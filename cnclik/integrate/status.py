@@ -80,7 +80,7 @@ def count(status: ArrayLike) -> dict[str, int]:
 
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
-    """Return the run if no step has a status beyond `allow` and RESTARTED, which is no defect; else raise StepError.
+    """Return the run if no step has a status beyond `allow` and RESTARTED, which is no defect; or raise StepError.
 
     The message names the first bad step (and lane), its time, and a remedy. The values are read, so this cannot be used
     under jit.

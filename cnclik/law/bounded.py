@@ -150,7 +150,7 @@ class _Pass(NamedTuple):
     qdot: Float[Array, " n"]  # within the bounds
     left: Float[Array, " m"]  # w − B q̇
     slope: Float[Array, " n"]
-    held: Bool[Array, ""]  # whether joints at a bound must stay there
+    held: Bool[Array, ""]  # whether joints at a bound must stay locked
     settled: Bool[Array, ""]
     passes: Int[Array, ""]
     push: Any  # (k,) forces of walls, or None

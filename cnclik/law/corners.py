@@ -21,7 +21,7 @@ class Corners:
 
     Attributes:
       t: (N + 1,) the instants.
-      time: (N + 1,) the last instant before the jump in each step, inf where there is none, and at the end.
+      time: (N + 1,) the last instant before the jump in each step, inf if there is none, and at the end.
       sharpness: (N + 1,) change of velocity over the larger of those before and after.
       next: (N + 1,) index of the first corner from each instant on.
     """
@@ -40,7 +40,7 @@ class Corners:
 
 
 def corners(reference, task: Task, t) -> Corners | None:
-    """Corners of a path between the instants t (N + 1,), N > 1: jumps of the velocity that a controller is told.
+    """Corners of a path between the instants t (N + 1,), N > 1: jumps of the velocity that a controller gets.
 
     None of a target that stands still.
     """

@@ -1,4 +1,4 @@
-"""Feedback held over a step: the error decays by its exact factor, whatever the gain and the sampling time.
+"""Constant feedback over a step: the error decays by its exact factor, whatever the gain and the sampling time.
 
 The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). A constant feedback over the step that
 reaches it is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
@@ -36,7 +36,7 @@ _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative 
 
 
 def per_step(alpha, Ts):
-    """Φ = (I − e^{−K·Ts})/Ts [1/s], the gain that, held over a step, does what K does: K itself where Ts = 0.
+    """Φ = (I − e^{−K·Ts})/Ts [1/s], the constant gain over a step with the effect of K; K itself for Ts = 0.
 
     Args:
       alpha: K as an array: (), (m,) per axis, or (m, m).
@@ -139,7 +139,7 @@ class Ahead(NamedTuple):
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     """The target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
 
-    A velocity that the controller is told is all that it knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
+    A separate feed-forward is all that the controller knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
     """
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)

@@ -113,7 +113,7 @@ class Law:
         return "\n".join(lines)
 
     def _repr_html_(self):
-        """In a notebook: its sentence, and what it is made of."""
+        """For notebooks: its sentence and its parts."""
         sentence, *lines = repr(self).splitlines()
         rows = [line.strip().partition(" ")[::2] for line in lines[2:]]
         parts = [("task", brief(self.task)), ("chain", brief(self.chain)), *rows]

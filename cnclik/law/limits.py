@@ -176,7 +176,7 @@ class Saturated:
             found = _saturated(inverse, rows, velocity, None, null, low, high, zero)
             # If not even the share 0 fits, a joint has to come back and no freedom is left: clipped least squares.
             qdot, limited = jnp.clip(found.qdot + zero, low, high), found.limited
-        else:  # each level adds what those above leave free, and the least change of them that its own share asks for
+        else:  # each level uses the freedom left by those above, with the least change of them
             qdot, limited = 0.0 * q + zero, False
             for level in range(len(inverse.names)):
                 which, upper = inverse.upto(level + 1)

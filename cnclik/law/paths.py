@@ -216,7 +216,7 @@ def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> 
 
     For a part in its tip's own frame the velocity has all three components, in the base frame.
 
-    It changes what the controller is told, not how the target moves: zeros for pure feedback, or a deliberate error.
+    It changes the feed-forward, not the target's motion: zeros for pure feedback, or a deliberate error.
     """
     errors.kind("reference", reference, Reference, A_REFERENCE)
     velocity = errors.array("velocity", velocity, (None,))
@@ -272,7 +272,7 @@ def _nonzero(name, value):
 
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
-    """A target's position and rotation: those of a whole pose, or what is given as they are; both checked."""
+    """A target's position and rotation, from a whole pose or given separately; both checked."""
     found = poses.whole(name, target)
     if found is None:
         return _position(name, target), rotation_matrix(called, rotation)

@@ -30,7 +30,7 @@ def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float
     """q as a floating array (n,), checked."""
     n = errors.kind("chain", chain, (Chain, Model)).n
     q = errors.array(name, q, (n,), finite=finite)
-    return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program for it
+    return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program
 
 
 def _computed(fn):
@@ -89,7 +89,7 @@ def manipulability(
 
     Args:
       q, tip: as for `forward`.
-      task: what is controlled, as of a law, which names its own tips; by default the whole 6-row geometric Jacobian.
+      task: a law's task, which names its own tips; default: the whole 6-row geometric Jacobian.
     """
     if not (task is None or isinstance(getattr(task, "targets", None), tuple)):  # a task's class is in a later room
         raise errors.fail("task", "be a Task such as position(), or None", f"is {task!r}")
