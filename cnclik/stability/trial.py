@@ -26,6 +26,7 @@ from cnclik.shapes import AnyArray, ArrayLike, Float
 from cnclik.stability.case import brief
 from cnclik.stability.observed import ARRIVED, back_and_forth, observe
 from cnclik.stability.reasons import INSIDE
+from cnclik.stability.remedies import Remedy
 from cnclik.stability.stacked import kinds
 
 LEAST_TRIED = 1 << 12  # steps that a trial takes, at least; another power of two where more are asked for
@@ -261,13 +262,16 @@ class Trials:
 
     @np.errstate(over="ignore", invalid="ignore")
     def turned_by_path(self, case, found) -> bool:
-        """Whether joints go back and forth as much with the gain of a remedy, which is stable: the path turns them.
+        """Whether joints go back and forth as much with another gain: the path turns them.
+
+        The gain is that of a remedy, which is stable, or half of the loop's own.
 
         Args: case: of the loop's run, or of a longer one.
         """
-        calm = next((one for one in found if "alpha" in one.change), None)
-        if calm is None or case.pace is None or not (case.pace.smooth and case.moving):
+        if case.pace is None or not (case.pace.smooth and case.moving):
             return False
+        half = Remedy(change={"alpha": 0.5 * np.asarray(case.law.alpha)}, words="half the gain", mends="motion")
+        calm = next((one for one in found if "alpha" in one.change), half)
         made, N = changed(self.given, calm.change), case.steps
         steps = whole_trial(N)
         runs = truncate(self.mended(calm, steps), N), truncate(self.unchanged(steps), N)

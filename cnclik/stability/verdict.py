@@ -128,11 +128,12 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
         beyond, found = [case.seen.over_velocity], (*remedies.slower_joints(case), *found)
     if left and (kind not in _UNSTABLE_KINDS or case.pace is not None):
         beyond, found = [*beyond, left], (*found, *remedies.inside(case))
+    found, left_out, unknown = _tried(case, trials, tuple({one.words: one for one in found}.values()))
+    kind = Behaviour.UNDECIDED if kind == Behaviour.CONVERGING and unknown else kind  # it shrinks, and may not arrive
     if kind in _FINE and (left or (beyond and case.seen.excess >= TOO_FAST)):
         kind, what = Behaviour.BEYOND_LIMITS, f"{'; '.join(beyond)}. The loop is {kind}: {what}"
     else:
         what = "; ".join([what, *beyond])
-    found, left_out = _tried(case, trials, tuple({one.words: one for one in found}.values()))
     what, words = f"{what}{left_out}", _in_words(found)
     return Verdict(
         kind=kind,
@@ -204,7 +205,8 @@ def _contradicted(kind, case, later) -> bool:
 
 
 def _tried(case, trials, found):
-    """Remedies with which the loop does better, as runs with them show, and what is to be said of the others."""
+    """(remedies with which the loop does better, as runs with them show, what is to be said of the others, whether runs
+    were tried and none was long enough)."""
     kept, vain, N = [], [], 0
     for one in found:
         if only_longer(one.change, case.period):
@@ -224,7 +226,7 @@ def _tried(case, trials, found):
     for why, one in vain:
         if one.mends not in mended:
             left.setdefault(why, []).append(one.words)
-    return tuple(kept), said + "".join(f"; tried, {why}: {', '.join(words)}" for why, words in left.items())
+    return tuple(kept), said + "".join(f"; tried, {why}: {', '.join(words)}" for why, words in left.items()), bool(N)
 
 
 def _long_enough(case, trials, one):
@@ -238,8 +240,9 @@ def _long_enough(case, trials, one):
         if one.mends == "error":
             enough = not trials.vain(one) and trials.repeats(N)
         else:
-            kind = _decided(_longer(case, trials, N), trials)[1]
-            enough = kind in _UNSTABLE_KINDS or (kind != Behaviour.UNDECIDED and trials.repeats(N))
+            _, kind, what, _ = _decided(_longer(case, trials, N), trials)
+            open_ = kind == Behaviour.UNDECIDED or what.startswith("slowly")
+            enough = kind in _UNSTABLE_KINDS or (not open_ and trials.repeats(N))
         if enough:
             return (one,), 0
         tried = N
