@@ -58,6 +58,7 @@ LONG = [
     "stack-gains",
     "stacks",
     "sweeps",
+    "theory",
     "tuning",
     "walls",
 ]

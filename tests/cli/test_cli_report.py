@@ -50,6 +50,7 @@ damping = 0.3
 """
 
 
+@pytest.mark.slow
 def test_stability_of_a_stack(tmp_path, capsys):
     """Where it rests at other targets than those it begins at, and a run beyond the limit of its tightest task."""
     (tmp_path / "s.toml").write_text(STACK)

@@ -146,6 +146,7 @@ def tips_at(row, robot):
     return {tip: ck.forward(robot, q, tip=tip) for tip in GRIPPERS}
 
 
+@pytest.mark.slow
 def test_reach_along_the_paths_of_a_stack(stack, tmp_path, capsys):
     out, robot = tmp_path / "answers.csv", ck.load_urdf(BAXTER, tips=GRIPPERS)
     main(["reach", str(BAXTER), "--stack", stack, "--points", "5", "--out", str(out)])

@@ -81,6 +81,7 @@ def test_infeasible_margin_is_in_the_summary(tmp_path, capsys):
     assert all(line.startswith("no line") for line in made["lines"].values()) and "qdot" not in out
 
 
+@pytest.mark.slow
 def test_a_path_that_no_gain_makes_slow_enough_is_the_cause(tmp_path, capsys):
     """A metre in the 0.3 s of the run, at 1 rad/s: as told, whatever the gain; with a period of 9 s it is tuned."""
     short = ["--N", "3", "--velocity-limit", "1", "--steps", "10", "--no-figures", "--out", str(tmp_path)]

@@ -123,6 +123,7 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
 
 
+@pytest.mark.slow
 def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, capsys):
     way = tmp_path / "way.csv"
     way.write_text("time,x,y\n0,0.8,0.9\n2,0.5,1.1\n")

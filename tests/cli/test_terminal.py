@@ -149,6 +149,7 @@ def test_platforms_that_are_not_there(name):
     assert found.stderr.count("\n") == 1 and time.perf_counter() - begun < 60
 
 
+@pytest.mark.slow
 def test_windows_that_matplotlib_does_not_know(tmp_path):
     """Figures go to files, whatever else would draw them."""
     words = [sys.executable, "-m", "cnclik", "solve", "planar:1,1", "--N", "3", "--out", str(tmp_path)]

@@ -188,6 +188,7 @@ def test_what_is_measured_of_the_joints():
     assert 1e-5 < np.linalg.norm(coarse.e[-1]) < 1.5e-3
 
 
+@pytest.mark.slow
 def test_gradients_pass_through_a_drive():
     @jax.jit
     def error(values):

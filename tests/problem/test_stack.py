@@ -110,6 +110,7 @@ def test_the_target_of_one_joint_is_a_number():
     close(p.reference["bend"].curve(0.0)[0], [np.pi / 6], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_tip_as_seen_from_another():
     p = made({"apart": {"task": "pose", "tip": GRIPPERS[0], "relative_to": GRIPPERS[1], "reference": "line"}}, N=20)
     left, right = (ck.forward(ROBOT, p.q0, tip=tip) for tip in GRIPPERS)
@@ -309,6 +310,7 @@ def fork(targets, q0, **options):
     return ck.verdict(law, paths, ck.solve(law, paths, np.array(q0), 0.02, 400), Ts=0.02)
 
 
+@pytest.mark.slow
 def test_targets_that_only_each_alone_has_are_out_of_reach_together():
     told = fork({"left": [-1.8, 0.0], "right": [1.8, 0.0]}, [0.1, 0.3, -0.3])
     assert told.kind == "out of reach", told.sentence

@@ -124,7 +124,7 @@ def test_what_walls_do_is_said(tmp_path, capsys):
     main(["solve", *loop, "--N", "300", "--method", "EE", "--csv", "--no-figures", "--out", str(out)])
     shown = " ".join(capsys.readouterr().out.split())
     for words in ("wall side active in 2", " of 300 steps, passed by up to", "a step may pass it by",
-                  "wall bend active in 0 of 300 steps, nearest", "Stuck at a limit: wall side holds, and"):  # fmt: skip
+                  "wall bend active in 0 of 300 steps, nearest", "Held back by a limit: wall side holds"):  # fmt: skip
         assert words in shown, words
     with xr.open_dataset(out / "trajectory.nc") as data:
         assert list(data.wall.values) == ["side", "bend"] and abs(data.walls.values[-1, 0]) < 1e-4

@@ -151,6 +151,7 @@ def test_a_loop_that_rings_at_a_pace_crawls_too():
 PLANAR = dict(robot="planar:1,0.8,0.6", reference="circle", method="EE", radius=0.2, N=800)
 
 
+@pytest.mark.slow
 def test_the_cause_of_a_lag_at_a_pace_is_named():
     """A target that goes on by its own clock is too fast for the pace: "raise alpha" was all that was tried. And a path
     that is cut is gone along sooner than one that is followed."""

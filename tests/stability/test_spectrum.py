@@ -162,7 +162,7 @@ def on_the_way(null, **changes):
 
 
 KEPT = {"free": None, "scaled": ck.velocity_scaling(), "saturated": ck.saturation()}
-QUICK = {("posture", "free"), ("manipulability", "scaled"), ("constant", "free")}
+QUICK = {("posture", "free"), ("constant", "free")}
 
 
 @pytest.mark.parametrize(

@@ -431,6 +431,7 @@ def test_a_run_that_leaves_a_singularity_is_told_how_to_leave_it_gently():
         assert share.max() < 1.05
 
 
+@pytest.mark.slow
 def test_joints_that_leave_their_limits_are_told_of():
     """A settled run said nothing of a joint that the arm has not."""
     arm = ck.replace(ck.planar_arm([1.0, 0.5, 0.3]), lower=(-2.0,) * 3, upper=(2.0, 1.3, 2.0))

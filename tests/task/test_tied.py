@@ -141,6 +141,7 @@ def test_methods_keep_their_orders(method, name):
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.slow
 def test_an_orientation_in_the_tips_own_frame_moves_the_arm_as_one_in_the_base():
     """Of all three axes and one gain: the frame is a matter of weights and gains alone."""
     runs = [

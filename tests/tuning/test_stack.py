@@ -100,6 +100,7 @@ def test_maps_of_rates_are_those_of_the_step(law, method):
         np.testing.assert_allclose(largest, 0.05 * np.linalg.eigvals(gain).max())
 
 
+@pytest.mark.slow
 def test_each_gain_is_one_that_any_posture_bears():
     """Two tasks of one tip ask for the same: each gets half of it here, and none may count on that elsewhere."""
     twice = ck.stack(one=ck.position("xy"), other=ck.position("xy"))

@@ -305,6 +305,7 @@ def test_a_null_space_velocity_that_leaves_the_posture_is_no_fault_of_the_gain(n
     assert found.after.null_radius == pytest.approx(1, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_null_space_velocity_too_fast_for_the_step_is_to_blame():
     arm, q0 = ck.planar_arm([1.0, 0.8, 0.6]), np.array([-0.715, -0.605, 0.942])
     tip = np.asarray(ck.forward(arm, q0).position)[:2]
@@ -314,6 +315,7 @@ def test_a_null_space_velocity_too_fast_for_the_step_is_to_blame():
     assert not blamed.satisfied and "null space" in blamed.why
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_hardly_any_is_said_to_be():
     fast = problem_from("planar:1,0.8", reference="circle", radius=0.2, period=0.7)
     at = dict(Ts=0.01, N=60, method="EE", descent=Descent(steps=30))
