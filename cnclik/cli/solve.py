@@ -205,10 +205,11 @@ def fastest(chain, qdot):
 
     most, limit = np.abs(qdot).max(axis=0), np.array(chain.velocity_limit, float)
     most = np.where(np.isnan(most), np.inf, most)
-    share = np.where(np.isfinite(limit), most / np.maximum(np.where(np.isfinite(limit), limit, 1.0), 1e-12), 0.0)
+    limited = np.isfinite(limit)
+    share = np.divide(most, np.maximum(limit, 1e-12), out=np.zeros_like(most), where=limited)
     i, k = int(np.argmax(most)), int(np.argmax(share))
     fast = f"up to {plainly(most[i])} {chain.units[i]}/s ({chain.joint_names[i]})"
-    if not np.isfinite(limit).any():
+    if not limited.any():
         return f"{fast}, no limits"
     part = f"{100 * share[k]:.3g} % of" if share[k] < 10 else f"{plainly(share[k])} times"
     return f"{fast}, {part} {'its limit' if i == k else f'the limit of {chain.joint_names[k]}'}"

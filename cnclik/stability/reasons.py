@@ -77,7 +77,8 @@ def outside(case) -> str:
         return ""
     unit = law.chain.units[most]
     others = [law.chain.joint_names[i] for i in np.argsort(-beyond) if i != most and beyond[i] > INSIDE]
-    more = f", and {', '.join(others)} {'is' if len(others) == 1 else 'are'} beyond theirs" if others else ""
+    are = "is beyond its own" if len(others) == 1 else "are beyond theirs"
+    more = f", and {', '.join(others)} {are}" if others else ""
     past = ": its drive takes it past what the law keeps" if keeps_positions(law) else ""
     return f"joint {law.chain.joint_names[most]} is up to {beyond[most]:.3g} {unit} beyond its limit{more}{past}"
 

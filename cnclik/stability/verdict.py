@@ -129,7 +129,8 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     if left and (kind not in _UNSTABLE_KINDS or case.pace is not None):
         beyond, found = [*beyond, left], (*found, *remedies.inside(case))
     found, left_out, unknown = _tried(case, trials, tuple({one.words: one for one in found}.values()))
-    kind = Behaviour.UNDECIDED if kind == Behaviour.CONVERGING and unknown else kind  # it shrinks, and may not arrive
+    if kind == Behaviour.CONVERGING and unknown:  # it shrinks, and may not arrive
+        kind, what = Behaviour.UNDECIDED, what.removeprefix("slowly; ")
     if kind in _FINE and (left or (beyond and case.seen.excess >= TOO_FAST)):
         kind, what = Behaviour.BEYOND_LIMITS, f"{'; '.join(beyond)}. The loop is {kind}: {what}"
     else:
