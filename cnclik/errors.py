@@ -6,12 +6,13 @@ is loaded for a message.
 
 import contextlib
 import difflib
+import functools
 import math
 import os
 import pathlib
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cnclik import quantities
 
@@ -250,6 +251,26 @@ def _show(shape):
 
 class Remark(UserWarning):
     """What was given can be used, but probably isn't meant: degrees as radians, millimetres as metres."""
+
+
+F = TypeVar("F", bound=Any)  # a function
+
+
+def renamed(**names: str):
+    """Decorator: an argument may have its name of the version before, old=new, and then warns."""
+
+    def of(fn: F) -> F:
+        @functools.wraps(fn)
+        def known(*args, **given):
+            for old in names.keys() & given.keys():
+                said = f"the argument {old} of {fn.__name__} is {names[old]} now"
+                warnings.warn(said, DeprecationWarning, stacklevel=2)
+                given[names[old]] = given.pop(old)
+            return fn(*args, **given)
+
+        return known  # type: ignore[return-value]
+
+    return of
 
 
 def remark(text: str) -> None:

@@ -41,7 +41,6 @@ FEWER = {
         "--no-figures",
     ],  # one set of programs
     "view": ["--N", "5"],
-    "bench": ["--robot", "planar2", "--method", "EE", "--dtype", "float32", "--batch", "4", "--seconds", "0"],
 }
 SMALLER_REACH = {"--random": ["--random", "12"], "--map": ["--cells", "3", "--orientations", "2"]}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in

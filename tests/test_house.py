@@ -241,6 +241,9 @@ def test_a_name_that_has_moved_says_where_to():
         assert ck.stability.practice is ck.advise
     with pytest.raises(ck.ArgumentError, match=r"`axes` .*ck\.forward\(robot, q\)"):
         ck.pose(ck.planar_arm([1.0, 1.0]), [0.1, 0.2])
+    run = ck.solve(ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([1.0, 1.0]), [0, 1], 0.1, 1)
+    with pytest.warns(DeprecationWarning, match="the argument trajectory of require_ok is run now"):
+        assert ck.require_ok(trajectory=run) is run
     with pytest.raises(AttributeError, match=r"gone since 0\.2\.0: there is one form; use_engine chooses"):
         ck.use_form
     with pytest.raises(AttributeError):

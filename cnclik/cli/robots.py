@@ -15,12 +15,19 @@ class Args(CacheOption):
     """Print the tree of links with joints and limits; possible tips are in bold."""
 
     robot: str = option(positional=True)
-    """A URDF or MJCF file, or a name of robot_descriptions."""
+    """A URDF or MJCF file, a name of robot_descriptions, or a built-in robot such as panda."""
 
 
 def run(args: Args) -> None:
+    from cnclik.problem.words import ROBOTS
     from cnclik.robot.files import file_of, read_robot
 
+    if args.robot.partition(":")[0] in ROBOTS:
+        from cnclik.problem.names import robot_and_tip
+
+        robot, tip = robot_and_tip(args.robot)
+        print(f"{args.robot}, built in, tip {tip}\n{robot}")
+        return
     tree = read_robot(file_of(args.robot) or args.robot)
     tips = dict.fromkeys(tree.tips())
     rows = [(tree.root in tips, tree.root, *[""] * 5)]
@@ -31,7 +38,7 @@ def run(args: Args) -> None:
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     links = "1 link" if len(tree.links) == 1 else f"{len(tree.links)} links"
     print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
-    print(f"Tips (leaf links that a joint moves): {_plain(', '.join(tips)) or 'none'}.")
+    print(f"Tips (leaf links that a joint moves; any link may be one): {_plain(', '.join(tips)) or 'none'}.")
 
 
 def _show(rows) -> None:

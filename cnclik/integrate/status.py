@@ -78,6 +78,7 @@ def count(status: ArrayLike) -> dict[str, int]:
     return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
 
 
+@errors.renamed(trajectory="run")
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
     """Return the run if no step has a status beyond `allow` and RESTARTED, which is no defect; or raise StepError.

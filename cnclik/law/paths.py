@@ -256,7 +256,9 @@ def hold_at(
     if not others:
         return held
     if isinstance(held, Reference):
-        raise errors.fail("others", "be left out for a task of one target", f"are {', '.join(others)}")
+        if not task.tasks:
+            raise errors.fail("others", "be left out for one task that is no stack", f"are {', '.join(others)}")
+        held = references(**{task.tasks[0][0]: held})
     for name in others:
         errors.one_of("others", name, held.names)
     return references(**(dict(zip(held.names, held.each, strict=True)) | others))

@@ -61,11 +61,10 @@ def load(
     if isinstance(robot, (str, os.PathLike)):
         file = _file_of(str(robot))
         if file is None:
-            given = {"tip": tip, "base": base, "tips": tips, "freeze": freeze}
-            for name, value in given.items():
+            for name, value in {"base": base, "tips": tips, "freeze": freeze}.items():
                 if value is not None:
                     raise errors.fail(name, f"be left out for the robot {str(robot)!r}", f"is {value!r}")
-            return robot_from(robot)
+            return robot_from(robot, tip)
         robot = file
     return urdf.chain(read_robot(robot), tip, base, tips=tips, freeze=freeze)
 
@@ -116,6 +115,8 @@ def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
             return urdf.chain(tree, **links), ", ".join(tips)
         return urdf.chain(tree, **links), urdf.tip_of(tree, **links)
     robot = words.ROBOTS[name]
+    if given.pop("tip") not in (None, robot.tip):
+        raise errors.fail("tip", f"be {robot.tip!r} for the robot {name!r}", f"is {tip!r}")
     return robot.make(**fitting("robot", name, robot, given)), robot.tip
 
 

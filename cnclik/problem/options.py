@@ -155,7 +155,7 @@ OF_TASK = {  # one task of a stack: a table in the stack's file
     "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(FRAMES)}. Default: base."),
     "joints": Option(NAMES, "joints: names of the joints; default: all."),
     "axes": Option(NAME, "center_of_mass: letters of xyz, such as xy for balance; default: all."),
-    "weights": Option(NUMBERS, "Least-squares weights of the coordinates, one each (for each tip).", must="positive"),
+    "weights": Option(NUMBERS, "Least-squares weights: one, or one per coordinate (of each tip).", must="positive"),
     "alpha": OPTIONS["alpha"]._replace(default=None),
     "level": Option(INTEGER, "Priority level: 1 comes first. Tasks on the same level share the joints by weighted "
                     "least squares.", must="positive"),

@@ -79,10 +79,10 @@ def best(data) -> list:
         where = dict(zip(apart, labels, strict=True))
         own, fine = value.sel(where), safe.sel(where)
         of = f"{', '.join(f'{d} {label}' for d, label in where.items())}: " * bool(where)
+        count = f"{of}{_how_many(int(fine.sum()), own.size)} safe ({words})"
         if not fine.any():
-            said.append(f"{of}none of {own.size:,} loops is safe ({words}).")
+            said.append(f"{count}.")
             continue
-        count = f"{int(fine.sum()):,} of {own.size:,} loops are safe ({words})"
         place = np.unravel_index(np.argmin(np.where(fine, own, np.inf)), own.shape)
         at = {d: data[d].values[i] for d, i in zip(own.dims, place, strict=True)}
         axes = [f"{d} {_text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]
@@ -90,8 +90,16 @@ def best(data) -> list:
         least = f"{own.values[place]:.3g} {value.attrs.get('units', '')}".strip()
         same = int(((own == own.values[place]) & fine).sum())
         least += f", as {same - 1:,} others" * (same > 2)
-        said.append(f"{of}{count}, the best by {value.name} ({least}): {', '.join(axes) or 'the only one'}.")
+        name = f"{value.name} {least}" if own.size == 1 else f"the best by {value.name} ({least})"
+        said.append(f"{count}, {name}{': ' * bool(axes)}{', '.join(axes)}.")
     return [line[0].upper() + line[1:] for line in said]
+
+
+def _how_many(safe, every) -> str:
+    """Such as "3 of 4 loops are", and "the loop is not" where there is one."""
+    if every == 1:
+        return f"the loop is{' not' * (not safe)}"
+    return f"{f'{safe:,}' if safe else 'none'} of {every:,} loops {'are' if safe > 1 else 'is'}"
 
 
 def _text(value) -> str:

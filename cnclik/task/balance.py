@@ -62,7 +62,7 @@ def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights
     Args:
       axes: letters of "xyz" in that order: "xy" for balance.
       relative_to: name of the tip, such as a foot, in whose frame the centre of mass is expressed; None: the base.
-      weights: (m,) positive weights, or None.
+      weights: (m,) positive weights, or one for all.
     Raises: ArgumentError, when a law is made with it, for a robot without masses.
     """
     return with_weights(Task(parts=(Center(along=letters_of("axes", axes), to=relative_to),)), weights)

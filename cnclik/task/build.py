@@ -33,7 +33,7 @@ def position(
       frame: whose axes are used: "base", or that of `relative_to`; "tip": the tip's own. In the tip's frame e = Rᵀ(p_d
         − p) is the target as the tip sees it: with the axes "xy" the target gets onto the tip's z axis. Targets are
         given as with "base".
-      weights: (m,) positive least-squares weights of the coordinates, or None.
+      weights: (m,) positive least-squares weights of the coordinates, one number for all, or None for ones.
     """
     return _task(weights, _part(_PLACES, "axes", axes, tip, relative_to, frame))
 
@@ -52,7 +52,7 @@ def orientation(
       axes: components of the rotation vector that count, such as "z" for a planar arm.
       tip, relative_to: as for `position`.
       frame: "base", or "tip": the error is log(Rᵀ R_d), in the tip's own frame.
-      weights: (m,) positive weights, or None.
+      weights: (m,) positive weights, or one for all.
     """
     return _task(weights, _part(_TURNS, "axes", axes, tip, relative_to, frame))
 
@@ -84,7 +84,7 @@ def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Ta
 
     Args:
       names: of the joints; None: all but those of a free base.
-      weights: (m,) positive weights, or None.
+      weights: (m,) positive weights, or one for all.
     """
     return _task(weights, Joints(wanted=None if names is None else _names("names", names)))
 
@@ -111,7 +111,7 @@ def function(
       target: k; default: m.
       rows: (robot, q, target) to (m, n), −∂e/∂q, where a faster form is known.
       velocity: (robot, q, target, its velocity (k,)) to (m,), ∂e/∂target times the velocity, likewise.
-      weights: (m,) positive weights, or None.
+      weights: (m,) positive weights, or one for all.
     """
     given = {"value": value, "error": error, "rows": rows, "velocity": velocity}
     for name, fn in given.items():

@@ -185,10 +185,17 @@ class Task:
     def __repr__(self):
         said = []
         for path, one in self.targets:
-            of = [f"{', '.join(part.names)} [{', '.join(dict.fromkeys(part.units))}]" for part in one.parts]
-            about = f" of {path[-1]}" if len(self.targets) > 1 else ""
+            of = [_in_words(part) for part in one.parts]
+            about = f" of {path[-1]}" if len(self.targets) > 1 and path[-1] != "joints" else ""
             said.append("".join(f"{name}: " for name in path[:-1]) + ", ".join(of) + about)
         return f"Task: {'; '.join(said)}" + ("" if self.weights is None else f", weights {brief(self.weights)}")
+
+
+def _in_words(part) -> str:
+    """Such as "x, y, z [m]". Joints that are all of a robot have no names or units until it is known."""
+    if isinstance(part, Joints) and part.wanted is None:
+        return "all joints"
+    return ", ".join(part.names) + f" [{', '.join(dict.fromkeys(part.units))}]" * bool(part.units)
 
 
 def _slices(sizes):
@@ -214,27 +221,33 @@ def with_weights(task: Task, weights) -> Task:
 def weights_of(task, weights):
     if any(isinstance(part, Joints) and part.wanted is None for part in task.parts):
         return weights  # their number is known once the robot is
-    if isinstance(weights, _Several):
+    if isinstance(weights, _OfParts):
         each = zip(weights, task.slices, strict=True)
-        weights = [np.ones(at.stop - at.start) if w is None else errors.array("weights", w, (None,)) for w, at in each]
+        weights = [_spread(1.0 if w is None else w, at.stop - at.start) for w, at in each]
         weights = (np if all(map(errors.concrete, weights)) else jnp).concatenate(weights)
-    weights = errors.array("weights", weights, (task.m,))
+    weights = _spread(weights, task.m)
     if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
         raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
     return weights
 
 
-class _Several(list):
-    """Weights of each part, or None, until the robot says how many joints() there are."""
+def _spread(weights, m):
+    """Weights (m,), also of one number for all."""
+    weights = errors.array("weights", weights, (), (m,))
+    return weights if weights.ndim else weights * np.ones(m)
+
+
+class _OfParts(list):
+    """Weights of each part, None for ones; they are joined once the robot, and so the number of joints, is known."""
 
 
 def joined(tasks):
     """The weights of several tasks, one after the other; None where none has any."""
     if all(task.weights is None for task in tasks):
         return None
-    several = _Several()
+    several = _OfParts()
     for task in tasks:
-        if isinstance(task.weights, _Several) or task.weights is None:
+        if isinstance(task.weights, _OfParts) or task.weights is None:
             several += task.weights or (None,) * len(task.parts)
         elif len(task.parts) == 1:
             several.append(task.weights)

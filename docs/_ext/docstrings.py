@@ -15,6 +15,8 @@ WITH_TYPE = ("property", "attribute", "data")  # Napoleon reads "type: text" the
 _WHOLE = {}  # docstrings of properties as they were before Napoleon
 COMMENTED = re.compile(r"^ +(?P<names>\w+)(?:: [^#=]+?)?(?: = [^#]+?)?  # (?P<said>.+)$")
 
+ARRAY_LIKE = re.compile(r"_Buffer \| .*?_NestedSequence\[complex \| bytes \| str\]")  # what numpy.typing's consists of
+
 
 def escaped(line: str) -> str:
     """A line whose marks are only letters, apart from what stands in `backticks`; `Name`s is no mark for Sphinx."""
@@ -92,6 +94,14 @@ def plain(app, what, name, obj, options, lines):
         _WHOLE[name] = list(made)
 
 
+def short(app, what, name, obj, options, lines):
+    """Types by their last names: Array, not jax.jaxlib._jax.Array; those of cnclik remain links."""
+    for i, line in enumerate(lines):
+        if line.strip().startswith(":type:"):
+            line = re.sub(r"\b(cnclik\.)?(?:\w+\.)+(\w+)", lambda m: f"~{m[0]}" if m[1] else m[2], line)
+            lines[i] = ARRAY_LIKE.sub("ArrayLike", line)
+
+
 def whole(app, what, name, obj, options, lines):
     """Napoleon takes what stands before a property's first colon for its type, in sentences, too: here it is undone."""
     if what in WITH_TYPE:
@@ -110,5 +120,6 @@ def known(app, what, name, obj, skip, options):
 def setup(app):
     app.connect("autodoc-skip-member", known)
     app.connect("autodoc-process-docstring", plain, priority=100)
+    app.connect("autodoc-process-docstring", short, priority=800)
     app.connect("autodoc-process-docstring", whole, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

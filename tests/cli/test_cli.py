@@ -202,6 +202,14 @@ print([name for name in ("jax", "numpy", "yourdfpy") if name in sys.modules], "T
     assert done.stdout.strip() == "[] True"
 
 
+def test_a_built_in_robot_is_shown_and_its_tip_may_be_named(capsys):
+    main(["robots", "panda"])
+    said = capsys.readouterr().out
+    assert said.startswith("panda, built in, tip flange\n") and said.count("revolute") == 7
+    main(["reach", "panda", "--tip", "flange", "--random", "1", "--json"])
+    assert '"SOLVED": 1' in capsys.readouterr().out
+
+
 def test_words_are_those_that_are_built():
     """The command line's names are read without the functions behind them."""
     from cnclik.integrate.method import METHODS

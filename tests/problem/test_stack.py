@@ -187,7 +187,7 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND | {"tip": [GRIPPERS[0]] * 2}}, {}, "`tasks.hands.tip` must hold different names"),
         ({"hands": HAND | {"tip": 1}}, {}, "`tasks.hands.tip` must be a name or a list of names, but is 1"),
         ({"hands": HAND | {"relative_to": "nose"}}, {}, "`tasks.hands.relative_to` must be one of the"),
-        ({"hands": HAND | {"weights": [1, 2]}}, {}, r"`tasks.hands.weights` must have shape \(3,\)"),
+        ({"hands": HAND | {"weights": [1, 2]}}, {}, r"`tasks.hands.weights` must have shape \(\) or \(3,\)"),
         ({"hands": HAND | {"weights": [1, 2, -1]}}, {}, "`tasks.hands.weights` must be positive"),
         ({"hands": HAND | {"damping": "5"}}, {}, "`tasks.hands.damping` must be a number, or a text"),
         ({"hands": HAND, "rest": REST | {"tip": "a"}}, {}, "`tasks.rest.tip` must be left out for the task 'joints'"),

@@ -196,7 +196,7 @@ def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
         (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
         (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
         (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
-        (lambda: ck.load("panda", tip="hand"), "`tip` must be left out for the robot 'panda'"),
+        (lambda: ck.load("panda", tip="hand"), "`tip` must be 'flange' for the robot 'panda', but is 'hand'"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(call, says):

@@ -118,6 +118,8 @@ def test_a_loop_beyond_the_linear_limit_is_not_safe():
     (said,) = summary.best(data)
     assert said.startswith("3 of 4 loops are safe (finite, below the linear stability limit), ") and "z = 0.05" in said
     one = data.isel(Ts=1, drop=True).assign_attrs(spec=json.dumps({"fixed": {"Ts": 0.1}}))
-    assert summary.best(one)[0].startswith("1 of 2 loops are safe (finite, below the linear stability limit), ")
+    assert summary.best(one)[0].startswith("1 of 2 loops is safe (finite, below the linear stability limit), ")
+    only = summary.best(one.isel(alpha=[0]))
+    assert only == ["The loop is safe (finite, below the linear stability limit), final_error 15 m: alpha 2 1/s."]
     (unknown,) = summary.best(data.assign_coords(limit=np.nan))
     assert unknown.startswith("4 of 4 loops are safe (finite), ") and unknown.endswith("z = 0.5.")

@@ -85,9 +85,24 @@ def test_joints_and_functions_are_tasks():
 
 def test_weights_wait_for_the_robot_to_say_how_many_joints_there_are():
     hand = ck.position(tip=ARMS[0], weights=[2.0, 3.0, 4.0])
-    task = ck.stack(hand=hand & ck.position("x", tip=ARMS[1]), rest=ck.joints())
-    found = np.asarray(ck.Law(HUMANOID, task, alpha=1.0, inverse=ck.damped(0.1)).task.weights)
-    close(found, [2.0, 3.0, 4.0, 1.0, *np.ones(HUMANOID.n)], atol=0)
+    for rest, each, said in ((ck.joints(), 1.0, "None"), (ck.joints(weights=0.1), 0.1, "0.1")):
+        task = ck.stack(hand=hand & ck.position("x", tip=ARMS[1]), rest=rest)
+        assert repr(task).endswith(f"; rest: all joints, weights ([2, 3, 4], [1], {said})")
+        found = np.asarray(ck.Law(HUMANOID, task, alpha=1.0, inverse=ck.damped(0.1)).task.weights)
+        close(found, [2.0, 3.0, 4.0, 1.0, *np.full(HUMANOID.n, each)], atol=0)
+    close(ck.position("xy", weights=2.0).weights, [2.0, 2.0], atol=0)
+
+
+def test_a_stack_may_have_one_task():
+    """It takes its path by name, as a larger one does."""
+    task, q = ck.stack(hand=ck.position("xy")), np.full(4, 0.3)
+    paths = ck.hold_at(PLANAR, task, q, hand=ck.hold([0.5, 0.5]))
+    run = ck.solve(ck.Law(PLANAR, task, alpha=5.0), paths, q, 0.1, 50)
+    close(run["hand"].x[-1], [0.5, 0.5], atol=1e-5)
+    with pytest.raises(ck.ArgumentError, match="`others` must be one of hand"):
+        ck.hold_at(PLANAR, task, q, foot=ck.hold([0.5, 0.5]))
+    with pytest.raises(ck.ArgumentError, match="`others` must be left out for one task that is no stack"):
+        ck.hold_at(PLANAR, ck.position("xy"), q, hand=ck.hold([0.5, 0.5]))
 
 
 # --- the law ------------------------------------------------------------------------------------------
@@ -276,7 +291,7 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: ck.levels([{}], damping=(0.1,)), "`names` must be a list of names for each level"),
         (lambda: ck.joints(0.5), "`names` must be texts, but is 0.5"),
         (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
-        (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=2.0), alpha=1.0), "`weights` must have shape"),
+        (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0), "`weights` must have shape"),
         (lambda: ck.levels(["feet"], damping=0.1), "`damping` must hold one for each of 1 levels"),
         (lambda: ck.Law(PLANAR, ck.position("xy"), alpha={"a": 1.0}), "none: they are given names by ck.stack"),
         (
