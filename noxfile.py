@@ -24,7 +24,7 @@ def lint(session):
 def tests(session):
     """The suite; arguments go to pytest."""
     session.install("-e", ".[test]")
-    session.run("pytest", *session.posargs)
+    session.run("pytest", "-m", "not slow", *session.posargs)
 
 
 @nox.session(default=False)
@@ -33,7 +33,7 @@ def lowest(session):
     session.install(
         "-e", ".[test]", "jax==0.10.*", "jaxlib==0.10.*", "numpy==2.0.*", "optax==0.2.4", "matplotlib==3.9.*"
     )
-    session.run("pytest", *session.posargs)
+    session.run("pytest", "-m", "not slow", *session.posargs)
 
 
 @nox.session(default=False)

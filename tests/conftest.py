@@ -35,6 +35,8 @@ from cnclik.cache import give_back
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
+# Tests of more than 1.5 s (`pytest -m "not slow" --durations=0`): CI runs them after the others.
+LONG = {f"tests/{line}" for line in (pathlib.Path(__file__).parent / "long.txt").read_text().splitlines()}
 LONGEST = (
     "test_docs.py",
     "test_verdict.py",
@@ -57,7 +59,10 @@ LONGEST = (
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """The longest files first: no worker waits for one alone."""
+    """The longest files first: no worker waits for one alone. Tests in long.txt are marked."""
+    for item in items:
+        if item.nodeid in LONG:
+            item.add_marker("long")
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 

@@ -56,14 +56,19 @@ def law(limits=True, damping=DAMPING):
     return ck.Law(G1, ck.stack(feet=poses(FEET), body=poses(BODY)), alpha=1 / TS, inverse=inverse, limits=held)
 
 
+def followed(law, q, seen, steps):
+    """Some steps from q (n,) towards what is seen (tips, 3, 4)."""
+    held = {tip: ck.hold(seen[i, :, 3], seen[i, :, :3]) for i, tip in enumerate(TIPS)}
+    feet, body = (ck.references(**{tip: held[tip] for tip in tips}) for tips in (FEET, BODY))
+    aims = ck.references(feet=feet, body=body)
+    return jax.lax.scan(lambda q, _: (ck.step(law, aims, q, 0.0, TS, "EE").q, None), q, length=steps)[0]
+
+
 def retarget(law):
     """(q0 (n,), clip (F, tips, 3, 4)) to q (F, n)."""
 
     def frame(q, seen):
-        held = {tip: ck.hold(seen[i, :, 3], seen[i, :, :3]) for i, tip in enumerate(TIPS)}
-        feet, body = (ck.references(**{tip: held[tip] for tip in tips}) for tips in (FEET, BODY))
-        aims = ck.references(feet=feet, body=body)
-        q, _ = jax.lax.scan(lambda q, _: (ck.step(law, aims, q, 0.0, TS, "EE").q, None), q, length=STEPS)
+        q = followed(law, q, seen, STEPS)
         return q, q
 
     return lambda q0, clip: jax.lax.scan(frame, q0, clip)[1]

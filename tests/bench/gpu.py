@@ -84,6 +84,26 @@ def two_arms(name):
     return Row(name, one, inputs, STEPS)
 
 
+def humanoid(name, limits):
+    """A row of 10 steps of G1 on its free base, 14 frames in two levels: 84 rows, 35 coordinates (bench of bodies)."""
+    from tests.bench import bodies
+
+    law, n = bodies.law(limits), bodies.G1.n
+
+    def inputs(batch, dtype):
+        draw = np.random.default_rng(0)
+        low, high = (np.nan_to_num(v, posinf=1.0, neginf=-1.0) for v in (bodies.G1.lower, bodies.G1.upper))
+        q0, moved = (draw.uniform(-size, size, (1024, n)) for size in (0.3, 0.05))
+        q0 = np.clip(q0, low, high)
+        seen = np.asarray(bodies.poses(np.clip(q0 + moved, low, high)))
+        return {key: np.resize(v, (batch, *v.shape[1:])).astype(dtype) for key, v in (("q0", q0), ("seen", seen))}
+
+    def one(q0, seen):
+        return bodies.followed(law, q0, seen, 10)
+
+    return Row(name, one, inputs, 10)
+
+
 def gradient(name, fn):
     return Row(name, fn, functools.partial(cases.inputs, case()), OF_GRADIENT)
 
@@ -107,6 +127,7 @@ def rows() -> list[Row]:
         gradient("value and gradient, reverse", jax.value_and_grad(value)),
         *(end(f"EE, {count:,} lanes", batch=count) for count in MANY),
         *(end(f"CN, {count:,} lanes", "CN", batch=count) for count in (1_000_000,)),
+        *(humanoid(f"EE, G1, 84 rows of 35 coordinates{', limits' * limits}", limits) for limits in (False, True)),
     ]
 
 
