@@ -41,6 +41,7 @@ def main(argv=None) -> None:
     argv = list(sys.argv[1:] if process else argv)
     if process:
         os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever backend the user has set for windows
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads slow small matrices down, up to ten times
     with terminal.guarded(process):
         if argv[:1] in (["-V"], ["--version"]):
             print(f"cnclik {__version__}")

@@ -152,29 +152,41 @@ def checked(method, stage):
 # --- crossings ----------------------------------------------------------------------------------------
 
 
+FEW = 16  # values of a batch up to which one is dear: they are looked at one after another
+
+
 def first_above(fn, level, reach=REACH, points=1024):
     """Smallest z from which fn(z) > level, to 11 digits; inf where that is nowhere up to `reach`, 0 where it always is.
 
     fn maps an array (points,) to one. It is looked at every 10/points up to 10 and in geometric steps beyond; an
-    excursion narrower than that is not seen.
+    excursion narrower than that is not seen. With FEW points the result has five digits.
     """
     near = np.linspace(0, 10, points + 1)[1:]
     grids = (near, np.geomspace(10, reach, points)) if reach > 10 else (np.linspace(0, reach, points + 1)[1:],)
-    low = 0.0
+    low, least, (parts, rounds) = 0.0, 1 if points <= FEW else points, (2, 16) if points <= FEW else (points, 4)
     for grid in grids:
-        above = ~(np.asarray(fn(grid)) <= level)  # NaN counts as above
-        if above.any():
-            i = int(np.argmax(above))
+        if (i := _first(fn, level, grid, least)) < len(grid):
             low, high = (grid[i - 1] if i else low), grid[i]
             break
         low = grid[-1]
     else:
         return np.inf
-    for _ in range(4):  # each time a thousandth of the bracket
-        grid = np.linspace(low, high, points + 1)[1:]
-        i = int(np.argmax(~(np.asarray(fn(grid)) <= level)))
+    for _ in range(rounds):  # to a thousandth of the bracket, or half of it
+        grid = np.linspace(low, high, parts + 1)[1:]
+        i = _first(fn, level, grid[:-1], parts)
         low, high = (grid[i - 1] if i else low), grid[i]
     return float(0.5 * (low + high)) if low else 0.0
+
+
+def _first(fn, level, grid, least):
+    """Index of the first value of a grid above a level, or its length; batches grow from `least`."""
+    i = 0
+    while i < len(grid):
+        above = ~(np.asarray(fn(grid[i : i + max(i, least)])) <= level)  # NaN counts as above
+        if above.any():
+            return i + int(np.argmax(above))
+        i += len(above)
+    return i
 
 
 def least_on(fn, high, points=1024):
@@ -191,12 +203,19 @@ def least_on(fn, high, points=1024):
         if values[-1] <= values[i] * (1 + _PLATEAU) + _SLACK:
             return float(high), float(values[-1])
         low, high = (grid[i - 1] if i else 0.0), grid[i + 1]
-    for _ in range(5):
+    for _ in range(1 if points <= FEW else 5):
         grid = np.linspace(low, high, points + 1)[1:]
         values = np.asarray(fn(grid))
         i = int(np.argmin(values))
         low, high = (grid[i - 1] if i else low), grid[min(i + 1, points - 1)]
-    return float(grid[i]), float(values[i])
+    at, least = grid[i], values[i]
+    for _ in range(12 if points <= FEW else 0):  # halved about the least, which is known
+        grid = np.array([low, 0.5 * (low + at), at, 0.5 * (at + high), high])
+        values = np.array([np.inf, *fn(grid[1:4:2]), np.inf])[[0, 1, 0, 2, 3]]
+        values[2] = least
+        i = int(np.argmin(values))
+        low, at, high, least = *grid[i - 1 : i + 2], values[i]
+    return float(at), float(least)
 
 
 # --- limits -------------------------------------------------------------------------------------------

@@ -128,6 +128,24 @@ def test_what_levels_off_is_fastest_without_end():
     assert linear.least_on(lambda z: np.abs(1 - z / 30), 1e6)[0] == pytest.approx(30, rel=1e-6)
 
 
+@pytest.mark.parametrize("limit", [1e-4, 0.31, 4.7, 33.0])
+def test_a_crossing_of_dear_values_takes_few_of_them(limit):
+    """A humanoid with a drive for each joint has few points: each is the eigenvalues of a large matrix."""
+    asked = []
+
+    def fn(z):
+        asked.extend(z)
+        return z
+
+    found = linear.first_above(fn, limit, points=linear.FEW)
+    assert abs(found - limit) < 1e-5 * max(1.0, limit) and len(asked) < 50
+    assert linear.first_above(fn, limit) == pytest.approx(limit, rel=1e-9)
+    assert linear.first_above(fn, 2e6, points=linear.FEW) == np.inf and linear.first_above(fn, -1.0, points=4) == 0.0
+    asked.clear()
+    at, least = linear.least_on(lambda z: abs(fn(z) - limit), 3 * limit, points=linear.FEW)
+    assert abs(at - limit) < 1e-4 * limit and least < 1e-4 * limit and len(asked) < 60
+
+
 def test_delay_limits():
     for d, published in enumerate((2, 1, 0.618, 0.445, 0.347)):
         assert linear.delay_limit(d) == pytest.approx(2 * np.sin(np.pi / (2 * (2 * d + 1))), abs=1e-6)
