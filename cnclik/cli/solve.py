@@ -254,7 +254,8 @@ def _of_walls(run, law):
         said += f", nearest {aloud(least, unit)}" if least >= 0 else ""
         said += f", passed by up to {aloud(-least, unit)}" if least < min(first, 0.0) else ""
         said += f"; a step may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
-        yield f"wall {name}", f"{said}; not kept in {missed} steps, see the status" if missed else said
+        said += f"; not kept in {missed} steps, by up to {aloud(-room[:, i].min(), f'{unit}/s')}" if missed else ""
+        yield f"wall {name}", said
 
 
 def _counted(status) -> str:

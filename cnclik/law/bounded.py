@@ -69,7 +69,7 @@ class Problem(NamedTuple):
         across = newton(hessian, shut).half(walls.rows)
         alone = squares @ (1.0 / jnp.diagonal(hessian)) + _LEVER**2
         soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.sum(across * across, axis=0), alone)
-        soft = lax.stop_gradient(soft)
+        soft = lax.stop_gradient(soft * walls.slack)
         return self._replace(walls=walls, soft=soft, raised=soft * push)
 
     def missing(self, qdot):

@@ -34,16 +34,17 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
     for kind, others in _EXTRA.items():
         if kind in given and (extra := [key for key in others if key in given]):
             raise errors.fail(extra[0], f"be left out of a wall with `{kind}`", f"is {given[extra[0]]!r}")
+    kept = {key: given[key] for key in ("rate", "level") if key in given}
     margin = errors.number("margin", given.get("margin", 0.0), at_least=0)
     if "corners" in given:
         corners = errors.array("corners", given["corners"], (None, 2), (None,))
         if corners.size % 2:
             raise errors.fail("corners", "be x and y of each corner", f"are {corners.size} numbers")
-        about = {key: given.get(key) for key in ("relative_to", "rate")}
-        made = support_polygon(corners.reshape(-1, 2), margin=margin, name=name, **about)
+        about = given.get("relative_to")
+        made = support_polygon(corners.reshape(-1, 2), relative_to=about, margin=margin, name=name, **kept)
         check_units(chain, made[0].task.on(chain), one.written)
         return made
-    sides = {side: errors.number(side, given[side]) for side in ("above", "below") if side in given}
+    sides: dict = {side: errors.number(side, given[side]) for side in ("above", "below") if side in given}
     if "distance" in given:
         with errors.within("distance"):  # a half-space comes last, as `distance` has it
             shapes = sorted(map(_shape, given["distance"]), key=lambda shape: not hasattr(shape, "ends"))
@@ -52,7 +53,7 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
         task = task_of(one, chain)
     check_units(chain, task.on(chain), one.written)
     sides = {side: value + margin * (1 if side == "above" else -1) for side, value in sides.items()}
-    return (wall(task, normal=given.get("normal"), rate=given.get("rate"), name=name, **sides),)
+    return (wall(task, normal=given.get("normal"), name=name, **kept, **sides),)
 
 
 def _shape(table):

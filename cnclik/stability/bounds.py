@@ -69,8 +69,15 @@ def wall_advice(loop, Ts: float, speed: float) -> dict[str, WallAdvice]:
     return found
 
 
-_LIMITS = "joint limits", "joints stay within them", "joints pass them"
-_WALLS = "the robot stays on its side", "the robot passes it"
+def _held(names):
+    """(what some walls are, and joint limits, None among the names; that they keep; that they do not), in words."""
+    walls = [name for name in names if name is not None]
+    if not walls:
+        return "joint limits", "joints stay within them", "joints pass them"
+    what = ["joint limits"] * (None in names) + [f"wall {walls[0]}" if len(walls) == 1 else f"{len(walls)} walls"]
+    if len(names) == 1:
+        return what[0], "the robot stays on its side", "the robot passes it"
+    return " and ".join(what), "the robot stays within them", "the robot passes them"
 
 
 def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
@@ -78,12 +85,13 @@ def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
     of_all: Any = getattr(law.limits, "rate", None)
     walls = getattr(law.limits, "walls", None) or ()
     named = zip(names_of(walls), walls, strict=True)
-    rates: list = [(float(rate_of(one, of_all)), (f"wall {name}", *_WALLS)) for name, one in named]
+    rates: list = [(float(rate_of(one, of_all)), name) for name, one in named]
     if of_all is not None and np.isfinite([law.chain.lower, law.chain.upper]).any():
-        rates.append((float(of_all), _LIMITS))
+        rates.append((float(of_all), None))
     if not rates:
         return None
-    rate, (what, keeps, passes) = max(rates)
+    rate = max(one for one, _ in rates)
+    what, keeps, passes = _held([name for one, name in rates if one == rate])
     stable, fastest, recommended = (z / Ts for z in least_limits("EE", None, Ts, drive).values())
     late = drive.lumped.delay
     through = f" with {in_samples(late, Ts)} of dead time" if late else ""

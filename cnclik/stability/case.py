@@ -31,7 +31,7 @@ PLENTY = 5.0  # after so many time constants an error that has not decreased is 
 LEAST = 50  # and steps
 NEARLY = 0.95  # share of a path that counts as all of it; at a pace the last part may take very long
 NOISE = 4.0  # an error below so many standard deviations is noise
-COUNTS = 0.05  # a direction with a smaller share of the last error does not count
+COUNTS = 0.05  # a smaller share of the last error, or of what walls miss, does not count
 BRIEF = 16  # part of a path, or of half a run to a held target, over which velocities at a pace are averaged
 UNMOVED = 1e-9  # a factor within this of 1 belongs to a direction that no joint moves
 
@@ -53,7 +53,7 @@ class Case:
       advance: how far the path's time got in the last quarter's steps, of theirs: at a pace it waits for the robot.
       fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold, at the run's pace.
       e: weighted error at the end. errors: (N + 1, m), up to the first that is not finite.
-      size: of the last quarter's error, in words. walls: names of those that hold in most of its steps.
+      size: of the last quarter's error, in words. walls: what they do in most of its steps.
       more: pace and noise of the run.
     """
 
@@ -252,7 +252,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         e=weighted,
         errors=e[: seen.bad],
         size=in_words(law.task, e[: seen.bad][-len(seen.late) :]),
-        walls=_held_by(law, run, len(seen.late)),
+        walls=held_by(law, run, len(seen.late)),
         more=more,
         advance=advance,
         **rest | {"fold": rest["fold"] / advance},
@@ -265,12 +265,15 @@ def in_words(task, errors) -> str:
     return " and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size)
 
 
-def _held_by(law, run, late) -> list:
-    """Names of the walls that are active in most of the last steps."""
+def held_by(law, run, late) -> list:
+    """What walls do in most of the last steps: hold, or give way to others."""
     if run.walls is None:
         return []
-    holds = np.asarray(run.walls)[-late:] <= rounding_of(np.asarray(run.qdot)[-late:])
-    return [name for name, often in zip(names_of(law.limits.walls), holds.mean(0) > OFTEN, strict=True) if often]
+    room, most = np.asarray(run.walls)[-late:], rounding_of(np.asarray(run.qdot)[-late:])
+    least = np.minimum(-most, COUNTS * room.min(axis=1, keepdims=True))  # a wall of level 1 misses a little, too
+    active, missed = ((room <= bound).mean(0) > OFTEN for bound in (most, least))
+    each = zip(names_of(law.limits.walls), active, missed, strict=True)
+    return [f"wall {name} {'gives way' if lost else 'holds'}" for name, there, lost in each if there]
 
 
 def _advance(t, late, Ts) -> float:

@@ -214,7 +214,7 @@ def least_on(fn, high, points=1024):
         values = np.array([np.inf, *fn(grid[1:4:2]), np.inf])[[0, 1, 0, 2, 3]]
         values[2] = least
         i = int(np.argmin(values))
-        low, at, high, least = *grid[i - 1 : i + 2], values[i]
+        (low, at, high), least = grid[i - 1 : i + 2], values[i]
     return float(at), float(least)
 
 

@@ -28,8 +28,7 @@ def at_limits(case) -> str:
     stopped = (q <= np.array(chain.lower) + near) | (q >= np.array(chain.upper) - near)
     names = [name for name, is_there in zip(chain.joint_names, stopped, strict=True) if is_there]
     at = [f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit"] * bool(names)
-    at += [f"wall {name} holds" for name in case.walls]
-    return ", ".join(at)
+    return ", ".join(at + case.walls)
 
 
 def too_slow(case) -> str:

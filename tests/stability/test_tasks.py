@@ -12,6 +12,7 @@ from cnclik.cli import main
 from cnclik.cli.advice import does_of_tasks
 from cnclik.cli.stacked import at_targets
 from cnclik.stability import tasks
+from cnclik.stability.bounds import limit_advice
 from cnclik.stability.loop import LoopAtRest
 from cnclik.stability.rates import Rates
 from cnclik.stability.tasks import LOST
@@ -247,6 +248,14 @@ def test_limits_are_loops_of_their_own():
     law = ck.Law(arm, ck.position(), alpha=2.0, inverse=ck.damped(0.05), limits=ck.bounded(rate=5.0, walls=[table]))
     found = ck.advise(law, None, q, Ts=TS, drive=ck.Drive(delay=4)).limits
     assert found.rate == 30.0 and found.words.startswith("wall 1, rate = 30 1/s (z = 0.3): the robot passes it")
+    for rate, count, said in (
+        (30.0, 3, "3 walls, rate = 30 1/s (z = 0.3): the robot passes them"),
+        (None, 1, "joint limits and wall 1, rate = 5 1/s (z = 0.05): the robot stays within them"),
+        (None, 2, "joint limits and 2 walls, rate = 5 1/s"),
+    ):
+        walls = [ck.wall(ck.position("z"), above=0.05, rate=rate)] * count
+        law = ck.replace(law, limits=ck.bounded(rate=5.0, walls=walls))
+        assert limit_advice(law, ck.Drive(delay=4), TS).words.startswith(said)
 
 
 FILE = """
