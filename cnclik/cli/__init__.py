@@ -15,7 +15,7 @@ from cnclik.cli import terminal
 from cnclik.version import __version__
 
 _BEGUN = time.time()
-_NO_PLATFORM = RuntimeError, AssertionError  # what JAX raises where it finds no device
+_NO_PLATFORM = RuntimeError, AssertionError  # which JAX raises if it finds no device
 VERBS = {
     "reproduce": "repeat the paper's experiments: data, figures and a check of its claims",
     "robots": "show what a robot file contains: link tree, joints, limits, possible tips",
@@ -73,7 +73,7 @@ def _run(verb, *options) -> None:
         _leave(2, error)
     except FigureError as error:
         _leave(1, error)
-    except ImportError as error:  # of the plotting packages: results are written before these are loaded
+    except ImportError as error:  # of a plotting package; results are already written
         _leave(1, errors.in_a_line(error))
     except _NO_PLATFORM:
         if _has_platform():

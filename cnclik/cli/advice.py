@@ -1,4 +1,4 @@
-"""The answer of `cnclik stability`: gains as table rows, their meaning as sentences."""
+"""The answer of `cnclik stability`: gains as rows of a table, their meaning in sentences."""
 
 import math
 
@@ -70,7 +70,7 @@ def exact(drive) -> bool:
 
 
 def lines_of(found, said, written) -> list:
-    """What the numbers mean, in sentences."""
+    """The meaning of the numbers, in sentences."""
     from cnclik.record import in_words
 
     if said.stack is not None:
@@ -129,7 +129,7 @@ def does_of_tasks(found, said) -> list:
 
 
 def lines_of_stack(found, said) -> list:
-    """What the numbers of a stack mean, in sentences."""
+    """The meaning of a stack's numbers, in sentences."""
     stack = said.stack
     known, on = exact(found.drive), " on the assumed drives" * (said.assumed_dead_time is not None)
     lines = [f"UNSTABLE{on}: {_unstable(stack.unstable, known)}"] if stack.unstable else []
@@ -157,7 +157,7 @@ def lines_of_stack(found, said) -> list:
 
 
 def _unstable(unstable, known) -> str:
-    """Which gains make the loop unstable; where the largest stable ones are known, what they hold for."""
+    """The gains that make the loop unstable or, if none does, what the largest stable ones assume."""
     *some, last = unstable
     names = f"{', '.join(some)} and {last}" if some else last
     s, are, them = ("s", "are", "them") if some else ("", "is", "it")

@@ -1,7 +1,7 @@
 """Command line arguments into a verb's `Args`: a dataclass whose fields are its options.
 
-A field's type says how many values of which kind its option takes, the text below it is its help. Numbers with a unit
-become numbers in the option's own. Whatever is wrong comes out as one line.
+The type of a field gives the number and kind of its option's values; the text below it is its help. Numbers with a
+unit become numbers in the option's own unit. Every error is one line.
 """
 
 import argparse
@@ -19,15 +19,15 @@ _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
 
 def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about="", positional=False):
-    """A field of `Args` of which more is to be said than its type and default.
+    """A field of `Args` that needs more than a type and a default.
 
     Args:
-      default: where nothing is given; a function makes it. Without one the option must be given.
+      default: the value, or a function that makes it. Without one the option must be given.
       unit: of its numbers, see `cnclik.quantities.units`.
-      metavar: what stands for a value in the help; by default its kind.
-      name: of the option; the field's by default.
-      about: its help, where no text stands below the field.
-      positional: given by its place, and not by a name.
+      metavar: the word for a value in the help; by default its kind.
+      name: of the option; by default the field's.
+      about: its help, if there is no text below the field.
+      positional: whether it is given by its place instead of a name.
     """
     made = {"default_factory" if callable(default) else "default": default}
     return dataclasses.field(
@@ -36,7 +36,7 @@ def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about=
 
 
 class _Option(typing.NamedTuple):
-    """What an option takes."""
+    """An option and the values that it takes."""
 
     name: str
     field: str
@@ -49,7 +49,7 @@ class _Option(typing.NamedTuple):
 
     @property
     def switch(self) -> bool:
-        """Whether it stands without a value."""
+        """Whether it takes no value."""
         return self.kind.base is bool
 
 
@@ -58,10 +58,10 @@ class _Kind(typing.NamedTuple):
 
     base: type
     choices: tuple = ()
-    held_in: type | None = None  # tuple, of several values
-    values: int | None = 1  # how many; None: any number; 0: it stands without a value
+    held_in: type | None = None  # tuple, for several values
+    values: int | None = 1  # their number; None: any; 0: a switch
     optional: bool = False
-    repeated: bool = False  # whether it may be given again and again
+    repeated: bool = False  # whether it may be given several times
 
     @property
     def numeric(self) -> bool:
@@ -74,11 +74,11 @@ def parse(Args, argv, *, prog, description):
 
     Its attribute `written` has {option: the unit that each of its numbers was given in, or None}.
 
-    Raises: ArgumentError naming the option, what it must be and what it is, or the nearest name.
+    Raises: ArgumentError with the option, what it must be and what it is, or with the nearest name.
     """
     every, argv = _options(Args), [str(a) for a in argv]
     if {"-h", "--help"} & set(argv):
-        more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # which dataclasses write
+        more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # the text that dataclasses write
         _parser(every, prog, f"{description}\n\n{inspect.cleandoc(more)}").print_help()
         raise SystemExit(0)
     named, places = {one.name: one for one in every if not one.positional}, [one for one in every if one.positional]
@@ -88,7 +88,7 @@ def parse(Args, argv, *, prog, description):
         raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
     made = {one.field: _value(one.kind, [word]) for one, word in zip(places, loose, strict=False)}
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
-    for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # once the sampling time is known
+    for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # samples last: they need Ts
         values, units = _in_own_units(one, typed, Ts)
         name = one.name[2:].replace("-", "_")
         written[name] = (*written.get(name, ()), *units) if one.kind.repeated else units
@@ -103,12 +103,12 @@ def parse(Args, argv, *, prog, description):
             kind, what = ("Argument", f": {one.about.rstrip('.')}") if one.positional else ("Option", "")
             raise errors.ArgumentError(f"{kind} `{one.name}` must be given, but is not{what}.")
     args = Args(**made)
-    object.__setattr__(args, "written", written)  # beside the fields, of frozen ones too
+    object.__setattr__(args, "written", written)  # no field; the class may be frozen
     return args
 
 
 def _options(Args) -> list:
-    """The options of a dataclass; those that are given by their place among them."""
+    """The options of a dataclass, positional ones included."""
     hints, about, every = typing.get_type_hints(Args), _texts(Args), []
     for field in dataclasses.fields(Args):
         marks, lazy = field.metadata, field.default_factory
@@ -124,12 +124,12 @@ def _options(Args) -> list:
 
 
 def _texts(Args) -> dict:
-    """{field: the text below it} of a dataclass and of those that it is made of."""
+    """{field: the text below it} of a dataclass and its bases."""
     found = {}
     for kind in reversed(Args.__mro__[:-1]):
         try:
             made: typing.Any = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-        except (OSError, TypeError):  # made by `make_dataclass`, or without its source
+        except (OSError, TypeError):  # made by `make_dataclass`, or no source is there
             continue
         for field, text in itertools.pairwise(made.body):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
@@ -138,7 +138,7 @@ def _texts(Args) -> dict:
 
 
 def _split(named, argv):
-    """(what is given by its place, [(option, its values)]); the values of --no-NAME are ["False"].
+    """(positional words, [(option, its values)]); the values of --no-NAME are ["False"].
 
     Raises: ArgumentError for an unknown option, or one without a value.
     """
@@ -165,7 +165,7 @@ def _split(named, argv):
 
 
 def _values(one, queue) -> list:
-    """The values at the head of a queue that an option takes, a unit that stands apart among them."""
+    """The values that an option takes from the head of a queue; a separate unit counts as one of them."""
     values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
     most = one.kind.values
     if most is not None and values[most : most + 1] and values[most] in quantities.units(one.unit):
@@ -174,7 +174,7 @@ def _values(one, queue) -> list:
 
 
 def _in_own_units(one, values, Ts):
-    """(values as numbers without units, the units that they had); what is no number passes, and fits nothing."""
+    """(values as numbers without units, their units). A value that is no number passes, and is refused later."""
     if not one.kind.numeric or values == ["None"] or not values:
         return values, ()
     try:
@@ -192,7 +192,7 @@ def _is_option(token) -> bool:
 
 
 def _unknown(named, found, value):
-    """The error for an option that there is not. Args: value: what stands behind it."""
+    """The error for an unknown option. Args: value: the word after it."""
     rate = _as_time(f"{value}Hz") if "--Ts" in named and found.lstrip("-") in ("hz", "rate", "frequency") else ""
     try:
         errors.one_of("Option", found, list(named))
@@ -201,7 +201,7 @@ def _unknown(named, found, value):
 
 
 def _as_time(text) -> str:
-    """The sentence that says a rate, such as "250Hz", as a sampling time; "" for what is none."""
+    """A sentence with the sampling time of a rate such as "250Hz"; "" if the value is no rate."""
     rate = re.fullmatch(r"([0-9.]+) *(?:Hz)+", text, re.IGNORECASE)
     hertz = (quantities.number(rate[1]) if rate else None) or 0.0
     return f" A rate of {hertz:g} Hz is --Ts {1e3 / hertz:.6g}ms." if hertz > 0 else ""
@@ -240,7 +240,7 @@ def _is_one(kind, value) -> bool:
 
 
 def _value(kind, values):
-    """Values that fit a kind, of it."""
+    """Values converted to a kind that they fit."""
     if kind.optional and values == ["None"]:
         return None
     if kind.base is bool:
@@ -264,14 +264,14 @@ def _words(kind) -> str:
 
 
 def _metavar(kind) -> str:
-    """What stands for an option's values in the help: "X", "INT INT", "NAME ...", "{one,two}"."""
+    """The words for an option's values in the help: "X", "INT INT", "NAME ...", "{one,two}"."""
     one = {int: "INT", float: "X", str: "NAME"}.get(kind.base, "PATH")
     one = "{" + ",".join(kind.choices) + "}" if kind.choices else one
     return " ".join([one] * kind.values) if kind.values else f"{one} ..."
 
 
 def _parser(every, prog, description):
-    """What prints the help."""
+    """The parser that prints the help."""
     needed = {one.name: one.default is dataclasses.MISSING for one in every if one.positional}
     usage = " ".join([prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
     form = argparse.RawDescriptionHelpFormatter

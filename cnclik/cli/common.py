@@ -1,4 +1,4 @@
-"""Options that verbs share besides those of a problem."""
+"""Options, reports and tables that several verbs share."""
 
 import contextlib
 import dataclasses
@@ -37,7 +37,7 @@ class ReportOption:
 
     @contextlib.contextmanager
     def figures_first(self):
-        """Around the drawing of a verb's own figures: what goes wrong there is raised, by the report if one follows."""
+        """Context manager for drawing a verb's figures. A failure is raised here, or after the report."""
         from cnclik.show.output import FigureError
 
         try:
@@ -48,7 +48,7 @@ class ReportOption:
             self.undrawn = error
 
     def motions(self, law, *runs):
-        """Runs of the loop as the report's moving robot. Args: runs: (trajectory, what `motion_of` shall say of it)."""
+        """Runs of the loop as the report's moving robot. Args: runs: (trajectory, keywords of `motion_of`)."""
         from cnclik.problem.names import robot_name
         from cnclik.show.viewer.files import links_of
         from cnclik.show.viewer.motion import motion_of
@@ -57,7 +57,7 @@ class ReportOption:
         return [motion_of(run, law, links=links, **({"name": name} | said)) for run, said in runs]
 
     def write_report(self, title, answer, **parts) -> None:
-        """Write the page where one is asked for, and say so; see `cnclik.show.report.Report`."""
+        """Write the page if one is asked for, and print its name; see `cnclik.show.report.Report`."""
         if self.report is None:
             return
         from cnclik.cli import progress
@@ -76,7 +76,7 @@ class ReportOption:
 
 
 def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, **look) -> None:
-    """Print rows of texts as a table; the first `left` columns are set left, style(row) is rich's name of a style."""
+    """Print rows of texts as a table; the first `left` columns are aligned left; style(row) is rich's name of it."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -90,7 +90,7 @@ def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, 
     Console().print(shown)
 
 
-_OPTIONS = {  # what the library's remedies speak of, as it is written on the command line
+_OPTIONS = {  # words of the library's remedies, and the options for them
     r"\bdamped\((.*?)\) in place of \w+\(\)": r"--inverse damped --damping \1",
     r"\bdamped\((.*?)\)": r"--damping \1",
     r"an error_clamp of \((.*?), (.*?)\)": r"--error-clamp \1 \2",
@@ -107,7 +107,7 @@ _OPTIONS = {  # what the library's remedies speak of, as it is written on the co
 
 
 def as_options(sentence: str) -> str:
-    """A remedy in the words of Python in those of the command line."""
+    """A remedy of the library with the options of the command line."""
     for word, option in _OPTIONS.items():
         sentence = re.sub(word, option, sentence)
     return sentence

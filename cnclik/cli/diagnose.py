@@ -1,4 +1,4 @@
-"""`cnclik diagnose`: from a recording, whether the loop rings, its dead time, the gain that stops it; or its drive."""
+"""`cnclik diagnose`: whether a recorded loop rings, its dead time and the gain that stops it; or its drive."""
 
 import dataclasses
 import itertools
@@ -73,7 +73,7 @@ def run(args: Args) -> None:
 
 
 def _otherwise(t, Ts, name) -> str:
-    """What stamps say against the sampling time that goes before them, such as that rows are missing, if anything."""
+    """How time stamps contradict the given sampling time, such as by missing rows; "" if they do not."""
     from cnclik.diagnosis.recording import APART, sampling_time
 
     try:
@@ -113,7 +113,7 @@ def _diagnose(args, names, table, left_out, of):
 
 
 def _tasks(args, names, left_out) -> dict:
-    """{task: (places of its columns, its gain or None)}, of --tasks or of a stack that `cnclik solve --csv` wrote."""
+    """{task: (indices of its columns, its gain or None)}, from --tasks or from the file of `cnclik solve --csv`."""
     found: dict = {}
     for word in args.tasks or ():
         task, _, gain = word.partition("=")
@@ -169,7 +169,7 @@ _OF_TASK = ("share", "along", "alpha", "recommended_alpha", "factor")
 
 
 def _usual(names, left_out) -> list:
-    """Errors, else joints, of what `cnclik solve --csv` writes; else all columns but the times."""
+    """The errors, or else the joints, in a file of `cnclik solve --csv`; of other files all columns but the times."""
     for kind in ("e_", "q_"):
         if found := [i for i, name in enumerate(names) if name.startswith(kind)]:
             return found
@@ -177,7 +177,7 @@ def _usual(names, left_out) -> list:
 
 
 def _whole(table):
-    """Without rows at the end that aren't complete: steps are one fewer than instants."""
+    """The rows up to the last complete one: the last instant of a run has no step."""
     import numpy as np
 
     complete = np.flatnonzero(~np.isnan(table).any(1))
@@ -251,7 +251,7 @@ def _plain(value):
 
 
 def _chosen(columns, names):
-    """Places of columns that are given by name or number."""
+    """Indices of columns that are given by name or number."""
     return [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
 
 
@@ -260,7 +260,7 @@ _MOVED = {"position", "positions", "pos", "motion", "actual", "measured", "feedb
 
 
 def _pairs(columns, names, left_out):
-    """Places of the commands and of the motions: joint_1_cmd belongs to joint_1_pos, or to joint_1."""
+    """Indices of the commands and of the motions: joint_1_cmd belongs to joint_1_pos, or to joint_1."""
     usual = [i for i in range(len(names)) if i not in left_out]
     words = {i: [w for word in words_of(names[i]) for w in re.findall(r"[^0-9]+|[0-9]+", word)] for i in usual}
     of = {i: tuple(w for w in some if w not in _SENT | _MOVED) for i, some in words.items()}

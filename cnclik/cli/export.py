@@ -81,7 +81,7 @@ def _heading(args, made, along) -> list:
 
 
 def _has_path(given) -> bool:
-    """Whether options say of a path, or of a target, where it is."""
+    """Whether the options give a path or a target."""
     from cnclik.problem.options import PATH
 
     return given.get("reference", "hold") != "hold" or any(name in given for name in PATH)

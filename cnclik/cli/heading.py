@@ -1,11 +1,11 @@
-"""Heading: what was asked, above every answer: robot, tip, task, dead time, start and target, defaults marked."""
+"""The heading of every answer: robot, tip, task, dead time, start and target, with defaults marked."""
 
 from cnclik.problem.options import PATH
 from cnclik.quantities import in_samples
 
 
 def name_and_tip(name, tip) -> str:
-    """Such as "panda, tip flange", also where the name has the tip."""
+    """Such as "panda, tip flange", also if the name ends with the tip."""
     return ", tip ".join(filter(None, (name.removesuffix(f" {tip}"), tip)))
 
 
@@ -27,7 +27,7 @@ def loop_in_words(made, written) -> str:
 
     stage = f" by {made.stage}" * made.method.implicit
     head = f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}"
-    if made.tables is not None:  # each of its tasks says its gain
+    if made.tables is not None:  # the line of each task has its gain
         return head
     gain = np.asarray(made.law.alpha, float)
     alpha, z = (in_words(v).removesuffix(".") for v in (gain, gain * made.Ts))
@@ -35,12 +35,12 @@ def loop_in_words(made, written) -> str:
 
 
 def unless_given(written, *names) -> str:
-    """The text " (default)" where none of the options was given. Args: written: names of the given ones."""
+    """The text " (default)" if none of the options was given. Args: written: names of the given ones."""
     return "" if any(name in written for name in names) else " (default)"
 
 
 def assumed_drives(made) -> list:
-    """A sentence about the assumed drives where only their dead time was given."""
+    """A sentence about the assumed drives if only their dead time was given."""
     from cnclik.integrate.drive import Drive
     from cnclik.stability.recommend import assumed_of
 
@@ -75,7 +75,7 @@ def start_and_target(made, given: dict) -> list:
 
 
 def _of_stack(made, name, table) -> str:
-    """What a task of a stack is: of which tips, its level, gain and path."""
+    """A task of a stack in words: its tips, level, gain and path."""
     import numpy as np
 
     from cnclik.record import in_words
@@ -93,7 +93,7 @@ def _of_stack(made, name, table) -> str:
 
 
 def _level_of(law, name) -> str:
-    """The level of a task of a stack, such as ", level 1 of 2 (Damped, λ = 0.001)"; "" where there are none."""
+    """The level of a task of a stack, such as ", level 1 of 2 (Damped, λ = 0.001)"; "" without levels."""
     if not hasattr(law.inverse, "names"):
         return ""
     level = next(i for i, names in enumerate(law.inverse.names) if name in names)

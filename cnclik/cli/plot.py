@@ -19,7 +19,7 @@ class Args(ComputeOptions):
 
 
 def run(args: Args) -> None:
-    """Draw, and say what."""
+    """Draw the figures and print their names."""
     from cnclik.sweeps import store
 
     data, missing = store.read_and_missing(args.folder)
@@ -34,7 +34,7 @@ def run(args: Args) -> None:
 
 
 def draw(data, folder: pathlib.Path, *, tables=None, form="png", overwrite=False) -> None:
-    """Draw and write the figures; one that can't be drawn costs nothing but itself.
+    """Draw and write the figures; one that cannot be drawn does not stop the others.
 
     Args:
       data: of a sweep.

@@ -1,7 +1,7 @@
 """The options that describe a problem, shared by every verb that takes one.
 
-They are those of `cnclik.problem.OPTIONS`, with its help and defaults. A verb's `Args` inherits the groups it
-needs; `problem(args)` builds what they say.
+They are those of `cnclik.problem.OPTIONS`, with its help and defaults. A verb's `Args` inherits the groups that it
+needs; `problem(args)` builds the problem.
 """
 
 import dataclasses
@@ -51,7 +51,7 @@ class ProblemOptions(LoopOptions, ReferenceOptions, TaskOptions, RobotOptions):
 
 
 def table(args) -> dict:
-    """The problem's part of a verb's options as a flat table, what was left out left out."""
+    """The given options of the problem among a verb's options, as a flat table."""
     names = {name: name + "_" * keyword.iskeyword(name) for name in SWEPT}
     given = {name: getattr(args, field, None) for name, field in names.items()}
     return {name: value for name, value in given.items() if value not in (None, [])}
@@ -70,7 +70,7 @@ def problem(args, **others):
 
 
 def look_at_units(args, given: dict, chain, task, Ts=None) -> None:
-    """Whether the units that were written fit joints and task, and remarks on numbers that probably have another."""
+    """Check that the given units fit joints and task; remark on numbers that are probably in another unit."""
     from cnclik.problem.magnitudes import check_units, remark_on
 
     written = getattr(args, "written", {})
@@ -80,7 +80,7 @@ def look_at_units(args, given: dict, chain, task, Ts=None) -> None:
 
 
 def drive_words(made) -> str:
-    """What a robot adds, such as "2 samples (20 ms) of dead time, feedback measured"; "" where nothing."""
+    """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
     import numpy as np
 
     from cnclik.quantities import in_samples

@@ -1,4 +1,4 @@
-"""The one progress bar: what is done, how fast, how long still; plain lines where there is no terminal."""
+"""The one progress bar: work done, rate, time left; plain lines if there is no terminal."""
 
 import contextlib
 import sys
@@ -6,20 +6,20 @@ import time
 
 from cnclik.cli.timings import EVENTS
 
-_BETWEEN_LINES = 10.0  # [s]
+_BETWEEN_LINES = 10.0  # [s] between plain lines
 
 
 @contextlib.contextmanager
 def bar(unit: str, total=None, quiet=False):
     """Yields report(done, total, note=""), the one form of progress that every function of the library takes.
 
-    Until something is done a terminal shows what is being waited for (tracing, compiling, running) with the seconds
-    that have passed, or the note.
+    Until the first report of work done, a terminal shows the phase (tracing, compiling, running) with its seconds, or
+    the note.
 
     Args:
-      unit: what is counted.
-      total: how many there are, where that is known before the first report.
-      quiet: show nothing.
+      unit: the name of what is counted.
+      total: their number, if it is known before the first report.
+      quiet: whether to show nothing.
     """
     if quiet:
         yield lambda done, total, note="": None
@@ -54,8 +54,8 @@ def bar(unit: str, total=None, quiet=False):
 
 @contextlib.contextmanager
 def _phases(tell):
-    """Call tell("tracing"), tell("compiling") and tell("running") as JAX goes from one to the next."""
-    if "jax" not in sys.modules:  # then nothing is going to be compiled here
+    """Call tell("tracing"), tell("compiling") and tell("running") when JAX begins each."""
+    if "jax" not in sys.modules:  # without JAX nothing is compiled
         yield
         return
     from jax import monitoring
@@ -78,7 +78,7 @@ def _phases(tell):
 
 
 def words(unit, done, total, rate, note="", phase="compiling") -> str:
-    """What a report says: "120 of 4,000 loops, 60/s, EE"."""
+    """The text of a report: "120 of 4,000 loops, 60/s, EE"."""
     counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
     parts = [counted if done else "" if note else f"{phase}, {unit}"]
     if done and rate >= 1:
@@ -87,9 +87,9 @@ def words(unit, done, total, rate, note="", phase="compiling") -> str:
 
 
 class _Clock:
-    """How many are done per second since the first were: what comes before these is compiling.
+    """The rate of work since the first report of it, before which programs compile.
 
-    Another total is another phase.
+    A new total begins a new phase.
     """
 
     def __init__(self):

@@ -82,7 +82,7 @@ def run(args: Args) -> None:
 
 
 def _search(args, chain) -> str:
-    """A sentence: how near, from where and within which limits answers are searched for."""
+    """A sentence about the search: its tolerance, start and limits."""
     from cnclik.cli.heading import unless_given
     from cnclik.quantities import aloud
     from cnclik.record import in_words
@@ -112,7 +112,7 @@ def _check(args):
 
 
 def _options(args, *names):
-    """Options of the search by name, and of those that every search has; `seeds` where they are given."""
+    """Options of the search by name, and those that every search has; `seeds` if they are given."""
     names = (*names, "tolerance", "budget", "limits", "seed", *["seeds"] * (args.seeds is not None))
     return {name: getattr(args, name) for name in names}
 
@@ -140,7 +140,7 @@ def _answers(args, wanted, asked):
         if folder is not None:
             folder.write(args.out.name, functools.partial(save, answers(made, transforms(pose))))
     again = first
-    if args.json:  # the same once more: what is left without compiling
+    if args.json:  # run again, to time it without compiling
         begun = time.perf_counter()
         reach(chain, targets, task=task, **options)
         again = time.perf_counter() - begun
@@ -213,7 +213,7 @@ def _summary(made, first, again):
 
 
 def _tell(made, summary, seconds):
-    """Print how many targets have each status and what it means; of a single target also the joint values."""
+    """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
     from cnclik.reaching.aims import aims

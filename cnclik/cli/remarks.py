@@ -1,4 +1,4 @@
-"""Remarks: what a command does although it is probably not meant, as lines on stderr and in what is printed as JSON."""
+"""Remarks on input that is accepted but probably not meant, as lines on stderr and as an entry of JSON."""
 
 import contextlib
 import json
@@ -7,12 +7,12 @@ import warnings
 
 from cnclik.errors import Remark
 
-_said = []  # of the command that runs
+_said = []  # remarks of the running command
 
 
 @contextlib.contextmanager
 def listening():
-    """Context manager: each remark of the library, once, is a line on stderr; other warnings go their way."""
+    """Context manager that prints each remark of the library once, on stderr; other warnings are not changed."""
     _said.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("always", Remark)
@@ -30,5 +30,5 @@ def listening():
 
 
 def print_json(table: dict) -> None:
-    """Print a verb's answer as JSON, with the `remarks` there were."""
+    """Print a verb's answer as JSON, with its `remarks`."""
     print(json.dumps(table | {"remarks": list(_said)}, allow_nan=False))

@@ -1,4 +1,4 @@
-"""`cnclik robots`: what a robot file contains: its tree, joints, limits and the links that can be a tip."""
+"""`cnclik robots`: the tree of a robot file, its joints, limits and the links that can be a tip."""
 
 import dataclasses
 import math
@@ -7,7 +7,7 @@ import sys
 from cnclik.cli.arguments import option
 from cnclik.cli.common import CacheOption
 
-DEEPEST = 120  # columns that the lines of the tree take; what is deeper stands below one another
+DEEPEST = 120  # columns of the tree's lines; deeper links are not indented further
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -42,7 +42,7 @@ def run(args: Args) -> None:
 
 
 def _show(rows) -> None:
-    """Rows of (whether it is bold, texts) as columns; by hand, as a table of rich takes half a minute for thousands."""
+    """Print rows of (bold, texts) in columns. For thousands of rows a table of rich takes half a minute."""
     from rich.cells import cell_len
 
     rows = [(bold, *map(_plain, texts)) for bold, *texts in rows]
@@ -56,7 +56,7 @@ def _show(rows) -> None:
 
 
 def _plain(text) -> str:
-    """Without what would move a terminal's cursor, or end a line."""
+    """The text without characters that move a terminal's cursor or end a line."""
     return text if text.isprintable() else ascii(text)[1:-1]
 
 

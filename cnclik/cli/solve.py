@@ -89,7 +89,7 @@ _CAPTIONS = {
 
 
 def _kept(made, args, config):
-    """(trajectory, time per step, its dataset, names of the files written, what refused one of them or None)."""
+    """(trajectory, time per step, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
     from cnclik.writing import Refused, output_folder
 
@@ -106,7 +106,7 @@ def _kept(made, args, config):
             folder.write("trajectory.nc", functools.partial(save_netcdf, data))
             if args.csv:
                 folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
-    except Refused as error:  # the answer is given all the same
+    except Refused as error:  # the answer is printed nevertheless
         if data is None:
             raise
         refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
@@ -114,9 +114,9 @@ def _kept(made, args, config):
 
 
 def _march(made, report):
-    """The whole trajectory, in pieces that tell of progress, and the time per step once compiled [s].
+    """The whole trajectory, run in pieces that report progress, and the time per step without compiling [s].
 
-    Through drives or at a pace it is one piece: what is under way would begin anew with every other.
+    Through drives or at a pace it is one piece: each piece would begin with drives at rest.
     """
     import jax
 
@@ -137,7 +137,7 @@ def _march(made, report):
 
 
 def _rows(data):
-    """One row per instant; what belongs to a step stands at its beginning."""
+    """One row per instant; the values of a step are in the row of its beginning."""
     import numpy as np
 
     joints, axes = data.joint.values, data.axis.values
@@ -191,14 +191,14 @@ def _summary(made, trajectory, seconds):
     rows.append(("steps", _counted(trajectory.status)))
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
-    if made.pace is None or not made.pace.smooth:  # else no step reverses a velocity
+    if made.pace is None or not made.pace.smooth:  # at a smooth pace no step reverses a velocity
         rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
     rows.append(("time per step", f"{plainly(1e6 * seconds)} µs"))
     return rows
 
 
 def fastest(chain, qdot):
-    """The fastest joint, and that which has the largest share of its limit, in words."""
+    """The fastest joint, and the one with the largest share of its limit, in words."""
     import numpy as np
 
     from cnclik.quantities import plainly
@@ -216,7 +216,7 @@ def fastest(chain, qdot):
 
 
 def task_rows(name, run, task):
-    """Rows with the errors of a task and, in a stack, the number of steps with each status that the task has alone."""
+    """Rows with the errors of a task and, in a stack, the number of steps with each status of the task."""
     import numpy as np
 
     from cnclik.integrate.status import OWN
@@ -236,7 +236,7 @@ def task_rows(name, run, task):
 
 
 def _of_walls(run, law):
-    """Rows that say in how many steps each wall is active, and how near the robot came or how far it passed it."""
+    """Rows with the number of steps in which each wall is active, and how near the robot came or how far it passed."""
     import numpy as np
 
     from cnclik.integrate.status import rounding_of

@@ -56,7 +56,7 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
 
 
 def run(args: Args) -> None:
-    """Numbers on the terminal; figures and labelled data in the folder, the data first."""
+    """Print numbers, and write labelled data, then figures, into the folder."""
     from cnclik.show.output import draw, load_ahead
     from cnclik.writing import output_folder
 
@@ -129,12 +129,12 @@ def _loop(args):
 
 
 def _has_passes(found):
-    """Whether a map has a strip of passes beside it."""
+    """Whether a map is drawn with a strip for the number of passes."""
     return found.method.implicit and found.drive is None
 
 
 class _Advised(NamedTuple):
-    """What was asked, where it rests, and what is said of it."""
+    """The problem, the posture at which it rests, and the advice."""
 
     found: Any
     rest: Any
@@ -165,7 +165,7 @@ def _tell(args, advised):
 
 
 def _as_table(found, rest, said) -> dict:
-    """The advice as plain numbers; null is any, and what is not known is not there."""
+    """The advice as plain numbers. Null means any gain; unknown numbers are left out."""
     from cnclik.measure.files import plain
 
     margin = said.analysis.margin
@@ -217,7 +217,7 @@ def _map(args, out, found, rest):
     advised = _advice(args, found, rest)
     _tell(args, advised)
     now, rate = advised.said.analysis.margin, largest_rate(found.law.alpha)
-    # Half the way to the boundary, as a ratio, by the gain and half by the sampling time: both are in the picture.
+    # The gain and the sampling time each cover half the ratio to the boundary, so that both reach it in the picture.
     half = np.sqrt(min(now.margin, 20 / now.z))
     alphas = np.geomspace(*_range(args.alpha_range, rate, half), args.cells)
     times = np.geomspace(*_range(args.Ts_range, found.Ts, half), args.cells)
@@ -281,7 +281,7 @@ def _map_of_gains(args, out, found, rest):
 
 
 def _range(given, now, half):
-    """The range given, or from a third of what is now to three times what lies half the way to the boundary."""
+    """The given range, or from a third of the present value to three times the value half the way to the boundary."""
     return given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
 
 
@@ -322,7 +322,7 @@ def _report(args, figures, advised):
 
 
 def _runs(args, found, rest, said) -> list:
-    """A step to the target with the recommended gain, and with one that is too large, or if there is none that now."""
+    """Steps to the target with the recommended gain and with one that is too large, or with the present gain."""
     from cnclik.cli.stacked import runs_of_stack
     from cnclik.show.viewer.look import look, loop_of
 

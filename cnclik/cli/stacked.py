@@ -1,15 +1,15 @@
-"""Stacks in `cnclik stability`: where one rests, at which targets, and its runs with other gains."""
+"""Stacks in `cnclik stability`: the posture and targets at which one rests, and its runs with other gains."""
 
 import dataclasses
 import math
 
 from cnclik import errors
 
-PUSH = 0.05  # [rad, m] by which all joints are elsewhere when a run begins
+PUSH = 0.05  # [rad, m] by which all joints are displaced at the start of a run
 
 
 def at_targets(found, targets):
-    """The problem with other targets of its tips, one after the other; those beyond the last keep theirs."""
+    """The problem with new targets for its first tips, in order; the other tips keep theirs."""
     from cnclik.law.reference import of_each
     from cnclik.problem.reference import reference_from
     from cnclik.reaching.aims import aims, of_tips
@@ -31,9 +31,9 @@ def at_targets(found, targets):
 
 
 def runs_of_stack(found, rest, said) -> list:
-    """[(name, a run, the loop's spectral radius)]: as recommended, and with the tightest task's gain beyond its limit.
+    """[(name, run, spectral radius)] with recommended gains, and with the tightest task's gain beyond its limit.
 
-    All joints begin a little away from where the loop rests.
+    All joints begin a little away from the posture at which the loop rests.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""`cnclik sweep SPEC.toml`: a study of many loops, from one file to a labelled dataset and its figures."""
+"""`cnclik sweep SPEC.toml`: a study of many loops, from one file: a labelled dataset and its figures."""
 
 import dataclasses
 import pathlib
@@ -39,7 +39,7 @@ class Args(ReportOption, ComputeOptions):
 
 
 def run(args: Args) -> None:
-    """Validate, compute what is missing, draw."""
+    """Check the spec, compute the missing blocks, draw."""
     place = _join(args)
     from cnclik.problem import options
     from cnclik.problem.magnitudes import remark_on_times
@@ -93,10 +93,10 @@ def _report(args, spec, data, grid, seconds) -> None:
 
 
 def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:
-    """What follows from a finished store: summary, exports, and last the figures, which can be had again.
+    """Write summary, exports and figures of a finished store; the figures last, as they can be drawn again.
 
     Args:
-      figures: [[figure]] tables, () for good ones, None for no figures.
+      figures: [[figure]] tables, () for the default ones, None for no figures.
       export: "nc", "csv" or None.
       overwrite: also over files that cnclik did not write.
     """
@@ -137,7 +137,7 @@ def _join(args) -> dict:
 
         well = bool(np.all(multihost_utils.process_allgather(np.array(well))))
         if last or not well:
-            # From here on nobody needs the others: one that dies or is done must not take them along.
+            # No process waits for another from here on: one that fails or ends must not stop the others.
             jax.distributed.shutdown()
         return well
 

@@ -1,4 +1,4 @@
-"""Targets: what `reach` is asked of one tip, of several (--tip given again), or of a stack's tips."""
+"""Targets of `cnclik reach`: for one tip, for several (--tip more than once), or for the tips of a stack."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ if TYPE_CHECKING:
     from cnclik.robot.chain import Chain
     from cnclik.task.task import Task
 
-YIELDS = 1e-4  # weight of a level's squared errors, of those of the level before
-PERIOD = 10.0  # [s] of paths that say none, as of a loop of 1000 steps of 10 ms
+YIELDS = 1e-4  # weight of a level's squared errors relative to the level before
+PERIOD = 10.0  # [s] of paths without one, as of a loop of 1000 steps of 10 ms
 
 
 class Wanted(NamedTuple):
-    """What is asked: of which robot, for which task, and its targets.
+    """The request: robot, task and targets.
 
     Attributes:
-      title: robot, tips and task in words. lines: what else the answer begins with.
-      targets: as `cnclik.reach` takes them, many of each tip; None of a map.
+      title: robot, tips and task in words. lines: the other lines at the head of the answer.
+      targets: as `cnclik.reach` takes them, several for each tip; None for a map.
     """
 
     chain: Chain
@@ -30,7 +30,7 @@ class Wanted(NamedTuple):
 
 
 def wanted_of(args) -> Wanted:
-    """What the options ask for. Raises: ArgumentError for what does not fit."""
+    """The request of the options. Raises: ArgumentError for options that do not fit."""
     from cnclik.cli.heading import robot_and_task
     from cnclik.problem.names import robot_name, task_from
     from cnclik.reaching.aims import aims
@@ -80,7 +80,7 @@ def _of_each(args, chain):
 
 
 def _given(args, chain, task):
-    """Targets of a file, or at random, of all aims of a task."""
+    """Targets from a file, or random ones, for all aims of a task."""
     from pathlib import Path
 
     from cnclik.measure.answers import transforms
@@ -120,7 +120,7 @@ def _random(args, chain, task):
 
 
 def _look_at_units(args, chain, task, given) -> None:
-    """Whether units fit, and remarks on numbers that probably have another; points are one for each aim."""
+    """Check units, and remark on numbers that are probably in another one. Args: points: one for each aim."""
     from cnclik.cli.problem import look_at_units
     from cnclik.problem.magnitudes import remark_on_lengths
     from cnclik.reaching.aims import aims
@@ -133,7 +133,7 @@ def _look_at_units(args, chain, task, given) -> None:
 
 
 def _upper_first(task, tables) -> tuple:
-    """The task with weights by which the nearest pose keeps upper levels, and a line that says so."""
+    """The task with weights by which the nearest pose keeps upper levels, and a line about that."""
     import numpy as np
 
     from cnclik.problem.stack import ranks_of
@@ -150,7 +150,7 @@ def _upper_first(task, tables) -> tuple:
 
 
 def _of_stack(args) -> Wanted:
-    """The tips of a stack's tasks, and where its paths lead them, unless other targets are given."""
+    """The tips of a stack's tasks, with targets on its paths unless others are given."""
     import numpy as np
 
     from cnclik.cli.heading import robot_and_task

@@ -1,4 +1,4 @@
-"""A command's output and its end: what can't be printed, for want of a reader, room or letters, costs no results."""
+"""A command's output and its end. Output that cannot be printed (no reader, room or letter) costs no results."""
 
 import contextlib
 import io
@@ -11,7 +11,7 @@ STOPS = {signal.SIGTERM: "Terminated", signal.SIGINT: "Interrupted"}
 
 
 class _Stream:
-    """A stream that takes no more, and remembers why, once a write has failed; letters that it lacks are "?"."""
+    """A stream that drops everything after a failed write, and remembers why; letters that it lacks become "?"."""
 
     def __init__(self, stream):
         self.stream, self.problem = stream, None
@@ -29,7 +29,7 @@ class _Stream:
         if self.problem is None:
             try:
                 act()
-            except (OSError, ValueError) as error:  # ValueError: it is closed
+            except (OSError, ValueError) as error:  # ValueError: the stream is closed
                 self.problem = error
 
     def __getattr__(self, name):
@@ -38,18 +38,18 @@ class _Stream:
 
 @contextlib.contextmanager
 def guarded(process: bool):
-    """Context manager: a command's output, and its end by a signal, in order.
+    """Context manager that guards a command's output, and its end by a signal.
 
-    A command goes on without output, to the end of its work. Then it leaves with exit code 141 where the reader, such
-    as `head`, has left, as a shell has it, and otherwise with one line on stderr and exit code 1.
+    If output fails, the command still finishes its work. Then it exits with code 141 if the reader, such as `head`, has
+    left (as a shell reports it), and otherwise with one line on stderr and code 1.
 
     Args:
-      process: whether the command is all this process is for. Then SIGTERM and SIGINT end it at once, and when it
-        leaves early it doesn't wait for threads that are still loading or compiling something, those of compiled code
-        among them, of which Python doesn't know: it would wait, and may crash or hang on them.
+      process: whether this process only runs the command. Then SIGTERM and SIGINT end it at once, and an early end does
+        not wait for threads that still load or compile: Python does not know those of compiled code, and waiting for
+        them may hang or crash.
     """
     own = sys.stdout, sys.stderr
-    out, err = (_Stream(stream or io.StringIO()) for stream in own)  # none: it was closed from the beginning
+    out, err = (_Stream(stream or io.StringIO()) for stream in own)  # None: it was closed from the beginning
     sys.stdout, sys.stderr = out, err
     leaving, before = None, _listen() if process else {}
     try:
@@ -63,7 +63,7 @@ def guarded(process: bool):
         err.flush()
         sys.stdout, sys.stderr = own
         for stream in (out, err):
-            if stream.problem is not None:  # Python would fail on what it still holds when it ends
+            if stream.problem is not None:  # at its end Python would fail to write the rest
                 with contextlib.suppress(OSError, ValueError):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     if leaving is not None and (leaving.code or out.problem is None):
@@ -80,26 +80,26 @@ def guarded(process: bool):
 
 
 def _listen() -> dict:
-    """End the process at SIGTERM and SIGINT, wherever it is, but for those that a shell told it to ignore.
+    """End the process at SIGTERM and SIGINT, except for a signal that the shell had it ignore.
 
-    Not by an exception, of which extensions that are being loaded make errors of their own, and which is dropped where
-    compiled code calls Python back. Returns: {signal: what handled it before}.
+    An exception would not do: extensions that are being loaded turn it into another error, and callbacks from compiled
+    code drop it. Returns: {signal: its handler before}.
     """
-    if threading.current_thread() is not threading.main_thread():  # signals are for the main thread
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         return {}
-    heard = [sent for sent in STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not of Python
+    heard = [sent for sent in STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not set by Python
     return {sent: signal.signal(sent, end) for sent in heard}
 
 
 def end(sent, _) -> None:
-    """What a signal does: nothing half-written stays, and one line is said."""
+    """The handler of a signal: it removes half-written files and prints one line."""
     from cnclik.writing import remove_begun
 
     remove_begun()
     with contextlib.suppress(OSError):
-        bar = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # its line goes, and the cursor that it hides comes back
+        bar = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # erases the bar's line, and shows the cursor again
         os.write(2, f"{bar}cnclik: {STOPS[sent]}; what was complete is kept.\n".encode())
-    # What was printed before it, unless the signal came in the middle of that, or nobody reads on.
+    # Flush earlier output, unless the signal came in the middle of a write, or nobody reads it.
     with contextlib.suppress(OSError, ValueError, RuntimeError, AttributeError):
         sys.stdout.flush()
     os._exit(128 + sent)

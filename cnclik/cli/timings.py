@@ -1,27 +1,27 @@
-"""Where a command's time goes: importing (until it begins), tracing, compiling, drawing, and the rest: running."""
+"""Where a command's time goes: importing (until it begins), tracing, compiling, drawing; the rest is running."""
 
 import contextlib
 import time
 
 from cnclik.show.output import DRAWING
 
-EVENTS = {  # of jax.monitoring, which tells of beginnings as scalars and of ends as spans of time
+EVENTS = {  # of jax.monitoring, which reports a beginning as a scalar and an end as a duration
     "/jax/core/compile/jaxpr_trace_duration": "tracing",
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
     "/jax/core/compile/backend_compile_duration": "compiling",
     DRAWING: "drawing",
 }
-_ORDER = ("compiling", "tracing", "importing", "drawing")  # where spans overlap, the first of these counts
+_ORDER = ("compiling", "tracing", "importing", "drawing")  # if spans overlap, the first of these counts
 
 
 class Spans:
-    """Spans of time by what was done in them; threads may overlap, and one thing may be inside another."""
+    """Spans of time by kind of work; they may overlap in threads, and be nested."""
 
     def __init__(self, begun: float):
         self.begun, self.found, self.hits = begun, {name: [] for name in _ORDER}, 0
 
     def seconds(self, now=None) -> dict:
-        """{what: seconds}, each instant counted once, and the rest as "running"."""
+        """{kind of work: seconds}; each instant counts once, and the rest is "running"."""
         spans, before, made = [], 0.0, {}
         for name in _ORDER:
             spans += self.found[name]
@@ -52,7 +52,7 @@ def length(spans) -> float:
 
 @contextlib.contextmanager
 def watch(begun: float):
-    """Yields the `Spans` of what happens inside; they began at `begun` (`time.time()`), with importing until now."""
+    """Context manager that yields the `Spans` of its body. The time from `begun` (`time.time()`) is importing."""
     from jax import monitoring
 
     spans = Spans(begun)

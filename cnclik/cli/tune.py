@@ -121,7 +121,7 @@ def run(args: Args) -> None:
 
 
 def _asked(args, made) -> dict:
-    """What is asked of the loop, as `tune` takes it."""
+    """The conditions of the loop, as `tune` takes them."""
     from cnclik.tuning import Conditions, Descent
 
     gain = "schedule" if "schedule" in args.over and "alpha" not in args.over else "alpha"
@@ -179,7 +179,7 @@ def _loss(words):
 
 
 def _config(args) -> dict:
-    """Every option that has a part in the numbers, as it was set."""
+    """Every option that the numbers depend on, with its value."""
     own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
     given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures", *common.NAMES)}
     return table(args) | {name.rstrip("_"): v for name, v in given.items()}

@@ -49,7 +49,7 @@ def run(args: Args) -> None:
     viewer = front.Viewer(motions, live, host=args.host, port=args.port)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)
     if signal.getsignal(signal.SIGINT) is terminal.end:
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # as the way to end it
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # Ctrl-C ends the viewer
     try:
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()

@@ -1,4 +1,4 @@
-"""Answers of `cnclik.reach` as labelled data and files; and how they did, in a few numbers."""
+"""Answers of `cnclik.reach` as labelled data and files, and their summary in a few numbers."""
 
 import pathlib
 from typing import TYPE_CHECKING, Any
@@ -18,9 +18,9 @@ ENDINGS = (".npz", ".nc", ".csv")
 
 
 def answers(reached: Reached, transforms) -> "xr.Dataset":
-    """Answers for (B, 4, 4) targets as an `xarray.Dataset` with dimension `target` (and `solution`), units on all.
+    """Answers for targets (B, 4, 4) as an `xarray.Dataset` with dimension `target` (and `solution`); all have units.
 
-    Of k tips targets are (B, k, 4, 4), and there is a dimension `tip`.
+    For k tips the targets are (B, k, 4, 4), and there is a dimension `tip`.
     """
     import xarray as xr
 
@@ -85,7 +85,7 @@ def _rows(data):
 
 
 def transforms(pose) -> np.ndarray:
-    """(B, 4, 4) of (B, 12) positions and rotations' rows; (B, k, 4, 4) of those of k tips, one after the other."""
+    """Transforms (B, 4, 4) from positions and rows of rotations (B, 12); (B, k, 4, 4) from those of k tips in a row."""
     rows = np.asarray(pose).reshape(len(pose), -1, WIDTH)
     out = np.tile(np.eye(4), (*rows.shape[:2], 1, 1))
     out[..., :3, 3], out[..., :3, :3] = rows[..., :3], rows[..., 3:].reshape(*rows.shape[:2], 3, 3)

@@ -41,13 +41,13 @@ def to_dataset(
     instant k to k + 1), then `joint` or `axis`. Every variable has `long_name` and `units`.
 
     Args:
-      run: `Trajectory` from `solve`; batched, its leaves carry leading axes.
-      law: the law that was run: its chain names the joints, its task the axes.
+      run: `Trajectory` from `solve`; those of a batch have leading axes.
+      law: the law of the run. Its chain names the joints, its task the axes.
       dims: names of the leading axes, outermost first.
       coords: labels along them, {dim: values}.
-      config: what made the data, put into the attributes as one JSON string.
+      config: the options that made the data; they become one JSON string in the attributes.
 
-    Raises: ArgumentError where `dims` does not fit the trajectory's leading axes.
+    Raises: ArgumentError if `dims` does not fit the trajectory's leading axes.
     """
     import xarray as xr
 
@@ -96,7 +96,7 @@ def to_dataset(
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
         labels["time"] = ("time", first, about("time", "s"))
-    else:  # lanes with clocks of their own, such as a sweep over Ts
+    else:  # each lane has its own times, as in a sweep over Ts
         variables["t"] = (instant, t, about("time", "s"))
     variables = {name: (d, np.asarray(v), words) for name, (d, v, words) in variables.items()}
     found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(run.q.dtype))
@@ -104,12 +104,12 @@ def to_dataset(
 
 
 class Axes(NamedTuple):
-    """What the coordinates of a task are, an entry of each list for each of them."""
+    """The coordinates of a task; each list has an entry for each of them."""
 
     names: Sequence[str]
     units: Sequence[str]
-    tips: Sequence[str]  # "left", or "left in right" as seen from another; "joints" of joint values
-    tasks: Sequence[str] = ()  # of a stack: the task that it belongs to
+    tips: Sequence[str]  # "left"; "left in right" for a pose relative to another tip; "joints" for joint values
+    tasks: Sequence[str] = ()  # the task of the stack that each belongs to
 
 
 def axes_of(task, chain) -> Axes:
@@ -123,7 +123,7 @@ def axes_of(task, chain) -> Axes:
 
 
 def as_json(config) -> str:
-    """A configuration as one line of JSON with sorted keys, arrays as lists: what goes into attributes."""
+    """A configuration as one line of JSON for the attributes, with sorted keys and arrays as lists."""
 
     def listed(value):
         found = np.asarray(value)
@@ -138,7 +138,7 @@ def as_json(config) -> str:
 
 
 def provenance(dtype) -> dict:
-    """What, beside the configuration, the numbers may depend on: versions, commit, device; `dtype`: the data's own."""
+    """What the numbers may depend on besides the configuration: versions, commit, device, and the data's `dtype`."""
     return {
         "cnclik": __version__,
         "commit": _commit(),
@@ -151,14 +151,14 @@ def provenance(dtype) -> dict:
 
 @functools.cache
 def _commit() -> str:
-    """Commit of the checkout this package lies in, "unknown" for an installed one; "+" marks local changes."""
+    """Commit of the checkout that holds this package, with "+" for local changes; "unknown" if it is installed."""
     package = Path(__file__).parents[1]
 
     def git(*args):
         return subprocess.run(["git", *args], cwd=package, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
-        git("ls-files", "--error-unmatch", "__init__.py")  # not just a venv inside some other checkout
+        git("ls-files", "--error-unmatch", "__init__.py")  # a venv inside another checkout does not count
         return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "--", ".") else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

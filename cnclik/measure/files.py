@@ -10,29 +10,29 @@ import numpy as np
 
 
 def save_netcdf(data, path) -> None:
-    """An `xarray.Dataset` as compressed netCDF: made in memory, as HDF5 ends the process where a disk is full."""
+    """Write an `xarray.Dataset` as compressed netCDF, made in memory: HDF5 ends the process if the disk is full."""
     numbers = [name for name, values in data.variables.items() if values.dtype.kind in "fiub" and values.ndim]
     packed = {name: {"zlib": True, "complevel": 6} for name in numbers}
     pathlib.Path(path).write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 
 
 def save_csv(rows, path) -> None:
-    """Rows as CSV, the first of them the names of the columns."""
+    """Write rows as CSV; the first has the names of the columns."""
     with open(path, "w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def markdown(header, rows, *, left=1) -> str:
-    """A Markdown table; the first `left` columns are set left, the others right. Cells may hold any one-line text."""
+    """A Markdown table. The first `left` columns are aligned left, the others right; a cell is any text of one line."""
     header, *rows = ([str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows))
     rule = ["---" if i < left else "---:" for i in range(len(header))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (header, rule, *rows))
 
 
 def plain(value):
-    """For JSON: nested tables, lists, numbers and texts; what is not finite is null, a record a table of its fields.
+    """A value for JSON: nested tables, lists, numbers, texts. A record is a table of its fields; NaN and inf are null.
 
-    A record's `run` and `advice`, which are whole records behind its numbers, are left out.
+    The fields `run` and `advice` of a record are left out: they are whole records behind its numbers.
     """
     if dataclasses.is_dataclass(value):
         names = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "analysis"))

@@ -1,4 +1,4 @@
-"""Limits: how much of its limits of velocity, acceleration and jerk a motion uses, joint by joint."""
+"""Limits: the shares of the velocity, acceleration and jerk limits that a motion uses, joint by joint."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cnclik.robot.chart import apart
 from cnclik.shapes import ArrayLike, Float, Number
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
-_ROUNDING = 1e-6  # of a limit
+_ROUNDING = 1e-6  # share of a limit that is rounding
 
 
 @record
@@ -51,13 +51,13 @@ class LimitsTaken:
 def check_limits(
     run: Trajectory | Float[ArrayLike, "N+1 n"], pace: Pace, *, chain: Chain | None = None, Ts: Number | None = None
 ) -> LimitsTaken:
-    """Check a motion against limits as a robot's controller does: by differences of sampled joint values, from rest.
+    """Check a motion against limits as a robot's controller does, by differences of sampled joint values from rest.
 
     q̇[k] = (q[k+1] − q[k])/Ts, q̈[k] = (q̇[k] − q̇[k−1])/Ts, q⃛[k] = (q̈[k] − q̈[k−1])/Ts, with q̇ and q̈ 0 before the
-    start. In float32 the rounding of joint values at 1 kHz alone makes a jerk of 100 rad/s³: check motions in float64.
+    start. In float32 rounding at 1 kHz alone makes a jerk of 100 rad/s³, so check motions in float64.
 
     Args:
-      run: a `Trajectory` of one lane, whose own q̇ is used; or joint values (N + 1, n) from any source [rad, m].
+      run: a `Trajectory` of one lane, whose q̇ is used, or joint values (N + 1, n) from any source [rad, m].
       pace: the limits.
       chain: for its velocity limits, if `pace` refers to them, and its joint names.
       Ts: sampling time of joint values [s].
@@ -91,7 +91,7 @@ def check_limits(
     for name in QUANTITIES:
         limit = getattr(pace, name)
         most = np.broadcast_to(np.inf if limit is None else np.asarray(limit, float), n)
-        part = np.abs(value) / np.maximum(most, 1e-12)  # a joint that may not move and doesn't keeps its limit
+        part = np.abs(value) / np.maximum(most, 1e-12)  # a limit of 0 is kept by a joint that does not move
         found[name] = part.max(axis=0)
         at.append(t[part.argmax(axis=0)])
         value = np.diff(value, axis=0, prepend=np.zeros((1, n))) / Ts

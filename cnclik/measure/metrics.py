@@ -72,18 +72,18 @@ class Measured(NamedTuple):
     run: Trajectory  # one lane
     law: Law
     reference: ref.Reference | ref.References
-    tolerance: Number  # on ‖e‖
-    task: Task  # the law's, or of a stack the one that is measured
+    tolerance: Number  # of ‖e‖ [m, rad]
+    task: Task  # the law's task, or the measured task of a stack
 
 
 class Metric(NamedTuple):
-    """A metric: its function of a `Measured` run, its unit, what it is, and the dimensions of its value."""
+    """A metric: its function of a `Measured` run, its unit, its meaning, and the dimensions of its value."""
 
     fn: Callable
-    unit: str  # "e": that of the error; "q": that of the joints; each may be followed by more
+    unit: str  # begins with "e" for the unit of the error, or "q" for that of the joints
     label: str
     dims: tuple[str, ...] = ()
-    needs: str = ""  # "position" or "rotation": a task with such coordinates
+    needs: str = ""  # "position" or "rotation": coordinates that the task must have
 
 
 # --- errors -------------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ def _max(values):
 
 
 def _first(hit):
-    """Index of the first True, the length where there is none."""
+    """Index of the first True; the length if there is none."""
     count = hit.shape[0]
     return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
@@ -126,9 +126,9 @@ def _rotation(loop):
 
 
 def _split(loop):
-    """Position error along the path (signed, positive when behind) and across it; at rest all is across."""
+    """Position error along the path (positive if behind) and across it; at rest the whole error counts as across."""
     task, model = loop.task, modelled(loop.law.chain)
-    path = true_motion(loop.reference, task)  # its own direction, whatever is fed forward
+    path = true_motion(loop.reference, task)  # the path's true direction, whatever is fed forward
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
     e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.target_time, loop.run.q)))
     speed = _norms(v)[:, None]
@@ -149,7 +149,7 @@ def _steps_to_tolerance(loop):
 def _settling_time(loop):
     outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
-    k = count - _first(outside[::-1])  # the instant after the last one outside
+    k = count - _first(outside[::-1])  # the instant after the last one outside the tolerance
     t = loop.run.target_time
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
@@ -209,13 +209,13 @@ def chatter(qdot):
 
 
 def _least_singular_value(loop):
-    """σ_min, its derivative that of the Rayleigh quotient and not of a decomposition."""
+    """σ_min, with the derivative of the Rayleigh quotient instead of that of a decomposition."""
     task, model = loop.task, modelled(loop.law.chain)
 
     def least(q):
         return safe_sqrt(dense.least_squared(dense.wide_side(weighted(task, task.rows_at(model, q)))))
 
-    sigma = jax.lax.map(least, loop.run.q)  # vmap would be written out posture by posture as C
+    sigma = jax.lax.map(least, loop.run.q)  # vmap would write out C for each posture
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
 
 
@@ -236,7 +236,7 @@ _MARKED = {
 
 
 def _errors(name, rows, unit, label, needs=""):
-    """Metrics of one part of the error: its size at the end, and over the run; rows(of) is that part."""
+    """Metrics of one part of the error, rows(of): its size at the end and over the run."""
     return {
         f"final_{name}": Metric(lambda of: _norms(rows(of)[-1]), unit, f"{label}, at the end", needs=needs),
         f"mean_{name}": Metric(lambda of: jnp.mean(_norms(rows(of))), unit, f"{label}, mean", needs=needs),
@@ -297,7 +297,7 @@ METRICS = {
     ),
     "ok": Metric(lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
     **_MARKED,
-    # On request, whole histories: what convergence curves are drawn from.
+    # Whole histories, on request, for convergence curves.
     "error": Metric(lambda of: _norms(of.run.e), "e", "error ‖e[k]‖", ("time",)),
     "t": Metric(lambda of: of.run.t, "s", "time", ("time",)),
     "q": Metric(lambda of: of.run.q, "q", "joint values", ("time", "joint")),
@@ -323,15 +323,15 @@ def measure_run(
 ) -> Metrics:
     """Metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
 
-    In float32 errors are those of float64 to some 10 roundings of the arm's length, velocities to that over Ts.
+    In float32 errors differ from those in float64 by some 10 roundings of the arm's length, velocities by that over Ts.
 
     Args:
-      run: `Trajectory` of solve(law, reference, ...), one lane; `jax.vmap` this for a batch.
-      names: which metrics, see `METRICS`; of a stack's task "hands.final_error".
-      tolerance: on ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
+      run: `Trajectory` of solve(law, reference, ...), one lane; for a batch use `jax.vmap`.
+      names: of metrics, see `METRICS`; for a task of a stack such as "hands.final_error".
+      tolerance: of ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
 
     Returns: `Metrics` in the order of `names`, with units.
-    Raises: ArgumentError for an unknown name (the nearest is suggested), one the task has no part in, or a batch.
+    Raises: ArgumentError for a batch, for an unknown name (the nearest is suggested), or a metric without such a task.
     """
     one_lane(run)
     check_loop(law, reference)
@@ -356,7 +356,7 @@ def _values(run, law, reference, tolerance, *, names):
 
 
 def named(name: str) -> tuple[str, Metric]:
-    """The task and the metric that a name means: final_error of all, or hands.final_error."""
+    """The task and the metric that a name means: "final_error" of the law's task, or "hands.final_error"."""
     task, _, own = name.rpartition(".") if isinstance(name, str) else ("", "", name)
     return task, METRICS[errors.one_of("metrics", own, METRICS)]
 
@@ -383,7 +383,7 @@ def check(names, law: Law) -> None:
 
 
 def unit(name: str, law: Law) -> str:
-    """The unit of a metric for this law: that of its task and joints where it depends on them."""
+    """The unit of a metric for this law; it may depend on its task and joints."""
     written, task = named(name)[1].unit, _task(name, law)
     joints = sorted(set(law.chain.units), reverse=True)
     mine = {"e": dict.fromkeys(task.units), "q": joints, "J": ["m" if task.lengths else "1"]}

@@ -27,25 +27,25 @@ class Ending(enum.IntEnum):
     """How a loop ended."""
 
     CONVERGED = 0  # throughout the last quarter the error is below tolerance·scale
-    SLOW = 1  # not there yet, but all of the last quarter is clearly below all of the one before; or, through a drive,
-    # where errors swing, below the largest of it
-    STALLED = 2  # bounded and wrong: neither there nor on the way, yet below the scale
-    DIVERGED = 3  # not finite, or in the last quarter the error comes up to the scale again
-    NEAR_SINGULAR = 4  # one of the last two, after a step near a singularity while the error was below the scale
+    SLOW = 1  # not there yet, but every error of the last quarter is clearly below every one of the quarter before, or,
+    # through a drive, whose errors swing, below the largest of that quarter
+    STALLED = 2  # bounded, but neither there nor on the way: the error stays below the scale
+    DIVERGED = 3  # not finite, or in the last quarter the error reaches the scale again
+    NEAR_SINGULAR = 4  # stalled or diverged, after a step near a singularity while the error was below the scale
 
 
-GROWTH = 1 + 1e-3  # an error beyond this times the scale has grown
-STALL_RATIO = 0.98  # of the largest errors of two quarters: from here on the loop stands still short of the target
+GROWTH = 1 + 1e-3  # an error above this times the scale has grown
+STALL_RATIO = 0.98  # ratio of the largest errors of two quarters; above it the loop stands still short of the target
 
 
 def stable(code):
-    """Whether endings are those of a stable loop: converged, or slowly on the way."""
+    """Whether endings are those of a stable loop: converged, or slowly converging."""
     return (code == Ending.CONVERGED) | (code == Ending.SLOW)
 
 
 def classify(largest, least_before, largest_before, scale, tolerance, singular_first):
     """The `Ending` of a loop from the largest error of its last quarter, and the extremes of the quarter before."""
-    wrong = jnp.where(largest < scale, Ending.STALLED, Ending.DIVERGED)  # a scale of NaN: nothing is below
+    wrong = jnp.where(largest < scale, Ending.STALLED, Ending.DIVERGED)  # with a scale of NaN nothing is below
     failed = jnp.where(singular_first, Ending.NEAR_SINGULAR, wrong)
     slow = (largest < jnp.minimum(least_before, scale)) & (largest < STALL_RATIO * largest_before)
     return jnp.where(largest <= tolerance * scale, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed))
@@ -55,7 +55,7 @@ def ending(e, status, tolerance=1e-3):
     """How a stored run ended: the code of an `Ending` as a float, NaN where the initial error is 0.
 
     Args:
-      e: (N + 1, m) errors; what begins with one that is not finite has diverged. status: (N,) bits.
+      e: (N + 1, m) errors; a run that begins with one that is not finite has diverged. status: (N,) bits.
       tolerance: fraction of the initial error that counts as arrived.
     """
     size = safe_sqrt(jnp.sum(e * e, axis=-1))
@@ -75,8 +75,8 @@ class Outcome:
 
     Attributes:
       ending: an `Ending`.
-      steps: number of steps after which the error stays below tolerance·scale, N + 1 where it never does.
-      rate: mean factor per step down to that tolerance, tolerance^(1/steps); NaN where not converged.
+      steps: number of steps after which the error stays below tolerance·scale; N + 1 if it never does.
+      rate: mean factor per step down to that tolerance, tolerance^(1/steps); NaN if not converged.
       final: largest ‖e‖ in the last quarter [m, rad].
       near_singular: whether some step was marked NEAR_SINGULAR.
       stage_not_converged: whether some step was marked NOT_CONVERGED.
@@ -91,7 +91,7 @@ class Outcome:
 
 
 class _Seen(NamedTuple):
-    """What is remembered of a loop while it runs."""
+    """What `outcome` remembers of a loop while it runs."""
 
     scale: jax.Array  # the error to compare with
     last_above: jax.Array  # last step with an error above tolerance·scale
@@ -117,12 +117,12 @@ def outcome(
     tolerance=1e-3,
     scale=None,
 ):
-    """Run the loop for N steps and say how it ended, without keeping its path: pure, for vmap over many.
+    """How the loop ends after N steps; its path is not kept. Pure, for vmap over many loops.
 
     Args:
       law, reference, q0, Ts, N, method, stage: as for `solve`; nothing is checked here.
-      drive: what lies between command and motion; the error is that of what truly moves. model: it as `moving` samples
-        it.
+      drive: what lies between command and motion; the error is that of the true motion.
+      model: the drive as `moving` samples it, where that is known.
       tolerance: fraction of `scale` that counts as arrived.
       scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
     """
@@ -134,8 +134,7 @@ def outcome(
         state, made = one(loop, False, carry[0], k)
         return (state, _after(carry[1], k, made, N, tolerance, first=given is None)), None
 
-    # The step after the last is made too, only for its error: one more way to evaluate it would cost far more to
-    # compile than it costs to run.
+    # One step too many is made for the last error: a second function for errors alone would take longer to compile.
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
     before = _Seen(
@@ -149,7 +148,7 @@ def outcome(
         singular_first=never,
     )
     (_, seen), _ = lax.scan(step, (start(loop, q0), before), k)
-    # Through a drive an error swings, and a loop is on its way where its swings become smaller.
+    # Through a drive an error swings; such a loop converges if its swings become smaller.
     least = seen.least_before if drive.prompt else seen.largest_before
     code = classify(seen.largest, least, seen.largest_before, seen.scale, tolerance, seen.singular_first)
     steps = seen.last_above + 1
@@ -164,12 +163,12 @@ def outcome(
 
 
 def _after(seen: _Seen, k, made, N, tolerance, *, first) -> _Seen:
-    """What is remembered after step k, `made`. Args: first: whether the first error is the scale."""
+    """What is remembered after step k, whose result is `made`. Args: first: whether the first error is the scale."""
     size = safe_norm(made.e)
     scale = seen.scale
-    if first:  # what begins nowhere arrives nowhere
+    if first:  # without a finite first error the loop cannot converge
         scale = jnp.where(k == 0, jnp.where(jnp.isfinite(size), size, jnp.nan), scale)
-    # A loop that diverges wanders through singularities; one that meets them first is another matter.
+    # A diverging loop wanders through singularities; only one met before that can be the cause.
     grown = seen.grown | ~(size <= scale * GROWTH)
     size = jnp.where(jnp.isfinite(size), size, jnp.inf)
     status = jnp.where(k < N, made.status.astype(jnp.int32), 0)

@@ -1,4 +1,4 @@
-"""Problem: the plain names and values of command line, sweep files and Python, turned into records."""
+"""Problem: records made from the plain names and values of command line, sweep files and Python."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.robot.chain import Chain
 from cnclik.shapes import AnyArray, ArrayLike, Float, Number
 
-LONGEST = 1e12  # [s] of a run: products of far longer times leave the range of floats
-_OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed on as they are
+LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
+_OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed to the law unchanged
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Problem:
-    """The arguments of `solve`, `solve(*p.loop)`, the robot's drives and noise, and its name; `run()` uses all of it.
+    """A loop, `solve(*p.loop)`, with the robot's name, drives and noise; `run()` uses all of it.
 
-    `drive` and `pace` are None where no such option was given. `noise` (m,) or a number is the standard deviation of
-    the measured error, or None; `seed` is the seed of random numbers. `tip` is the name of the robot's tip. `tables`
-    are the given tables of a stack's tasks, and `walls` those of its walls.
+    `drive` and `pace` are None if no such option was given. `noise`, a number or (m,), is the standard deviation of the
+    measured error, or None; `seed` is the seed of random numbers. `tip` is the name of the robot's tip. `tables` are
+    the given tables of a stack's tasks, and `walls` those of its walls.
     """
 
     name: str
@@ -86,13 +86,13 @@ class Problem:
         return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
 
     def run(self) -> Trajectory:
-        """The loop's run, as its robot has it: through its drives, or at its pace."""
+        """Run the loop on its robot: with its drives, pace and noise."""
         noise = None if self.noise is None else white_noise(self.noise, self.N, self.law.task.m, self.seed)
         return simulate(*self.loop, drive=self.drive, pace=self.pace, noise=noise)
 
     @property
     def alone(self) -> bool:
-        """Whether motion and measurement are what the law asks for: no drives, no noise, no pace."""
+        """Whether the robot does exactly what the law asks for: no drives, no noise, no pace."""
         return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
 
 
@@ -208,7 +208,7 @@ def _pace(chain, given) -> Pace | None:
 
 
 def _per_joint(chain, given, names) -> dict:
-    """Those options that are given; several numbers are one per joint, a list of one is a number."""
+    """The given ones of these options. Several numbers are one per joint; a list of one is a number."""
     made = {name: given[name] for name in names if name in given}
     for name, value in made.items():
         if isinstance(value, (tuple, list)):

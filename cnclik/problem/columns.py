@@ -1,4 +1,4 @@
-"""Columns: what the names above a table of poses mean, in any order and the usual spellings.
+"""Columns: the meaning of the names above a table of poses, in any order and the usual spellings.
 
 x, px, pos_x, position.x, /pose/position/x and x [mm] are one coordinate; qw, q_w, quat_w and orientation.w one of the
 quaternion's; t00 … t33 are a transform's entries.
@@ -13,7 +13,7 @@ POSITION, QUATERNION, TIME = ("x", "y", "z"), ("qw", "qx", "qy", "qz"), "time"
 TRANSFORM = tuple(f"t{i}{j}" for i in range(4) for j in range(4))
 _TURN = "q|quat|quaternion|ori|orient|orientation|rot|rotation"
 _PLACE = "p|pos|position|t|trans|translation"
-_SPELLINGS = (  # of a name's last parts, in small letters, joined by _
+_SPELLINGS = (  # the last parts of a name, in small letters, joined by _
     (re.compile(rf"(?:.*_)?(?:{_TURN})_?([wxyz])"), "q"),
     (re.compile(rf"(?:.*_)?(?:{_PLACE})_?([xyz])"), ""),
     (re.compile(r"([xyz])(?:_pos|_position|_m)?"), ""),
@@ -34,7 +34,7 @@ def meanings(argument: str, file: str, names) -> list:
     """
     found = [_meaning(argument, file, name) for name in names]
     is_ = [what for what, _ in found]
-    if "qw" in is_ and not {"qx", "qy", "qz"} & set(is_) and is_.count("x") == 1:  # w x y z alone: a quaternion
+    if "qw" in is_ and not {"qx", "qy", "qz"} & set(is_) and is_.count("x") == 1:  # w x y z without qx is a quaternion
         turns = {"x": "qx", "y": "qy", "z": "qz"}
         found = [(turns.get(what, what), factor) for what, factor in found]
         is_ = [what for what, _ in found]
@@ -50,9 +50,9 @@ def meanings(argument: str, file: str, names) -> list:
 
 
 def of_tip(names, tip) -> dict:
-    """{number: the name without the tip's} of the columns that begin with it, as left_hand.x, and of times; {} of none.
+    """{number: name without the tip} of the columns of a tip, such as left_hand.x, and of times; {} if there are none.
 
-    Args: tip: what it may be called, several names.
+    Args: tip: the names that the tip may have.
     """
     own = {}
     for i, name in enumerate(names):
@@ -68,15 +68,15 @@ def words_of(name) -> list:
 
 
 class Clock(NamedTuple):
-    """What the name of a column of times says."""
+    """The meaning of the name of a column of times."""
 
-    unit: str | None  # of SECONDS
-    of: tuple  # the other words of the name
-    part: bool  # whether it may be the seconds, or the nanoseconds, of a pair
+    unit: str | None  # a key of SECONDS
+    of: tuple  # other words of the name
+    part: bool  # whether it may be one of a pair of seconds and nanoseconds
 
 
 def clock_of(name) -> Clock | None:
-    """What a name says, if it is one of times: t, time, __time, /header/stamp, sec, nanosec, t [ms], time_ns."""
+    """The meaning of a name of times, or None: t, time, __time, /header/stamp, sec, nanosec, t [ms], time_ns."""
     words = words_of(name)
     unit = next((_SECONDS.get(w, w) for w in words[::-1] if w in SECONDS or w in _SECONDS), None)
     rest = [w for w in words if w not in SECONDS and w not in _SECONDS]

@@ -9,16 +9,16 @@ from cnclik.problem.options import SWEPT
 from cnclik.robot.posture import arm_length, beyond_arm
 
 _TURN = 2 * math.pi
-_FAR = 2  # times the length of the arm: a thousandth of it, as of millimetres, is within reach
-_JOINTS = ("q0", "posture", "near")  # joint values
+_FAR = 2  # times the length of the arm; a point that far, if in millimetres, is within reach
+_JOINTS = ("q0", "posture", "near")  # options that are joint values
 _POINTS = ("target", "from", "to", "center")
 _LENGTHS = ("radius", "amplitude")
 
 
 def check_units(chain, task, written: dict) -> None:
-    """Raise ArgumentError where a unit doesn't fit what it stands behind: degrees of a prismatic joint, or a position.
+    """Raise ArgumentError if a unit does not fit its option: degrees for a prismatic joint or a position.
 
-    Args: written: {option: the unit of each number, or None}, as it was given; see `cnclik.quantities.read`.
+    Args: written: {option: the given unit of each number, or None}; see `cnclik.quantities.read`.
     """
     parts, axes = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), list(task.units)
     wanted: dict = {} if hasattr(task.parts[0], "axes") else {"target": axes}
@@ -87,7 +87,7 @@ def _remark_on_joints(name, values, chain):
 def remark_on_lengths(bare: dict, chain, task, where="") -> None:
     """Remarks on points and lengths without a unit that are probably in another one.
 
-    Args: where: the table that they stand in, where they are no options of the command line.
+    Args: where: the table that they are in, if they are no options of the command line.
     """
     named = [name for name in (*_POINTS, *_LENGTHS) if name in bare]
     length = _length_of(chain, task) if named else None
@@ -111,9 +111,9 @@ def remark_on_lengths(bare: dict, chain, task, where="") -> None:
 
 
 def remark_on_places(file: str, places, chain, task, tip=None) -> None:
-    """A remark on positions (N, axes) of a file, most of which are so far out of reach that millimetres are meant.
+    """A remark on the positions (N, axes) of a file if most are so far out of reach that millimetres must be meant.
 
-    Args: tip: whose they are; None: the only one's.
+    Args: tip: the name of their tip; None: the only one.
     """
     places, length = np.asarray(places, float), _length_of(chain, task)
     if length is None or not places.size:
@@ -129,7 +129,7 @@ def remark_on_places(file: str, places, chain, task, tip=None) -> None:
 
 
 def _length_of(chain, task):
-    """The arm's length [m]; None where it isn't known, as of a slide, or the task has no position."""
+    """The arm's length [m]; None if it is unknown, as for a slide, or if the task has no position."""
     length = arm_length(chain)
     return length if errors.concrete(length) and task.position and "m" not in chain.units else None
 

@@ -1,4 +1,4 @@
-"""Names: what a user may write, and what it stands for, by the table in `words`."""
+"""Names: records made from the words that a user may write, by the table in `words`."""
 
 import itertools
 import os
@@ -24,9 +24,9 @@ from cnclik.task.task import Task
 
 
 def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
-    """The options given that a name takes.
+    """The given options of a name.
 
-    Raises: ArgumentError for one that it needs and has not, or has no use for: that would be dropped silently.
+    Raises: ArgumentError for an option that it needs but lacks, or that it does not use and would drop silently.
     """
     for key in choice.needs:
         if given.get(key) is None:
@@ -52,11 +52,11 @@ def load(
     """The robot of a file or a name, as the command line reads it.
 
     Args:
-      robot: a file in URDF or MJCF, told apart by its first element, or its text; a `mujoco.MjSpec` or `MjModel`;
-        `panda`, `ur5` or `planar:1,1,1`; or a name of the package robot_descriptions, where that is installed, such as
+      robot: a URDF or MJCF file, which its first element distinguishes, or its text; a `mujoco.MjSpec` or `MjModel`;
+        `panda`, `ur5` or `planar:1,1,1`; or a name of the package robot_descriptions, if that is installed, such as
         `g1_description` or `ur5e_mj_description`.
-      tip, base, tips, freeze: as for `load_urdf` and `load_mjcf`, of a file.
-    Raises: ArgumentError, one line, as those.
+      tip, base, tips, freeze: as for `load_urdf` and `load_mjcf`.
+    Raises: ArgumentError, as those.
     """
     if isinstance(robot, (str, os.PathLike)):
         file = _file_of(str(robot))
@@ -70,7 +70,7 @@ def load(
 
 
 def _file_of(name: str) -> str | None:
-    """The file, or text of one, that a name means; None of a robot of `words`. Raises: ArgumentError for others."""
+    """The file, or its text, that a name means; None for a built-in robot. Raises: ArgumentError for other names."""
     if name.partition(":")[0] in words.ROBOTS:
         return None
     file = name if name.lstrip("\ufeff \t\r\n").startswith("<") else file_of(name)
@@ -90,9 +90,9 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
 
 
 def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
-    """(chain, what its tip is called, "" where nobody says).
+    """(chain, name of its tip; "" if it has none).
 
-    Args: as `robot_from`; tips: of several in place of one {name: the argument that names it}.
+    Args: as `robot_from`; tips: in place of `tip`, for several, {name: the argument that names it}.
     """
     if isinstance(text, Chain):
         return text, tip or ", ".join(tips or ())
@@ -121,7 +121,7 @@ def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
 
 
 def robot_name(text, tip=None) -> str:
-    """What to call a robot in titles: its file's name without folder, and the tip where it is given."""
+    """The name of a robot in titles: its file's name without folder, and the tip if it is given."""
     if isinstance(text, Chain):
         return f"{text.n}-joint chain"
     text = str(text)
@@ -132,7 +132,7 @@ def robot_name(text, tip=None) -> str:
 def task_from(text, chain: Chain | None = None, **of) -> Task:
     """`pose`, `position`, `orientation`, or task coordinates by name such as `xy`, `rz`, `xyzrxry`.
 
-    On a planar arm the three words mean its plane: xy with rz, xy, rz. By default `pose` where the chain has
+    On a planar arm the three words mean its plane: xy with rz, xy, rz. The default is `pose` if the chain has
     the joints for it, else `position`.
 
     Args: of: `tip`, `relative_to`, `frame` and `weights`, as `cnclik.pose` takes them.
@@ -158,19 +158,19 @@ def task_from(text, chain: Chain | None = None, **of) -> Task:
 
 
 def _moved_by(chain, of) -> int:
-    """How many coordinates move a tip as seen from where it is."""
+    """How many joint coordinates move a tip, relative to another tip if the task is."""
     ways = [chain.way(chain.tip_number(of.get("tip")))]
     ways += [chain.way(chain.tip_number(of["relative_to"]))] if of.get("relative_to") else []
     return len({chain.joints[i].coordinate for way in ways for i in way})
 
 
-_APART = 1e-3  # least singular value, lengths in the arm's own, below which coordinates aren't moved apart
+_APART = 1e-3  # least singular value, for an arm of length 1, below which coordinates do not move independently
 
 
 def require_free(chain: Chain, task) -> None:
-    """Raise ArgumentError where the joints of a chain can't move a task's coordinates apart in any posture.
+    """Raise ArgumentError if no posture of a chain moves a task's coordinates independently.
 
-    The line names coordinates that they can: as many as possible, positions before rotations, those of the largest
+    The message names coordinates that would do: as many as possible, positions before rotations, with the largest
     least singular value over postures that fill the limits.
     """
     postures = spread_postures(chain)
@@ -193,7 +193,7 @@ def require_free(chain: Chain, task) -> None:
 
 
 def start_from(chain: Chain, task, q0=None):
-    """q0 (n,) [rad, m], checked; by default a posture inside the limits and away from singularities."""
+    """q0 (n,) [rad, m], checked. The default is a posture inside the limits and away from singularities."""
     if q0 is None:
         poses = [one for _, one in task.targets if hasattr(one.parts[0], "axes")]
         return start_posture(
@@ -207,7 +207,7 @@ def start_from(chain: Chain, task, q0=None):
 
 
 def gain_from(alpha):
-    """A gain [1/s]: a number, or one per task coordinate; a list of one is a number. A negative one is refused."""
+    """A gain [1/s], at least 0: a number, or one per task coordinate; a list of one is a number."""
     alpha = errors.array("alpha", alpha)
     if errors.concrete(alpha) and alpha.ndim < 2 and np.any(np.asarray(alpha) < 0):
         raise errors.fail("alpha", "be at least 0", f"is {' '.join(f'{v:g}' for v in np.atleast_1d(alpha))}")
@@ -218,7 +218,7 @@ def inverse_from(name=None, damping=None, threshold=None):
     """J# by name, one of `words.INVERSES`.
 
     Args:
-      name: by default damped where `damping` is given, else pseudoinverse.
+      name: the default is damped if `damping` is given, else pseudoinverse.
       damping: λ of the damped ones (never λ²).
       threshold: manipulability or least singular value below which the last two are damped.
     """
@@ -230,10 +230,10 @@ def inverse_from(name=None, damping=None, threshold=None):
 
 
 def limits_from(name="none", Ts=None, rate=None, walls=()):
-    """How limits are respected, one of `words.LIMITS`; with walls they are bounded.
+    """The limit method by name, one of `words.LIMITS`; with walls it is bounded.
 
-    Where no rate is given and the sampling time is known, a joint nears its limit at most as fast as one step can stop:
-    1/Ts, and 10 per second at most.
+    The default rate [1/s] is 10, but at most 1/Ts if the sampling time is known: the rate at which one step can stop a
+    joint at its limit.
     """
     if walls and name not in ("none", "bounded"):
         raise errors.fail("limits", "be bounded, or be left out, where there are walls", f"is {name!r}")
@@ -253,8 +253,8 @@ def limits_from(name="none", Ts=None, rate=None, walls=()):
 
 
 def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):
-    """The null-space term: towards a `posture` (n,) at `posture_rate`, 1/s by default, or up the `manipulability` with
-    this gain, or None.
+    """The null-space term, or None: towards a `posture` (n,) at `posture_rate` (default 1/s), or up the manipulability
+    with the gain `manipulability`.
     """
     if posture is None and posture_rate is not None:
         raise errors.fail("posture_rate", "come with `posture`", "comes without")
@@ -277,7 +277,7 @@ method_from = named
 
 
 def stage_from(name="picard", M=5, **options):
-    """How implicit stages are solved: the iteration's name, its number of passes M, further options of it."""
+    """The solver of implicit stages. Args: name: of the iteration; M: its passes; options: its other options."""
     if hasattr(name, "tolerance"):
         return name
     return words.STAGES[errors.one_of("stage", name, words.STAGES)].make(M, **options)

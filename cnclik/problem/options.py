@@ -31,7 +31,7 @@ class Option(NamedTuple):
     kind: str  # NAME, NAMES, NUMBER, NUMBERS, INTEGER or TABLES
     help: str
     default: Any = None
-    unit: str = "1"  # "q": unit of the joints; "J", "w", "x": unit of a singular value, a threshold, a point
+    unit: str = "1"  # or "q": unit of the joints; "J", "w", "x": unit of a singular value, a threshold, a point
     must: str = ""  # condition on each number: a key of `_FITS`
 
 
@@ -40,7 +40,7 @@ def _listed(names) -> str:
 
 
 def _of(option: str) -> str:
-    """Names of the references that take an option; its help begins with them."""
+    """The references that take an option, as the beginning of its help."""
     return " and ".join(name for name, choice in REFERENCES.items() if option in choice.options)
 
 
@@ -191,23 +191,23 @@ _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other tha
 
 
 def check_values(where: str, name: str, values) -> None:
-    """Raise ArgumentError unless all numbers of an array are ones that the option may have."""
+    """Raise ArgumentError unless the option may have all numbers of an array."""
     must = SWEPT[name].must if name in SWEPT else ""
     if must and (wrong := ~_FITS[must](values)).any():
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
 
 def in_own_units(given: dict, options=SWEPT) -> tuple:
-    """({option: value} with texts such as "34ms" as numbers in the option's own unit, {option: the units of each}).
+    """({option: value}, {option: the unit of each number}); texts such as "34ms" become numbers in the option's unit.
 
     A list may hold texts, too.
 
-    Args: options: {name: Option} of which they are.
-    Raises: ArgumentError for a text that is no such numbers, or has no unit.
+    Args: options: {name: Option} that they belong to.
+    Raises: ArgumentError for a text that holds no such numbers, or no unit.
     """
     made, written = dict(given), {}
     texts = [name for name, value in given.items() if _written(value, options[name].kind)]
-    for name in sorted(texts, key=lambda name: options[name].unit == SAMPLES):  # once the sampling time is known
+    for name in sorted(texts, key=lambda name: options[name].unit == SAMPLES):  # samples last: they need Ts
         Ts, alone = made.get("Ts", DEFAULTS["Ts"]), isinstance(given[name], str)
         if options[name].unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
             raise errors.fail(name, "be in samples where `Ts` is traced", f"is {given[name]!r}")
@@ -224,7 +224,7 @@ def in_own_units(given: dict, options=SWEPT) -> tuple:
 
 
 def _written(value, kind) -> bool:
-    """Whether an option of numbers is given as a text, or, where it may be several, as a list that holds one."""
+    """Whether the numbers of an option are given as a text, or as a list that holds one."""
     if kind in (NAME, NAMES, TABLES):
         return False
     several = kind == NUMBERS and isinstance(value, (list, tuple))
@@ -235,9 +235,9 @@ def units(law, width=None) -> dict:
     """{option: unit} for a law's task and joints.
 
     Args:
-      width: numbers of a point; beyond a position they are a quaternion's, without unit.
+      width: number of values of a point; those after the position are a quaternion's, without unit.
     """
-    from cnclik.law.inverse import ManipulabilityDamped  # here: the table itself is read without JAX
+    from cnclik.law.inverse import ManipulabilityDamped  # imported here, as the table is read without JAX
 
     power = len(law.task.lengths)
     point = ["m"] if power else []

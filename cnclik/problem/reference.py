@@ -1,4 +1,4 @@
-"""References by name, with what is left out filled in from the tip's pose at the start."""
+"""References by name; the pose of the tip at the start fills in what is not given."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _WRITTEN = {"start": "from", "end": "to"}  # `from` is no name in Python
 
 
 def as_written(options) -> dict:
-    """Options by the names that a user writes: `start` and `end` stand for from and to."""
+    """Options by the names that a user writes: `start` and `end` become from and to."""
     for python, name in _WRITTEN.items():
         if python in options and name in options:
             raise errors.fail(python, f"be left out where `{name}` is given", f"is {options[python]!r}")
@@ -39,23 +39,22 @@ def as_written(options) -> dict:
 
 
 class ArmAtStart(NamedTuple):
-    """What a path may be filled in from."""
+    """The arm at the start, from which a path is completed."""
 
     chain: Chain
-    task: Task  # of the only tip, told by its coordinates
+    task: Task  # of one tip, whose target has its coordinates
     q0: Float[Array, " n"]
     here: tuple  # position and rotation of the tip at q0
-    tips: tuple = (None, None)  # names of the tip, and of the one as seen from which it is
+    tips: tuple = (None, None)  # names of the tip, and of the tip that it is relative to
 
 
 def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> ref.Reference:
     """A desired path by name.
 
-    A point is a position (in the task's coordinates or as x y z), then for tasks with an orientation
-    optionally a unit quaternion w x y z; without one the orientation at q0 is kept. For a task without
-    position it is the quaternion alone.
+    A point has a position (in the task's coordinates or as x y z), if the task has one. If the task has an
+    orientation, a unit quaternion w x y z follows; without it the orientation at q0 is kept.
 
-    hold: `target`; by default where the tip gets when every joint moves by 0.3 rad (a tenth of the arm's
+    hold: `target`. The default is the tip's pose after every joint moves by 0.3 rad (a tenth of the arm's
       length for prismatic joints) towards the middle of its limits.
     line: `start` (the tip at q0), `end` (as hold's target), in `period` seconds, then held.
     circle: `radius` (a tenth of the arm's length), `center` (so that the circle starts at the tip), `normal`,
@@ -92,9 +91,9 @@ def line(arm, period, **ends):
     errors.number("period", period, positive=True)
     first, turned = _point("from", ends.get("from"), arm.task, arm.here)
     last, turned_last = _point("to", ends.get("to"), arm.task, arm.here if "to" in ends else _away(arm))
-    if first is not None and len(first) != len(last):  # one as x y z, one in the task's coordinates
+    if first is not None and len(first) != len(last):  # one end is x y z, the other in the task's coordinates
         first, last = (p if len(p) < 3 else p[np.array(arm.task.linear)] for p in (first, last))
-    turned_last = None if turned_last is turned else turned_last  # kept: nothing to turn
+    turned_last = None if turned_last is turned else turned_last  # the same orientation: nothing to turn
     return ref.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
 
@@ -121,7 +120,7 @@ def lissajous(arm, period, center=None, amplitude=None, frequency=None, phase=No
 
 
 def on_path(chain: Chain, task, reference, q0):
-    """Joint values (n,), nearest to q0, that put the tip where a path begins, or several where theirs do.
+    """Joint values (n,), nearest to q0, that put each tip where its path begins.
 
     Raises: ArgumentError where none are found.
     """
@@ -148,7 +147,7 @@ def _tip(chain, q, tip, to):
 
 
 def _known(values):
-    """Numbers as a NumPy array; what is traced stays as it is, so that a sweep can vary it."""
+    """Numbers as a NumPy array; a traced value stays as it is, so that a sweep can vary it."""
     return np.asarray(values, float) if errors.concrete(values) else values
 
 
@@ -188,7 +187,7 @@ def _point(name, given, task, default):
 
 
 def _waypoints(arm, file):
-    """Waypoints of a CSV file: time, position, optional quaternion; by name, or without a header in this order."""
+    """Waypoints of a CSV file, with columns by name, or without a header time, position and perhaps a quaternion."""
     name, task = pathlib.Path(file).name, arm.task
 
     def by_place(width):
@@ -208,7 +207,7 @@ def _waypoints(arm, file):
             raise errors.fail("reference", "have a column for each coordinate", f"{name} lacks {' '.join(lacking)}")
         table = np.stack([columns[column] for column in order], 1)
     points = [_point(f"{name} row {k + 1}", row, arm.task, arm.here) for k, row in enumerate(table[:, 1:])]
-    late = ~(table[1:, 0] > table[:-1, 0])  # also where one is not finite
+    late = ~(table[1:, 0] > table[:-1, 0])  # also if one is not finite
     if late.any():
         k = int(np.argmax(late))
         first, second = table[k : k + 2, 0]

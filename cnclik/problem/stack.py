@@ -1,4 +1,4 @@
-"""Stacks in plain names: tables of several tasks, and walls, turned into task, gain, J#, references and limits."""
+"""Stacks in plain names: task, gain, J#, references and limits from tables of several tasks and walls."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from cnclik.task.task import Task
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _KNOWN = {"tasks": OF_TASK, "walls": OF_WALL}
-_DAMPING = ("inverse", "damping", "threshold")  # options of a loop that a level may have of its own
-# Options of a loop with one task, and what there is with a stack.
+_DAMPING = ("inverse", "damping", "threshold")  # options of the loop, or of one level
+# Options of a loop with one task, and what replaces them in a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
 _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
 _NOT_OF = {"joints": ("tip", "relative_to", "frame", "axes"), "center_of_mass": ("tip", "frame", "joints")}
 
 
 class Written(NamedTuple):
-    """The tables of a stack as they are given."""
+    """The given tables of a stack."""
 
     tasks: Any  # {name of a task: {option: value}}
     walls: Any  # {name of a wall: {option: value}}
 
 
 class Table(NamedTuple):
-    """One task, wall or shape of a stack as it was given."""
+    """One given task, wall or shape of a stack."""
 
     where: str  # "tasks.NAME"
     given: dict  # {option: value}, numbers in the option's own unit
@@ -68,7 +68,7 @@ def read_stack(file) -> Written:
 
 
 def tables_from(written: Written, given: dict) -> Written:
-    """The same with a `Table` for each task and wall, checked, with texts such as "50 mm" as numbers.
+    """The stack with a checked `Table` for each task and wall; texts such as "50 mm" become numbers.
 
     Args: given: options of the whole loop, by the names that a user writes.
     Raises: ArgumentError naming the entry that does not fit, such as `tasks.hands.alpha`.
@@ -80,7 +80,7 @@ def tables_from(written: Written, given: dict) -> Written:
     found = Written(*(_each(kind, tables) for kind, tables in written._asdict().items()))
     if not found.tasks:
         raise errors.fail("tasks", "be tables of tasks, [tasks.NAME]", "are none")
-    for name in ("alpha", *_DAMPING):  # what nobody would use is not dropped silently
+    for name in ("alpha", *_DAMPING):  # an option that no task uses is refused
         if not _is_default(name, given.get(name)) and all(name in one.given for one in found.tasks.values()):
             raise errors.fail(name, "be left out where every task has its own", f"is {given[name]!r}")
     return found
@@ -96,7 +96,7 @@ def _each(kind, tables) -> dict[str, Table]:
 
 
 def table_from(where, table, known) -> Table:
-    """A table, checked. Args: known: {option: Option} of what it may hold."""
+    """A checked table. Args: known: {option: Option} that it may hold."""
     if not isinstance(table, Mapping):
         raise errors.fail(where, "be a table of options", f"is {table!r}")
     table = as_written({key: value for key, value in table.items() if value is not None})
@@ -154,7 +154,7 @@ def _several(names) -> list:
 
 
 def stack_from(tables, chain: Chain) -> Task:
-    """The task with the names of its tasks, on its robot."""
+    """The stack's task on its robot, with the names of its tasks."""
     made = {}
     for name, one in tables.items():
         with errors.within(one.where):
@@ -164,7 +164,7 @@ def stack_from(tables, chain: Chain) -> Task:
 
 
 def task_of(one: Table, chain: Chain) -> Task:
-    """The task that a table says, of one tip or of several."""
+    """The task of a table, for one tip or several."""
     kind = "joints" if _is_joints(one.given) else one.given.get("task", "")
     for key in _NOT_OF.get(kind, ("joints", "axes")):
         if key in one.given:
@@ -180,7 +180,7 @@ def task_of(one: Table, chain: Chain) -> Task:
 
 
 def gains_from(tables, alpha):
-    """The gain of a stack: of each task its own, or that of all."""
+    """The gain of a stack: each task's own, or that of the loop."""
     if not any("alpha" in one.given for one in tables.values()):
         return gain_from(alpha)
     found = {}
@@ -191,7 +191,7 @@ def gains_from(tables, alpha):
 
 
 def inverse_of(tables, task: Task, chain: Chain, **of_all):
-    """J# of a stack: that of all, where no task has a damping or a level of its own; else levels."""
+    """J# of a stack: the loop's, if no task has a damping or a level of its own; else levels."""
     own = {key for one in tables.values() for key in one.given} & {"level", *_DAMPING}
     if not own:
         found = inverse_from(*(of_all[key] for key in _DAMPING))
@@ -209,7 +209,7 @@ def inverse_of(tables, task: Task, chain: Chain, **of_all):
     each = [_of_level([tables[name] for name in groups[level]], of_all) for level in order]
     if numbered:
         _check_order(tables, [groups[level] for level in order], each)
-    elif all(errors.concrete(one.damping) for one in each):  # by what makes one come first
+    elif all(errors.concrete(one.damping) for one in each):  # by damping, which makes a level come first
         order, each = zip(*sorted(zip(order, each, strict=True), key=lambda pair: float(pair[1].damping)), strict=True)
     return levels(*(groups[level] for level in order), damping=each)
 
@@ -233,7 +233,7 @@ def _of_level(own, of_all):
 
 
 def _check_order(tables, groups, each):
-    """What comes first has the least damping: that is what makes it come first."""
+    """Check that dampings grow from level to level: the least damping is what makes the first one strict."""
     known = all(errors.concrete(one.damping) for one in each)
     for i in range(1, len(each) if known else 0):
         before, now = float(each[i - 1].damping), float(each[i].damping)
@@ -244,7 +244,7 @@ def _check_order(tables, groups, each):
 
 
 def ranks_of(tables, names) -> dict[str, int]:
-    """Which of some tasks come first, from 0: by their levels, or where none has one by their dampings."""
+    """The rank of each task, from 0: by its level, or by its damping if no task has a level."""
     key = "level" if any("level" in one.given for one in tables.values()) else "damping"
     values = {name: float(tables[name].given.get(key, math.inf)) for name in names}
     order = sorted(set(values.values()))
@@ -252,7 +252,7 @@ def ranks_of(tables, names) -> dict[str, int]:
 
 
 def references_of(tables, chain: Chain, task: Task, q0, horizon) -> References:
-    """The paths of a stack's tasks, of each tip; without one it stays where q0 has it."""
+    """The paths of a stack's tasks, for each tip; a tip without a path stays where q0 has it."""
     made = {}
     for name, one in tables.items():
         with errors.within(one.where):
@@ -279,6 +279,6 @@ def _path(one, chain, q0, horizon, _, task):
         if not of_tip:
             values = errors.array(
                 "target", path["target"], (task.m,), *[()] * (task.m == 1)
-            )  # one joint's may be a number
+            )  # for one joint it may be a number
             return hold(values=values.reshape(task.m))
     return reference_from(kind, chain, task, q0, horizon=horizon, **path)

@@ -14,12 +14,12 @@ from cnclik.reading import read_bytes
 
 
 def read_columns(argument: str, file, *, gaps=False) -> tuple:
-    """Names of the columns, "1", "2", … where there is no header, and the numbers (rows, columns) of a CSV file.
+    """Names of the columns ("1", "2", … without a header) and numbers (rows, columns) of a CSV file.
 
     A header and # comments are no rows.
 
-    Args: gaps: whether cells may be empty, and columns hold texts alone; both are NaN.
-    Raises: ArgumentError, naming the argument, for a file that can't be read, or rows that don't fit.
+    Args: gaps: whether empty cells and columns of texts are allowed; both become NaN.
+    Raises: ArgumentError, naming the argument, for a file that cannot be read, or rows that do not fit.
     """
     names, rows = _cells(argument, file)
     table = _numbers(argument, file, rows, gaps)
@@ -30,12 +30,12 @@ def read_columns(argument: str, file, *, gaps=False) -> tuple:
 def read_poses(argument: str, file, by_place, tip=()) -> tuple:
     """({what: column (rows,)}, numbers (rows, columns)) of a table of poses; see `columns.meanings`.
 
-    Where there is no header the columns are taken by their place, of which a remark tells.
+    Without a header the columns are taken by their place, and a remark states that.
 
     Args:
-      by_place: function of a number of columns that returns what they are, or None for a number that fits nothing.
-      tip: names of the tip that they are of: where columns begin with one, such as left_hand.x, these are taken alone.
-    Raises: as `read_columns`, and for names that are unknown, or there twice.
+      by_place: function from a number of columns to what they are, or None for a number that fits nothing.
+      tip: names of the tip. If columns begin with one of them, such as left_hand.x, the others are ignored.
+    Raises: as `read_columns`, and for unknown or repeated names.
     """
     names, rows = _cells(argument, file)
     if own := of_tip(names, tip):
@@ -81,7 +81,7 @@ def _is_name(cell) -> bool:
 
 
 def _is_slip(rows) -> bool:
-    """Whether a first row that holds no number is meant to: in another script's digits, or with another separator."""
+    """Whether a first row without numbers was meant to have some, in other digits or with another separator."""
     return any(quantities.hint(cell) or ";" in cell for cell in rows[0])
 
 
@@ -108,14 +108,14 @@ def _numbers(argument, file, rows, gaps):
 
 
 def read_targets(file, task, number=None, tip=()) -> np.ndarray:
-    """Targets of a file, as `cnclik.reach` takes them, of a task of one tip.
+    """Targets of a file for the task of one tip, as `cnclik.reach` takes them.
 
-    A CSV file has a target per row, with columns by name (`cnclik.problem.columns`), or without a header position [m]
-    and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4 transform row by row. A .npy file has an array of
-    such rows or of transforms, a .npz file has it under `targets`. Of several tips a CSV file has columns that begin
-    with each one's name, such as left_hand.x, and the others have transforms (targets, tips, 4, 4).
+    A CSV file has a target per row, with columns by name (`cnclik.problem.columns`). Without a header the columns are
+    the position [m] and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4 transform row by row. A .npy file
+    has an array of such rows or of transforms, a .npz file has it under `targets`. For several tips the columns of a
+    CSV file begin with a tip's name, such as left_hand.x; other files have transforms (targets, tips, 4, 4).
 
-    Args: number, tip: of several tips which one, and what it may be called.
+    Args: number, tip: the index of the tip, if there are several, and the names that it may have.
     """
     path = pathlib.Path(file)
     ending = errors.ending("TARGETS", path, ".csv", ".npy", ".npz")
@@ -127,14 +127,14 @@ def read_targets(file, task, number=None, tip=()) -> np.ndarray:
             found = np.load(data, allow_pickle=False)
             if ending == ".npz":
                 most = 8 * reading.MOST_BYTES
-                if found.zip.getinfo("targets.npy").file_size > most:  # a few packed bytes may say so
+                if found.zip.getinfo("targets.npy").file_size > most:  # a few compressed bytes may expand to that
                     words = f"name a file of at most {most >> 20} MiB when it is unpacked"
                     raise errors.fail("TARGETS", words, f"{path.name} is larger")
                 found = found["targets"]
         except errors.ArgumentError:
             raise
-        except Exception as error:  # whatever NumPy, zipfile and zlib make of damage
-            lacking = isinstance(error, (KeyError, AttributeError))  # AttributeError: one array, under no name
+        except Exception as error:  # damaged files raise errors of many kinds in NumPy, zipfile and zlib
+            lacking = isinstance(error, (KeyError, AttributeError))  # AttributeError: one array without a name
             reason = getattr(error, "strerror", None) or ("holds no array `targets`" if lacking else "is damaged")
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
         if number is not None:
@@ -165,7 +165,7 @@ def _targets(argument, path, task, tip):
     if lacking or (task.orientation and not task.position and "qw" not in columns):
         names = " ".join(lacking or QUATERNION)
         raise errors.fail(argument, f"have columns {names} for this task", f"{path.name} has {' '.join(columns)}")
-    none = np.zeros(len(table))  # of coordinates that the task doesn't have
+    none = np.zeros(len(table))  # for coordinates that the task does not have
     parts = [columns.get(axis, none) for axis in POSITION] if task.position else []
     if task.orientation and "qw" in columns:
         parts += [columns[name] for name in QUATERNION]

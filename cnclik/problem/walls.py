@@ -1,4 +1,4 @@
-"""Walls in plain names: tables of a stack's walls, turned into walls of `bounded`."""
+"""Walls in plain names: walls of `bounded` from the tables of a stack's walls."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
         return made
     sides: dict = {side: errors.number(side, given[side]) for side in ("above", "below") if side in given}
     if "distance" in given:
-        with errors.within("distance"):  # a half-space comes last, as `distance` has it
+        with errors.within("distance"):  # a half-space comes second, as `distance` takes it
             shapes = sorted(map(_shape, given["distance"]), key=lambda shape: not hasattr(shape, "ends"))
         task, sides = distance(*shapes), sides or {"above": 0.0}
     else:

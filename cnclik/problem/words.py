@@ -1,29 +1,29 @@
-"""Words: every name that an option may have, what makes it, and the options that it takes. Read without loading JAX."""
+"""Words: every name that may be the value of an option, its maker and its own options. Read without loading JAX."""
 
 import importlib
 from typing import Any, NamedTuple
 
 
 class Takes(NamedTuple):
-    """A name: what makes it, and its options, so that none it needs is left out and none given is silently dropped."""
+    """A name: its maker and its options, so that a missing option is reported, and one without use is not dropped."""
 
-    maker: str = ""  # "module:function"; "" of what is nothing
+    maker: str = ""  # "module:function"; "" for no object
     needs: tuple[str, ...] = ()  # options that must be given
-    takes: tuple[str, ...] = ()  # options that may be
-    always: tuple = ()  # (name, value) of arguments that make it this and no other
-    tip: str = ""  # of a robot: what its tip is called
+    takes: tuple[str, ...] = ()  # options that may be given
+    always: tuple = ()  # (name, value) of the maker's fixed arguments
+    tip: str = ""  # name of a robot's tip
 
     @property
     def options(self) -> tuple:
         return (*self.needs, *self.takes)
 
     def function(self):
-        """What makes it, loaded now."""
+        """The maker; its module is loaded now."""
         module, _, function = self.maker.partition(":")
         return getattr(importlib.import_module(f"cnclik.{module}"), function)
 
     def make(self, *args, **given):
-        """What the name stands for."""
+        """The object that the name stands for."""
         return self.function()(*args, **dict(self.always), **given)
 
 
@@ -37,7 +37,7 @@ ROBOTS = {
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
 FRAMES = ("base", "tip")
-STACKED = (*TASKS, "joints", "center_of_mass")  # of a stack
+STACKED = (*TASKS, "joints", "center_of_mass")  # kinds of task in a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),
     "damped": Takes("law.inverse:damped", needs=("damping",)),
@@ -45,7 +45,7 @@ INVERSES = {
     "manipulability-damped": Takes("law.inverse:manipulability_damped", needs=("damping", "threshold")),
     "singular-damped": Takes("law.inverse:singular_damped", needs=("damping", "threshold")),
 }
-LIMITS = {  # they take the rate [1/s] at which a joint may near its limit
+LIMITS = {  # `rate` [1/s]: how quickly a joint may near its limit
     "none": Takes(),
     "velocity-scaling": Takes("law.limits:velocity_scaling"),
     "weighted-least-norm": Takes("law.limits:weighted_least_norm", takes=("rate",)),
@@ -62,7 +62,7 @@ METHODS = (
     *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "AB2", "AB3", "AB4", "ZNN4", "ZEAD4", "ZNN6", "IFD5"),
     *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
 )
-SHAPES = {  # of the distance that a wall is of
+SHAPES = {  # between which a wall keeps a distance
     "half-space": Takes("task.shapes:half_space", needs=("normal",), takes=("offset",)),
     "capsule": Takes("task.shapes:capsule", needs=("from", "to"), takes=("tip", "radius")),
     "sphere": Takes("task.shapes:sphere", takes=("tip", "radius", "center")),

@@ -1,26 +1,26 @@
-/* The entry for XLA: a handler of its foreign function interface. An argument of one axis more than a lane's is a batch,
-   one of as many is what all lanes share. A large batch is done in parts, by XLA's threads beside the one that calls. */
+/* The entry for XLA: a handler of its foreign function interface. An argument with one axis more than a lane's is a
+   batch; one with as many axes is shared by all lanes. XLA's threads help the calling one with parts of a large batch. */
 #ifdef XLA_HANDLER
 #include <pthread.h>
 #include "xla/ffi/api/c_api.h"
 
 typedef struct {
-  int64_t all, step, begun, ended, holders; /* in lanes, but for the threads that hold this */
+  int64_t all, step, begun, ended, holders; /* numbers of lanes; holders: threads that use this */
   const void *const *in;
   const int64_t *stride;
   void *const *out;
-  pthread_mutex_t lock; /* of what changes */
+  pthread_mutex_t lock; /* guards the fields that change */
   pthread_cond_t done;
 } Batch;
 
-static void leave(Batch *batch) /* locked */
+static void leave(Batch *batch) /* called with the lock, and releases it */
 {
   const int last = --batch->holders == 0;
   pthread_mutex_unlock(&batch->lock);
   if (last) free(batch);
 }
 
-static void run_parts(Batch *batch, void *memory) /* locked before and after */
+static void run_parts(Batch *batch, void *memory) /* called and left with the lock */
 {
   while (batch->begun < batch->all) {
     const int64_t first = batch->begun, last = first + batch->step < batch->all ? first + batch->step : batch->all;
@@ -33,7 +33,7 @@ static void run_parts(Batch *batch, void *memory) /* locked before and after */
   if (batch->ended == batch->all) pthread_cond_signal(&batch->done);
 }
 
-/* Who comes when all is begun finds nothing to do, and looks at nothing of the caller's. */
+/* A thread that starts when all lanes are begun returns without reading the caller's memory. */
 static void help(void *data)
 {
   Batch *batch = data;
@@ -51,7 +51,7 @@ static int is_done(const XLA_FFI_Api *api, XLA_FFI_Error *error)
   return !error;
 }
 
-/* Lanes 0 … all, side by side where there are threads for it. */
+/* All lanes, in parallel if there are threads. */
 static void run_all(XLA_FFI_CallFrame *frame, Batch now, void *memory)
 {
   int64_t threads = 1;

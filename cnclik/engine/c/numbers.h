@@ -1,4 +1,4 @@
-/* What vectors of any numbers T have; N is one number, BITS whole numbers of the same size, K(name) a name for T. */
+/* Operations of every vector type T. N is one number, BITS a vector of whole numbers of that size, K(name) a name for T. */
 static inline T K(splat)(N x)
 {
   const T zero = {0};
@@ -20,7 +20,7 @@ static inline T K(load)(const N *p, int64_t stride, int64_t n)
   return r;
 }
 
-/* Four numbers that lie side by side in each lane. */
+/* Four neighbouring numbers in each lane. */
 static inline void K(store_four)(N *p, int64_t stride, T a, T b, T c, T d, int64_t n)
 {
 #if defined(FOUR) && SIZE == MAIN

@@ -1,5 +1,5 @@
-/* The entry for numbers of one lane: the first `count` arguments lie in `known`, one after the other, the others in
-   `block`, followed by the results. Each begins at a multiple of 8 bytes. Returns 0; 1 where there is no memory. */
+/* The entry for one lane. The first `count` arguments are in `known`, one after the other; the others are in `block`,
+   and the results follow them. Each begins at a multiple of 8 bytes. Returns 0, or 1 if there is no memory. */
 int of_numbers(int64_t count, const char *known, char *block)
 {
   const void *in[ARGUMENTS + 1];

@@ -1,7 +1,7 @@
-/* What vectors of floating-point numbers have besides; SIZE is 4 or 8, LIBM(name) the library's function for one number. */
+/* Operations of floating-point vectors. SIZE is 4 or 8; LIBM(name) is the library's function for one number. */
 #if SIZE == 4
 #define SIGN 0x80000000
-#define SMALL 4194304.0f /* beyond this a number is whole */
+#define SMALL 4194304.0f /* larger numbers are whole */
 #define MAGIC 12582912.0f
 #define FAR 1e4f
 #define TWO_OVER_PI 0.636619772f
@@ -35,7 +35,7 @@ static inline T K(sign)(T x) { return K(select)(MASK(x > 0), K(splat)(1), K(sele
 static inline T K(sqrt)(T x)
 {
   T r = x;
-  for (int i = 0; i < W; ++i) r[i] = LIBM(sqrt)(x[i]); /* one instruction for all */
+  for (int i = 0; i < W; ++i) r[i] = LIBM(sqrt)(x[i]); /* compiles to one instruction */
   return r;
 }
 
@@ -47,7 +47,7 @@ static inline T K(round_even)(T x)
   return K(select)(MASK(K(abs)(x) < SMALL), (T)(((BITS)rounded & (BITS_NUMBER)~SIGN) | ((BITS)x & (BITS_NUMBER)SIGN)), x);
 }
 
-/* Within low … high; NaN becomes 0. */
+/* Clamped to low … high; NaN becomes 0. */
 static inline T K(held)(T x, N low, N high)
 {
   x = K(select)(MASK(x == x), x, K(splat)(0));
@@ -55,12 +55,12 @@ static inline T K(held)(T x, N low, N high)
   return K(select)(MASK(x > high), K(splat)(high), x);
 }
 
-/* Both within 2 ulp: x = k π/2 + r (Cody and Waite 1980), minimax polynomials of r; beyond FAR the library's, lane by lane. */
+/* Sine and cosine within 2 ulp: x = k π/2 + r (Cody and Waite 1980), minimax polynomials of r; the library's beyond FAR. */
 static inline void K(sincos)(T x, T *sine, T *cosine)
 {
   const T angle = x;
   const T turned = x * TWO_OVER_PI + MAGIC, k = turned - MAGIC;
-  const BITS quadrant = (BITS)turned; /* the last bits are k's */
+  const BITS quadrant = (BITS)turned; /* its last bits are those of k */
   T r, s, t, z;
 #if SIZE == 4
   x = x - k * 1.5703125f;
@@ -129,7 +129,7 @@ static inline T K(atan2)(T y, T x)
   return (T)((BITS)K(abs)(r) | ((BITS)y & (BITS_NUMBER)SIGN));
 }
 
-/* log (x + lost), where x is not denormal and lost far smaller, within 2 ulp: x = 2^k (1 + f), √½ ≤ 1 + f < √2, and
+/* log (x + lost) within 2 ulp, for x not denormal and lost far smaller: x = 2^k (1 + f), √½ ≤ 1 + f < √2, and
    log (1 + f) = f - f²/2 + s (f²/2 + R(s²)), s = f/(2 + f) (fdlibm, Sun Microsystems 1993). */
 static inline T K(log_of)(T x, T lost)
 {

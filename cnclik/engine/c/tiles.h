@@ -1,5 +1,5 @@
-/* Lanes first … last of `all`, a tile of W after the other. Lane i of argument a lies at in[a] + i · stride[a]: a stride of
-   0 is what all lanes share. */
+/* Lanes first … last of `all`, in tiles of W. Lane i of argument a is at in[a] + i · stride[a]; an argument with a
+   stride of 0 is shared by all lanes. */
 int64_t width(void) { return W; }
 int64_t work_bytes(void) { return WORK + 256; }
 

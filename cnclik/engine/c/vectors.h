@@ -1,5 +1,5 @@
-/* Vectors of lanes, by the vector types of GCC and Clang, as wide as the target's registers for the type of most numbers:
-   SSE, AVX2, AVX-512, NEON, else one number. MAIN is the size of that type, in bytes. */
+/* Vectors of lanes in the vector types of GCC and Clang. They are as wide as the target's registers (SSE, AVX2, AVX-512,
+   NEON, else one number) for the type of most numbers, whose size in bytes is MAIN. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -9,7 +9,7 @@
 #endif
 #pragma GCC diagnostic ignored "-Wunused-function"
 
-#ifndef BYTES /* of a vector of the main type */
+#ifndef BYTES /* size of a vector of the main type */
 #if defined(__AVX512F__)
 #define BYTES 64
 #elif defined(__AVX__)
@@ -51,7 +51,7 @@ static inline M splat_M(int x)
 
 static inline M select_M(M m, M a, M b) { return (m & a) | (~m & b); }
 
-/* Of GCC and Clang themselves: the headers of intrinsics take as long to read as a small program takes to compile. */
+/* Built-in functions: reading the headers of intrinsics takes as long as compiling a small program. */
 #ifdef __clang__
 #define SHUFFLED __builtin_shufflevector
 #else
@@ -92,7 +92,7 @@ static inline void store_M(uint8_t *p, int64_t stride, M v, int64_t n)
   for (int i = 0; i < n; ++i) p[i * stride] = v[i] != 0;
 }
 
-/* Four vectors of numbers of 4 bytes turned into W places of four; the lines of memory that follow are asked for. */
+/* Transpose four vectors of 4-byte numbers into W groups of four, and prefetch the lines of memory that follow. */
 #if MAIN == 4 && BYTES >= 16
 #define FOUR
 #define BOTH(i) i, W + (i), (i) + 1, W + (i) + 1
@@ -118,5 +118,5 @@ static inline void store_four(char *p, int64_t stride, S32 a, S32 b, S32 c, S32 
 }
 #endif
 
-/* What is kept between the rounds of loops: T's at a place of the work memory, which is told for vectors of 64 bytes. */
+/* A vector T in the work memory, kept between rounds of a loop; `place` counts as if vectors had 64 bytes. */
 #define AT(T, place) ((T *)(work + (place) / 64 * BYTES))

@@ -1,4 +1,4 @@
-/* What vectors of whole numbers have besides; SIGNED and SIZE are those of a number. Division as XLA's: by 0 it is −1. */
+/* Operations of whole-number vectors; SIGNED and SIZE are those of a number. As in XLA, division by 0 is −1. */
 #define ALL_BITS (8 * (int)SIZE)
 
 static inline T K(max)(T a, T b) { return K(select)(MASK(a > b), a, b); }

@@ -1,32 +1,31 @@
-/* The search for targets, around `look`, which `native_source` writes for a chain and a task with `Lanes`, what it reads
-   and writes: as vectors of W lanes, with VECTORS, or as numbers, W being 1. `Real`, LANE(v, i), SPLAT(x), LIBM(name), N and the
-   other numbers in capitals are defined there, too. */
+/* The search for targets. `native_source` writes `look` for a chain and a task, `Lanes`, which it reads and writes, `Real`,
+   LANE(v, i), SPLAT(x), LIBM(name), N and the other constants. Lanes are vectors of W, with VECTORS, or numbers, W = 1. */
 #include <string.h>
 
-typedef struct { /* what a search comes to for a target; `search.Found` in Python */
-  Real q[N], squares[2], cost, steep; /* the best posture found, its errors' squares; see `step.Search` */
+typedef struct { /* the result of a search for a target; `search.Found` in Python */
+  Real q[N], squares[2], cost, steep; /* the best posture and its squared errors; see `step.Search` */
   Real looks, found;
   Real places[PLACES][N], costs[PLACES]; /* the best places of tries that did not arrive */
 } Found;
 
-typedef struct { /* of B targets; the same as `native._Call` */
+typedef struct { /* B targets; the same as `native._Call` */
   const Real *pose, *near; /* (B, AIMS, 12), (B, N) or NULL */
-  const uint8_t *skip; /* (B) or NULL: nothing is tried for those */
+  const uint8_t *skip; /* (B) or NULL: targets that are left out */
   Found *made; /* (B) */
-  Real *rows; /* (B, 2 N + 5) or NULL: of targets that are found, what `result.from_rows` reads */
-  const Real *low, *high; /* (N) where joints are searched for; `jump` narrows that */
-  const Real *lower, *upper, *jump; /* (N) limits; INFINITY, where no jump is asked for */
-  const Real *periods, *turns; /* (N) what a joint turns by to the same posture, or 0; where several turns fit */
-  const Real *postures, *middle, *width; /* (SETS * SIZE, N), (N), (N) of the seeds */
+  Real *rows; /* (B, 2 N + 5) or NULL: for targets that are found, rows for `result.from_rows` */
+  const Real *low, *high; /* (N) range of the search, which `jump` narrows */
+  const Real *lower, *upper, *jump; /* (N) limits; INFINITY without a jump */
+  const Real *periods, *turns; /* (N) the turn after which a posture repeats, or 0; it where several turns fit */
+  const Real *postures, *middle, *width; /* of the seeds: (SETS * SIZE, N), (N), (N) */
   const float *features, *factors; /* (AIMS, SETS, 13, SIZE), (AIMS, 12) */
-  const Real *roots; /* (M) of weights */
+  const Real *roots; /* (M) roots of the weights */
   Real tolerance[2];
-  int64_t done, tries, budget, seed; /* tries before; in all */
-  int64_t downhill; /* steps from each of the places to the nearest pose, or 0: tries from seeds */
+  int64_t done, tries, budget, seed; /* done: earlier tries; tries: all */
+  int64_t downhill; /* steps from each kept place to the nearest pose; 0: tries from seeds */
 } Asked;
 
-typedef struct { /* of one lane */
-  int64_t target, number; /* number: of the try */
+typedef struct { /* the try of one lane */
+  int64_t target, number; /* number: its index among the target's tries */
   int step, most;
   int bounded, free; /* whether its target has bounds; whether the try is free of them */
   Real looks;
@@ -82,7 +81,7 @@ static const Real *nearest(const Asked *a, int64_t target, int64_t aim, int64_t 
   return a->postures + (set * SIZE + found) * N;
 }
 
-/* A joint's value by whole turns as near to `about` as the bounds let it be; as `seeds.turned`. */
+/* A joint's value plus whole turns, as near to `about` as the bounds allow; as `seeds.turned`. */
 static Real turned(Real q, Real about, Real period, Real low, Real high)
 {
   const Real few = LIBM(ceil)((low - q) / period), most = LIBM(floor)((high - q) / period), turns = LIBM(rint)((about - q) / period);
@@ -93,11 +92,11 @@ static Real turned(Real q, Real about, Real period, Real low, Real high)
 static Real most(Real a, Real b) { return a > b ? a : b; }
 static Real least(Real a, Real b) { return a < b ? a : b; }
 
-/* Where the joints of a lane's target are searched for; whether that is bounded. */
+/* Set the range of the search for a lane's target; returns whether it is bounded. */
 static int narrow(const Asked *a, Lanes *s, int64_t target, int i)
 {
   int bounded = 0;
-  for (int j = 0; j < N; ++j) { /* outside the limits: what is nearest to `near` */
+  for (int j = 0; j < N; ++j) { /* outside the limits: the bound nearest to `near` */
     const Real about = a->jump[j] < INFINITY ? a->near[target * N + j] : 0;
     const Real low = least(most(a->low[j], about - a->jump[j]), a->high[j]);
     LANE(s->high[j], i) = most(least(a->high[j], about + a->jump[j]), a->low[j]);
@@ -107,7 +106,7 @@ static int narrow(const Asked *a, Lanes *s, int64_t target, int i)
   return bounded;
 }
 
-/* A lane that has not looked yet. */
+/* Set a lane to its state before the first step. */
 static void fresh(Lanes *s, Try *own, int i, int steps)
 {
   LANE(s->squares[0], i) = LANE(s->squares[1], i) = LANE(s->cost, i) = LANE(s->steep, i) = INFINITY;
@@ -117,7 +116,7 @@ static void fresh(Lanes *s, Try *own, int i, int steps)
   own->most = steps;
 }
 
-/* A try that arrived free of all bounds begins again within them, from what is nearest to its answer there. */
+/* After a try without bounds has arrived: begin again within them, at the posture nearest to its answer. */
 static void inward(const Asked *a, Lanes *s, Try *own, int i)
 {
   narrow(a, s, own->target, i);
@@ -130,7 +129,7 @@ static void inward(const Asked *a, Lanes *s, Try *own, int i)
   fresh(s, own, i, CAREFUL);
 }
 
-/* The next try of a lane's target; whether there is one. */
+/* Begin the next try of a lane's target; returns whether there is one. */
 static int begin(const Asked *a, Lanes *s, Try *own, int i)
 {
   const int64_t target = own->target;
@@ -146,7 +145,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   static const Real stretches[] = {STRETCHED};
   static const int owners[N] = {OWNERS};
   const Real stretch = k < SETS ? 1 : stretches[number % STRETCHES];
-  const Real *starts[AIMS], *place = NULL; /* where the joints that an aim owns begin */
+  const Real *starts[AIMS], *place = NULL; /* start of the joints that an aim owns */
   for (int aim = 0; aim < AIMS; ++aim) {
     if (a->downhill) {
       starts[aim] = made->places[k];
@@ -169,7 +168,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
       q = turned(about + AROUND * (Real)k / PLAIN * 2 * from, about, a->periods[j], low, high);
     } else if (place != NULL && AIMS == 1) {
       q = place[j] + NEARBY * (q - a->middle[j]);
-    } else if (place != NULL && owners[j] != number / SELDOM % AIMS) { /* of several tips one begins elsewhere */
+    } else if (place != NULL && owners[j] != number / SELDOM % AIMS) { /* the other tips begin at the kept place */
       q = place[j];
     } else if (!a->downhill) { /* as `seeds.starts` */
       if (a->near != NULL) q = turned(q, about, a->periods[j], low, high);
@@ -187,11 +186,11 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   return 1;
 }
 
-/* The next target for a lane; whether there is anything to try for it. */
+/* Give a lane the next target; returns whether there is a try for it. */
 static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
 {
   Found *made = a->made + target;
-  Real sum = 0; /* NaN where the target is */
+  Real sum = 0; /* NaN if the target has one */
   for (int j = 0; j < 12 * AIMS; ++j) LANE(s->target[j], i) = a->pose[12 * AIMS * target + j];
   own->target = target;
   own->bounded = narrow(a, s, target, i);
@@ -211,7 +210,7 @@ static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
   return sum == 0 && !(a->skip != NULL && a->skip[target]) && begin(a, s, own, i);
 }
 
-/* A try that did not arrive: where it came to is kept, where it is better than the worst of those kept. */
+/* After a try that did not arrive: keep its last posture if it is better than the worst kept one. */
 static void keep(Found *made, const Lanes *s, int i)
 {
   int worst = 0;
@@ -222,7 +221,7 @@ static void keep(Found *made, const Lanes *s, int i)
   }
 }
 
-/* Where a lane is becomes its target's answer so far. */
+/* Make a lane's posture its target's answer so far. */
 static void note(Found *made, const Lanes *s, int i)
 {
   for (int j = 0; j < N; ++j) made->q[j] = LANE(s->best[j], i);
@@ -231,7 +230,7 @@ static void note(Found *made, const Lanes *s, int i)
   made->steep = LANE(s->steep, i);
 }
 
-/* The row of the record of a target that is found: as `Asked.reached` has it. */
+/* Write the row of a target that is found, as `Asked.reached` has it. */
 static void tell(const Asked *a, int64_t target)
 {
   const Found *made = a->made + target;
@@ -254,7 +253,7 @@ static void tell(const Asked *a, int64_t target)
   row[2 * N + 4] = near == NULL || gone ? NAN : distance;
 }
 
-/* What a lane does when its try is over; whether its target is done. */
+/* End the try of a lane; returns whether its target is done. */
 static int over(const Asked *a, Lanes *s, Try *own, int i)
 {
   Found *made = a->made + own->target;
@@ -285,7 +284,7 @@ static int over(const Asked *a, Lanes *s, Try *own, int i)
   return !begin(a, s, own, i);
 }
 
-/* A target for a lane, if there is one left. */
+/* Give a lane a target, if one is left. */
 static int fill(const Asked *a, Lanes *s, Try *own, int i, int64_t *next, int64_t last)
 {
   for (; *next < last;) {
@@ -321,8 +320,8 @@ ENTRY void search(const Asked *a, int64_t first, int64_t last)
 }
 
 #ifdef VECTORS
-/* The waypoints of a path, each from the answer before it, of which `near` (what asked->near points to, and a row more)
-   gets one after the other; the first that the tries have no answer for, or `count`. */
+/* The waypoints of a path, each from the answer before it. The answers go into `near`, which asked->near points to and
+   which has one row more. Returns the index of the first waypoint without an answer, or `count`. */
 ENTRY int64_t along(const Asked *a, Real *near, int64_t count)
 {
   for (int64_t k = 0; k < count; ++k) {
