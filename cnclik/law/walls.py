@@ -126,7 +126,7 @@ def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray
     """
     n = law.chain.n
     q = errors.array("q", q, (n,), (None, n), (None, None, n), finite=False)
-    return np.asarray(_apart(_walls_of(law)[0], law.chain, q))
+    return np.asarray(apart_from(_walls_of(law)[0], law.chain, q))
 
 
 def support_polygon(
@@ -201,7 +201,7 @@ def _walls_of(law):
 
 
 @one_off
-def _apart(walls, chain, q):
+def apart_from(walls, chain, q):
     """h (..., k)."""
 
     def one(q):

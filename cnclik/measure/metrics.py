@@ -22,6 +22,7 @@ from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, check_loop, weighted
 from cnclik.law.shifted import true_motion
+from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import ending, stable
 from cnclik.record import cast
 from cnclik.robot.chart import apart
@@ -83,7 +84,7 @@ class Metric(NamedTuple):
     unit: str  # begins with "e" for the unit of the error, or "q" for that of the joints
     label: str
     dims: tuple[str, ...] = ()
-    needs: str = ""  # "position" or "rotation": coordinates that the task must have
+    needs: str = ""  # "position" or "rotation": coordinates that the task must have; "walls": of the law
 
 
 # --- errors -------------------------------------------------------------------------------------------
@@ -286,12 +287,16 @@ METRICS = {
         "q",
         "how far the farthest joint goes beyond its limit, 0 if none does",
     ),
+    "wall_distance": Metric(
+        lambda of: -jnp.max(_finite(-apart_from(of.law.limits.walls, modelled(of.law.chain), of.run.q))),
+        "m or rad",
+        "least distance to a wall, negative behind it",
+        needs="walls",
+    ),
     "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
     "residual": Metric(lambda of: _max(_finite(of.run.residual)), "q", "largest last change of an implicit stage"),
-    "contraction": Metric(
-        lambda of: _max(_finite(of.run.contraction)), "1", "largest ratio of an implicit stage's last two changes"
-    ),
+    "contraction": Metric(lambda of: _max(_finite(of.run.contraction)), "1", "largest ratio of its last two changes"),
     "evaluations": Metric(
         lambda of: jnp.asarray(of.run.evaluations).astype(of.run.q.dtype), "1", "evaluations of f(q, t)"
     ),
@@ -380,6 +385,8 @@ def check(names, law: Law) -> None:
         needs, task = named(name)[1].needs, _task(name, law)
         if (needs == "position" and not task.lengths) or (needs == "rotation" and not task.angles):
             raise errors.fail("metrics", f"be ones of the task ({', '.join(task.names)})", f"include {name!r}")
+        if needs == "walls" and not getattr(law.limits, "walls", ()):
+            raise errors.fail("metrics", "be ones of a law with walls", f"include {name!r}")
 
 
 def unit(name: str, law: Law) -> str:

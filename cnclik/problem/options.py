@@ -187,6 +187,8 @@ OF_SHAPE = {  # a point, a sphere, a capsule, or a half-space
     "offset": Option(NUMBER, "Half-space: offset along the unit normal [m]; default: 0.", unit="m"),
 }  # fmt: skip
 
+OF_STACK = {"tasks": OF_TASK, "walls": OF_WALL}
+
 _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
 
 

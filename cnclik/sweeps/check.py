@@ -14,7 +14,7 @@ from cnclik import errors
 from cnclik.integrate.drive import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
-from cnclik.problem.options import OF_TASK
+from cnclik.problem.options import OF_STACK
 from cnclik.problem.stack import read_stack
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
@@ -65,12 +65,13 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
             raise errors.fail(key, "be a sentence", "is missing" if key not in written else f"is {written[key]!r}")
     fixed, bundles = _table(written, "fixed"), _bundles(written)
     tasks = {name: _table(written["tasks"], name, "tasks.") for name in _table(written, "tasks")}
-    walls = _table(written, "walls")
-    if "tasks" in _table(written, "axes") and "stack" in fixed and not tasks:  # axes of a file's tasks
+    walls = {name: _table(written["walls"], name, "walls.") for name in _table(written, "walls")}
+    if set(OF_STACK) & set(_table(written, "axes")) and "stack" in fixed and not tasks:  # axes of a file's tables
         file = fixed.pop("stack")
         tasks, walls = read_stack(path if os.path.isfile(path := pathlib.Path(folder, str(file))) else file)
-    axes = _of_tasks(_table(written, "axes"), tasks, "tasks" not in written)
-    _check_names(fixed, axes, bundles, tasks)
+    stack = {"tasks": tasks, "walls": walls}
+    axes = _of_stack(_table(written, "axes"), stack, "tasks" not in written)
+    _check_names(fixed, axes, bundles, stack)
     unit_names = _table(written, "units")
     for named, unit in unit_names.items():
         if not isinstance(unit, str):
@@ -134,22 +135,20 @@ def _bundles(written) -> dict:
     return found
 
 
-def _of_tasks(axes, tasks, of_file) -> dict:
-    """Axes, where those of task options have names such as "tasks.hands.alpha"; they replace values of the file."""
-    found = {}
-    for name, value in axes.items():
-        for task in _table(axes, "tasks", "axes.") if name == "tasks" else ():
-            found |= {f"tasks.{task}.{key}": v for key, v in _table(value, task, "axes.tasks.").items()}
-        found |= {} if name == "tasks" else {name: value}
-    for name in found:
-        if name.startswith("tasks."):
-            _, task, *key = name.split(".")
-            errors.one_of(f"axes.{name}", task, list(tasks))
-            errors.one_of(f"axes.{name}", ".".join(key), OF_TASK)
-            if of_file:
-                tasks[task].pop(key[0], None)
-            elif key[0] in tasks[task]:
-                raise errors.fail(f"axes.{name}", f"not be in [tasks.{task}] as well", "is in both")
+def _of_stack(axes, stack, of_file) -> dict:
+    """Axes, where those of a stack have names such as "tasks.hands.alpha"; they replace values of the file."""
+    found = {name: value for name, value in axes.items() if name not in stack}
+    for kind, tables in stack.items():
+        for name in _table(axes, kind, "axes."):
+            for key, value in _table(axes[kind], name, f"axes.{kind}.").items():
+                where = f"axes.{kind}.{name}.{key}"
+                errors.one_of(where, name, list(tables))
+                errors.one_of(where, key, OF_STACK[kind])
+                if of_file:
+                    tables[name].pop(key, None)
+                elif key in tables[name]:
+                    raise errors.fail(where, f"not be in [{kind}.{name}] as well", "is in both")
+                found[where.removeprefix("axes.")] = value
     return found
 
 
@@ -165,7 +164,7 @@ def _metrics(names):
     return tuple(dict.fromkeys(names))
 
 
-def _check_names(fixed, axes, bundles, tasks):
+def _check_names(fixed, axes, bundles, stack):
     """Check that every name is an option or used, and that every used name is defined once, without a cycle."""
     tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
@@ -201,10 +200,11 @@ def _check_names(fixed, axes, bundles, tasks):
             for need in needs - everywhere - (set(table) if table is not fixed else set()):
                 hint = meant(need, sorted(everywhere | set(table)))
                 raise errors.fail(name, "use names that have a value", f"uses {need!r}{hint}")
-    for task, table in tasks.items():
-        known_keys(f"tasks.{task}", table, OF_TASK)
+    every = {f"{kind}.{name}": table for kind, some in stack.items() for name, table in some.items()}
+    for own, table in every.items():
+        known_keys(own, table, OF_STACK[own.partition(".")[0]])
         for key, value in table.items():
-            where = f"tasks.{task}.{key}"
+            where = f"{own}.{key}"
             needs = expression.names(where, value) if expression.is_one(where, key, value) else set()
             used |= needs
             for need in needs - everywhere:
@@ -212,7 +212,7 @@ def _check_names(fixed, axes, bundles, tasks):
                 raise errors.fail(where, "use names that have a value", f"uses {need!r}{hint}")
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
-            known = name in OPTIONS or name in used or (table is axes and name.startswith("tasks."))
+            known = name in OPTIONS or name in used or (table is axes and name.rpartition(".")[0] in every)
             if not known:
                 raise unknown_key(where, name, (*OPTIONS, *sorted(used)))
     for name in REQUIRED:

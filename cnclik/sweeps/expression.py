@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.problem.options import NAME, NAMES, OF_TASK, SWEPT
+from cnclik.problem.options import INTEGER, NUMBER, NUMBERS, OF_TASK, OF_WALL, SWEPT
 
 DEEPEST = 100  # nested brackets and signs, at most
 MOST = 2.0**1000  # intermediate results, at most: Python's integers would grow until memory runs out
@@ -74,7 +74,8 @@ def parse(name: str, text: str):
 
 
 def _written(name, text):
-    own = next((SWEPT[part].unit for part in name.split(".") if part in SWEPT), "1")  # axes.q0.low has the unit of q0
+    options = SWEPT | OF_WALL  # axes.q0.low has the unit of q0
+    own = next((options[part].unit for part in name.split(".")[::-1] if part in options), "1")
     try:
         return _Written(text, own, quantities.read(text, own, Ts=1.0, marked=True).written)
     except ValueError as error:
@@ -117,8 +118,9 @@ def names(name: str, value) -> set:
 
 
 def is_one(name: str, option: str, value) -> bool:
-    """Whether a task's option is to be evaluated: it is numeric, and no number in it has a unit."""
-    if option not in OF_TASK or OF_TASK[option].kind in (NAME, NAMES):
+    """Whether an option of a stack is to be evaluated: it is numeric, and no number in it has a unit."""
+    known = (OF_TASK | OF_WALL).get(option)
+    if known is None or known.kind not in (NUMBER, NUMBERS, INTEGER):
         return False
     if isinstance(value, (list, tuple)):
         return all(is_one(name, option, v) for v in value)

@@ -23,7 +23,7 @@ def coordinates(of: Grid, units) -> dict:
     """
     found = {}
     for name, values, labels in of.axes:
-        task, _, option = name.removeprefix("tasks.").rpartition(".")
+        task, _, option = name.removeprefix("tasks.").removeprefix("walls.").rpartition(".")
         symbol = SYMBOLS.get(option, option.replace("_", " ")) + (f" of {task}" if task else "")
         about = {"units": units.get(name, ""), "long_name": symbol}
         if labels is not None:

@@ -6,7 +6,7 @@ their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other n
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
 stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` define how
 the error is measured that is fed back. `[tasks.NAME]` are the tables of a stack of tasks, whose options may be
-expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls.
+expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls, in the same way.
 """
 
 import dataclasses
@@ -128,25 +128,26 @@ class Spec:
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        made = problem_from(**v, tasks=self._stack(known, look), walls=self.walls)
+        tables = self._stack(known, look)
+        made = problem_from(**v, tasks=tables["tasks"] or None, walls=tables["walls"])
         written = {name: expression.units(name, known[name]) for name in v if name not in NAMES}
         check_units(made.law.chain, made.law.task, written)
         return made
 
-    def _stack(self, known, look) -> dict | None:
-        """The tables of one loop's stack, with expressions evaluated; None if the spec has none."""
-        made = {task: dict(table) for task, table in self.tasks.items()}
-        for task, table in made.items():
+    def _stack(self, known, look) -> dict:
+        """The tables of one loop's tasks and walls, with expressions evaluated."""
+        stack = {kind: {name: dict(one) for name, one in getattr(self, kind).items()} for kind in options.OF_STACK}
+        for kind, name, table in ((kind, name, one) for kind, some in stack.items() for name, one in some.items()):
             for key, value in table.items():
                 if key == "reference":
                     table[key] = str(self.file(value) or value)
-                elif expression.is_one(f"tasks.{task}.{key}", key, value):
-                    table[key] = expression.evaluate(f"tasks.{task}.{key}", value, look)
-        for name in known:
-            if name.startswith("tasks."):
-                _, task, key = name.split(".")
-                made[task][key] = look(name)
-        return made or None
+                elif expression.is_one(where := f"{kind}.{name}.{key}", key, value):
+                    table[key] = expression.evaluate(where, value, look)
+        for one in known:
+            if one.partition(".")[0] in stack:
+                kind, name, key = one.split(".")
+                stack[kind][name][key] = look(one)
+        return stack
 
     def file(self, text) -> pathlib.Path | None:
         """The file of a name, relative to the spec's folder, or None."""
@@ -184,7 +185,12 @@ class Spec:
         known = UNITS | {name: "1" for name in self.bundles}
         for name, one in self.axes.items():
             width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
-            known[name] = options.units(law, width).get(name.rpartition(".")[2], known.get(name, ""))
+            *of, option = name.split(".")
+            known[name] = options.units(law, width).get(option, known.get(name, ""))
+            if of[:1] == ["walls"]:  # those of corners have numbers
+                own = next(w for w in getattr(law.limits, "walls", ()) if of[1] in (w.name, w.name.rpartition("_")[0]))
+                unit = options.OF_WALL[option].unit
+                known[name] = own.task.units[0] if unit == "q" else unit
         return known | self.units
 
     def data(self) -> dict:
@@ -264,6 +270,7 @@ def _change(written, change):
     fixed, axes = (_inner(written, room) for room in ("fixed", "axes"))
     *path, key = name.split(".")
     deep = {"fixed": 1, "axes": 1, "units": 1, "tasks": 2, "walls": 2, "cases": 2, "bundles": 3}
+    deep["axes"] = 3 if path[1:2] in (["tasks"], ["walls"]) else 1
     if not path or len(path) != deep.get(path[0]):
         if name in (*KEYS, *TABLES):
             written[name] = value

@@ -88,6 +88,74 @@ def test_numbers_of_a_files_tasks_may_be_axes(tmp_path):
     assert len(np.unique(data.final_error)) == 8 and data["tasks.rest.damping"].attrs["long_name"] == "λ of rest"
 
 
+WALLS = """
+[walls.side]
+task = "x"
+above = "1000 mm"
+[walls.bend]
+joints = "q3"
+below = "3*bend"
+rate = "(1 - exp(-6*Ts))/Ts"
+[axes]
+bend = [0.8, 0.9]
+limit_rate = [5, 10]
+[axes.walls]
+side.margin = ["0 mm", "50 mm"]
+side.rate = [20, 30]
+"""
+HEAD = """
+question = "Which walls?"
+expectation = "These."
+metrics = ["wall_distance", "final_error"]
+[fixed]
+robot = "planar:1,1,1"
+q0 = [-1.2, 0.4, 0.4]
+N = 10
+method = "EE"
+"""
+PLACE = """
+[tasks.place]
+task = "position"
+damping = 0.02
+target = [0.3, 2.0]
+"""
+
+
+def test_numbers_of_walls_may_be_axes(tmp_path):
+    """A wall's margin and rate, and the rate of limits, as expressions and axes; of a file as of a spec."""
+    made = check.parse(tomllib.loads(HEAD + PLACE + WALLS))
+    assert [made.all_units()[f"walls.side.{key}"] for key in ("margin", "rate")] == ["m", "1/s"]
+    data = sweeps.run_spec(made)
+    assert data["walls.side.rate"].attrs["long_name"] == "rate of side" and data.wall_distance.shape == (2,) * 4
+    walls = {
+        "side": {"task": "x", "above": 1.05, "rate": 30.0},
+        "bend": {"joints": "q3", "below": 2.7, "rate": -100 * np.expm1(-0.06)},
+    }
+    place = {"place": {"task": "position", "damping": 0.02, "target": [0.3, 2.0]}}
+    with jax.enable_x64(True):
+        loop = ck.problem_from("planar:1,1,1", tasks=place, walls=walls, N=10, method="EE", q0=[-1.2, 0.4, 0.4])
+        run = loop.run()
+    close(data.wall_distance.values[1, 1, 1, 1], ck.wall_distance(loop.law, run.q).min(), rtol=1e-9)
+    assert np.all(np.ptp(data.wall_distance.values, axis=(2, 3)) > 1e-4)
+    (tmp_path / "stack.toml").write_text(PLACE + "[walls.side]\ntask = 'x'\nabove = '1000 mm'\nmargin = 3\n")
+    (tmp_path / "spec.toml").write_text(HEAD + 'stack = "stack.toml"\n[axes]\nlimit_rate = [5, 10]\n')
+    sets = ["axes.walls.side.rate=[20, 30]", "axes.walls.side.margin=['50 mm']"]
+    of_file = spec.read(tmp_path / "spec.toml", sets)
+    assert list(of_file.axes) == ["limit_rate", "walls.side.rate", "walls.side.margin"]
+    (wall,) = of_file.build(**of_file.first(last=True)).law.limits.walls
+    assert (wall.rate, wall.offset) == (30.0, 1.05)
+    for change, told in (
+        (("side.rate", "sid.rate"), r"`axes.walls.sid.rate` must be one of side, bend"),
+        (("side.rate", "bend.rate"), r"`axes.walls.bend.rate` must not be in \[walls.bend\] as well"),
+        (("3*bend", "3*bent"), "`walls.bend.below` must use names that have a value"),
+        (("below =", "belo ="), "`walls.bend` must hold known keys, but holds 'belo'"),
+    ):
+        with pytest.raises(ArgumentError, match=told):
+            check.parse(tomllib.loads(HEAD + PLACE + WALLS.replace(*change)))
+    with pytest.raises(ArgumentError, match="`metrics` must be ones of a law with walls"):
+        check.parse(tomllib.loads(HEAD + PLACE + "[axes]\nalpha = [1, 2]\n"))
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
