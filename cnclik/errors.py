@@ -24,7 +24,7 @@ _LISTED = 300  # characters of a list of names, beyond which the one that was pr
 
 
 class ArgumentError(ValueError):
-    """An argument that cannot be used; the message is one line fit for a terminal, whatever it speaks of."""
+    """An argument that cannot be used; the message is one line, fit for a terminal."""
 
     def __init__(self, message: str):
         super().__init__(_one_line(message))
@@ -246,11 +246,11 @@ def _show(shape):
     return f"({inner},)" if len(shape) == 1 else f"({inner})"
 
 
-# --- what is done, and is probably not meant ------------------------------------------------------------
+# --- input that is used, but is probably not meant; old names ----------------------------------------------
 
 
 class Remark(UserWarning):
-    """What was given can be used, but probably isn't meant: degrees as radians, millimetres as metres."""
+    """Input that can be used but is probably not meant: degrees as radians, millimetres as metres."""
 
 
 F = TypeVar("F", bound=Any)  # a function

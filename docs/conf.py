@@ -37,6 +37,7 @@ extensions = [
     "maths",
     "evidence",
     "examples",
+    "names",
     "offline",
 ]
 exclude_patterns = [

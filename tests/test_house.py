@@ -197,6 +197,7 @@ def test_every_public_name_is_there():
 def test_a_room_is_reached_by_attribute_and_by_import(name):
     room = importlib.import_module(f"cnclik.{name}")
     assert getattr(cnclik, name) is room and room.__doc__
+    assert not [public for public in room.__all__ if not hasattr(room, public)]
 
 
 def test_rooms_are_reached_in_a_process_of_their_own():

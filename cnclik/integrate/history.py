@@ -40,7 +40,7 @@ class Entry:
 
 @record
 class History:
-    """The memory of a multistep method between two steps; taken and handed back by `step`.
+    """The memory of a multistep method between two steps, which `step` takes and returns.
 
     Attributes:
       entries: (p − 1) `Entry`s, the newest first.

@@ -6,7 +6,8 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "options": ["DEFAULTS", "OF_SHAPE", "OF_TASK", "OF_WALL", "OPTIONS"],
-        "reference": ["REFERENCES", "reference_from"],
+        "reference": ["reference_from"],
+        "words": ["REFERENCES"],
         "build": ["Problem", "problem_from"],
         "names": [
             "inverse_from",

@@ -44,7 +44,7 @@ class Missed(NamedTuple):
 
 @record
 class Reached:
-    """Answers for B targets; for one target without the axis B, with k `solutions` with an axis k after it.
+    """Answers for B targets; one target has no axis B, and k `solutions` have an axis k after it.
 
     Errors are of the tip that misses most; of several tips `reached["left"]` are those of one task of a stack, or tip.
 

@@ -91,7 +91,7 @@ def error(data):
 
 
 def status(data):
-    """Status of each step, a row for each bit, and for each task that has it alone; an empty row is fine."""
+    """Status of each step: a row for each bit, and in a stack for each task that has it; an empty row is good."""
     figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_status_rows(data))))
     _draw_status(panel, data)
     panel.set_xlabel(_TIME)

@@ -233,7 +233,7 @@ def fixed_grid(width, height, rows, columns) -> dict:
 
 
 def save(figure, path, about: dict) -> None:
-    """Write a PNG, PDF or SVG that carries what it was drawn from, and close the figure.
+    """Write a figure as PNG, PDF or SVG with a description in the file, and close it.
 
     The same figure gives the same bytes: no date goes into the file.
 

@@ -223,7 +223,7 @@ def least_on(fn, high, points=1024):
 
 @record
 class RealAxisLimits:
-    """What R(z) says on the real axis, z = alpha·Ts; inf where there is no limit.
+    """Limits of z = alpha·Ts on the real axis, by R(z); inf without a limit.
 
     Attributes:
       stable: largest z up to which |R| ≤ 1.

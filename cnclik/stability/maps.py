@@ -288,7 +288,7 @@ def _attributes(law, q0, method, stage, N, options):
 
 @of_numbers
 def agreement(ending, z, limit, *, band=0.03):
-    """Fraction of loops whose measured outcome is what z against the linear limit says, outside a band around it.
+    """Fraction of loops that end as z and the linear limit predict, outside a band around the limit.
 
     Args:
       ending, z, limit: `Ending`s, z (or alpha) and that of the boundary (inf: all stable), broadcast together.

@@ -304,7 +304,7 @@ def _largest(moved, basis):
 
 
 def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
-    """The law and the held reference of a loop at rest at q, once it is known that `reference` is there too.
+    """The law and a constant reference of a loop at rest at q, after a check that `reference` is there, too.
 
     The reference is where q is. A null-space velocity that moves the arm there is taken less that motion: on its way
     to another posture the arm passes through rests of this loop, and the motion is no error of any of them.
@@ -392,7 +392,7 @@ def settle(law: Law, reference: ref.Reference, q0: Float[ArrayLike, " n"], *, N:
 
 @of_numbers
 def largest_rate(alpha) -> float:
-    """The number behind z = alpha·Ts of any gain: its largest |eigenvalue| [1/s]."""
+    """The rate of any gain, for z = alpha·Ts: its largest |eigenvalue| [1/s]."""
     alpha = np.asarray(alpha)
     size = float(np.max(np.abs(np.linalg.eigvals(alpha) if alpha.ndim == 2 else alpha)))
     if not size > 0:
