@@ -34,7 +34,8 @@ from .law.inverse import (
 )
 from .law.law import Law as Law
 from .law.limits import (
-    saturation as saturation, velocity_scaling as velocity_scaling, weighted_least_norm as weighted_least_norm,
+    exponential_rate as exponential_rate, saturation as saturation, velocity_scaling as velocity_scaling,
+    weighted_least_norm as weighted_least_norm,
 )
 from .law.null import maximize_manipulability as maximize_manipulability, posture as posture
 from .law.paths import (

@@ -10,13 +10,15 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import Factored, Levels, positive, through, tiny_shift
-from cnclik.record import record
+from cnclik.record import leaf, record
 from cnclik.robot.rotations import safe_norm
 from cnclik.shapes import Array, Bool, Float, Number
 
@@ -139,6 +141,17 @@ def bounds(rate, chain, q):
         return jnp.clip(rate * room, -most, most)
 
     return bound(chain.lower, -FAR * FAR), bound(chain.upper, FAR * FAR)
+
+
+def exponential_rate(alpha: Number, Ts: Number) -> Number:
+    """(1 − e^{−α Ts})/Ts, the rate that does over a step of Ts what α does in continuous time; never above 1/Ts.
+
+    As a rate of limits or walls it takes none past its limit, however large α·Ts is.
+
+    Args: alpha: [1/s], positive. Ts: sampling time [s].
+    """
+    z = errors.number("alpha", alpha, positive=True) * errors.number("Ts", Ts, positive=True)
+    return leaf(-(jnp if isinstance(z, jax.Array) else np).expm1(-z) / Ts)
 
 
 # --- saturation in the null space ---------------------------------------------------------------------

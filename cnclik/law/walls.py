@@ -93,13 +93,14 @@ def wall(
     ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and from behind it the robot
     comes back.
 
-    As a velocity is constant over Ts, a step may pass the wall by κv²Ts/(2 rate), see `wall_margin`.
+    As a velocity is constant over Ts, a step may pass the wall by κv²Ts/(2 rate), see `wall_margin`. Methods of second
+    order, as EXP-MIDPOINT, take distance and row within the step, and pass it by far less.
 
     Args:
       task: a task of one coordinate, or of several with a normal: positions, joints, distances, functions.
       above, below: one of them [unit of the coordinate].
       normal: (m,) for several coordinates: the wall is about normal·x; with unit length h is a distance.
-      rate: [1/s], at most 1/Ts; None: the rate of `bounded`. (1 − e^{−α Ts})/Ts acts over a step like α.
+      rate: [1/s], at most 1/Ts; None: the rate of `bounded`. See `exponential_rate`.
       level: 1 or 2. Where walls contradict each other, those of level 2 give way: one is missed by 10,000 times as much
         as the opposite wall of level 1 (in float32 by 10 times).
       name: name of the wall in messages and results; default: its number.
@@ -179,7 +180,8 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
     """How far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
 
     κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. In steady motion and to first order in Ts the wall is passed by
-    this much; otherwise the value is an upper bound. Move a wall that must not be crossed by this distance.
+    this much by explicit Euler and EXP-EE; otherwise the value is an upper bound, to second order in Ts. Move a wall
+    that must not be crossed by this distance.
 
     Args:
       law: with `bounded(walls=...)`.

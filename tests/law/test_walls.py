@@ -151,12 +151,12 @@ def passed(law, run, since):
     return -np.min(h), ck.wall_margin(law, late)[0]
 
 
-def in_circles(rate, normal, Ts):
+def in_circles(rate, normal, Ts, method="EE"):
     """A law that is to go round in a circle of twice the radius, at 0.5 m/s on the wall."""
-    wall = ck.wall(ck.function(inside, ["room"], ["m"]), above=0.0, rate=rate)
+    wall = ck.wall(ck.function(inside, ["room"], ["m"]), above=0.0, rate=np.asarray(rate))  # one program for all
     law = ck.Law(GANTRY, ck.position(), alpha=20.0, inverse=ck.damped(1e-3), limits=ck.bounded(walls=[wall]))
     path = ck.circle([0.0, 0, 0], 0.2, period=2 * np.pi * 0.1 / 0.5, normal=normal)
-    return law, ck.solve(law, path, np.array([0.05, 0.02, 0.01]), Ts, round(2 / Ts), "EE")
+    return law, ck.solve(law, path, np.array([0.05, 0.02, 0.01]), Ts, round(2 / Ts), method)
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1.0), (0.3, 0.5, 1.0)])
@@ -167,6 +167,19 @@ def test_steps_pass_a_wall_by_the_formula(rate, Ts, normal):
     speed = np.linalg.norm(run.qdot[-1])
     np.testing.assert_allclose(wanted, speed**2 / (0.1 + got) * Ts / (2 * rate), rtol=1e-3)
     np.testing.assert_allclose(got, wanted, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("rate", "Ts"), [(10.0, 0.01), (10.0, 0.001), (90.0, 0.01)])
+def test_a_midpoint_stays_on_the_walls_side_by_the_formula(rate, Ts):
+    """Distance and row at the middle of a step: what bends away there and back cancels, to second order in Ts."""
+    law, run = in_circles(rate, (0, 0, 1.0), Ts, "MIDPOINT")
+    got, euler = passed(law, run, len(run.t) // 2)
+    np.testing.assert_allclose(-got, euler * rate * Ts / 4 / (1 - rate * Ts / 2), rtol=0.02)
+
+
+@pytest.mark.parametrize("rate", [10.0, 90.0])
+def test_the_default_method_passes_no_wall(rate):
+    assert passed(*in_circles(rate, (0, 0, 1.0), 0.01, "EXP-MIDPOINT"), 100)[0] < 0
 
 
 def test_steps_pass_a_wall_as_joints_turn():
@@ -185,12 +198,17 @@ def test_steps_pass_a_wall_as_joints_turn():
     assert 1e-5 < passed.max() < margin
 
 
-def test_an_exponential_rate_never_overshoots():
-    """Where α·Ts is large a wall is met in one step, not crossed: (1 − e^{−α Ts})/Ts."""
-    Ts = 0.01
-    law, run = in_circles(-np.expm1(-300 * Ts) / Ts, (0, 0, 1.0), Ts)
-    got, wanted = passed(law, run, 100)
-    np.testing.assert_allclose(got, wanted, rtol=1e-3)
+@pytest.mark.parametrize(("alpha", "method"), [(300.0, "EE"), (1e5, "EE"), (300.0, "EXP-MIDPOINT")])
+def test_an_exponential_rate_never_overshoots(alpha, method):
+    """However large α·Ts is, a wall is met in one step, not crossed; with the rate α the robot swings at it."""
+    Ts, rate = 0.01, ck.exponential_rate(alpha, 0.01)
+    assert rate <= 1 / Ts and rate == pytest.approx(-np.expm1(-alpha * Ts) / Ts)
+    got, wanted = passed(*in_circles(rate, (0, 0, 1.0), Ts, method), 100)
+    np.testing.assert_allclose(got, wanted, rtol=1e-3) if method == "EE" else None
+    assert got < 1.001 * wanted < 0.02 * passed(*in_circles(300.0, (0, 0, 1.0), Ts, method), 100)[0]
+    with jax.enable_x64(True):
+        slope = jax.grad(ck.exponential_rate)(30.0, Ts)
+    assert slope == pytest.approx(np.exp(-0.3))
 
 
 @pytest.mark.parametrize(("level", "dtype"), [(1, np.float64), (2, np.float64), (2, np.float32)])
