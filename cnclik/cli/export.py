@@ -21,8 +21,8 @@ class Args(ComputeOptions, ProblemOptions):
     out: Path
     """Folder for the files."""
     what: Literal["step", "solve", "reach", "fk", "jacobian"] = "step"
-    """What the function computes: one step; N steps (solve); joint values for one target (reach); forward kinematics
-    (fk); the Jacobian."""
+    """What the function computes: one step; N steps in one call (solve); joint values for one target (reach); forward
+    kinematics (fk); the Jacobian."""
     name: str = "clik_step"
     """Name of the function and of the files; `clik_` is prepended unless the name begins with it."""
     dtype: Literal["double", "float"] = "double"

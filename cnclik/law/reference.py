@@ -24,7 +24,7 @@ from cnclik.task.task import Task
 
 Target = poses.PoseLike | None  # see `hold`
 
-A_REFERENCE = "be a Reference such as hold(...)"
+A_REFERENCE = "be a Reference such as hold(...), or references(name=...) for several"
 
 
 @record

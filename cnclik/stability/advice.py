@@ -81,6 +81,18 @@ class Advice:
     walls: dict
     analysis: Analysis
 
+    def __str__(self):
+        at_once = ", if drives had no delay" * (self.assumed_dead_time is not None)
+        some = {"": self} if self.stack is None else self.stack.tasks
+        gains = [
+            f"{name}{': ' * bool(name)}alpha recommended {one.recommended_alpha:.4g} 1/s (without overshoot to "
+            f"{one.fastest_monotone_alpha:.4g}, stable to {one.largest_stable_alpha:.4g}{at_once})"
+            for name, one in some.items()
+        ]
+        settings = [f"  {where}: {what}" for where, what in self.settings.items()]
+        assumed = [self.assumption] * bool(self.assumption)
+        return "\n".join([*assumed, *gains, f"Recommended: {self.reason}.", *settings])
+
 
 @in_float64
 def advise(

@@ -20,9 +20,9 @@ from cnclik.record import replace
 from cnclik.stability.observed import ARRIVED, GROWN, rms
 from cnclik.task.task import Task
 
-SHARED = "tasks of one level share what they can't all have, and a level yields to those before it"
+SHARED = "tasks of one level compromise, and each level yields to those before it"
 UNKNOWN = "whether all targets can be reached together is not known"
-TOGETHER = "a posture has all tips at their targets, so other tasks, or the posture the loop began in, keep them away"
+TOGETHER = "all targets can be reached together, so other tasks or the start posture keep the tips away"
 TOLERANCE = (1e-4, 1e-4)  # [m], [rad] of targets that count as reached
 _BEYOND = (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT)
 
@@ -95,7 +95,7 @@ def _seen(case, name, parts, some, enough) -> TaskSeen:
     said = said if late.max() > case.seen.floor else "no more than rounding"
     kinds = {"no gain": idle, "follows": follows, "settled": settled}
     kinds |= {"lags": moving, "shrinking": shrinks, "growing": grows}
-    became = next((word for word, holds in kinds.items() if holds), "stays")
+    became = next((word for word, holds in kinds.items() if holds), "remains")
     of_tips = all(hasattr(part, "axes") for part in parts.parts)
     return TaskSeen(name=name, words=f"{name} {said} ({became})", settled=settled, shrinks=shrinks, of_tips=of_tips)
 
