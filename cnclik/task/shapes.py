@@ -106,7 +106,7 @@ def _nearest(one, other):
     aa, bb, ab, ac, bc = a @ a, b @ b, a @ b, a @ away, b @ away
     # On the first segment nearest to the other's line, where they are not parallel; then each on its own in turn.
     cross = aa * bb - ab * ab
-    crosses = cross > 1e-6 * aa * bb
+    crosses = cross > jnp.finfo(cross.dtype).eps * aa * bb  # more would miss the nearest end of almost parallel ones
     s = jnp.clip(jnp.where(crosses, (ab * bc - ac * bb) / jnp.where(crosses, cross, 1.0), 0.0), 0.0, 1.0)
     far = _on(other, one[0] + s * a)
     near = _on(one, far)

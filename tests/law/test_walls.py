@@ -16,7 +16,7 @@ from cnclik.record import record
 from cnclik.stability.case import held_by
 from tests.law.test_bounded import RATE, draws
 from tests.robot.test_trees import ARMS, G1
-from tests.task.test_shapes import DOWN, FRANKA, HUMANOID
+from tests.task.test_shapes import DOWN, FRANKA, G1_PAIRS, HUMANOID, PANDA, coal_distances
 
 INNER = ck.sphere(None, 0.1)
 ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
@@ -253,14 +253,15 @@ def test_rows_of_several_coordinates_count_by_a_normal():
 
 # --- together with everything -------------------------------------------------------------------------
 
+HAND = ck.sphere("panda_hand", 0.08)
+PAIRS = [(HAND, ck.half_space((0, 0, 1), 0.05)), (HAND, ck.capsule("panda_link2", 0.09, *DOWN))]
+PAIRS += [(HAND, ck.capsule(None, 0.1, (0.5, 0.3, 0), (0.5, 0.3, 0.6)))]
+
 
 @functools.cache
 def crowded():
     """The Panda over a table, with its hand off its base and a pillar."""
-    hand = ck.sphere("panda_hand", 0.08)
-    pairs = [(hand, ck.half_space((0, 0, 1), 0.05)), (hand, ck.capsule("panda_link2", 0.09, *DOWN))]
-    pairs += [(hand, ck.capsule(None, 0.1, (0.5, 0.3, 0), (0.5, 0.3, 0.6)))]
-    walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in pairs]
+    walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in PAIRS]
     walls += [ck.wall(ck.position("z", tip="panda_link4"), above=0.3), ck.wall(ck.joints(["panda_joint4"]), below=-0.5)]
     robot = ck.replace(FRANKA, velocity_limit=(2.0,) * 7)
     limits = ck.bounded(walls=walls)
@@ -312,6 +313,38 @@ def test_random_runs_between_walls():
 def test_random_runs_between_walls_of_10_000(dtype):
     beyond, told, near = check_runs(10_000, 1, dtype)
     assert beyond < (1e-6 if dtype is np.float64 else 1e-4) and told < 0.05 and near > 0.5
+
+
+@pytest.mark.slow
+def test_no_run_of_the_panda_collides_by_coal():
+    """At the posture of each run that is nearest to a wall, by coal's distances of its hand, base, table and pillar."""
+    law = crowded()
+    runs = runs_of()(*starts_and_targets(law, 100, 3))
+    h, margin = ck.wall_distance(law, runs.q), ck.wall_margin(law, runs)
+    for i, pair in enumerate(PAIRS):
+        nearest = np.asarray(runs.q)[np.arange(100), h[..., i].argmin(1)]
+        found = np.array(list(coal_distances(FRANKA, PANDA, "panda_link0", pair, nearest)))
+        np.testing.assert_allclose(found, 0.01 + h[..., i].min(1), atol=1e-6)
+        assert np.all(found > 0.01 - 1.02 * margin[:, i] - 1e-6) and np.any(found < 0.011)
+
+
+@pytest.mark.slow
+def test_no_arm_of_g1_collides_by_coal():
+    """Both hands are told to go into each other, and then into the chest: hands, forearms and torso stay apart."""
+    task = ck.stack(one=ck.position(tip=ARMS[0]), other=ck.position(tip=ARMS[1]), rest=ck.joints())
+    walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in G1_PAIRS.values()]
+    law = ck.Law(HUMANOID, task, alpha=5.0, inverse=ck.levels(["one", "other"], ["rest"], damping=(0.02, 0.5)),
+                 limits=ck.bounded(walls=walls))  # fmt: skip
+    q0, least = np.zeros(HUMANOID.n), []
+    for x in (0.3, 0.15, 0.0):
+        aim = ck.hold([x, 0.0, 0.15])
+        run = ck.solve(law, ck.hold_at(HUMANOID, task, q0, one=aim, other=aim), q0, 0.01, 300)
+        assert not np.any(run.status & ck.Status.WALLS_CONTRADICT)
+        for i, pair in enumerate(G1_PAIRS.values()):
+            found = np.array(list(coal_distances(HUMANOID, G1, "pelvis", pair, np.asarray(run.q)[::10])))
+            np.testing.assert_allclose(found, 0.01 + ck.wall_distance(law, run.q)[::10, i], atol=1e-6)
+            least.append(found[15:].min())  # a forearm starts in the torso
+    assert 0.0099 < min(least) < 0.011, least
 
 
 def test_lanes_are_the_same():
