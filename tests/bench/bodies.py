@@ -254,7 +254,9 @@ def speeds(clips, quick):
         many, cut = ck.lanes(run, cores=1), pieces(seen)
         every, starts = np.stack([c.seen for c in clips]), np.stack([begun(c.truth[0], c.seen[None])[0] for c in clips])
         whole = lambda q: np.asarray(q)[:, RUN_IN:].reshape(FRAMES, -1)  # noqa: E731
+        short = [np.asarray(x, np.float32) for x in (starts, every)]
         calls["64 clips, `lanes`"] = lambda: many(starts, every), len(clips), lambda q: np.asarray(q)[0]
+        calls["64 clips, `lanes`, float32"] = lambda: many(*short), len(clips), lambda q: np.asarray(q, float)[0]
         calls["one clip in 8 pieces, `lanes`"] = lambda: many(begun(truth[0], cut), cut), 1, whole
         alone = jax.jit(run)
         calls["one clip, `jax.jit`"] = lambda: alone(begun(truth[0], seen[None])[0], seen), 1, np.asarray
