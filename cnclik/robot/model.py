@@ -97,12 +97,21 @@ def frames(chain: Model, q, tip: int = 0) -> Frames:
 
     Args: tip: index of the tip.
     """
-    xp = library(q, chain.tips[tip])
+    return tip_frames(*moved(chain, q), tip)
+
+
+def moved(chain: Model, q):
+    """The chain as constants, its joints' frames and their axes (..., j, 3) in the base frame, for `tip_frames`."""
+    xp = library(q, *chain.tips)
     chain = chain if xp is np else of_the_model(chain)
     at = joint_frames(chain, q)
+    return chain, at, xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
+
+
+def tip_frames(chain: Model, at, axes, tip: int) -> Frames:
+    """The frames of a tip, from those of `moved`."""
     support = None if chain.supports is None else chain.supports[tip]
     tip = at[..., chain.carriers[tip], :, :] @ chain.tips[tip]
-    axes = xp.sum(at[..., :3, :3] * chain.axes[:, None, :], axis=-1)
     place, turn = tip[..., :3, 3], tip[..., :3, :3]
     return Frames(position=place, rotation=turn, axes=axes, points=at[..., :3, 3], support=support)
 

@@ -1,7 +1,9 @@
 """Rotations as arrays: exponential and logarithm, quaternions; norms with derivatives everywhere."""
 
+import functools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -94,6 +96,7 @@ def rotation_from_quaternion(q):
     ]
 
 
+@functools.partial(jax.jit, inline=True)  # a stack has dozens: traced once
 def log_so3(r):
     """Rotation vector [rad], of length at most π, of a rotation: the inverse of `exp_so3`.
 

@@ -17,6 +17,7 @@ the target: of one in the tip's own frame, where w is 3, and of functions of the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.record import record
-from cnclik.robot.model import Frames, Model, frames, jacobian_rows
+from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
 from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, turn_from
 
 AXES = "xyz"
@@ -40,15 +41,21 @@ class At:
     """
 
     def __init__(self, chain: Model, q):
-        self.chain, self.q, self._frames = chain, q, {}
+        self.chain, self.q, self._frames, self._rows = chain, q, {}, {}
+
+    @functools.cached_property
+    def _moved(self):
+        return moved(self.chain, self.q)
 
     def frames(self, tip) -> Frames:
         """The frames of a tip by its name, of the only one, or of a part that is `seen` as one; each computed once."""
-        number = -1 if hasattr(tip, "seen") else self.chain.tip_number(tip)
+        number = self._number(tip)
         if number not in self._frames:
-            found = tip.seen(self.chain, self.q) if number < 0 else frames(self.chain, self.q, number)
-            self._frames[number] = found
+            self._frames[number] = tip.seen(self.chain, self.q) if number < 0 else tip_frames(*self._moved, number)
         return self._frames[number]
+
+    def _number(self, tip):
+        return -1 if hasattr(tip, "seen") else self.chain.tip_number(tip)
 
     def position(self, tip, to=None):
         """(3,) [m]"""
@@ -64,15 +71,23 @@ class At:
 
     def rows(self, tip, to, linear, angular):
         """Rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
+        between = self._number(tip), to
+        if between not in self._rows:
+            self._rows[between] = self._jacobian(tip, to)
+        return self._rows[between][..., np.array([*linear, *(3 + i for i in angular)], int), :]
+
+    def _jacobian(self, tip, to):
+        """(6, n)"""
+        every, at = (0, 1, 2), self.frames(tip)
+        own = jacobian_rows(self.chain, at, every, every)
         if to is None:
-            return jacobian_rows(self.chain, self.frames(tip), linear, angular)
-        every, at, other = (0, 1, 2), self.frames(tip), self.frames(to)
-        own, its = (jacobian_rows(self.chain, one, every, every) for one in (at, other))
+            return own
+        other = self.frames(to)
+        its = jacobian_rows(self.chain, other, every, every)
         (v, w), (vo, wo) = ((each[..., :3, :], each[..., 3:, :]) for each in (own, its))
         xp, turned, away = library(own, its), other.rotation.mT, (at.position - other.position)[..., None]
         v = turned @ (v - vo + xp.cross(away, wo, axis=-2))
-        both = xp.concatenate([v, turned @ (w - wo)], axis=-2)
-        return both[..., np.array([*linear, *(3 + i for i in angular)], int), :]
+        return xp.concatenate([v, turned @ (w - wo)], axis=-2)
 
 
 def places(axes) -> np.ndarray:
