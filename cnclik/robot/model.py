@@ -100,7 +100,7 @@ def frames(chain: Model, q, tip: int = 0) -> Frames:
     return tip_frames(*moved(chain, q), tip)
 
 
-def moved(chain: Model, q):
+def moved(chain: Model, q) -> tuple[Model, AnyArray, AnyArray]:
     """The chain as constants, its joints' frames and their axes (..., j, 3) in the base frame, for `tip_frames`."""
     xp = library(q, *chain.tips)
     chain = chain if xp is np else of_the_model(chain)
