@@ -180,7 +180,7 @@ def begun(q0, seen):
 class Quality(NamedTuple):
     links: float  # RMS off the truth of all links [mm], after half a second
     feet: float  # of the feet [mm]
-    sliding: float  # RMS speed of a foot while it stands in truth [mm/s]
+    sliding: float  # RMS speed of a foot while it truly stands [mm/s]
     beyond: float  # of position limits, at most [rad]
     faster: float  # than velocity limits, at most [rad/s]
 
@@ -365,7 +365,7 @@ The first call includes tracing and the C compiler. `ck.use_cache()` keeps it.
 
 ## Do the feet slide?
 
-Sliding is the RMS speed of a foot while it stands in truth. Errors are RMS distances from the true motion.
+Sliding is the RMS speed of a foot while it truly stands. Errors are RMS distances from the true motion.
 
 {feet}
 - As seen, a foot follows the noise: 5 mm from frame to frame at 30 Hz.
@@ -376,7 +376,7 @@ No answer leaves a limit of position or velocity. The answers of mink are the sa
 
 ![Height and speed of the left foot](feet.png)
 
-Grey: the foot stands in truth.
+Grey: the foot truly stands.
 """
 
 

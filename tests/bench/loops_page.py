@@ -315,8 +315,8 @@ def write(found, folder) -> None:
     cells = _rows(found, " Hz")
     m = found["machine"]
     head = (
-        "# Loops as they run in the tools people use\n\nAsked: do the gains that cnclik names hold in pink and mink, "
-        "and on simulated robots whose servos, delays and rates it is told of; how far does each model carry?\n\n"
+        "# Do recommended gains hold in pink, mink and on simulated robots?\n\nThe simulated robots have known servos, "
+        "delays and rates. How accurate is each model of their drives?\n\n"
         f"`python -m tests.bench.loops` (extra `peers`; {sum(p.get('seconds', 0) for p in found.values()) / 60:.0f} "
         f"minutes of one core); loops.json holds all. MuJoCo {m['mujoco']}, mink {m['mink']}, pink {m['pin-pink']}, "
         f"Pinocchio {m['pin']}, JAX {m['jax']}.\n"

@@ -208,7 +208,8 @@ def write(found, folder) -> None:
     wide = "with" if m["avx512"] else "without"
     load = ", ".join(map(str, m["load"]))
     made = [
-        "# reach\n\nBatched inverse kinematics, measured by `python -m tests.bench.reach`; reach.json holds all.\n\n"
+        "# How fast is reach, and how often is it right?\n\n"
+        "Batched inverse kinematics, measured by `python -m tests.bench.reach`; `reach.json` has all numbers.\n\n"
         f"{m['cpu']} ({wide} AVX-512), {m['cores']} cores that others use, too (load {load}): times drift, so compare "
         f"within a table. Python {m['python']}, JAX {m['jax']}, Pinocchio {m['pinocchio']}.\n"
     ]
@@ -220,7 +221,7 @@ def write(found, folder) -> None:
             made.append("![Share of targets not solved against evaluations](solved.png)\n")
     if "scaling" in found:
         batch_figure(found["scaling"], folder / "batch.png")
-        busy = "Others kept the cores busy meanwhile: this does not tell what a second core gives.\n\n" * (
+        busy = "Other work kept the cores busy, so this does not show what a second core gains.\n\n" * (
             m["load"][0] > 1
         )
         made.append(f"## Batch size\n\n{busy}![Time per target against batch size](batch.png)\n")

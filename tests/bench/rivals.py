@@ -199,7 +199,7 @@ def as_csv(rows) -> str:
 def page(rows, margin, steps) -> str:
     """The table with a line on how it was made."""
     return (
-        "# Tuning against what one would do instead\n\n"
+        "# Is tuning by gradient better than a grid or Nelder-Mead? The table\n\n"
         f"Explicit Euler, loss RMS error, margin {margin:g}, gains that ring allowed, at most {steps} evaluations each "
         "(a gradient evaluation counts as one). Seconds are CPU time, tracing and compilation included; again: the "
         "same search once more in the same process.\n\n" + table(rows)

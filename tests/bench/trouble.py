@@ -156,8 +156,9 @@ Ts = {TS:g} s, {N} steps. λ (λ₀, λ_max) = {LAMBDA:g} for every damped inver
 a method for limits. All but the first two clamp the error at {CLAMP[0]:g} m and {CLAMP[1]:g} rad.
 
 Errors are RMS over the run; *speed* is the largest joint velocity, and in brackets its share of that joint's limit; \
-*past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed that the next step takes \
-back, over the second half of the run. Steps are counted by status: near singular (least singular value below 0.01; \
+*past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed that the next step \
+reverses, over the second half of the run. \
+Steps are counted by status: near singular (least singular value below 0.01; \
 all but the singular-damped ones know it from below only), at limit, not finite.
 
 ## In short
