@@ -26,7 +26,6 @@ from cnclik.reaching.strategy import (
     AROUND,
     CAREFUL,
     COARSE,
-    NEARBY,
     OUTER,
     PLACES,
     PLAIN,
@@ -149,7 +148,7 @@ def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     if count > 1:  # of several tips one begins elsewhere
         q = jnp.where(by & (own != number // SELDOM % count), made.places[some], q)
     else:
-        q = jnp.where(by, made.places[some] + NEARBY * (seed - middle), q)
+        q = jnp.where(by, made.places[some] + seed - middle, q)
     if near is not None:
         shift = AROUND * k.astype(pose.dtype) / PLAIN * 2 * (postures[number % len(postures)] - middle) / width
         q = jnp.where(k < PLAIN, turned(near + shift, near, asked.periods, low, high, jnp), q)

@@ -22,7 +22,7 @@ from cnclik.shapes import Float
 from cnclik.task.parts import At
 
 SETS, SIZE = 16, 256
-STRETCHES = 1.0, 4.0, 1.0, 2.0  # for tries beyond the sets: half of them start with most joints at limits
+STRETCHES = 1.0, 4.0, 1.0, 8.0  # for tries beyond the sets: three in eight start with most joints, or all, at limits
 TURN = 0.2  # [arm lengths] weight of a radian of orientation when seeds are compared
 
 
@@ -74,7 +74,7 @@ def starts(seed, near, periods, ends, low, high, stretch=1.0, xp=np):
     that is between them is tried, however far from the seeds it is, and not their corners alone.
 
     An answer with several joints at limits has few postures about it from which a search arrives, and most of them have
-    joints there, too: seeds stretched by 4 have three in four joints at one of their bounds.
+    joints there, too: seeds stretched by 4 have three in four joints at one of their bounds, by 8 seven in eight.
 
     Args: ends: of the range of the seeds, see `spans`. stretch: of each seed (...,) about the middle of the bounds.
     """

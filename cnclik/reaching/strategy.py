@@ -21,7 +21,7 @@ COARSE = 2e-5  # [m, rad] of the target: close
 STUCK = 1e-5  # of `step.Search.steep`: a try whose error falls as slowly as that ends
 PLACES = 4  # number of best postures kept from tries that did not arrive
 AROUND = 0.5  # of the range of seeds, about `near`: where the last plain tries start; the first starts there
-NEARBY, SELDOM = 0.35, 4  # of the range of seeds, about a place found; one try in so many starts there
+SELDOM = 4  # one try in so many starts about a place found, as far from it as a seed is from the middle of the seeds
 # More postures lead to answers beyond the limits than to one at them: beyond the sets one try in so many is free of all
 # bounds, and begins again within them from where it arrives. One in twice as many is not made for it.
 OUTER = 4
@@ -31,8 +31,8 @@ ENDLESS = (1 << 30) - 1  # looks
 FAR = np.asarray(1e3)  # [rad, m] of no jump
 FREE = 128  # tries of the search without limits
 SURE = 256  # tries, at least, before it is said that there is no answer
-CLOSE, LONGER = (0.1, 1e-3), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
-NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "AROUND", "NEARBY", "SELDOM", "OUTER"
+CLOSE, LONGER = (0.3, 2e-2), (4, 16)  # [rad, units]: a target missed by less gets so many times the seeds
+NUMBERS = "PLAIN", "STEPS", "CAREFUL", "SLOW", "COARSE", "STUCK", "PLACES", "AROUND", "SELDOM", "OUTER"
 
 
 class Phase(NamedTuple):

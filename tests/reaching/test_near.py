@@ -182,10 +182,15 @@ def test_an_answer_with_several_joints_at_their_limits_is_found(kind, request):
 
 @pytest.mark.parametrize("way", ["native", pytest.param(by_jax, marks=pytest.mark.slow)], indirect=True)
 @pytest.mark.parametrize(
-    ("kind", "some"), [(16, [846, 917, 1361, 4442]), pytest.param(4, [3299], marks=pytest.mark.slow)]
+    ("kind", "some"),
+    [(16, [846, 917, 952, 1361, 4442])]
+    + [pytest.param(kind, [i], marks=pytest.mark.slow) for kind, i in ((4, 3299), (14, 2675))],
 )
 def test_an_answer_with_all_joints_at_limits_is_found_from_beyond_them(kind, some, way):
-    """AT_LIMIT falsely: of a freedom that is left only one end is within the limits, where all joints are."""
+    """AT_LIMIT falsely: of a freedom that is left only one end is within the limits, where all joints are.
+
+    Or 512 tries were not enough, though the nearest pose was 0.012 (2675) and 0.25 (952) of a unit off.
+    """
     chain = cornered(kind)
     assert ck.reach(chain, tips(chain, at_limits(chain, 5000)[some])).solved.all()
 
@@ -197,7 +202,7 @@ def test_of_many_arms_hardly_any_answer_at_limits_is_missed():
         chain = cornered(kind)
         found.append(ck.reach(chain, tips(chain, at_limits(chain, 5000))).status)
     counts = {s.name: int(np.sum(np.array(found) == s)) for s in ReachStatus}
-    assert counts["SOLVED"] >= 229_990 and counts["AT_LIMIT"] + counts["OUT_OF_REACH"] <= 4, counts
+    assert counts["SOLVED"] >= 229_995 and counts["AT_LIMIT"] + counts["OUT_OF_REACH"] == 0, counts
 
 
 ELBOW = 2.0  # [rad] its limit

@@ -167,7 +167,7 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
     if (by) {
       q = turned(about + AROUND * (Real)k / PLAIN * 2 * from, about, a->periods[j], low, high);
     } else if (place != NULL && AIMS == 1) {
-      q = place[j] + NEARBY * (q - a->middle[j]);
+      q = place[j] + q - a->middle[j];
     } else if (place != NULL && owners[j] != number / SELDOM % AIMS) { /* the other tips begin at the kept place */
       q = place[j];
     } else if (!a->downhill) { /* as `seeds.starts` */
