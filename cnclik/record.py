@@ -142,7 +142,11 @@ def _same(a, b) -> bool:
         return a is b
     if not (hasattr(a, "dtype") and hasattr(b, "dtype")):
         return bool(type(a) is type(b) and a == b)
-    return a.dtype == b.dtype and a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+    if a.dtype != b.dtype or a.shape != b.shape:
+        return False
+    if jax.dtypes.issubdtype(a.dtype, jax.dtypes.prng_key):
+        a, b = jax.random.key_data(a), jax.random.key_data(b)
+    return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
 
 
 def _hashed(self):
@@ -172,7 +176,7 @@ def brief(value) -> str:
     """A value in a few words: small arrays by their numbers, large ones and traced ones by dtype and shape."""
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         known = isinstance(value, (np.ndarray, np.generic, jax.Array)) and not isinstance(value, jax.core.Tracer)
-        if known and value.size <= 9 and value.dtype.kind in "biuf":
+        if known and value.size <= 9 and getattr(value.dtype, "kind", "O") in "biuf":  # a random key has none
             return in_words(value)
         return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
     if isinstance(value, (tuple, list)):
