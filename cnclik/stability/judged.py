@@ -7,6 +7,7 @@ thresholds are constants here, in `reasons`, `remedies` and `observed`; quarters
 """
 
 import enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,21 @@ class Behaviour(enum.StrEnum):
     BEYOND_LIMITS = "beyond the robot's limits"
 
 
-def judged(case):
-    """(kind, what it did, remedies) of a case."""
+class Judged(NamedTuple):
+    """What a run did, and what might mend it."""
+
+    kind: Behaviour
+    what: str  # in words
+    remedies: tuple
+    slowly: bool = False  # of an error that shrinks: more slowly than the loop's time constants say
+
+
+def judged(case) -> Judged:
+    """What a case's run did."""
+    return Judged(*_judged(case))
+
+
+def _judged(case):
     law, seen, error = case.law, case.seen, f"over the last quarter of the run the error is at most {case.size}"
     if seen.bad is not None:
         since = case.t[0] + seen.bad * case.loop[0]  # the time of a path that waits is not finite either
@@ -107,7 +121,7 @@ def _held(case, error):
     slowly = not (case.stays or reasons.open_ended(case) or reasons.leaks(case))
     if slowly and _fallen(case) and np.all(np.diff(seen.late) < 0):
         found = (*remedies.raised(case), *remedies.to_the_end(case))
-        return Behaviour.CONVERGING, f"slowly; {error}; {_radius(case)}", found
+        return Behaviour.CONVERGING, f"{error}; {_radius(case)}", found, True
     if not case.stays:
         return undecided(case, error)
     if reasons.leaks(case):

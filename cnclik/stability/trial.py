@@ -24,7 +24,7 @@ from cnclik.law.reference import Reference, References, of_each
 from cnclik.record import record, replace
 from cnclik.shapes import AnyArray, ArrayLike, Float
 from cnclik.stability.case import brief
-from cnclik.stability.observed import ARRIVED, back_and_forth, observe
+from cnclik.stability.observed import ARRIVED, VISIBLE, back_and_forth, observe, rms
 from cnclik.stability.reasons import INSIDE
 from cnclik.stability.remedies import Remedy
 from cnclik.stability.stacked import kinds
@@ -41,6 +41,7 @@ NUDGE = 1e-10  # [rad, m] of the start, to see whether a loop amplifies rounding
 FARTHER = 1.1  # ratio of how far two loops get along a path that waits, from which on one gets farther
 AS_GOOD = 2.0  # and of their errors, up to which they are no worse in kind
 LEAST_WAY = 1e-9  # [m, rad]
+LEAST_TURNS = 1e-3 * VISIBLE  # joint step [rad, m] back and forth that is rounding
 HUGE = 1e300  # stands for what is not finite
 VAIN = "and no better"
 PLACES = ("center", "start", "end")  # what a shift moves of a path
@@ -179,13 +180,15 @@ class Trials:
         return "task" not in remedy.change and remedy.change.get("N", N) <= max(MOST_TRIED, N)
 
     def vain(self, remedy) -> str:
-        """Why a remedy is none, in words; empty where the loop does better with it, in the run's own steps or in the
-        end, and nothing else gets worse.
+        """Why a remedy is none, in words; empty where the run does better with it, and nothing else gets worse.
+
+        Better is an error whose largest and whose RMS value are smaller once it has settled, in the run's own steps or
+        where it is run on, or joints that go back and forth less; along a path neither may be larger in either.
         """
         change, N, given = remedy.change, self.case.steps, self.case.seen
         after = change.get("N", N)
         if "dtype" in change:  # trials are in float64
-            return "" if self._late(self.unchanged(whole_trial(N))) < given.largest else VAIN
+            return "" if self._seen(self.unchanged(whole_trial(N))).largest < given.largest else VAIN
         steps = whole_trial(max(N, after))
         was, now = self.unchanged(steps), self.mended(remedy, steps)
         seen = self._seen(truncate(now, after))
@@ -194,7 +197,7 @@ class Trials:
         elif remedy.mends == "limits":
             better = float(seen.outside.max()) <= INSIDE
         else:
-            better = self._nearer(remedy, was, now, after)
+            better = self._nearer(remedy, was, now, after, seen)
         if not better:
             return VAIN
         if remedy.mends in ("velocity", "limits"):
@@ -202,36 +205,37 @@ class Trials:
         strains = not only_longer(change, self.case.period) and _strains(given, seen)
         return "but with joints farther beyond their limits" if strains else ""
 
-    def _nearer(self, remedy, was, now, after) -> bool:
-        """Whether the error, or how the joints move, gets better. Args: after: steps of the run with the remedy."""
-        change, N, given = remedy.change, self.case.steps, self.case.seen
-        made, longer = changed(self.given, change), only_longer(change, self.case.period)
+    def _nearer(self, remedy, was, now, after, seen) -> bool:
+        """Whether the error, or how the joints move, gets better.
+
+        Args: after: steps of the run with the remedy. seen: what it shows.
+        """
+        change, N, given, moving = remedy.change, self.case.steps, self.case.seen, self.case.moving
+        longer = only_longer(change, self.case.period)
         if remedy.mends == "error" and not self.case.law.task.of_one_tip:
             least = self._ratios(was, now, after)[:, :2].min()
             return bool(least < (GONE if longer else BETTER)) and not self._farther_off(was, now, after)
-        was_here, now_here = truncate(was, N), truncate(now, after)
         gone = max(ARRIVED * given.size[0], given.floor)
-
-        def ratio(before, later, gone=gone, quarters=1):
-            return max(self._late(later, quarters), gone) / max(self._late(before, quarters), gone)
-
+        end, new_end = self._seen(was), self._seen(now)
         # Along a path errors come and go: the last quarter may be that in which nothing happens.
-        in_the_end = max(ratio(was, now, quarters=k) for k in ((1, 2) if self.case.moving else (1,)))
+        in_the_end = max(times(late(end, k), late(new_end, k), gone).max() for k in ((1, 2) if moving else (1,)))
+        here = times(late(given), late(seen), gone).max()
+        # What is less than a sample behind follows.
+        largest, middle = times(late(given), late(seen), max(gone, self.case.behind))
         if self.case.waits and not longer:  # a loop that shakes crawls along its path, with a small error
-            gained = self._seen(now_here).way / max(self._seen(was_here).way, LEAST_WAY)
-            least = max(gone, self.case.behind)  # what is less than a sample behind follows
-            here = ratio(was_here, now_here, least)
+            gained = seen.way / max(given.way, LEAST_WAY)
             if gained < 1 / FARTHER and not here < GONE:
                 return False
-            if gained > FARTHER and after == N and max(here, ratio(was, now, least)) <= AS_GOOD:
+            if gained > FARTHER and after == N and middle <= 1 and max(largest, in_the_end) <= AS_GOOD:
                 return True
         if remedy.mends == "motion":
-            turns = self._restless(made.reference, now_here) < CALMER * self._restless(self.given.reference, was_here)
-            calmer = turns or min(in_the_end, ratio(truncate(was, 5 * N), truncate(now, 5 * N))) < CALMER
-            return in_the_end <= 1 and calmer
-        if self._late(now_here) <= gone:
+            early, new_early = (late(self._seen(truncate(run, 5 * N))) for run in (was, now))
+            turns = self._turns(remedy, truncate(was, N), truncate(now, after), LEAST_TURNS)
+            calmer = min(turns, in_the_end, times(early, new_early, gone).max()) < CALMER
+            as_near = in_the_end <= 1 and not (moving and max(largest, middle) > 1)
+            return as_near and calmer and self._turns(remedy, was, now, VISIBLE) <= 1
+        if late(seen)[0] <= gone:
             return True
-        here = ratio(was_here, now_here)
         if longer:
             return here < GONE
         return here < BETTER and (in_the_end <= 1 or bool({"shift", "period", "speed"} & set(change)))  # another path
@@ -279,19 +283,28 @@ class Trials:
         return bool(calmed * all_of_it > UNCHANGED * shaking * speed)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _restless(self, reference, run):
-        """Joint speed that goes back and forth in the second half; huge where one is not finite."""
-        speed, _ = self._back_and_forth(reference, run)
-        return speed if speed < HUGE else HUGE
+    def _turns(self, remedy, was, now, least):
+        """How many times as large the joint speed that goes back and forth in the second half gets.
+
+        Args: least: joint step [rad, m] that counts.
+        """
+        runs = (self.given.reference, was), (changed(self.given, remedy.change).reference, now)
+        before, after = (np.nan_to_num(self._back_and_forth(*run)[0], nan=HUGE, posinf=HUGE) for run in runs)
+        return times(min(before, HUGE), min(after, HUGE), least / self.Ts)
 
     def _back_and_forth(self, reference, run):
         return back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
 
-    def _late(self, run, quarters=1):
-        """Largest error of the last quarter, or of the last two; huge where one is not finite."""
-        seen = self._seen(run)
-        largest = max(seen.largest, seen.before.max()) if quarters > 1 else seen.largest
-        return HUGE if seen.bad is not None else min(largest, HUGE)
+
+def late(seen, quarters=1):
+    """(largest, RMS) error of what a run settles to, its last quarter, or two; huge where one is not finite."""
+    size = np.concatenate([seen.before, seen.late]) if quarters > 1 else seen.late
+    return np.full(2, HUGE) if seen.bad is not None else np.minimum([size.max(), rms(size)], HUGE)
+
+
+def times(before, after, least=0.0) -> np.ndarray:
+    """How many times as large numbers get. Args: least: of them that counts."""
+    return np.maximum(after, least) / np.maximum(before, least)
 
 
 def _strains(given, seen) -> bool:

@@ -21,7 +21,7 @@ from cnclik.record import record, replace
 from cnclik.shapes import ArrayLike, Number
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import UNSTABLE, case_of, in_words
-from cnclik.stability.judged import Behaviour, judged, restless
+from cnclik.stability.judged import Behaviour, Judged, judged, restless
 from cnclik.stability.linear import checked
 from cnclik.stability.local import Instant, maps, resting
 from cnclik.stability.observed import FALLEN
@@ -55,7 +55,7 @@ class Verdict:
       sentence: what it did, with the numbers, and the remedy.
       remedies: `Remedy` records, each an alternative; none where there is nothing to mend.
       radius: largest |eigenvalue| of one step over the task's directions, at rest where the run ended (diverged:
-        began).
+        began); as for `advise`, a joint at its limit is free there, unless `weighted_least_norm` keeps it.
       null_radius: the same over the null space of J; near 1 where nothing acts there.
       error: largest ‖e‖ in the last quarter [m, rad].
     """
@@ -122,7 +122,7 @@ def verdict(
 def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
     case = case_of(law, reference, run, dtype, Ts, method, stage, drive, **more)
     trials = Trials(case)
-    case, kind, what, found = _decided(case, trials)
+    case, (kind, what, found, slowly) = _decided(case, trials)
     beyond, left = [], reasons.outside(case)
     if case.seen.over_velocity and kind not in _UNSTABLE_KINDS:
         beyond, found = [case.seen.over_velocity], (*remedies.slower_joints(case), *found)
@@ -130,7 +130,8 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
         beyond, found = [*beyond, left], (*found, *remedies.inside(case))
     found, left_out, unknown = _tried(case, trials, tuple({one.words: one for one in found}.values()))
     if kind == Behaviour.CONVERGING and unknown:  # it shrinks, and may not arrive
-        kind, what = Behaviour.UNDECIDED, what.removeprefix("slowly; ")
+        kind, slowly = Behaviour.UNDECIDED, False
+    what = f"slowly; {what}" if slowly else what
     if kind in _FINE and (left or (beyond and case.seen.excess >= TOO_FAST)):
         kind, what = Behaviour.BEYOND_LIMITS, f"{'; '.join(beyond)}. The loop is {kind}: {what}"
     else:
@@ -147,38 +148,39 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
 
 
 def _decided(case, trials):
-    """(the case, what is judged of it): joints that the path turns, with any gain, do not shake."""
+    """(the case, the `Judged` of it): joints that the path turns, with any gain, do not shake."""
     made = _confirmed(case, trials)
-    if made[0] == Behaviour.SHAKING and trials.turned_by_path(case, made[-1]):
+    if made.kind == Behaviour.SHAKING and trials.turned_by_path(case, made.remedies):
         case = replace(case, seen=case.seen._replace(reversing=0.0))
         made = _confirmed(case, trials)
-    return case, *made
+    return case, made
 
 
-def _confirmed(case, trials):
+def _confirmed(case, trials) -> Judged:
     """What is judged of a run where the loop, run on, does as it says; else that the run is too short to tell."""
-    kind, what, found = judged(case)
+    made = judged(case)
+    kind, what, found, slowly = made
     N, plain = whole_trial(case.steps), case.seen.bad is not None or case.seen.still  # nothing later changes that
     open_ = (*_UNSTABLE_KINDS, *_STAY, Behaviour.CONVERGING, *(_FOLLOW if case.around else ()))
     if plain or kind not in open_ or case.steps >= N:
-        return kind, what, found
+        return made
     later, on = _longer(case, trials, N), f"run on, for {N} steps in all,"
     contradicted = _contradicted(kind, case, later)
     if case.pace is not None and kind == Behaviour.DIVERGING:
-        then, shakes, mends = judged(later)
-        if then == Behaviour.SHAKING:
-            return then, f"{on} {shakes}", mends
-        contradicted = then != kind
+        then = judged(later)
+        if then.kind == Behaviour.SHAKING:
+            return then._replace(what=f"{on} {then.what}")
+        contradicted = then.kind != kind
     if not contradicted:
-        slowly = kind == Behaviour.CONVERGING and later.seen.largest > FALLEN * case.seen.largest
-        return kind, f"slowly; {what}" if slowly and not what.startswith("slowly") else what, found
+        stays = kind == Behaviour.CONVERGING and later.seen.largest > FALLEN * case.seen.largest
+        return made._replace(slowly=slowly or stays)
     if later.seen.bad is not None:
         then = f"is not finite from step {later.seen.bad} on"
     elif kind in _FOLLOW:
         then = f"gets as large as {in_words(case.law.task, later.errors[case.steps :])}"
     else:
         then = f"is at most {later.size} at the end"
-    return restless(case, f"{what}, but {on} the error {then}", found)
+    return Judged(*restless(case, f"{what}, but {on} the error {then}", found))
 
 
 def _longer(case, trials, N):
@@ -241,9 +243,9 @@ def _long_enough(case, trials, one):
         if one.mends == "error":
             enough = not trials.vain(one) and trials.repeats(N)
         else:
-            _, kind, what, _ = _decided(_longer(case, trials, N), trials)
-            open_ = kind == Behaviour.UNDECIDED or what.startswith("slowly")
-            enough = kind in _UNSTABLE_KINDS or (not open_ and trials.repeats(N))
+            _, made = _decided(_longer(case, trials, N), trials)
+            open_ = made.kind == Behaviour.UNDECIDED or made.slowly
+            enough = made.kind in _UNSTABLE_KINDS or (not open_ and trials.repeats(N))
         if enough:
             return (one,), 0
         tried = N

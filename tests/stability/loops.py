@@ -30,7 +30,8 @@ from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability import trial
 from cnclik.stability.local import Instant, radii, resting
-from cnclik.stability.trial import Run, changed, only_longer
+from cnclik.stability.observed import rms
+from cnclik.stability.trial import Run, changed, only_longer, times
 
 SHORT, LONG = 200, 20  # most steps that are judged, and how many times as many are run
 MOST = 12_000  # steps that a remedy may ask for here
@@ -249,9 +250,19 @@ def way(run):
 
 def late(run):
     """Largest error of the last quarter as a verdict has it, of two instants at least; infinite where one is none."""
+    return float(settled(run)[0])
+
+
+def settled(run):
+    """(largest, RMS) error of the last quarter; infinite where one is none."""
     N = len(run.e) - 1
     size = np.linalg.norm(run.e, axis=1)[-max(N // 4, min(N, 2), 1) :]
-    return float(size.max()) if np.isfinite(size).all() else np.inf
+    return np.array([size.max(), rms(size)]) if np.isfinite(size).all() else np.full(2, np.inf)
+
+
+def grown(run, other, least=1e-300):
+    """How many times as large the other run's settled error is, its largest or its RMS value."""
+    return times(*(np.minimum(settled(one), 1e300) for one in (run, other)), least).max()
 
 
 def arrived(run):
@@ -464,20 +475,23 @@ def improves(remedy, loop, run, whole, other, after, whole_after, of):
         return (slower if remedy.mends == "velocity" else kept) and not farther(loop, run, whole, after, whole_after)
     if not only_longer(remedy.change, duration(loop)) and strains(loop.law, run, after):
         return False
-    waits = loop.pace is not None and run.path_time is not None
-    as_near = late(after) <= max(2 * late(run), ARRIVED * np.linalg.norm(run.e[0]))
-    if waits and as_near and way(after) > 1.1 * way(run):  # a loop that crawls along its path has a small error
+    waits, arrives = loop.pace is not None and run.path_time is not None, ARRIVED * np.linalg.norm(run.e[0])
+    behind = max(float(np.linalg.norm(np.diff(run.x + run.e, axis=0), axis=1).max()), arrives)
+    if waits and grown(run, after, behind) <= 2 and way(after) > 1.1 * way(run):  # what crawls has a small error
         return True
-    if remedy.mends == "motion":  # calmer, and not worse in the end
+    if remedy.mends == "motion":  # calmer, and not worse
         spans = (5 * loop.N, len(whole.e))  # in the end the target may be out of reach
-        least = [late(truncate(whole_after, N)) / min(max(late(truncate(whole, N)), 1e-300), 1e300) for N in spans]
-        better = chatter(loop, after) < 0.5 * chatter(loop, run) or min(least) < 0.5
+        least = [grown(truncate(whole, N), truncate(whole_after, N)) for N in spans]
+        shakes = times(chatter(loop, run), chatter(loop, after), 1e-3 * VISIBLE / float(loop.Ts))
+        better = min(shakes, *least) < 0.5
         calmer = better or (calm(whole_after) > calm(whole)) or (arrived(whole_after) > arrived(whole))
-        return calmer and late(whole_after) <= max(1.2 * late(whole), 2 * ARRIVED * np.linalg.norm(run.e[0]), 1e-9)
-    if late(whole_after) < 0.95 * min(late(whole), 1e300) and not set(remedy.change) & {"N", "shift"}:  # in the end
+        path = moving(loop, run.target_time[round(0.75 * loop.N)])
+        as_near = not path or grown(run, after, behind) <= 1.2
+        return calmer and as_near and grown(whole, whole_after, max(2 * arrives, 1e-9)) <= 1.2
+    if grown(whole, whole_after) < 0.95 and not set(remedy.change) & {"N", "shift"}:  # in the end
         return True
     longer = only_longer(remedy.change, duration(loop))
-    return late(after) < (0.3 if longer else 0.95) * late(run) or arrived(after)
+    return grown(run, after) < (0.3 if longer else 0.95) or arrived(after)
 
 
 def said_of(loop, run, of):
