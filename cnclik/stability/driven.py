@@ -14,7 +14,7 @@ from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rotations import library
 from cnclik.stability.drives import longer, own_drives, several, side_by_side
-from cnclik.stability.linear import EPS, REACH, amplification, checked, first_above, least_on
+from cnclik.stability.linear import EPS, FEW, REACH, amplification, checked, first_above, least_on
 
 SLACK = 2**22 * EPS  # a radius above 1 by more is unstable; eigenvalues of 1 have rounding
 _ZERO = 1e-9  # smaller factors count as 0
@@ -200,6 +200,7 @@ def monotone_limit(modes, drive, Ts, stable, reach, points):
       modes: modes(z) for z (k,) are the loop's (k, r, p), see `driven_factors`.
       reach: z up to which is looked. points: of them together.
     """
+    points = FEW if several(drive) else points
     found = first_above(lambda z: swings(modes(z), drive, Ts), SWING, min(stable, reach), points)
     found = min(stable, found)
     if not np.isfinite(found) or overshoot(modes(np.array([found]))[0], drive, Ts) <= OVERSHOOT:

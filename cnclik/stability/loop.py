@@ -21,7 +21,7 @@ from cnclik.robot.kinematics import as_joint_values
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import looked_at, modes_of, radius
 from cnclik.stability.drives import own_drives
-from cnclik.stability.linear import checked
+from cnclik.stability.linear import FEW, checked
 from cnclik.stability.rates import Rates, rates_of
 from cnclik.stability.spectrum import (
     Spectrum,
@@ -57,7 +57,8 @@ class LoopAtRest(NamedTuple):
     def points(self) -> int:
         """How many gains are looked at together."""
         n, late = self.law.chain.n, self.drive.lumped.delay
-        return looked_at(self.drive, n * (3 + late) - late if own_drives(self.drive) else 3)
+        found = looked_at(self.drive, n * (3 + late) - late if own_drives(self.drive) else 3)
+        return found if self.rates else max(found, FEW + 1)  # maps come many at a time
 
     @property
     def rates(self) -> Rates | None:
