@@ -131,6 +131,7 @@ def _in_own(value, mark, known, Ts):
 
 def aloud(value: float, unit: str) -> str:
     """A length or an angle as "0.5 mm" or "12 nrad"; what is below a nanometre in the unit itself."""
+    value = float(f"{value:.3g}")  # 0.9996 m is no 1e+03 mm
     for prefix, scale in (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9)):
         if abs(value) * scale >= 1:
             return f"{value * scale:.3g} {prefix}{unit}"
