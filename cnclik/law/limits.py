@@ -311,7 +311,7 @@ def saturation(rate: Number = 10.0) -> Saturated:
     level, and of a stack without levels, slow down together.
 
     Args:
-      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
+      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit, see `exponential_rate`.
     """
     return Saturated(rate=positive("rate", rate))
 
