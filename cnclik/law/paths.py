@@ -290,7 +290,8 @@ def _position(name, value):
         return None
     value = errors.array(name, value, (None,))
     if not 1 <= value.shape[0] <= 3:
-        raise errors.fail(name, "have 1 to 3 coordinates", f"has {value.shape[0]}")
+        joints = " (joint values are given by hold(values=...))" * (name == "target")
+        raise errors.fail(name, f"have 1 to 3 coordinates{joints}", f"has {value.shape[0]}")
     return value
 
 

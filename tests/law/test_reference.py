@@ -291,7 +291,7 @@ BAD = [
     (lambda: ck.hold(None), "`target` must be a position or come with a `rotation`"),
     (lambda: ck.hold(1.0), r"`target` must have shape \(n,\), but has shape \(\)\."),
     (lambda: ck.hold([1, 2, 3, 1, 0, 0, 0], TURN), "`rotation` must be left out where `target` is a whole pose"),
-    (lambda: ck.hold([1, 2, 3, 4]), "`target` must have 1 to 3 coordinates, but has 4"),
+    (lambda: ck.hold([1, 2, 3, 4]), r"1 to 3 coordinates \(joint values are given by hold\(values=...\)\), but has 4"),
     (lambda: ck.hold(np.eye(3)), r"`target` must have shape \(n,\), but has shape \(3, 3\)"),
     (lambda: ck.hold(2 * np.eye(4)), "`target` must hold a rotation, .* scaled by 2"),
     (lambda: ck.hold([np.nan, 0]), r"`target` must be finite, but is nan at index \(0,\)\."),
