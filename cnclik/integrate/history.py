@@ -160,7 +160,7 @@ def valid(history: History, law: Law, at: Mark, Ts):
     return jnp.where(jumped | uneven, 0, history.count)
 
 
-def remember(history: History, law: Law, entry: Entry, at: Mark, Ts, count) -> History:
+def remember(history: History, entry: Entry, at: Mark, Ts, count) -> History:
     """The history after a step, with `count` valid entries."""
     dtype = history.Ts.dtype
 

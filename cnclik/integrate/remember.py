@@ -76,7 +76,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
         left = jnp.where(alone, -1, left)
     zero = jnp.zeros((), q.dtype)
     moved = Moved(shift(centre(law.chain, q), Ts, (1.0,), (slope,)), slope, first, zero, zero)
-    kept = remember(history, law, entry, now, Ts, jnp.minimum(left + 1, len(history.entries)))
+    kept = remember(history, entry, now, Ts, jnp.minimum(left + 1, len(history.entries)))
     return Stepped(moved, kept, (history.count > 0) & ((count == 0) | (left < count)))
 
 
@@ -178,5 +178,5 @@ def primed(law, reference, past, t, Ts, method, history: History) -> History:
         make = _exponential if method.exponential else _plain
         entry = make(law, reference, q, at, t, Ts, method, history, history.count, None)[2]
         count = jnp.minimum(history.count + 1, len(history.entries))
-        history = remember(history, law, entry, mark(law, reference, at, t), Ts, count)
+        history = remember(history, entry, mark(law, reference, at, t), Ts, count)
     return history

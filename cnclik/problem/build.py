@@ -110,9 +110,9 @@ def problem_from(
       tasks: for a stack {name of a task: {option: value}}, with options of `cnclik.problem.OF_TASK`, like the tables in
         the file that `stack` names.
       walls: for a stack {name of a wall: {option: value}}, with options of `cnclik.problem.OF_WALL`.
-      options: names and values of `cnclik.problem.OPTIONS`, `MEASURED` and `PACE`, which contain their meaning and
-        default; None is the default. In Python `start` and `end` stand for `from` and `to`. A method or a stage may be
-        the record itself. Numbers may be traced.
+      options: names and values of `cnclik.problem.OPTIONS`, `cnclik.problem.MEASURED` and `cnclik.problem.PACE`, which
+        have their meaning and default; None is the default. In Python `start` and `end` stand for `from` and `to`. A
+        method or a stage may be the record itself. Numbers may be traced.
 
     Raises: ArgumentError naming the entry that does not fit.
     """

@@ -184,7 +184,7 @@ class Native:
         so_far = SoFar(_found(made), _found(there), np.zeros(B, bool), np.zeros(B, int))
         for k, phase in enumerate(self.rest):
             of = there if phase.status else made
-            ids = self._on(of, wanted(asked, phase, so_far, known, far), pose, near, phase, report)
+            ids = self._on(of, wanted(phase, so_far, known, far), pose, near, phase, report)
             if k == 0:
                 so_far.sure[:] = asked.sure(made["looks"]) & ~far
                 count = np.count_nonzero(made["found"])

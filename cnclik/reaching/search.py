@@ -229,7 +229,7 @@ def concluded(of: Given, pose, near, made: Found, done) -> SoFar:
         p, so_far = carry
         phase = jax.tree.map(lambda v: v[p], table)
         beyond = phase.status > 0
-        which = wanted(asked, phase, so_far, known, far, jnp)
+        which = wanted(phase, so_far, known, far, jnp)
         found = search(of, phase, choose(beyond, so_far.beyond, so_far.made), pose, near, which)
         made, there = choose(beyond, so_far.made, found), choose(beyond, found, so_far.beyond)
         sure = jnp.where(p == 1, asked.sure(made.looks) & ~far, so_far.sure)

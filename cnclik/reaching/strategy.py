@@ -106,7 +106,7 @@ class SoFar(NamedTuple):
     why: Int[AnyArray, " *B"]  # the result of `Asked.meaning`
 
 
-def wanted(asked, phase, so_far: SoFar, known, far, xp=np):
+def wanted(phase, so_far: SoFar, known, far, xp=np):
     """Which of the finite targets (...,) need a phase."""
     beyond = phase.status > 0
     missed = xp.where(beyond & (phase.downhill > 0), so_far.beyond.costs.min(axis=-1), so_far.made.squares.sum(axis=-1))

@@ -66,7 +66,7 @@ def inward(asked, pose, near, xp=np):
     Args: pose: targets (B, t) [m]. near: (B, n) [rad, m] or None.
 
     Returns: pose, near, and (B,) [units] by how much each target was moved towards the first joint, or None: of one
-    that is farther off than `FAR` only the direction matters. Of several tips' that of the one moved most.
+      that is farther off than `FAR` only the direction matters. Of several tips' that of the one moved most.
     """
     every = aims(asked.task)
     if asked.unit != 1.0:

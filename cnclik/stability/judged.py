@@ -271,7 +271,7 @@ def _shaking(case, error):
     fast += f", with the path at {case.advance:.2g} of its speed" if case.waits and case.advance < NEARLY else ""
     if case.null_unstable and seen.arrived:
         inside = f"in the null space of the task, where the spectral radius is {case.null_radius:.3g}"
-        return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case, case.null_radius)
+        return Behaviour.SHAKING, f"{fast} {inside}", remedies.less_null(case.null_radius)
     if not seen.arrived and case.radius <= UNSTABLE and reasons.unreachable(case):
         return _out_of_reach(case, f"{error}, and {fast}")
     if case.crawls and case.radius <= UNSTABLE:

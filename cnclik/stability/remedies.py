@@ -89,7 +89,7 @@ def lower(case) -> tuple:
     the last may be where it has gone astray."""
     law, (_, method, stage, drive) = case.law, case.loop
     ends = [resting(law, at) for at in (case.end, case.start) if np.abs(at.q).max() <= WILD]
-    within = less_null(case, case.null_radius) if case.null_unstable else ()
+    within = less_null(case.null_radius) if case.null_unstable else ()
     shares = [stable_share(*at, *case.loop) for at in ends]
     share = min(shares, default=1.0)
     if share == 0 and drive.feedback == "rebased":
@@ -117,7 +117,7 @@ def lower(case) -> tuple:
             made.append(Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion"))
         return tuple(made)
     if leaky(law) and case.radius <= 1:  # more damping lets it pull more
-        return less_null(case)
+        return less_null()
     return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
 
 
@@ -184,7 +184,7 @@ def _words(law, share, word):
     return f"alpha {word} {amount} at this Ts"
 
 
-def less_null(case, radius=None, share=0.3) -> tuple:
+def less_null(radius=None, share=0.3) -> tuple:
     """A slower null-space velocity; where its spectral radius is known, so slow that a step leaves half of it."""
     share = float(share if radius is None else min(0.5 / (1 + radius), 0.5))
     words = f"reduce the gain of the null-space velocity to {share:.2g} of what it is"
@@ -279,7 +279,7 @@ def slower_joints(case) -> tuple:
     if case.seen.fast_singular:
         return *gentle(case, "velocity"), *found
     if within > 0.7 * excess:
-        return *found, *(replace(one, mends="velocity") for one in less_null(case, share=0.5 / within))
+        return *found, *(replace(one, mends="velocity") for one in less_null(share=0.5 / within))
     if excess <= 1 or law.null_velocity is not None or not case.loop[-1].prompt:  # drives move as they will
         return tuple(found)
     if case.path:  # where it is not the path that is too fast, gain and path have a share in it

@@ -245,7 +245,7 @@ def read(path, changes=()) -> Spec:
       changes: strings "name=value" that override it; the value is TOML.
 
     Raises: ArgumentError, one line, for what cannot be read, is unknown (the nearest name is suggested), is
-    missing, or cannot be built into loops.
+      missing, or cannot be built into loops.
     """
     from cnclik.sweeps.check import parse
 

@@ -110,7 +110,7 @@ def table(data):
     """Statistics of every scalar metric over the numeric axes, for each combination of the others.
 
     Returns: list of dicts with the names of the other axes, `metric`, `units`, min, q10, median, q90, max,
-    mean (over finite values) and finite (their share).
+      mean (over finite values) and finite (their share).
     """
     inner = [d for d in data.dims if d in data.coords and (data[d].dtype.kind == "f" or f"{d}_value" in data.coords)]
     rows = []

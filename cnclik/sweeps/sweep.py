@@ -72,7 +72,7 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
     Args:
       spec: a `Spec`, or the path of its TOML file.
       out: folder for a store, `data.zarr`, which continues an interrupted run; None keeps the data in memory.
-      set: strings "name=value" that replace values of the file, as --set of `cnclik sweep`.
+      set: strings "name=value" that replace values of the file, as `--set` of `cnclik sweep`.
       fresh: start again, even if `out` holds results.
       progress: called with (points done, points to do).
 

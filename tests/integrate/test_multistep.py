@@ -262,7 +262,7 @@ def _counts(law, reference, t0, q, Ts):
             for t in (t0 + Ts * k, t0 + Ts * (k + 1).astype(q.dtype))
         ]
         blank = history.blank(law, q, ck.METHODS["AB2"])
-        before = history.remember(blank, law, blank.entries[0], marks[0], Ts, jnp.ones((), int))
+        before = history.remember(blank, blank.entries[0], marks[0], Ts, jnp.ones((), int))
         return history.valid(before, law, marks[1], Ts)
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.arange(60).astype(q.dtype)))
