@@ -27,7 +27,7 @@ def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> La
 
     Frames are controlled along their own axes; alpha = gain/dt, weights are costs, λ² = damping + Σ cost² of damping
     tasks. `lm_damping` depends on the error, is 0 at rest, and left out. Of limits, a `ConfigurationLimit` becomes
-    bounded(rate = gain/dt); velocity limits are the robot's own.
+    bounded(rate = gain/dt); velocity limits are the robot's own. Others are left out, with a remark.
 
     Args:
       robot: with the frames of the tasks as tips, load_urdf(file, tips=[...]).
@@ -49,6 +49,10 @@ def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> La
         name = re.sub(r"\W", "_", name)
         name = next(n for n in (name, *(f"{name}_{i}" for i in range(2, 2 + len(made)))) if n not in made)
         made[name], alpha[name] = task, float(one.gain) / dt
+    kinds = {type(one).__name__ for one in limits} - {"ConfigurationLimit", "VelocityLimit"}
+    for kind in sorted(kinds):
+        instead = "collisions are walls here, bounded(walls=[wall(distance(...), above=..., rate=gain/dt)])"
+        errors.remark(f"{kind} is left out; {instead}.")
     of_joints = [one for one in limits if type(one).__name__ == "ConfigurationLimit"]
     rates = [float(getattr(one, "config_limit_gain", None) or one.gain) / dt for one in of_joints]
     inverse = damped(max(np.sqrt(shift), LEAST))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.errors import Remark
 from cnclik.stability.peers import from_pink, to_pink
 from tests.oracles import robot_file
 
@@ -94,6 +95,8 @@ def test_limits_and_damping_tasks_and_what_is_not_known():
     limit = pink.limits.ConfigurationLimit(robot.model)
     law = robot.law(limits=[limit])
     assert float(law.limits.rate) == pytest.approx(50.0)  # 0.5 a step
+    with pytest.warns(Remark, match="CollisionAvoidanceLimit is left out"):
+        robot.law(limits=[limit, type("CollisionAvoidanceLimit", (), {"gain": 0.85})()])
     damped = from_pink(robot.ours, [*robot.tasks, pink.tasks.DampingTask(cost=0.3)], DT)
     assert float(damped.inverse.damping) == pytest.approx(0.3)
     with pytest.raises(ck.ArgumentError, match="hold a ComTask"):
