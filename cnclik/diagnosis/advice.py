@@ -18,6 +18,8 @@ APART_Z = 3.0  # factor between alpha·Ts and z beyond which another loop oscill
 BELOW = 0.97  # share of the limit below which a loop cannot sustain an oscillation
 LIKELY = 0.02  # share of the likeliest loop's probability, at least, for another one to affect the gain
 CAREFUL = 0.25  # share of the loops' probability for which a gain may be too large
+TAIL = 0.1  # share of it, on either side, that does not count as to how far gains for these loops are apart
+AGREED = 2.5  # and that factor, beyond which a gain that is safe for most may be far too low for the loop
 CLOSE = 0.15  # share of the total delay within which dead times count as equal
 OTHER = 0.6  # confidence, at most, in a sustained oscillation's loop: a path may oscillate, too
 HALF_TURN = 3.5  # [rad] of an oscillation that must be visible to rule out a path
@@ -52,7 +54,7 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     made |= _cause(best)
     limits, notes, z = limits_of(best, Ts), [], best.z
     likely = [loop for loop in loops if loop.share > LIKELY * best.share or not whole]
-    share = _careful(likely, Ts) if known is None or not whole else limits.recommended / z
+    share = _careful(likely, Ts)[0] if known is None or not whole else limits.recommended / z
     may_be_path = _turns_less(HALF_TURN, factor)  # a path may bend as much
     if kind is Kind.SUSTAINED and whole and z < BELOW * limits.stable:
         made["kind"] = Kind.RINGING
@@ -89,14 +91,18 @@ def advice_excited(loops, alpha, Ts) -> dict:
     best, factor = loops[0], loops[0].slowest(Ts)
     made = _oscillation(Kind.RINGING, factor) | _cause(best)
     made |= {"phase_delay": phase_delay(factor), "delay": best.delay, "pure": not best.lag}
-    notes = ["Noise excites it repeatedly.", *_alike(loops, best, False, None, Ts)]
+    notes = ["Noise excites it repeatedly."]
     notes += _changed(None if alpha is None else alpha * Ts, best.z)
     made["confidence"] = min(_confidence(loops, True), WHOLE)
     if made["period"] > SLOW:
         made["confidence"] = min(made["confidence"], OTHER)
         notes.append(PATH)
-    made |= _gains(best.z, limits_of(best, Ts), _careful(loops, Ts), alpha)
-    return made | {"note": " ".join([*notes, UNLESS])}
+    share, apart = _careful(loops, Ts)
+    if alpha is None and apart > AGREED:
+        wide = f"No gain can be given: gains for the loops that explain it differ by a factor of {apart:.2g}."
+        return made | {"z": best.z, "note": " ".join([wide, "--alpha or a recorded step (--step) decides.", *notes])}
+    notes = [notes[0], *_alike(loops, best, False, None, Ts), *notes[1:]]
+    return made | _gains(best.z, limits_of(best, Ts), share, alpha) | {"note": " ".join([*notes, UNLESS])}
 
 
 def _oscillation(kind, factor) -> dict:
@@ -130,12 +136,14 @@ def _turns_less(angle, factor) -> bool:
     return bool(np.abs(np.angle(factor)) * FOLDS < angle * np.abs(np.log(np.abs(factor))))
 
 
-def _careful(likely, Ts) -> float:
-    """The factor of the gain that is low enough for most of the likely loops."""
+def _careful(likely, Ts) -> tuple[float, float]:
+    """(the factor of the gain that is low enough for most of the likely loops, how far such factors are apart)."""
     factors = np.array([loop.calm(Ts) / loop.z for loop in likely])
     shares = np.array([loop.share for loop in likely])
     order = np.argsort(factors)
-    return float(factors[order][np.argmax(np.cumsum(shares[order]) >= CAREFUL * shares.sum())])
+    total = np.cumsum(shares[order]) / shares.sum()
+    low, careful, high = (float(factors[order][np.argmax(total >= part)]) for part in (TAIL, CAREFUL, 1 - TAIL))
+    return careful, high / low
 
 
 def _confidence(loops, whole) -> float:

@@ -39,7 +39,6 @@ FADED = 0.3  # ratio of an oscillation's sizes in two parts below which they are
 NOISY = 0.05  # noise as a share of an oscillation above which noise may sustain it
 MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of the motion above which growth is not a path's
 SURELY = 0.9  # confidence in a loop above which growth in few periods is not the start of a swing
-LIKELY = 0.5  # confidence below which another loop is as likely; the gain, safe for most, may be too low
 STILL = 1e-12  # share of the largest value that counts as rounding
 UNFINISHED = (
     "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands: the "
@@ -372,7 +371,6 @@ def _sentence(d) -> str:
     if d.factor is None:
         return said
     most = "at most " if d.kind is Kind.SUSTAINED else ""
-    guess = f", a guess (confidence {d.confidence:.2g}) that may be lower than needed" if d.confidence < LIKELY else ""
     if d.recommended_alpha is not None:
-        return f"{said}. Reduce alpha to {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) to stop it{guess}"
-    return f"{said}. Multiply the gain by {most}{d.factor:.3g} to stop it{guess}"
+        return f"{said}. Reduce alpha to {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) to stop it"
+    return f"{said}. Multiply the gain by {most}{d.factor:.3g} to stop it"

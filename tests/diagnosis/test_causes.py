@@ -151,17 +151,26 @@ def test_loops_far_below_their_limit_that_noise_moves(count):
     assert right >= 0.75 * count and sum(sure) >= 0.9 * len(sure), (right, sure)
 
 
-def test_a_gain_that_is_a_guess_is_called_one():
-    """Without alpha, far below the limit, many loops fit: a gain that suits most of them was told like any other."""
-    rng = np.random.default_rng(3)
-    delay, lag = int(rng.integers(1, 7)), rng.uniform(1, 8)
-    noise, z = rng.standard_normal(1000), 0.45 * logs.limits(delay, lag)[0]
-    e = late_loop(z, delay, lag, 1000, 0.0, noise) + noise
-    guess, sure = diagnose(e, TS), diagnose(late_loop(0.3, 4, 0.0, 200), TS)
-    assert guess.confidence < 0.5 and "to stop it, a guess (confidence 0.12) that may be lower" in str(guess), str(
-        guess
-    )
-    assert sure.confidence > 0.9 and "guess" not in str(sure)
+def far_below(seed):
+    """A recording without alpha of a loop that noise moves, at 0.45 of its limit; the same as a `Log`."""
+    rng = np.random.default_rng(seed)
+    delay, lag = int(rng.integers(1, 7)), rng.uniform(1, 8) * (seed % 2)
+    most, calm = logs.limits(delay, lag)
+    noise, z = rng.standard_normal(1000), 0.45 * most
+    e = late_loop(z, delay, lag, 1000, 0.0, noise) + (seed // 2 % 2) * noise
+    return logs.Log(e, None, "late", dict(z=z, delay=delay, lag=lag, calm=calm))
+
+
+@pytest.mark.parametrize("seeds", [range(2003, 2007), pytest.param(range(2000, 2060), marks=pytest.mark.slow)])
+def test_where_many_loops_fit_no_gain_is_given(seeds):
+    """Without alpha one gain in five was wrong, far lower than needed, though it was called a guess."""
+    each = [(log, diagnose(log.signal, TS)) for log in map(far_below, seeds)]
+    right = [logs.is_right(log, found) for log, found in each if found.factor is not None]
+    none = [found for _, found in each if found.factor is None and found.z is not None]
+    assert sum(right) >= 0.85 * len(right) and len(right) >= len(seeds) / 4 and none
+    for one in none:
+        assert "No gain can be given: gains for the loops that explain it differ by a factor of" in str(one)
+        assert "--alpha or a recorded step (--step) decides" in str(one) and one.recommended is None
 
 
 @pytest.mark.parametrize(("z", "delay", "lag"), [(0.258, 2.916, 2.35), (0.445, 1.5, 2.33), (0.488, 1.11, 2.41)])
