@@ -227,7 +227,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
         return (
             f"Assumed, as nothing is known of your drives: {1e3 * safe.delay * Ts:.3g} ms of dead time and a lag of "
             f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} For drives without delay, as in a "
-            "purely kinematic simulation, give --delay 0."
+            "purely kinematic simulation, give a dead time of 0 (--delay 0, in Python drive=ck.Drive())."
         )
     said, late = assumed_of(drive, Ts), drive.lumped.delay
     if not (said and late):
