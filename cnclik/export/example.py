@@ -83,7 +83,7 @@ def example(request, program, names) -> str:
     called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
     near = names.number(TOLERANCE[names.dtype.itemsize])
     compare = _differs(names, near) if any(f.kind == "real" for _, f in outputs) else ""
-    return f"""/* Runs test vectors through {name} and returns 0 where all agree. Written by cnclik {__version__}. */
+    return f"""/* Runs test vectors through {name} and returns 0 if all agree. Written by cnclik {__version__}. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -164,16 +164,17 @@ Written by cnclik {__version__}. Do not edit: export again.
 
 {chr(10).join(f"- {line}" for line in configuration)}
 
-Build and test: `{build} && ./example` (it prints how many test vectors agree, and returns 0 where all do).
-For speed add `-O3 -march=native -ffp-contract=fast`; leave out `-ffast-math`, with which NaN would pass for a result.
+Build and test: `{build} && ./example` (it prints how many test vectors agree, and returns 0 if all do).
+For speed add `-O3 -march=native -ffp-contract=fast`; without `-ffast-math`, which would let NaN pass for a result.
 GCC builds a step of tens of thousands of operations in a third of the time with `-fno-thread-jumps`.
 
-C99, and C++17 as it is. No allocation, no recursion, no variables outside the functions; every loop has a known bound.
-A call takes at most {ops} functions of libm (sine and cosine are counted as such).
+The code is C99, and C++17 without changes. It has no allocation, no recursion and no variables outside the functions;
+every loop has a known bound.
+A call takes at most {ops} operations; sine and cosine count as library functions.
 
 {table}
 
 {_SINGLE if names.real == "float" and any(f.name == "qdot" for f in program.outputs["output"]) else ""}
 {"Fill `history` with zeros before the first call, and after every pause." if program.inputs["history"] else ""}
-Files: {", ".join(f"`{f}`" for f in files)}. `export.json` tells `cnclik.export.load` what the functions take.
+Files: {", ".join(f"`{f}`" for f in files)}. `cnclik.export.load` reads `export.json`.
 """.replace("\n\n\n", "\n\n")

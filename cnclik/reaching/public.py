@@ -25,7 +25,7 @@ from cnclik.shapes import ArrayLike, Float
 from cnclik.task.task import Task
 
 
-@np.errstate(over="ignore", invalid="ignore")  # squares of targets beyond any robot: such lanes say so by themselves
+@np.errstate(over="ignore", invalid="ignore")  # by targets far beyond any robot, whose status reports it
 def reach(
     chain: Chain,
     targets: PoseLike | tuple[ArrayLike | None, ArrayLike | None] | Mapping[str, Any] | Reference | References,
