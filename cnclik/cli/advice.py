@@ -119,7 +119,7 @@ def does_of_tasks(found, said) -> list:
     rows = []
     for name, one in said.stack.tasks.items():
         m, now = len(one.direction), one.now
-        does = ("unstable" if one.alpha else "no gain", "", "", "")
+        does = ("unstable" if name in said.stack.unstable else "not known" if one.alpha else "no gain", "", "", "")
         if now is not None:
             settles = f"{now.settling_time:.3g}" if now.settling_time < math.inf else "long"
             late = f"{1e3 * now.delay_margin * found.Ts:.4g} ms" if now.delay_margin < math.inf else "any"

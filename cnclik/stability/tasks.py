@@ -17,6 +17,7 @@ from cnclik.law.inverse import Levels, Transpose
 from cnclik.record import record
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import SLACK, increments, least_limits, radius
+from cnclik.stability.drives import each_drive
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.rates import Rates, steps_of
@@ -44,7 +45,8 @@ class TaskAdvice:
         direction.
       yields_to: the task that takes most of this direction, or "".
       now, recommended: `Gain` of the task with the others at rest, in directions that are not lost; None where
-        unstable, the other gains as for `largest_stable_alpha`, or where its gain is 0.
+        unstable, even if only with one joint's drive for all, the other gains as for `largest_stable_alpha`, or where
+        its gain is 0.
     """
 
     alpha: float
@@ -272,7 +274,8 @@ def _task(here, name, at, safe, limits, gains) -> TaskAdvice:
 
     def does(z):
         steps = here.own(at, scale(np.array([z]))[0]) if alpha and z else ()
-        return gain_of(steps, safe, Ts, z, borne) if len(steps) else None
+        stable = len(steps) and all(np.all(radius(steps, one, Ts) <= 1 + SLACK) for one in each_drive(safe))
+        return gain_of(steps, safe, Ts, z, borne) if stable else None
 
     most = largest(loop.drive)
     borne = most if safe is loop.drive else largest(safe)

@@ -276,13 +276,13 @@ def starts_and_targets(law, count, seed):
     return q, rng.uniform([-0.6, -0.6, -0.1], [0.8, 0.7, 0.8], (len(q), 3))
 
 
-def in_the_crowd(q, aim):
-    return ck.solve(crowded(), ck.hold(aim), q, 0.005, 200, "EE")
+def in_the_crowd(q, aim, method="EE"):
+    return ck.solve(crowded(), ck.hold(aim), q, 0.005, 200, method)
 
 
 @functools.cache
-def runs_of():
-    return ck.lanes(in_the_crowd, cores=1)
+def runs_of(method="EE"):
+    return ck.lanes(functools.partial(in_the_crowd, method=method), cores=1)
 
 
 def check_runs(count, seed, dtype):
@@ -313,6 +313,15 @@ def test_random_runs_between_walls():
 def test_random_runs_between_walls_of_10_000(dtype):
     beyond, told, near = check_runs(10_000, 1, dtype)
     assert beyond < (1e-6 if dtype is np.float64 else 1e-4) and told < 0.05 and near > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "most"), [("EE", 4e-4), ("EXP-MIDPOINT", 1e-5)])
+def test_random_runs_between_walls_without_a_margin(method, most):
+    law = crowded()
+    runs = runs_of(method)(*starts_and_targets(law, 1000, 0))
+    told = np.any(np.asarray(runs.status) & ck.Status.WALLS_CONTRADICT, axis=1)
+    assert 1e-6 < -ck.wall_distance(law, runs.q)[~told].min() < most
 
 
 @pytest.mark.slow

@@ -344,3 +344,16 @@ def test_a_map_of_two_gains_on_the_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["stability", *map(str, loop), "--gains", "turn", "rset"])
     assert "`gains` must be one of tip, turn, rest, but is 'rset'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("alpha", [40.0, 60.0, 80.0])
+def test_what_a_task_does_is_told_only_where_each_joints_drive_bears_its_gain(alpha):
+    robot, q = ck.planar_arm([0.5, 0.4, 0.3, 0.2]), np.array([0.3, 0.5, 0.4, 0.6])
+    tasks = ck.stack(tip=ck.position("xy"), rest=ck.joints())
+    inverse = ck.levels(["tip"], ["rest"], damping=(0.001, 0.1))
+    law = ck.Law(robot, tasks, alpha={"tip": alpha, "rest": 1.0}, inverse=inverse)
+    drive = ck.Drive(delay=2, lag=[0.01, 0.01, 0.01, 0.4])  # at 60 1/s the last one for all joints would swing out
+    found = ck.advise(law, ck.hold_at(robot, tasks, q), q, Ts=0.01, drive=drive).stack
+    tip = found.tasks["tip"]
+    assert found.unstable == (("tip",) if alpha == 80.0 else ())
+    assert (0.01 < tip.now.lag < 0.1) if alpha == 40.0 else tip.now is None
