@@ -18,7 +18,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.law.inverse import positive, through
+from cnclik.law.inverse import Levels, positive, through
 from cnclik.law.limits import Limited, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
 from cnclik.record import brief, record, replace
@@ -26,29 +26,30 @@ from cnclik.shapes import Array, Bool, Float, Int, Number
 
 LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
+_ENOUGH = 0.1  # of the fall of the cost that the slope along a clipped step promises
 _ROUNDS = 4  # further descents, at most, while walls are violated
 
 
 class Problem(NamedTuple):
-    """Minimise |B q̇ − w|² + |q̇ − rest|² subject to low ≤ q̇ ≤ high and the walls."""
+    """Minimise |B q̇ − w|² + shift |q̇ − rest|² subject to low ≤ q̇ ≤ high and the walls."""
 
     b: Float[Array, "m n"]
     w: Float[Array, " m"]
     rest: Float[Array, " n"]
     low: Float[Array, " n"]
     high: Float[Array, " n"]
+    shift: Float[Array, ""] | float = 1.0
     walls: Rows | None = None
     soft: Float[Array, " k"] | None = None  # softness of the walls
     raised: Float[Array, " k"] | None = None  # added to the floor of the walls
 
     def hessian(self):
-        """Half the Hessian, BᵀB + I."""
-        return dense.shifted(self.b.T @ self.b, 1.0)
+        """Half the Hessian, BᵀB + shift I."""
+        return dense.shifted(self.b.T @ self.b, self.shift)
 
-    def slope(self, qdot, left, push=None):
-        """Minus half the gradient, from the residual w − B q̇ and the forces of the walls."""
-        slope = left @ self.b + self.rest - qdot
-        return slope if push is None else slope + push @ self.walls.rows
+    def slope(self, qdot):
+        """Minus half the gradient, without the forces of the walls."""
+        return (self.w - self.b @ qdot) @ self.b + self.shift * (self.rest - qdot)
 
     def clip(self, qdot):
         """The nearest point within the bounds."""
@@ -67,7 +68,7 @@ class Problem(NamedTuple):
         """
         hessian, squares = self.hessian(), walls.rows * walls.rows
         across = newton(hessian, shut).half(walls.rows)
-        alone = squares @ (1.0 / jnp.diagonal(hessian)) + _LEVER**2
+        alone = squares @ (1.0 / jnp.diagonal(hessian)) + _LEVER**2 / self.shift
         soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.sum(across * across, axis=0), alone)
         soft = lax.stop_gradient(soft * walls.slack)
         return self._replace(walls=walls, soft=soft, raised=soft * push)
@@ -83,9 +84,10 @@ class Problem(NamedTuple):
         missing, rounding = self.missing(qdot), 16 * jnp.finfo(qdot.dtype).eps * self.walls.size(qdot)
         return jnp.where(missing > rounding, missing / self.soft, 0.0)
 
-    def crossed(self, missing, before):
-        """Half the increase of the cost of wall violations."""
-        return 0.5 * jnp.sum((jnp.maximum(missing, 0.0) ** 2 - jnp.maximum(before, 0.0) ** 2) / self.soft)
+    def crossed(self, missing, step):
+        """Half the increase of the cost of wall violations by a step."""
+        after = missing - self.walls.rows @ step
+        return 0.5 * jnp.sum((jnp.maximum(after, 0.0) ** 2 - jnp.maximum(missing, 0.0) ** 2) / self.soft)
 
     def newton(self, hessian, shut, push):
         """Newton's step of the unlocked joints, with the walls that push.
@@ -144,12 +146,16 @@ def nearest(slope, curvature, most, missing, goes, soft):
     return low + (high - low) * before / (before - after)
 
 
+def pushed(slope, push, walls):
+    """Minus half the gradient with the forces of the walls."""
+    return slope if push is None else slope + push @ walls.rows
+
+
 class _Pass(NamedTuple):
     """The state between passes of the descent."""
 
     qdot: Float[Array, " n"]  # within the bounds
-    left: Float[Array, " m"]  # w − B q̇
-    slope: Float[Array, " n"]
+    slope: Float[Array, " n"]  # without the forces of the walls
     held: Bool[Array, ""]  # whether joints at a bound must stay locked
     settled: Bool[Array, ""]
     passes: Int[Array, ""]
@@ -159,59 +165,54 @@ class _Pass(NamedTuple):
 def descent(of: Problem, start, passes) -> _Pass:
     """The minimum within bounds, after at most `passes` passes from a start; the cost falls in each.
 
-    A pass locks the joints that would leave the bounds and makes a Newton step of the others. It takes the whole step
-    if it stays within bounds, otherwise the step clipped or up to the first bound, whichever costs less. After a step
-    up to the first bound, no joint is unlocked before a whole step: otherwise some would unlock and lock for ever.
+    A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds. If
+    that lowers the cost too little, it takes the step up to the first bound. After that no joint is unlocked before a
+    whole step, or a clipped one that is enough: otherwise some would unlock and lock for ever.
     """
     hessian, eps = of.hessian(), jnp.finfo(start.dtype).eps
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
 
-    def reached(qdot, left, held, passes, push):
-        slope = of.slope(qdot, left, push)
-        goes = jnp.abs(of.clip(qdot + slope * per_size) - qdot)
+    def reached(qdot, slope, held, passes, push):
+        goes = jnp.abs(of.clip(qdot + pushed(slope, push, of.walls) * per_size) - qdot)
         if push is not None:  # large forces of walls and task may cancel to rounding
-            pulls = jnp.abs(left) @ jnp.abs(of.b) + jnp.abs(push) @ jnp.abs(of.walls.rows)
+            pulls = jnp.abs(pull) + jnp.abs(hessian) @ jnp.abs(qdot) + jnp.abs(push) @ jnp.abs(of.walls.rows)
             goes = goes - 64 * eps * per_size * pulls
         settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
-        return _Pass(qdot, left, slope, held, settled, passes, push)
+        return _Pass(qdot, slope, held, settled, passes, push)
 
     def one(at: _Pass) -> _Pass:
         above, below = at.qdot >= of.high, at.qdot <= of.low
-        shut = of.shut(at.qdot, at.slope) | (at.held & (above | below))
-        asked, missing = at.slope if of.walls is None else of.slope(at.qdot, at.left), of.missing(at.qdot)
-        whole, push = of.newton(hessian, shut, at.push)(asked, missing)
-        along = jnp.where((above & (whole > 0)) | (below & (whole < 0)), 0.0, whole)
+        slope, missing = pushed(at.slope, at.push, of.walls), of.missing(at.qdot)
+        shut = of.shut(at.qdot, slope) | (at.held & (above | below))
+        whole, push = of.newton(hessian, shut, at.push)(at.slope, missing)
         clipped = of.clip(at.qdot + whole)
-        step = clipped - at.qdot
-        moved = of.b @ step
+        step, over = clipped - at.qdot, clipped != at.qdot + whole
+        along = jnp.where(step == 0, 0.0, whole)  # without joints at a bound that would leave it
+        bent = hessian @ step
+        gain = (at.slope - 0.5 * bent) @ step
+        fits = ~jnp.any(over)
+        if push is not None:  # and the same walls push before and after
+            gain -= of.crossed(missing, step)
+            fits &= jnp.all((push > 0) == (at.push > 0)) & jnp.all((at.push > 0) | (of.pushes(clipped) == 0))
 
-        def shorter():
-            moves, bound, toward = along != 0, jnp.where(along > 0, of.high, of.low), of.b @ along
-            share = jnp.where(moves, (bound - at.qdot) / jnp.where(moves, along, 1.0), 2.0)
-            slope, curvature = asked @ along, toward @ toward + along @ along
+        def first():
+            toward, crosses = hessian @ along, over & (step != 0)
+            share = jnp.where(crosses, step, 2.0) / jnp.where(crosses, along, 1.0)
+            slope, curvature = at.slope @ along, toward @ along
             least = slope / jnp.where(curvature > 0, curvature, 1.0)
             taken = jnp.clip(jnp.minimum(jnp.min(share), least), 0.0, 1.0)
             if missing is not None:
                 goes, most = of.walls.rows @ along, jnp.clip(jnp.min(share), 0.0, 1.0)
                 taken = nearest(slope, curvature, most, missing, goes, of.soft)
-            cost = taken * (0.5 * taken * curvature - slope)
-            other = 0.5 * (moved @ moved + step @ step) - asked @ step
-            if missing is not None:
-                cost += of.crossed(missing - taken * goes, missing)
-                other += of.crossed(missing - of.walls.rows @ step, missing)
-            won = cost < other
-            first = jnp.where(share <= taken, bound, of.clip(at.qdot + taken * along))
-            return jnp.where(won, first, clipped), jnp.where(won, taken * toward, moved), won
+            return jnp.where(share <= taken, clipped, of.clip(at.qdot + taken * along)), taken * toward
 
-        fits = jnp.all(clipped == at.qdot + whole)
-        if push is not None:  # and the same walls push before and after
-            fits &= jnp.all((push > 0) == (at.push > 0)) & jnp.all((at.push > 0) | (of.pushes(clipped) == 0))
-        qdot, moved, held = lax.cond(fits, lambda: (clipped, moved, jnp.bool_(False)), shorter)
+        enough = fits | (gain > _ENOUGH * (slope @ step))
+        qdot, bent = lax.cond(enough, lambda: (clipped, bent), first)
         push = None if push is None else jnp.where(fits, push, of.pushes(qdot))
-        return reached(qdot, at.left - moved, held, at.passes + 1, push)
+        return reached(qdot, at.slope - bent, ~enough, at.passes + 1, push)
 
-    qdot = of.clip(start)
-    first = reached(qdot, of.w - of.b @ qdot, jnp.bool_(False), jnp.int32(0), of.pushes(qdot))
+    qdot, pull = of.clip(start), of.w @ of.b + of.shift * of.rest
+    first = reached(qdot, pull - hessian @ qdot, jnp.bool_(False), jnp.int32(0), of.pushes(qdot))
     return lax.while_loop(lambda at: ~at.settled & (at.passes < passes), one, first)
 
 
@@ -225,7 +226,7 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
 
     def again(at):
         found, rounds = at
-        more = of.behind(walls, of.shut(found.qdot, found.slope), found.push)
+        more = of.behind(walls, of.shut(found.qdot, pushed(found.slope, found.push, walls)), found.push)
         return descent(more, found.qdot, passes), rounds + 1
 
     def missed(at):
@@ -251,6 +252,8 @@ class Bounded:
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
+        if isinstance(inverse, Levels):
+            inverse = replace(inverse, floor=LEAST)
         plain = inverse(rows)
         if plain.shift is None:
             raise undamped(inverse)
@@ -262,11 +265,11 @@ class Bounded:
         still = None if walls is None else jnp.zeros_like(walls.floor)
 
         def scaled():
-            """1/λ of each row, and the problem; made where it is needed, as most steps are within the bounds."""
-            least = LEAST * lax.stop_gradient(jnp.sum(rows**2))
-            root = 1.0 / jnp.sqrt(jnp.maximum(plain.shift, least))
-            rest = jnp.zeros_like(asked) if null is None else null + jnp.zeros_like(asked)
-            return root, Problem((root * rows.T).T, root * velocity, rest, low, high)
+            """Equal weights of the rows, and the problem; made where it is needed, as most steps are within bounds."""
+            (even, shift), rest = plain.even, jnp.zeros_like(asked) if null is None else null + jnp.zeros_like(asked)
+            b = (even * rows.T).T
+            least = jnp.maximum(shift, LEAST * lax.stop_gradient(jnp.trace(b.T @ b)))
+            return even, Problem(b, even * velocity, rest, low, high, least)
 
         def on_face(of, shut, push):
             return of if walls is None else of.behind(walls, shut, push)
@@ -275,21 +278,22 @@ class Bounded:
             _, of = scaled()
             known, others, found = lax.stop_gradient((of, walls, asked))
             found = kept(known, others, found, self.passes)
-            shut, push = known.shut(found.qdot, found.slope), found.push
+            push = found.push
+            shut = known.shut(found.qdot, pushed(found.slope, push, others))
             # One more step on the face has all derivatives of the minimum there, and removes rounding and
             # violations of walls. After a descent that was cut short only its derivatives are used.
             qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(of, shut, push)
-            step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot, of.w - of.b @ qdot), face.missing(qdot))
+            step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot), face.missing(qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
             return of.clip(qdot + step), shut.astype(asked.dtype), ~found.settled, push
 
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
-            (root, of), locks = scaled(), shut > 0
+            (even, of), locks = scaled(), shut > 0
             step = on_face(of, locks, push).newton(of.hessian(), locks, push)
-            first, _ = step((root * t) @ of.b, still)
+            first, _ = step((even * t) @ of.b, still)
             missing = None if walls is None else -walls.rows @ first
-            return first + step((root * t - of.b @ first) @ of.b - first, missing)[0]
+            return first + step((even * t - of.b @ first) @ of.b - of.shift * first, missing)[0]
 
         fits = jnp.all((low <= asked) & (asked <= high))
         if walls is not None:

@@ -27,6 +27,7 @@ class Factored(NamedTuple):
     least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
     shift: ArrayLike | None = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
     memory: Callable | None = None  # returns the memory of J# for `remembered`; None: its columns
+    even: tuple[ArrayLike, ArrayLike] | None = None  # factors λ/λᵢ of the rows, with the least λ, and λ²
 
 
 # Smallest shift over the trace of J Jᵀ, in roundings, that keeps the pivots of a singular one positive: 1 suffices for
@@ -134,6 +135,7 @@ class Levels:
     damping: tuple[Damped | ManipulabilityDamped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
     e: Any = None  # (m,) the weighted error, if known and needed
+    floor: float = 0.0  # λ² over the trace of the first level's J Jᵀ, at least
 
     @property
     def by_error(self):
@@ -156,18 +158,20 @@ class Levels:
 
     def __call__(self, rows) -> Factored:
         level, shifts = np.array(self.level), []
+        floor = self.floor * lax.stop_gradient(jnp.sum(rows[level == 0] ** 2))
         for i, one in enumerate(self.damping):
             own = np.flatnonzero(level == i)
             one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
-            shifts.append(jnp.asarray(one.shift(rows[own])[0], rows.dtype))
-        return _by_shift(rows, jnp.stack(shifts)[level])
+            shift = jnp.asarray(one.shift(rows[own])[0], rows.dtype)
+            shifts.append(jnp.maximum(shift, floor) if self.floor else shift)
+        return _by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
 
 
 def _by_shift(rows, shift, least=None) -> Factored:
     """Jᵀ (J Jᵀ + D)⁻¹, see `damped_apply`."""
-    apply, factor, shift = damped_apply(rows, shift)
+    apply, factor, made, even = damped_apply(rows, shift)
     memory = (lambda: (rows, dense.packed(factor))) if len(rows) <= rows.shape[1] else None
-    return Factored(apply, _least(factor, shift) if least is None else least, shift, memory)
+    return Factored(apply, _least(factor, made) if least is None else least, made, memory, even)
 
 
 def least_of(rows):
@@ -178,7 +182,7 @@ def least_of(rows):
 
 
 def damped_apply(rows, shift):
-    """The function that applies Jᵀ (J Jᵀ + D)⁻¹, its factors, and D: shift·I, or diag(shift) with one per row.
+    """The function that applies Jᵀ (J Jᵀ + D)⁻¹, its factors, D: shift·I, or diag(shift) with one per row, and `even`.
 
     A shift is at least what rounding needs.
     """
@@ -186,18 +190,19 @@ def damped_apply(rows, shift):
     if m > n and jnp.ndim(shift):  # rows of equal damping: λ J/λᵢ, with the least λ
         least = jnp.min(shift)
         alike = jnp.sqrt(least / shift)
-        apply, factor, made = damped_apply(alike[:, None] * rows, least)
-        return lambda t: apply(alike * t), factor, shift * (made / least)
+        apply, factor, made, _ = damped_apply(alike[:, None] * rows, least)
+        return lambda t: apply(alike * t), factor, shift * (made / least), (alike, made)
     wide = rows if m <= n else rows.T[::-1]  # the last joints first: a tree then causes no fill-in
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
     shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
-    factor = dense.cholesky(dense.shifted(gram, shift))
+    factor, least = dense.cholesky(dense.shifted(gram, shift)), jnp.min(shift)
+    even = (jnp.sqrt(least / shift) if jnp.ndim(shift) else 1.0), least
     if wide is rows:
-        return lambda t: dense.cholesky_solve(factor, t) @ rows, factor, shift
+        return lambda t: dense.cholesky_solve(factor, t) @ rows, factor, shift, even
 
     # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: dense.cholesky_solve(factor, wide @ t)[::-1], factor, shift
+    return lambda t: dense.cholesky_solve(factor, wide @ t)[::-1], factor, shift, even
 
 
 def tiny_shift(rows):

@@ -46,7 +46,8 @@ def evaluation(name, limits, dtype):
     robot = ck.replace(robot, velocity_limit=tuple(min(v, FASTEST) for v in robot.velocity_limit))
     law = ck.Law(robot, task, alpha=1.0, inverse=ck.damped(DAMPING), limits=LIMITS[limits])
     law = ck.replace(law, chain=modelled(robot))
-    drawn = draws(name, COUNT, seed=0)
+    with jax.enable_x64(True):
+        drawn = draws(name, COUNT, seed=0)
     asked = drawn.velocity / np.asarray(law.task.weights)
 
     def one(q, velocity):
