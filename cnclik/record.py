@@ -145,8 +145,14 @@ def _same(a, b) -> bool:
     if a.dtype != b.dtype or a.shape != b.shape:
         return False
     if jax.dtypes.issubdtype(a.dtype, jax.dtypes.prng_key):
-        a, b = jax.random.key_data(a), jax.random.key_data(b)
+        a, b = bits_of(a), bits_of(b)
     return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+
+
+def bits_of(key) -> np.ndarray:
+    """The numbers of a known random key, also while a function is traced."""
+    with jax.ensure_compile_time_eval():
+        return np.asarray(jax.random.key_data(key))
 
 
 def _hashed(self):

@@ -13,6 +13,7 @@ from jax.extend.random import threefry_prng_impl as of_keys
 from cnclik.engine.cells import MOVES, array_of
 from cnclik.engine.graph import Node, UnsupportedError
 from cnclik.engine.operations import TYPES
+from cnclik.record import bits_of
 
 MOST = 64  # numbers drawn at once, at most: each takes a hundred operations
 _TURNS = ((13, 15, 26, 6), (17, 29, 16, 24))
@@ -54,7 +55,7 @@ def drawn(reader, eqn, inputs) -> list:
 
 def as_cell(reader, key):
     """A known key as a cell."""
-    pairs = np.asarray(jax.random.key_data(key)).reshape(-1, 2)
+    pairs = bits_of(key).reshape(-1, 2)
     return array_of([Key(*(reader.g.const(x, x.dtype) for x in pair)) for pair in pairs], key.shape)
 
 

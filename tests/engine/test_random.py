@@ -57,3 +57,14 @@ def test_each_lane_has_noise_of_its_own_seed():
 
     with jax.enable_x64(True):
         same(in_c(run, SEEDS), jax.vmap(run)(SEEDS), ulps=1e4)
+
+
+def test_a_known_key_in_a_users_own_jit_and_vmap():
+    """The program is made while the user's function is lowered, where what JAX computes would be traced."""
+    key = jax.random.key(3)
+
+    def walk(x, i):
+        return x + jax.random.normal(jax.random.fold_in(key, i)), None
+
+    walks = ck.native(lambda x: lax.scan(walk, x, np.arange(2))[0])
+    np.testing.assert_array_equal(jax.jit(jax.vmap(walks))(np.zeros(3)), np.full(3, walks(0.0)))
