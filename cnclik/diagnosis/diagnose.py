@@ -41,8 +41,9 @@ MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of the motion
 SURELY = 0.9  # confidence in a loop above which growth in few periods is not the start of a swing
 STILL = 1e-12  # share of the largest value that counts as rounding
 UNFINISHED = (
-    "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands: the "
-    "gain cannot be judged. Record the loop at rest: push it and wait until it rests again."
+    "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands (what "
+    "joints do after commands is for `cnclik diagnose --step` and `fit_drive`): the gain cannot be judged. Record the "
+    "loop at rest: push it and wait until it rests again."
 )
 HIDDEN = (
     "Whether its gain is a little too large cannot be known from this noise: push the loop at rest by ten times as "
