@@ -1,8 +1,9 @@
 """`python -m tests.bench.limits`: what limits cost on one core, and how many passes bounded() makes (5 minutes).
 
-Random postures of the Panda and of G1 (29 joints, five tips, 30 coordinates), a quarter of the joints next to a limit;
-what is asked is 0.03 to 10 times what the joints do (`draws` of tests/law/test_bounded.py). Times are CPU time of an
-evaluation, rows of J included, by `ck.lanes`, medians of rounds in turn; passes are counted lane by lane.
+Random postures of the Panda and of G1 (five tips, 30 coordinates; 29 joints, or 35 with those of a free base that has
+no limits), a quarter of the joints next to a limit; what is asked is 0.03 to 10 times what the joints do (`draws` of
+tests/law/test_bounded.py). Times are CPU time of an evaluation, rows of J included, by `ck.lanes`, medians of rounds in
+turn; passes are counted lane by lane.
 """
 
 import functools
@@ -16,7 +17,7 @@ import cnclik as ck
 from cnclik.law.bounded import Problem, descent
 from cnclik.law.law import resolve, rows_at
 from cnclik.robot.model import modelled
-from tests.law.test_bounded import FASTEST, draws, robot_and_task
+from tests.law.test_bounded import capped, draws, robot_and_task
 
 COUNT, ROUNDS, SHORTEST = 60_000, 9, 0.2  # [1, 1, s]
 DAMPING = 0.05
@@ -24,7 +25,7 @@ TIP, PILLAR = ck.panda().tips[0].name, ck.capsule(None, 0.1, (0.5, 0.3, 0.0), (0
 WALLS = [ck.wall(ck.position(axis), above=least) for axis, least in (("z", 0.0), ("x", -0.5), ("y", -0.6))]
 WALLS += [ck.wall(ck.distance(ck.sphere(TIP, 0.08), PILLAR), above=0.01)]
 LIMITS = {"none": None, "saturation": ck.saturation(), "bounded": ck.bounded(), "walls": ck.bounded(walls=WALLS)}
-TIMED = {"panda": ("none", "saturation", "bounded", "walls"), "g1": ("none", "bounded")}
+TIMED = {"panda": ("none", "saturation", "bounded", "walls"), "g1": ("none", "bounded"), "g1_free": ("none", "bounded")}
 
 
 def passes(name, damping):
@@ -43,7 +44,7 @@ def passes(name, damping):
 def evaluation(name, limits, dtype):
     """A call that evaluates the law for all draws, and how many they are."""
     robot, task = robot_and_task(name)
-    robot = ck.replace(robot, velocity_limit=tuple(min(v, FASTEST) for v in robot.velocity_limit))
+    robot = ck.replace(robot, velocity_limit=tuple(capped(robot).tolist()))
     law = ck.Law(robot, task, alpha=1.0, inverse=ck.damped(DAMPING), limits=LIMITS[limits])
     law = ck.replace(law, chain=modelled(robot))
     with jax.enable_x64(True):

@@ -30,7 +30,7 @@ ORDER = ([*FEET, *ARMS], ["torso_link"])
 def robot_and_task(name):
     if name == "panda":
         return ck.panda(), ck.pose(weights=WEIGHTS)
-    robot = ck.load_urdf(G1, tips=[*FEET, "torso_link", *ARMS])
+    robot = ck.load_urdf(G1, tips=[*FEET, "torso_link", *ARMS], base="free" if name == "g1_free" else "fixed")
     return robot, ck.stack(**{tip: ck.pose(tip=tip, weights=WEIGHTS) for tip in (*FEET, "torso_link", *ARMS)})
 
 
@@ -43,6 +43,12 @@ class Draws(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     q: np.ndarray
+
+
+def capped(robot):
+    """(n,) velocity limits, those that there are."""
+    limits = np.array(robot.velocity_limit)
+    return np.where(np.isfinite(limits), np.minimum(limits, FASTEST), limits)
 
 
 @functools.cache
@@ -58,14 +64,15 @@ def draws(name, count, seed, null=0.0) -> Draws:
     """Velocities from 0.03 to 10 times what joints do, a tenth of them out of their reach."""
     robot, rows_at_ten = robot_and_task(name)[0], rows_of(name)
     rng, lower, upper = np.random.default_rng(seed), np.array(robot.lower), np.array(robot.upper)
-    q = rng.uniform(lower, upper, (count, robot.n))
+    least, most = np.nan_to_num(lower, neginf=-1.0), np.nan_to_num(upper, posinf=1.0)
+    q = rng.uniform(least, most, (count, robot.n))
     at_lower, near = rng.random(q.shape) < 0.5, rng.uniform(-0.01, 0.1, q.shape)
-    q = np.where(rng.random(q.shape) < 0.25, np.where(at_lower, lower + near, upper - near), q)
+    q = np.where(rng.random(q.shape) < 0.25, np.where(at_lower, least + near, most - near), q)
     rows = np.concatenate([rows_at_ten(q[k : k + 10]) for k in range(0, count, 10)])
     size = 10 ** rng.uniform(-1.5, 1.0, (count, 1))
     velocity = np.einsum("kmn,kn->km", rows, 2 * size * rng.normal(size=q.shape))
     velocity += 0.1 * size * rng.normal(size=velocity.shape)
-    most = np.minimum(np.array(robot.velocity_limit), FASTEST)
+    most = capped(robot)
     low, high = (np.clip(RATE * (limit - q), -most, most) for limit in (lower, upper))
     return Draws(rows, velocity, null * size * rng.normal(size=q.shape), low, high, q)
 
