@@ -26,7 +26,7 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
     """What to tune: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
-    parameters of one task, as in hands.alpha."""
+    parameters of one task, as in hands.alpha; of a posture only so."""
     shape: str = "as-given"
     """Form of the gain: scalar, per-axis, matrix (symmetric positive definite), or as-given, the form of --alpha."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")

@@ -25,7 +25,7 @@ class View(NamedTuple):
 
     Attributes:
       run: the `Trajectory`; its e is the true error. For a stack, each coordinate is multiplied by its weight over the
-        damping of its level, at most 1, in the law that tuning starts from.
+        damping of its level, at most 1, in the law that tuning starts from; by 0 of a posture that was not named.
       weight: (N,) shares of the horizon, of e[1] … e[N] and of the N steps, summing to 1; e[0] is given and does not
         count.
       Ts: sampling time [s].

@@ -22,9 +22,10 @@ from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot.model import one_off
 from cnclik.shapes import AnyArray, Array, ArrayLike, Float
-from cnclik.stability.driven import delay_margin, noise_gain, radius
+from cnclik.stability.driven import delay_margin, increments, noise_gain, radius
 from cnclik.stability.drives import each_drive
-from cnclik.stability.linear import checked
+from cnclik.stability.linear import checked, first_above
+from cnclik.stability.settings import MOST_Z
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
@@ -43,7 +44,8 @@ class Goal:
 
     Attributes:
       over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
-        Ts), or your own `parameters.Parameter`s.
+        Ts), or your own `parameters.Parameter`s. Of a stack, the postures (tasks of joint values that give way to
+        others) are tuned, and count in the loss, only if they are named: "rest.alpha".
       bounds: {name: (lower, upper)} in place of the defaults.
       loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
       delay_margin: further dead time [samples] with which a step still must not overshoot. With A the one-step map of
@@ -91,6 +93,7 @@ class Judged(NamedTuple):
     excess: Float[np.ndarray, " 4"]  # relative excess of each of CONSTRAINTS; −inf: it is not set
     postures: Float[np.ndarray, "BK n"]  # where the radii were computed
     growths: Float[np.ndarray, "BK n n"]  # projections on null-space motions that grow there by themselves
+    errors: Float[np.ndarray, " k"]  # RMS over all runs, of each of `own_errors`
     run: Trajectory  # of the first scenario
 
     @property
@@ -125,7 +128,8 @@ class LoopObjective:
     drive: Drive  # if joints differ, each drive counts for all joints
     method: Method | Multistep
     stage: Stage
-    counts: Float[AnyArray, " m"] | None  # weight of each coordinate of a stack in the loss, from the original law
+    counts: Float[AnyArray, " m"] | None  # weight of each coordinate of a stack in the loss, from the original law; 0
+    #                                       of postures that were not named
     contracts: bool  # whether the margin is stricter than the bound on corrections
 
     @property
@@ -166,11 +170,27 @@ class LoopObjective:
         """One-step maps at rest, see `maps_at_rest`: (B·K, m, m), (B·K, n, n), (B·K, m, m)."""
         return self._along(lambda law, q: linear.maps_at_rest(law, q, loop.Ts, self.method, self.stage), loop, postures)
 
-    def _loss(self, loop, runs, maps):
+    @property
+    def own_errors(self) -> dict:
+        """{"hand [m]": its coordinates}: of a stack those of each task in each of its units."""
+        task, units = self.loop.law.task, np.array(self.loop.law.task.units)
+        of = np.arange(task.m)
+        every = [(name, unit, of[at][units[at] == unit]) for name, at in task.each for unit in dict.fromkeys(units[at])]
+        return {f"{name} [{unit}]": own for name, unit, own in every}
+
+    @property
+    def kept(self) -> tuple:
+        """Names of the postures of a stack that do not count in the loss."""
+        return tuple(name for name, at in self.loop.law.task.each if not np.asarray(self.counts)[at].any())
+
+    def _shares(self, loop, runs):
+        """Share of the horizon (N,) of each step."""
         steps = jnp.arange(self.N, dtype=runs.q.dtype)
         weight = jnp.clip((self.horizon - steps * loop.Ts) / loop.Ts, 0.0, 1.0)
-        weight = weight / jnp.sum(weight)
+        return weight / jnp.sum(weight)
 
+    def _loss(self, loop, runs, maps):
+        weight = self._shares(loop, runs)
         if self.counts is not None:
             runs = replace(runs, e=runs.e * self.counts)
 
@@ -210,8 +230,10 @@ class LoopObjective:
         k = jnp.clip(jnp.round(moments * self.horizon / loop.Ts).astype(int), 0, self.N)
         postures = runs.q[:, k].reshape(-1, runs.q.shape[-1])
         maps, across, taken = self._maps(loop, postures)
+        squares = self._shares(loop, runs) @ jnp.mean(runs.e[:, 1:] ** 2, 0)
         return {
             "loss": self._loss(loop, runs, maps),
+            "errors": jnp.array([jnp.sqrt(jnp.sum(squares[own])) for own in self.own_errors.values()]),
             "finite": jnp.all(jnp.isfinite(runs.q)),
             "maps": maps,
             "across": across,
@@ -247,8 +269,8 @@ class LoopObjective:
             ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
         is_set = [True, float(self.largest_correction) < np.inf, self.moves_null_space, bool(self.joints)]
         excess = np.where(is_set, np.stack(ratios, -1) - 1.0, -np.inf)
-        postures, run = seen["postures"], seen["run"]
-        return Judged(known(seen["loss"]), radius, null_radius, correction, speed, excess, postures, growths, run)
+        size = known(seen["loss"]), radius, null_radius, correction, speed
+        return Judged(*size, excess, seen["postures"], growths, seen["errors"], seen["run"])
 
 
 def _flow(law, q):
@@ -286,16 +308,19 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
     errors.number("Ts", Ts, positive=True)
     N = errors.integer("N", N, at_least=2)
     loop = pm.Adjustable(law=law, Ts=np.asarray(float(Ts)))
+    drive = check_drive(goal.conditions.drive, law.chain)
+    most = np.inf if goal.ringing else linear.largest_share(drive, float(Ts), goal.delay_margin, goal.noise_gain)
     parameters = pm.chosen(goal.over, loop, goal.bounds or {})
+    tuned = {p.name.partition(".")[0] for p in parameters}
+    kept = [name for name in pm.postures(law) if name not in tuned]
+    parameters += tuple(_moved(loop, kept, 0.0 if goal.margin < 1 else most, method, stage))
     shortest = next((float(p.lower) for p in parameters if p.name == "Ts"), float(Ts))
     horizon = N * float(Ts)
     longest = steps_to(horizon, shortest)
     runs = scenarios(law, reference, q0, longest, goal.conditions)
     joints, limits = _limits(law.chain, goal.velocity_limit)
-    drive = check_drive(goal.conditions.drive, law.chain)
     if drive.order and any(p.name == "Ts" for p in parameters):
         raise errors.fail("over", "not hold Ts where the drive has a lag", "holds it")
-    most = np.inf if goal.ringing else linear.largest_share(drive, float(Ts), goal.delay_margin, goal.noise_gain)
     return LoopObjective(
         loop=loop,
         parameters=parameters,
@@ -314,9 +339,29 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
         drive=drive,
         method=method,
         stage=stage,
-        counts=np.asarray(metric(law)) if law.task.tasks else None,
+        counts=_counts(law, kept) if law.task.tasks else None,
         contracts=goal.ringing or goal.margin < 1,
     )
+
+
+def _counts(law, kept):
+    """Weight (m,) of each coordinate of a stack in the loss, none of the postures that are kept."""
+    counts = np.array(metric(law))
+    for name in kept:
+        counts[law.task.of(name)] = 0.0
+    return counts
+
+
+def _moved(loop, kept, most, method, stage):
+    """Gains of kept postures that break the constraints, each from just below the largest that one step bears to its
+    own; where the margin forbids slow ones (most = 0) all, within the usual bounds."""
+    z = first_above(lambda z: np.abs(increments(method, stage, z).sum(-1)), most, MOST_Z, 128)
+    for name in kept:
+        own = pm.gain_of(loop.law, name)
+        if z == 0:
+            yield pm.named(f"{name}.alpha", loop)
+        elif np.ndim(own) < 2 and np.max(own) > z / loop.Ts:
+            yield pm.named(f"{name}.alpha", loop, (np.minimum(own, 0.99 * z / loop.Ts) * (1 - 1e-6), own))
 
 
 def steps_to(horizon, Ts) -> int:

@@ -55,6 +55,7 @@ def page_rows(tuned, seconds=None) -> list:
     removed, removed_before = (_finite(100 * run.correction, " %") for run in (after, before))
     rows += [
         ("loss", f"{tuned.loss}: {_finite(before.loss)} before{beyond}, {_finite(after.loss)} after"),
+        *((f"RMS of {name}", said) for name, said in tuned.of_tasks()),
         ("z = alpha·Ts", f"{after.z:.5g} (before {before.z:.5g})"),
         ("spectral radius", f"{_finite(after.radius)} (margin {tuned.margin:g}; before {_finite(before.radius)})"),
         ("error removed per step", f"{removed} (before {removed_before})"),

@@ -16,13 +16,14 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
-from cnclik.law.law import Law
+from cnclik.law.law import Law, metric
 from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import record, replace
 from cnclik.robot.fixed import Offset, scale
 from cnclik.robot.mounted import with_tip
 from cnclik.shapes import AnyArray, Float
 from cnclik.stability.spectrum import largest_rate
+from cnclik.task.values import Joints
 
 BOX, SPD = "box", "spd"
 INSIDE = 1e-6  # fraction of the range by which a start on a bound moves inside, where derivatives are not 0
@@ -313,12 +314,25 @@ def _put_in_task(what, task):
     return _in_law(lambda law, value: _OF_TASK[what][1](law, task, value))
 
 
+def postures(law) -> list:
+    """Names of a stack's tasks of joint values that count less than another task, beside tasks of other kinds.
+
+    They give way, so an error remains, which in a loss would be made small at the cost of the tasks they give way to.
+    """
+    task, counts = law.task, np.asarray(metric(law))
+    joints = {name for name, _ in task.each if all(isinstance(part, Joints) for part in task.alone(name).parts)}
+    alone = len(joints) == len(task.each)
+    return [] if alone else [name for name, at in task.each if name in joints and counts[at].max() < counts.max()]
+
+
 def _of_stack(law) -> dict:
-    """{name: the names of tasks' parameters it stands for}, one per task, or the first of each level."""
-    tasks = [name for name, _ in law.task.tasks]
+    """{name: the names of tasks' parameters it stands for}, one per task, or the first of each level; no `postures`."""
+    kept = postures(law)
+    tasks = [name for name, _ in law.task.tasks if name not in kept]
     levels = isinstance(law.inverse, inverses.Levels)
     found = {what: [f"{task}.{what}" for task in tasks] for what in ("alpha", "weights") if tasks}
-    return found | ({"damping": [f"{names[0]}.damping" for names in law.inverse.names]} if levels else {})
+    each = [f"{names[0]}.damping" for names in law.inverse.names if not set(names) <= set(kept)] if levels else []
+    return found | ({"damping": each} if levels else {})
 
 
 def kind_of(name: str) -> str:
@@ -361,15 +375,16 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
 def chosen(over, loop: Adjustable, bounds) -> tuple:
     """The tuned parameters, given as names and `Parameter`s with bounds {name: (lower, upper)}.
 
-    For a stack, "alpha", "damping" and "weights" stand for those of all its tasks.
+    For a stack, "alpha", "damping" and "weights" stand for those of all its tasks but `postures`.
     """
     over = tuple(over) if isinstance(over, (tuple, list)) else (over,)
     if not over:
         raise errors.fail("over", "name something to tune", "is empty")
     every = _of_stack(loop.law)
     over = [one for p in over for one in (every.get(p, [p]) if isinstance(p, str) else [p])]
-    bounds = {one: pair for name, pair in bounds.items() for one in every.get(name, [name])} | bounds
-    made = tuple(p if isinstance(p, Parameter) else named(p, loop, bounds.get(p)) for p in over)
+    made = tuple(
+        p if isinstance(p, Parameter) else named(p, loop, bounds.get(p, bounds.get(kind_of(str(p))))) for p in over
+    )
     names = [p.name for p in made]
     if len(set(names)) != len(names):
         raise errors.fail("over", "name each parameter once", f"is {names}")

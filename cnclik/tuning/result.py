@@ -32,6 +32,7 @@ _WHY = {
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
 
+MORE, LEAST = 0.01, 1e-6  # growth of a task's own error that is told: relative, and above rounding [m, rad]
 AT_LIMIT = 0.01  # of a joint's velocity limit; a run this close to it is limited by it
 _NEARLY_NO_GAIN = (
     "The gain is nearly zero: an error would not be removed within the whole path. Here the loss grows with it, as it "
@@ -67,6 +68,7 @@ class Performance:
       violation: relative amount by which the worst constraint is exceeded; at most 0 if all are kept.
       worst: name of this constraint.
       z: alpha·Ts (largest |eigenvalue| of a gain matrix, largest gain of a schedule).
+      errors: {"hand [m]": RMS error of this task of a stack in this unit}; {} of one task.
       run: `Trajectory` of the first scenario.
     """
 
@@ -80,6 +82,7 @@ class Performance:
     violation: float
     worst: str
     z: float
+    errors: dict
     run: Trajectory
 
 
@@ -93,6 +96,7 @@ class Tuned:
         tuned Ts to the horizon.
       conditions: under which it was judged.
       parameters: what was tuned: `Parameter`s with name, start, lower, upper, unit. values: {name: tuned value}.
+      kept: names of the postures of a stack, which were not named and do not count in the loss.
       loss: what was made small, in words.
       margin: bound of the spectral radius. ringing: whether the error was allowed to change its sign.
       front: {"z", "loss", "noise_gain", "delay_margin", "violation"}: (K,) what other gains
@@ -117,6 +121,7 @@ class Tuned:
     conditions: Conditions
     parameters: tuple[pm.Parameter, ...]
     values: dict[str, np.ndarray]
+    kept: tuple[str, ...]
     loss: str
     margin: float
     ringing: bool
@@ -143,9 +148,22 @@ class Tuned:
 
     @property
     def why(self) -> str:
-        """The status in a sentence, with remarks if the result is hardly a loop or may run away."""
-        astray = rebased.astray(self.conditions.drive, self.Ts)
-        return f"{self._how_it_ended} But {astray}." if astray else self._how_it_ended
+        """The status in a sentence, with remarks if the result is hardly a loop or may run away, or a task pays."""
+        astray, paid = rebased.astray(self.conditions.drive, self.Ts), ", ".join(self.paid)
+        said = [self._how_it_ended, f"But {astray}." * bool(astray)]
+        if paid:
+            cause = f" (as given, {self.before.worst} is beyond its bound)" if self.before.violation > 0 else ""
+            said.append(f"But there are larger errors than before{cause}: RMS of {paid}.")
+        return " ".join(filter(None, said))
+
+    @property
+    def paid(self) -> list:
+        """In words, the errors of a stack's tasks that are larger than before, but for kept postures."""
+        return [
+            f"{name} {before:.3g} -> {self.after.errors[name]:.3g}"
+            for name, before in self.before.errors.items()
+            if self.after.errors[name] > (1 + MORE) * before + LEAST and name.rpartition(" ")[0] not in self.kept
+        ]
 
     @property
     def _how_it_ended(self) -> str:
@@ -159,10 +177,20 @@ class Tuned:
             cause = _TOO_FAST.format(share=100 * self.path_speed, horizon=self.N * self.Ts)
         return f"{_WHY[self.status]} Worst, the bound on {worst}.{cause}"
 
+    def of_tasks(self) -> list:
+        """[(name, RMS error before and after)] of a stack's tasks, in words."""
+        own = "; does not count in the loss unless {0}.alpha is named"
+        return [
+            (name, f"{before:.4g} -> {self.after.errors[name]:.4g}" + own.format(task) * (task in self.kept))
+            for name, before in self.before.errors.items()
+            for task in [name.rpartition(" ")[0]]
+        ]
+
     def __str__(self):
         values = "; ".join(f"{p.name} = {in_words(self.values[p.name])}" + with_unit(p) for p in self.parameters)
+        own = "".join(f"RMS of {name}: {said}\n" for name, said in self.of_tasks())
         return (
-            f"{values}; z = {self.after.z:.4g}\n"
+            f"{values}; z = {self.after.z:.4g}\n{own}"
             f"loss {self.before.loss:.4g} -> {self.after.loss:.4g}, spectral radius {self.after.radius:.4g} "
             f"(margin {self.margin:g}), constraints {kept_in_words(self)}\n{self.why}"
         )
@@ -222,6 +250,7 @@ def result(objective, values, before, after, others, *, goal, reference, q0, gra
         conditions=goal.conditions,
         parameters=parameters,
         values={p.name: v for p, v in zip(parameters, values, strict=True)},
+        kept=objective.kept,
         loss=loss_in_words(goal.loss),
         margin=float(objective.margin),
         ringing=bool(goal.ringing),
@@ -245,6 +274,7 @@ def _performance(objective, loop, judged) -> Performance:
         violation=judged.violation,
         worst=CONSTRAINTS[int(np.argmax(judged.excess))],
         z=pm.gain_per_step(loop),
+        errors=dict(zip(objective.own_errors, judged.errors.tolist(), strict=True)),
         # With a tuned Ts the program runs as many steps as the smallest Ts needs: cut at the horizon.
         run=truncate(judged.run, min(objective.N, steps_to(objective.horizon, loop.Ts))),
     )
@@ -254,7 +284,7 @@ def _performance(objective, loop, judged) -> Performance:
 
 
 _AS_THEY_ARE = (
-    *("Ts", "N", "values", "loss", "margin", "ringing", "front", "conditions", "before", "after"),
+    *("Ts", "N", "values", "kept", "loss", "margin", "ringing", "front", "conditions", "before", "after"),
     *("satisfied", "status", "why", "gradient", "evaluations", "starts"),
 )
 

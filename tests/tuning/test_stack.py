@@ -26,14 +26,16 @@ AIM = ck.hold_at(ARM, TASK, Q, hand=ck.hold(ck.forward(ARM, Q).position + np.arr
 
 def test_every_name_goes_to_its_task():
     loop = pm.Adjustable(law=LAW, Ts=jnp.asarray(0.02))
-    names = [p.name for p in pm.chosen(("alpha", "damping", "weights", "Ts"), loop, {"alpha": (1.0, 50.0)})]
-    tasks = ["hand", "turn", "rest"]
+    chosen = pm.chosen(("alpha", "damping", "weights", "Ts", "rest.alpha"), loop, {"alpha": (1.0, 50.0)})
+    names, tasks = [p.name for p in chosen], ["hand", "turn"]  # the posture only by its name
+    assert all(p.upper == 50.0 for p in chosen if p.name.endswith("alpha"))
     assert names == [
         *(f"{t}.alpha" for t in tasks),
         "hand.damping",
         "turn.damping",
         *(f"{t}.weights" for t in tasks),
         "Ts",
+        "rest.alpha",
     ]
     read = {
         "turn.alpha": lambda law: np.asarray(law.alpha)[2],
@@ -46,7 +48,7 @@ def test_every_name_goes_to_its_task():
         np.testing.assert_allclose(of(made), 1.1 * of(LAW))
     mixed = ck.replace(LAW, alpha={"hand": [[8.0, 1.0], [1.0, 6.0]], "turn": 4.0, "rest": [1.0, 2.0, 3.0, 4.0]})
     loop = ck.replace(loop, law=mixed)
-    each = pm.chosen("alpha", loop, {})
+    each = pm.chosen(("alpha", "rest.alpha"), loop, {})
     assert [np.shape(p.start) for p in each] == [(2, 2), (), (4, 4)] and each[0].kind == pm.SPD
     np.testing.assert_allclose(pm.put(loop, each, [2 * p.start for p in each]).law.alpha, 2 * np.asarray(mixed.alpha))
 
@@ -100,6 +102,23 @@ def test_maps_of_rates_are_those_of_the_step(law, method):
         np.testing.assert_allclose(largest, 0.05 * np.linalg.eigvals(gain).max())
 
 
+def test_a_posture_is_not_bought_by_the_hand_and_who_pays_is_told():
+    """The posture never arrives, so that in a loss it would outweigh the hand. Here both gains begin too large."""
+    arm, q = ck.planar_arm([0.5, 0.4]), Q[:2]
+    tasks = ck.stack(hand=ck.position("xy"), rest=ck.joints(weights=0.1))
+    aims = ck.hold_at(arm, tasks, q, hand=ck.hold(ck.forward(arm, q).position + np.array([0.05, 0.05, 0.0])))
+    law = ck.Law(
+        arm, tasks, alpha={"hand": 30.0, "rest": 40.0}, inverse=ck.levels(["hand"], ["rest"], damping=(0.01, 0.1))
+    )
+    found = tune(law, aims, q, Ts=0.02, N=10, method="EE", descent=Descent(steps=2, rounds=1))
+    assert found.satisfied and found.kept == ("rest",)
+    assert 12 < found.values["rest.alpha"] <= 12.5  # z = 1/4: lowered to what no step overshoots with, and no more
+    before, after = found.before.errors["hand [m]"], found.after.errors["hand [m]"]
+    assert after == pytest.approx(np.sqrt((np.asarray(found.after.run["hand"].e)[1:] ** 2).sum(1).mean()))
+    assert f"RMS of hand [m]: {before:.4g} -> {after:.4g}\n" in str(found)
+    assert f"(as given, overshoot is beyond its bound): RMS of hand [m] {before:.3g} -> {after:.3g}" in found.why
+
+
 @pytest.mark.slow
 def test_each_gain_is_one_that_any_posture_bears():
     """Two tasks of one tip ask for the same: each gets half of it here, and none may count on that elsewhere."""
@@ -122,6 +141,7 @@ def test_a_stack_is_tuned_for_its_levels_and_its_lines_are_the_loop():
     assert found.satisfied and found.after.loss < 0.9 * found.before.loss  # of the hand: the others count by 1/100
     norms = [np.linalg.norm(run.run["hand"].e, axis=1).sum() for run in (found.before, found.after)]
     assert norms[1] < 0.9 * norms[0]
+    assert "rest.alpha" not in found.values and "unless rest.alpha is named" in str(found)
     lines = controller_lines(found)
     assert f"alpha: {float(found.values['hand.alpha']):.6g} of hand" in lines["rate"] and "J_levels" in lines["rate"]
     gains, costs = (
