@@ -18,12 +18,12 @@ from cnclik.record import record
 from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.stability.bounds import LimitAdvice, limit_advice, wall_advice
 from cnclik.stability.driven import POINTS, driven_limits
-from cnclik.stability.drives import SPARE
+from cnclik.stability.drives import SPARE, longer
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
 from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.rebased import WHERE, bearable_delay
-from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, recommendation_of
+from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, recommendation_of, without_overshoot
 from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
 from cnclik.stability.spectrum import drift_of_numbers, rest_tolerance
 from cnclik.stability.tasks import StackAdvice, at_any_posture, bounded_rates, stack_advice
@@ -90,6 +90,8 @@ class Advice:
             for name, one in some.items()
         ]
         settings = [f"  {where}: {what}" for where, what in self.settings.items()]
+        own = f"{self.explicit_euler['recommended_alpha']:.4g} 1/s recommended"
+        settings[:0] = [f"The same loop elsewhere, by explicit Euler ({own}):"] * bool(settings)
         assumed = [self.assumption] * bool(self.assumption)
         return "\n".join([*assumed, *gains, f"Recommended: {self.reason}.", *settings])
 
@@ -158,7 +160,7 @@ def advise(
         recommended_method=DEFAULT.name,
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
-        settings=settings(by, drive, safe, Ts) if by_euler else {},
+        settings=settings(_borne(by, safe, by_euler, Ts), drive, safe, Ts) if by_euler else {},
         notes=(*_left(loop, found.spectrum), *_pulled(law, loop, chosen / Ts), *_notes(loop, drive, chosen, Ts)),
         stack=None if at_any is None else stack_advice(loop, safe, at_any, Ts),
         limits=limit_advice(law, safe, Ts),
@@ -190,6 +192,20 @@ def _no_gain(loop, gains, Ts):
         own = np.abs(loop.modes(np.array([1e-9]), Ts)[0].sum(-1)).max()
         what, why = "without overshoot", f"by itself, through this J#, one step removes {own:.3g} of an error"
     return errors.fail(name, f"leave some gain {what} at Ts = {Ts:g} s: less of it, or a shorter Ts", why)
+
+
+def _borne(loop, safe, known, Ts):
+    """The function from a drive to the recommended z of a loop through it: known of one, the same for any posture of a
+    stack."""
+
+    def borne(drive) -> float:
+        if drive is safe:
+            return known
+        if bounded_rates(loop.law):
+            return at_any_posture(loop._replace(drive=drive), Ts)[1]
+        return without_overshoot(loop, longer(drive), Ts, MOST_Z, MOST_Z)
+
+    return borne
 
 
 def removing(loop, share: float, Ts: float) -> float:

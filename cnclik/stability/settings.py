@@ -8,9 +8,8 @@ import numpy as np
 from cnclik.integrate.drive import MOST, Drive
 from cnclik.record import replace
 from cnclik.stability.driven import settling
-from cnclik.stability.drives import SPARE, longer
+from cnclik.stability.drives import SPARE
 from cnclik.stability.rebased import WHERE, runs_away
-from cnclik.stability.recommend import without_overshoot
 
 OWN_COMMANDS = 0.25  # alpha·Ts of a loop that looks at its own commands: d^d/(d + 1)^(d + 1) for d = 1
 LOOKAHEAD = 0.03  # [s], the least that a UR's servoj takes: a lag of its own
@@ -26,28 +25,33 @@ KNOWN = (
 MOST_Z = 1.0  # a recommended gain removes no more than 63 % of an error per step, or all of it by explicit Euler
 
 
-def settings(loop, drive, safe: Drive, Ts: float) -> dict:
+def settings(borne, drive, safe: Drive, Ts: float) -> dict:
     """The same loop by explicit Euler elsewhere: {where: what to set there}; what has no gain there is left out, or
     says why.
 
     Args:
-      loop: `LoopAtRest` of explicit Euler. drive: as it was given, or None. safe: the one that is assumed then.
+      borne: borne(drive), the recommended z of explicit Euler through a drive. drive: as it was given, or None. safe:
+        the one that is assumed then.
     """
+
+    def with_(**changes):  # the drive itself where it is so
+        return (
+            safe if all(getattr(safe, name) == value for name, value in changes.items()) else replace(safe, **changes)
+        )
+
     # Position commands that begin at the measured joints; a drive that follows at once takes any z.
-    again = replace(safe, command="position", feedback="rebased") if safe.order else None
-    drives = (replace(safe, feedback="measured"), again, _of_servoj(drive, Ts))
-    measured, rebased, servoj = (
-        MOST_Z if one is None else without_overshoot(loop, longer(one), Ts, MOST_Z, MOST_Z) for one in drives
-    )
-    own = f"{OWN_COMMANDS:g} where it is the last command"
+    again = with_(command="position", feedback="rebased") if safe.order else None
+    drives = (with_(feedback="measured"), again, _of_servoj(drive, Ts))
+    measured, rebased, servoj = (MOST_Z if one is None else borne(one) for one in drives)
+    last = f"{OWN_COMMANDS:g} where it is the last command"
     made = {}
     if measured:
         z = f"{measured:.4g}"
         qp = f"FrameTask(gain={z}), the same gain for PostureTask (1 if left out), dt={Ts:g}, where the configuration"
-        made |= {name: f"{qp} is measured; {own}" for name in ("pink", "mink")}
+        made |= {name: f"{qp} is measured; {last}" for name in ("pink", "mink")}
         made["Placo"] = (
             f"each solve removes the whole error, so give tasks a target at {z} of the way from the measured state "
-            f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {own}"
+            f"(placo.interpolate_frames(T_now, T_target, {z}), joints likewise); {last}"
         )
     of_velocities = ""
     if drive is not None and drive.order and drive.command == "velocity":

@@ -5,6 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 
+import cnclik as ck
 from tests.bench import loops_tools
 
 CASE = "3 samples, lag 30 ms"
@@ -34,6 +35,25 @@ def test_a_tool_itself_with_its_posture_task(tool):
 @pytest.mark.parametrize("tool", ["Isaac Lab", "MoveIt Servo"])
 def test_a_copy_of_a_tools_loop(tool):
     assert keeps_its_promise(rows(tool)["as told"])
+
+
+@pytest.mark.parametrize("drive", [None, ck.Drive(delay=4), ck.Drive(delay=2, lag=0.05)])
+def test_the_gain_of_settings_is_the_recommended_one_whatever_the_present_gains(drive):
+    """Of a stack at any posture; of one task with damping, whose directions lose some of it."""
+    arm, q = ck.planar_arm([0.5, 0.4, 0.3, 0.3]), np.array([0.4, 0.8, -0.5, 0.3])
+    one = ck.Law(arm, ck.position("xy"), alpha=10.0, inverse=ck.damped(0.05))
+    tasks = ck.stack(hand=ck.position("xy"), rest=ck.joints(weights=0.1))
+    stack = ck.Law(
+        arm, tasks, alpha={"hand": 40.0, "rest": 10.0}, inverse=ck.levels(["hand"], ["rest"], damping=(1e-3, 0.05))
+    )
+    even = ck.replace(stack, alpha={"hand": 10.0, "rest": 10.0})
+    told = {}
+    for law, method in ((one, "EE"), (one, "RK4"), (stack, "EE"), (stack, "EXP-EE"), (even, "EE")):
+        said = ck.advise(law, None, q, Ts=0.01, method=method, drive=drive)
+        alpha = said.explicit_euler["recommended_alpha"]
+        assert f"(gain={0.01 * alpha:.4g})" in said.settings["pink"] and f"{alpha:.4g}" in said.settings["MoveIt Servo"]
+        assert f"by explicit Euler ({alpha:.4g} 1/s recommended):" in str(said)
+        assert told.setdefault(law.task.tasks, said.settings) == said.settings
 
 
 def test_servoj_adds_to_its_last_command_and_has_its_lag_in_alpha():
