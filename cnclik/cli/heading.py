@@ -59,19 +59,22 @@ def dead_time(made) -> str:
 
 
 def start_and_target(made, given: dict) -> list:
-    """Sentences: the joint values at the start, the first point of the path, and the tasks of a stack.
+    """Sentences: the joint values at the start, the first point of the path, and the tasks of a stack; and where it is
+    so, that the start is near a singularity.
 
     Args: given: what the user gave, as `cnclik.cli.problem.table` has it.
     """
+    from cnclik.problem.names import near_singular_start
     from cnclik.record import in_words
 
     units = ", ".join(dict.fromkeys(made.law.chain.units))
     named = any(given.get(name) is not None for name in PATH) or str(given.get("reference")).lower().endswith(".csv")
     begins = " (on the path)" if given.get("begin") == "on-path" else "" if "q0" in given else " (default)"
-    start = f"Start: q0 = {in_words(made.q0)} {units}{begins}."
+    law, begun = made.law, [f"Start: q0 = {in_words(made.q0)} {units}{begins}."]
+    begun += filter(None, [near_singular_start(law.chain, law.task, made.q0, float(law.near_singular))])
     if made.tables is not None:
-        return [start, *(f"{_of_stack(made, name, table)}." for name, table in made.tables.items())]
-    return [start, f"{_first_point(made, given.get('reference', 'hold'), '' if named else ' (default)')}."]
+        return [*begun, *(f"{_of_stack(made, name, table)}." for name, table in made.tables.items())]
+    return [*begun, f"{_first_point(made, given.get('reference', 'hold'), '' if named else ' (default)')}."]
 
 
 def _of_stack(made, name, table) -> str:

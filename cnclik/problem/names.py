@@ -18,7 +18,7 @@ from cnclik.record import replace
 from cnclik.robot import urdf
 from cnclik.robot.chain import Chain
 from cnclik.robot.files import file_of, read_robot
-from cnclik.robot.posture import is_planar, least_singular_values, spread_postures, start_posture
+from cnclik.robot.posture import is_planar, least_singular_values, singular_values, spread_postures, start_posture
 from cnclik.task import build
 from cnclik.task.task import Task
 
@@ -193,14 +193,35 @@ def require_free(chain: Chain, task) -> None:
 
 
 def start_from(chain: Chain, task, q0=None):
-    """q0 (n,) [rad, m], checked. The default is a posture inside the limits and away from singularities."""
+    """q0 (n,) [rad, m], checked. The default is a posture inside the limits and away from singularities: of each tip's
+    task, and of all tips together."""
     if q0 is None:
-        poses = [one for _, one in task.targets if hasattr(one.parts[0], "axes")]
-        return start_posture(
-            chain, *(replace(one, parts=tuple(replace(p, to=None) for p in one.parts)) for one in poses)
-        )
+        return start_posture(chain, *_of_tips(task).values())
     q0 = errors.array("q0", q0, (chain.n,))
     return np.asarray(q0, float) if errors.concrete(q0) else q0
+
+
+def _of_tips(task) -> dict:
+    """{path: what it asks of one tip, in the base frame}."""
+    poses = {path: one for path, one in task.targets if hasattr(one.parts[0], "axes")}
+    return {path: replace(one, parts=tuple(replace(p, to=None) for p in one.parts)) for path, one in poses.items()}
+
+
+def near_singular_start(chain: Chain, task, q0, below) -> str:
+    """A sentence on the tasks near a singularity at q0 (n,), by themselves or together; empty where none is.
+
+    Args: below: least singular value from which on none is; lengths are in the arm's own unit.
+    """
+    tips = _of_tips(task)
+    least = singular_values(chain, tips.values(), np.vstack([q0, spread_postures(chain)]))[:, 0]
+    names = [path[0] for path in tips]
+    names.append(f"{' and '.join(dict.fromkeys(names))} together")
+    found = [(name, value) for name, value in zip(names, least, strict=False) if value < below]
+    if not found:
+        return ""
+    where, value = found[0]
+    where = where if task.tasks else "the task"
+    return f"The start is near a singularity of {where} (least singular value {value:.2g}): give another --q0."
 
 
 # --- law ----------------------------------------------------------------------------------------------

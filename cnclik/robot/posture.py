@@ -16,6 +16,7 @@ from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
+_SINGULAR = 1e-9  # least singular values that are rounding
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
@@ -68,10 +69,19 @@ def least_singular_values(chain: Chain, task, postures):
 
     For a stack, the least of its tasks' values.
     """
+    j = _in_own_unit(chain, task, postures)
+    apart = [own for _, own in task.each] or [slice(None)]
+    return np.min([_least(j[:, own]) for own in apart], axis=0)
+
+
+def _in_own_unit(chain, task, postures):
     j = task_jacobians(chain, task, postures)
     j[:, task.lengths] /= arm_length(chain)
-    apart = [own for _, own in task.each] or [slice(None)]
-    return np.min([np.linalg.svd(j[:, own], compute_uv=False)[:, -1] for own in apart], axis=0)
+    return j
+
+
+def _least(j):
+    return np.linalg.svd(j, compute_uv=False)[:, -1]
 
 
 def evenly(count: int, n: int):
@@ -86,16 +96,26 @@ def evenly(count: int, n: int):
 
 
 def start_posture(chain: Chain, *tasks):
-    """A posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip.
+    """A posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip, and of
+    all of them together where there are joints enough.
 
     The middle of the limits (0 for joints without limits) if the task Jacobians are well conditioned there. Otherwise,
     of 256 fixed postures around it, the one with the largest least singular value relative to each task's largest.
     """
-    postures, least = spread_postures(chain), np.ones(1)
-    for task in tasks:
-        own = least_singular_values(chain, task, postures)
-        least = np.minimum(least, own / (own.max() or 1.0))
+    postures = spread_postures(chain)
+    least = singular_values(chain, tasks, postures)
+    least = (least / least.max(axis=1, keepdims=True)).min(axis=0, initial=1.0)
     return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
+
+
+def singular_values(chain: Chain, tasks, postures):
+    """Least singular values (k, K) at (K, n) postures of the Jacobian of each task, and of all of them together where
+    the chain has joints enough; 1 for what is singular at all of them. Lengths are in the arm's own unit."""
+    each = [_in_own_unit(chain, task, postures) for task in tasks]
+    if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
+        each.append(np.concatenate(each, axis=1))
+    least = np.array([_least(j) for j in each]).reshape(-1, len(postures))
+    return np.where(least.max(axis=1, keepdims=True) > _SINGULAR, least, 1.0)
 
 
 def spread_postures(chain: Chain):

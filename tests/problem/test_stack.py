@@ -1,6 +1,7 @@
 """Stacks in plain names: what the tables of a file build, from the same words as one task, and what is refused."""
 
 import dataclasses
+import functools
 import importlib
 import re
 
@@ -12,8 +13,10 @@ import cnclik as ck
 from cnclik.errors import Remark
 from cnclik.law.reference import aims_of
 from cnclik.problem import OF_TASK
-from tests.oracles import close
-from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS
+from cnclik.problem.names import near_singular_start
+from cnclik.robot.posture import spread_postures
+from tests.oracles import close, robots
+from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS, ROBOTS
 
 FILE = """
 [tasks.hands]
@@ -367,3 +370,16 @@ def test_one_gain_of_many_rows_is_one_lane(monkeypatch):
     )
     assert sizes == [1, 1] and moved.shape == (2, 14, 14) and rows.shape == (7, 14)
     close(moved[1] - np.eye(14), 2 * (moved[0] - np.eye(14)), atol=1e-5)
+
+
+def test_the_default_start_is_far_from_singularities_of_all_tips_together():
+    """Each arm alone is well there in the middle of the limits: its task is the torso's, which both share."""
+    tips = {"l": "arm1_8", "r": "arm2_8"}
+    arms = ck.load_urdf(robots() / ROBOTS["centauro"], tips=list(tips.values()))
+    tables = {name: {"tip": tip, "task": "position"} for name, tip in tips.items()}
+    p = made(tables, arms)
+    task, middle = p.law.task, spread_postures(arms)[0]
+    at = functools.partial(near_singular_start, arms, task, below=0.1)
+    assert "of l and r together (least singular value 0.0062)" in at(middle) and "--q0" in at(middle)
+    assert not at(p.q0)
+    np.testing.assert_array_equal(p.q0, made(tables, arms).q0)
