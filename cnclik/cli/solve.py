@@ -211,8 +211,8 @@ def fastest(chain, qdot):
     fast = f"up to {plainly(most[i])} {chain.units[i]}/s ({chain.joint_names[i]})"
     if not limited.any():
         return f"{fast}, no limits"
-    part = f"{100 * share[k]:.3g} % of" if share[k] < 10 else f"{plainly(share[k])} times"
-    return f"{fast}, {part} {'its limit' if i == k else f'the limit of {chain.joint_names[k]}'}"
+    part = f"{100 * share[k]:.3g} % of its limit" if share[k] < 10 else f"{plainly(share[k])} times its limit"
+    return f"{fast}, {part}" if i == k else f"{fast}; {chain.joint_names[k]} up to {part}"
 
 
 def task_rows(name, run, task):

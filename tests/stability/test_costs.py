@@ -132,14 +132,14 @@ def test_every_joint_that_is_meant_is_named():
     assert "a joint's velocity limit, q4 for up to" in told.sentence, told
     column = ck.from_dh([0.0, 0.5], [0.0, 0.0], [0.0, 0.0], kinds="PR", velocity_limit=[0.01, 2.0])
     said = fastest(column, np.array([[0.05, 0.7], [0.02, -0.9]]))
-    assert said == "up to 0.9 rad/s (q2), 500 % of the limit of q1"
+    assert said == "up to 0.9 rad/s (q2); q1 up to 500 % of its limit"
     assert (
         fastest(ck.replace(column, velocity_limit=(9.0, 2.0)), np.full((3, 2), 0.5))
-        == "up to 0.5 m/s (q1), 25 % of the limit of q2"
+        == "up to 0.5 m/s (q1); q2 up to 25 % of its limit"
     )
     for lost in (np.nan, np.inf):  # a run that diverged, and a joint without a limit
         said = fastest(ck.replace(column, velocity_limit=(np.inf, 2.0)), np.array([[lost, 1.0]]))
-        assert said == "up to inf m/s (q1), 50 % of the limit of q2"
+        assert said == "up to inf m/s (q1); q2 up to 50 % of its limit"
     run = SimpleNamespace(e=np.ones((3, 2)), status=np.zeros(2, int))
     rows = [name for name, _ in task_rows("rest ", run, ck.joints(column.joint_names).on(column))]
     assert rows == ["rest prismatic joint error", "rest revolute joint error", "rest steps"]
