@@ -56,6 +56,7 @@ def _run(verb, *options) -> None:
     from cnclik.cli import arguments, common, remarks
     from cnclik.show.output import FigureError
 
+    module = None
     try:
         errors.one_of("verb", verb, VERBS)
         with _nothing_collected():
@@ -70,7 +71,7 @@ def _run(verb, *options) -> None:
             if spans is not None:
                 print(spans)
     except errors.ArgumentError as error:
-        _leave(2, error)
+        _leave(2, error if module is None else arguments.of_options(module.Args, error))
     except FigureError as error:
         _leave(1, error)
     except ImportError as error:  # of a plotting package; results are already written

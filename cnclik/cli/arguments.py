@@ -107,6 +107,14 @@ def parse(Args, argv, *, prog, description):
     return args
 
 
+def of_options(Args, error) -> str:
+    """What an error of an argument says, where that is one of the options under the name that they have here."""
+    found = re.match("Argument `([^`]+)`", text := str(error))
+    name = f"--{found[1].replace('_', '-')}" if found else ""
+    known = any(name == one.name for one in _options(Args))
+    return text.replace(found[0], f"Option `{name}`", 1) if found and known else text
+
+
 def _options(Args) -> list:
     """The options of a dataclass, positional ones included."""
     hints, about, every = typing.get_type_hints(Args), _texts(Args), []

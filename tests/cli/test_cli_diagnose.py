@@ -60,14 +60,14 @@ def test_a_drive_to_paste(recorded, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--Ts", "0"], "Argument `Ts` must be positive, but is 0."),
-        (["--columns", "q3"], "Argument `columns` must be one of time, q1, q2, but is 'q3'"),
-        (["--step", "--columns", "q1"], "Argument `columns` must name as many motions as commands"),
-        (["--step", "--alpha", "3"], "Argument `alpha` must be left out with --step, but is given."),
-        (["--kind", "lag"], "Argument `kind` must come with --step, but comes without."),
-        (["--alpha", "-1"], "Argument `alpha` must be positive, but is -1."),
-        (["--longest-period", "0"], "Argument `longest-period` must be positive, but is 0."),
-        (["--out", __file__], "Argument `out` must be a folder that can be written into"),
+        (["--Ts", "0"], "Option `--Ts` must be positive, but is 0."),
+        (["--columns", "q3"], "Option `--columns` must be one of time, q1, q2, but is 'q3'"),
+        (["--step", "--columns", "q1"], "Option `--columns` must name as many motions as commands"),
+        (["--step", "--alpha", "3"], "Option `--alpha` must be left out with --step, but is given."),
+        (["--kind", "lag"], "Option `--kind` must come with --step, but comes without."),
+        (["--alpha", "-1"], "Option `--alpha` must be positive, but is -1."),
+        (["--longest-period", "0"], "Option `--longest-period` must be positive, but is 0."),
+        (["--out", __file__], "Option `--out` must be a folder that can be written into"),
     ],
 )
 def test_user_errors_are_one_line(log, options, line, capsys):
@@ -81,7 +81,7 @@ def test_a_recording_without_times_needs_Ts(tmp_path, capsys):
     file = write(tmp_path / "bare.csv", ["q"], loop(1.5, 0, 50))
     with pytest.raises(SystemExit):
         main(["diagnose", file])
-    assert "Argument `Ts` must be given where no column is called t, time or stamp" in capsys.readouterr().err
+    assert "Option `--Ts` must be given where no column is called t, time or stamp" in capsys.readouterr().err
     main(["diagnose", file, "--Ts", "0.01"])
     assert "every second sample" in capsys.readouterr().out
     (tmp_path / "empty.csv").write_text("q\n")

@@ -103,8 +103,8 @@ def test_tune(stack, tmp_path, capsys):
 def test_what_is_wrong_is_one_line(stack, tmp_path, capsys):
     one = ["solve", BAXTER, "--no-figures", "--out", tmp_path]
     told = said(capsys, *one, "--stack", stack, "--target", "1", "2", "3")
-    assert told.startswith("cnclik: Argument `target` must be left out with a stack") and told.count("\n") == 1
-    assert "`stack` must name a TOML file that can be read" in said(capsys, *one, "--stack", tmp_path / "none.toml")
+    assert told.startswith("cnclik: Option `--target` must be left out with a stack") and told.count("\n") == 1
+    assert "`--stack` must name a TOML file that can be read" in said(capsys, *one, "--stack", tmp_path / "none.toml")
     (tmp_path / "wrong.toml").write_text(FILE.replace("alpha = 10", 'alpha = "fast"'))
     assert "`tasks.hands.alpha` must be a number" in said(capsys, *one, "--stack", tmp_path / "wrong.toml")
 
@@ -222,18 +222,18 @@ def test_the_nearest_pose_keeps_upper_levels(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("argv", "told"),
     [
-        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[0]], "`tip` must hold different names"),
-        (["--tip", GRIPPERS[0], "--tip", "right"], "`tip` must be one of the"),
+        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[0]], "`--tip` must hold different names"),
+        (["--tip", GRIPPERS[0], "--tip", "right"], "`--tip` must be one of the"),
         ([*["--tip", GRIPPERS[0], "--tip", GRIPPERS[1]], "--target", "1", "0", "0"],
-         f"`target` must be given once for each tip ({', '.join(GRIPPERS)}), but is given 1 times"),
+         f"`--target` must be given once for each tip ({', '.join(GRIPPERS)}), but is given 1 times"),
         (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "TABLE"], "have columns for each tip, such as left_gripper.x"),
-        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "--map", "xy"], "`map` must be left out for several tips"),
-        (["--stack", "STACK", "--map", "xy"], "`map` must be left out for several tips"),
-        (["--stack", "STACK", "--tip", GRIPPERS[0]], "`tip` must be left out with a stack"),
-        (["--stack", "STACK", "--target", "1", "2", "3"], "`target` must be left out with a stack"),
-        (["--stack", "STACK", "--near", "0", "0"], "`near` must have shape (14,), but has shape (2,)"),
-        (["--stack", "HELD", "--points", "3"], "`points` must be left out where targets stand still"),
-        (["--tip", GRIPPERS[0], "--random", "1", "--points", "3"], "`points` must come with the paths of a stack"),
+        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "--map", "xy"], "`--map` must be left out for several tips"),
+        (["--stack", "STACK", "--map", "xy"], "`--map` must be left out for several tips"),
+        (["--stack", "STACK", "--tip", GRIPPERS[0]], "`--tip` must be left out with a stack"),
+        (["--stack", "STACK", "--target", "1", "2", "3"], "`--target` must be left out with a stack"),
+        (["--stack", "STACK", "--near", "0", "0"], "`--near` must have shape (14,), but has shape (2,)"),
+        (["--stack", "HELD", "--points", "3"], "`--points` must be left out where targets stand still"),
+        (["--tip", GRIPPERS[0], "--random", "1", "--points", "3"], "`--points` must come with the paths of a stack"),
         ([], "--map PLANE and --stack FILE must be given, but there is none of them"),
     ],
 )  # fmt: skip

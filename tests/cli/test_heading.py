@@ -139,7 +139,7 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
     with pytest.raises(SystemExit):
         way.write_text("time,x,y\n0,8,0.9\n2,0.5,1.1\n")
         main([*run, "--begin", "on-path"])
-    assert "`begin` must be q0 for a path that begins where the arm doesn't reach" in capsys.readouterr().err
+    assert "`--begin` must be q0 for a path that begins where the arm doesn't reach" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("task", ["pose", "position", "xy", "orientation", "xyrz"])
