@@ -254,7 +254,9 @@ def _rings(case):
 
 
 def _ringing(case, error):
-    swings = f"the error oscillates about the target, each swing {case.overshoot:.2g} times the one before"
+    size = f"{case.overshoot:.{2 if case.overshoot < 0.95 else 3}g} times"  # 0.998 is not 1
+    swing = size if case.overshoot < 0.9995 else "nearly as large as"
+    swings = f"the error oscillates about the target, each swing {swing} the one before"
     return Behaviour.RINGING, f"{swings}; {error}", remedies.faster(case)
 
 
@@ -298,6 +300,9 @@ def _unstable(case, error):
     moves = seen.visible or (case.pace is not None and seen.largest > VISIBLE)  # it may rest between whiles
     if _shakes(case) or (moves and case.spans > PLENTY and not follows):
         return _shaking(case, error)
+    if case.pace is None and reasons.whirls(case) and case.radius_at(case.start) > UNSTABLE:
+        what = f"{reasons.outside(case)}; {error}; {_radius(case)}"
+        return Behaviour.DIVERGING, what, remedies.lower(case)
     falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
     if not falls and case.radius_at(case.start) > UNSTABLE:
         return Behaviour.DIVERGING, f"{error} so far, but any disturbance grows: {_radius(case)}", remedies.lower(case)

@@ -82,6 +82,11 @@ def outside(case) -> str:
     return f"joint {law.chain.joint_names[most]} is up to {beyond[most]:.3g} {unit} beyond its limit{more}{past}"
 
 
+def whirls(case) -> bool:
+    """Whether a joint is beyond its limits by a whole turn."""
+    return bool(np.any((case.seen.outside > 2 * np.pi) & (np.array(case.law.chain.units) == "rad")))
+
+
 def hopeless(case) -> bool:
     """Whether no joint motion reduces the error in this posture."""
     size, push = np.linalg.norm(case.e), np.linalg.norm(case.rows.T @ case.e)

@@ -123,8 +123,11 @@ def lower(case) -> tuple:
 
 def faster(case) -> tuple:
     """The gain, at most the present one, with which the loop settles soonest."""
-    share = min(fastest_share(*resting(case.law, at), *case.loop) for at in (case.end, case.start))
-    words = f"reduce {_words(case.law, share, 'to about')}, which settles soonest"
+    ends = [resting(case.law, at) for at in (case.end, case.start)]
+    share, why = min(fastest_share(*at, *case.loop) for at in ends), "settles soonest"
+    if case.law.task.tasks and share > 0.9:  # what the slowest of its tasks asks for
+        share, why = 0.5 * min(stable_share(*at, *case.loop) for at in ends), "is half of what is stable"
+    words = f"reduce {_words(case.law, share, 'to about')}, which {why}"
     return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if share < 1 else ()
 
 
@@ -174,14 +177,17 @@ def _gain(law, share):
 
 
 def _amount(law, share):
-    alpha = np.asarray(law.alpha, float)
-    return f"{share * alpha:.3g} 1/s" if alpha.ndim == 0 else f"{share:.2g} of it"
+    """Gains as a share of the law's: in 1/s for each task that has one, as a share where they are a matrix."""
+    alpha = share * np.asarray(law.alpha, float)
+    if alpha.ndim == 2:
+        return f"{share:.2g} of what it is"
+    every = [(f" for {name}", alpha[at]) for name, at in law.task.each if alpha.ndim] or [("", np.atleast_1d(alpha))]
+    each = [(whose, dict.fromkeys(f"{v:.3g}" for v in own)) for whose, own in every if own.any()]
+    return " and ".join(f"{', '.join(values)} 1/s{whose}" for whose, values in each)
 
 
 def _words(law, share, word):
-    alpha = np.asarray(law.alpha, float)
-    amount = f"{share * alpha:.3g} 1/s" if alpha.ndim == 0 else f"{share:.2g} of what it is"
-    return f"alpha {word} {amount} at this Ts"
+    return f"alpha {word} {_amount(law, share)} at this Ts"
 
 
 def less_null(radius=None, share=0.3) -> tuple:

@@ -226,6 +226,34 @@ def test_following_a_line():
     assert judge(law(5.0), path, 200, Ts=0.01).kind == Behaviour.SETTLED
 
 
+def test_joints_that_whirl_diverge_however_slowly_the_loop_at_rest_does():
+    """The error of an arm is no larger than its reach: past it a tip that is lost only varies."""
+    chain, drive = ck.replace(FIVE, lower=(-2.0,) * 5, upper=(2.0,) * 5), Drive(delay=4.0, lag=0.06)
+    made, goal = law(68.3, chain), ck.hold(TIP + np.array([-0.5, 0.7]))
+    run = ck.solve(made, goal, Q5, 0.004, 1000, ck.EE, drive=drive)
+    found = verdict(made, goal, run, Ts=0.004, method=ck.EE, drive=drive)
+    assert 1 < found.radius < 1.01
+    assert found.kind == Behaviour.DIVERGING and "rad beyond its limit" in found.sentence
+
+
+def test_gains_of_a_stack_are_told_by_task():
+    """It was "reduce alpha below 0.8 of what it is (0.4 of it is half of that)", and "each swing 1 times the one
+    before" without a remedy, as no smaller gain settles sooner where another task is slower."""
+    task = ck.stack(tip=XY, angle=ck.orientation("z"))
+    turned = ck.hold(rotation=np.asarray(ck.forward(FIVE, Q5).rotation))
+    goal, drive = ck.references(tip=NEAR, angle=turned), Drive(delay=4.0, lag=0.06)
+
+    def told(**alpha):
+        made, how = ck.Law(FIVE, task, alpha=alpha), dict(method=ck.EE, drive=drive)
+        return verdict(made, goal, ck.solve(made, goal, Q5, 0.004, 600, **how), Ts=0.004, **how)
+
+    fast = told(tip=80.0, angle=8.0)
+    assert "below 58.2 1/s for tip and 5.82 1/s for angle at this Ts (29.1 1/s for tip and 2.9" in fast.remedy
+    slow = told(tip=58.0, angle=0.1)
+    assert slow.kind == Behaviour.RINGING and "each swing nearly as large as the one before" in slow.sentence, slow
+    assert "1/s for tip and 0.05 1/s for angle" in slow.remedy, slow
+
+
 def test_null_space_that_shakes():
     made = law(5.0, null_velocity=lambda q: 25.0 * (Q5 + 0.05 - q))
     found = judge(made, NEAR, 40)
