@@ -19,8 +19,8 @@ ASSUMED_DELAY, ASSUMED_LAG = 0.03, 0.1  # [s]
 REBASED = "servos with ζ below 0.71 and dead time may oscillate or run away, and a smaller gain does not help"
 BEGINS = "each position target starts at the measured joints"
 KNOWN = (
-    "Record a step of all joints and ask again with the natural frequency, damping ratio and dead time that `cnclik "
-    "diagnose LOG.csv --step` prints"
+    "Record a step of all joints that are sent positions, and ask again with the natural frequency, damping ratio and "
+    "dead time that `cnclik diagnose LOG.csv --step` prints"
 )
 MOST_Z = 1.0  # a recommended gain removes no more than 63 % of an error per step, or all of it by explicit Euler
 
