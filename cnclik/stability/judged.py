@@ -223,7 +223,7 @@ def _stack(case, error):
     known = of_tips and case.reached is not None and case.reached.solved
     held = f"; {at}" if at else ""
     why = "" if not of_tips else f"; {TOGETHER if known else UNKNOWN}"
-    found = remedies.elsewhere(case) if known and not case.moving else ()
+    found = (*remedies.less_damping(case), *(() if case.moving else remedies.elsewhere(case))) if known else ()
     return kind, f"{said}{held}; {SHARED}{why}; {_radius(case)}", found
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from cnclik.integrate.stage import Picard
 from cnclik.law.bounded import Bounded
-from cnclik.law.inverse import Levels, Transpose
+from cnclik.law.inverse import Damped, Levels, Transpose
 from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import forward
@@ -33,7 +33,7 @@ class Remedy:
     Attributes:
       change: {option: value}, by the names and in the units of `cnclik.problem.OPTIONS`, as plain data; also "speed",
         the share of the path's speed, "null_gain", that of the null-space velocity, and "shift", by which the whole
-        path moves [m].
+        path moves [m], and "damping_share", that of the damping of each level.
       words: the same as a sentence's part, in the words of Python.
       mends: what gets better: "error", "motion" (shaking, swinging), "velocity" of joints, or "verdict", which a
         longer run decides, or "limits", which joints leave.
@@ -311,6 +311,17 @@ def inside(case) -> tuple:
         return ()
     words = "keep the joints inside with limits saturation()"
     return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)
+
+
+def less_damping(case) -> tuple:
+    """A tenth of the damping of a stack, which may keep tips from targets that can be had."""
+    inverse, words = case.law.inverse, "a tenth of the damping"
+    if isinstance(inverse, Levels):
+        return (Remedy(change={"damping_share": 0.1}, words=f"use {words} of each level"),)
+    if not isinstance(inverse, Damped):
+        return ()
+    less = float(f"{0.1 * float(np.max(np.asarray(inverse.damping))):.2g}")
+    return (Remedy(change={"damping": less}, words=f"use damped({less:g}), {words}"),)
 
 
 def less_pull(case) -> tuple:

@@ -90,6 +90,10 @@ def changed(run: Run, change: dict) -> Run:
         change.pop("damping")
     if "damping" in change:
         law = replace(law, inverse=inverse.damped(np.asarray(change.pop("damping"), float)))
+    if "damping_share" in change:
+        share, each = change.pop("damping_share"), law.inverse.damping
+        each = tuple(replace(one, damping=share * np.asarray(one.damping, float)) for one in each)
+        law = replace(law, inverse=replace(law.inverse, damping=each))
     if "limits" in change:
         law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
     if "null_gain" in change:

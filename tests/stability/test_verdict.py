@@ -254,6 +254,16 @@ def test_gains_of_a_stack_are_told_by_task():
     assert "1/s for tip and 0.05 1/s for angle" in slow.remedy, slow
 
 
+def test_damping_that_keeps_tips_of_a_stack_away_is_named():
+    task = ck.stack(tip=XY, angle=ck.orientation("z"))
+    turned = ck.hold(rotation=np.asarray(ck.forward(FIVE, Q5).rotation))
+    around = ck.circle(TIP + 0.3 * INWARD, 0.3, period=2.0, phase=float(np.arctan2(*-INWARD[::-1])))
+    made = ck.Law(FIVE, task, alpha=5.0, inverse=ck.levels(["tip"], ["angle"], damping=(0.15, 0.3)))
+    found = judge(made, ck.references(tip=around, angle=turned), 200, Ts=0.01)
+    assert "other tasks, damping or the start posture keep the tips away" in found.sentence
+    assert found.remedy == "use a tenth of the damping of each level"
+
+
 def test_null_space_that_shakes():
     made = law(5.0, null_velocity=lambda q: 25.0 * (Q5 + 0.05 - q))
     found = judge(made, NEAR, 40)
