@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import typing
 from collections.abc import Callable
 
 import jax
@@ -91,9 +92,9 @@ def changed(run: Run, change: dict) -> Run:
     if "damping" in change:
         law = replace(law, inverse=inverse.damped(np.asarray(change.pop("damping"), float)))
     if "damping_share" in change:
-        share, each = change.pop("damping_share"), law.inverse.damping
-        each = tuple(replace(one, damping=share * np.asarray(one.damping, float)) for one in each)
-        law = replace(law, inverse=replace(law.inverse, damping=each))
+        share, levels = change.pop("damping_share"), typing.cast(inverse.Levels, law.inverse)
+        each = (replace(one, damping=share * np.asarray(one.damping, float)) for one in levels.damping)
+        law = replace(law, inverse=replace(levels, damping=tuple(each)))
     if "limits" in change:
         law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
     if "null_gain" in change:

@@ -132,10 +132,10 @@ def test_a_log_of_two_arms(log, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--tasks", "left=fast"], "`tasks` must give gains as numbers"),
-        (["--tasks", "lfet"], "`tasks` must have columns such as lfet.x in LOG"),
-        (["--tasks", "left", "--alpha", "5"], "`alpha` must be left out with --tasks; gains are given as"),
-        (["--tasks", "left", "--step"], "`step` must be left out with --tasks"),
+        (["--tasks", "left=fast"], "`--tasks` must give gains as numbers"),
+        (["--tasks", "lfet"], "`--tasks` must have columns such as lfet.x in LOG"),
+        (["--tasks", "left", "--alpha", "5"], "`--alpha` must be left out with --tasks; gains are given as"),
+        (["--tasks", "left", "--step"], "`--step` must be left out with --tasks"),
     ],
 )
 def test_what_does_not_fit_is_named(options, told, log, capsys):

@@ -185,7 +185,7 @@ def test_a_run_that_ends_in_nan_has_no_mean():
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--reading", "on-path/once"], "Argument `reading` must be one of"),
+        (["--reading", "on-path/once"], "Option `--reading` must be one of"),
         (["--reading", "printed/twise/printed"], "did you mean 'printed/twice/printed'"),
         (["--ot", "x"], "did you mean '--out'"),
         (["--out"], "Option `--out` must be given a path"),
@@ -211,7 +211,7 @@ def test_unwritable_folder_is_one_line_before_any_work(capsys, tmp_path, monkeyp
             main(["reproduce", "--out", str(out)])
         assert left.value.code == 2
         err = capsys.readouterr().err
-        assert err.count("\n") == 1 and "Argument `out` must be a folder that can be written into" in err
+        assert err.count("\n") == 1 and "Option `--out` must be a folder that can be written into" in err
 
 
 def test_an_interrupted_run_leaves_what_was(tmp_path, monkeypatch):

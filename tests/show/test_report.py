@@ -122,7 +122,7 @@ def test_where_a_page_cannot_be_is_told_before_anything_runs(name, tmp_path, mon
     (tmp_path / "folder.html").mkdir()
     with pytest.raises(SystemExit) as left:
         main(["solve", "planar:1,1", "--report", name])
-    assert left.value.code == 2 and "Argument `report` must" in capsys.readouterr().err
+    assert left.value.code == 2 and "Option `--report` must" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["folder.html"]
 
 

@@ -298,7 +298,7 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     assert 0 < said["tasks"]["left"]["recommended_alpha"] < 10 and LOST < 1 and said["unstable"] == []
     with pytest.raises(SystemExit):
         main([*asked, *["--target", "1", "2", "3"] * 3])
-    assert "`target` must be given at most once for each tip (left.left_gripper, right" in capsys.readouterr().err
+    assert "`--target` must be given at most once for each tip (left.left_gripper, right" in capsys.readouterr().err
 
 
 def test_a_task_without_a_gain_is_not_called_unstable():
@@ -343,7 +343,7 @@ def test_a_map_of_two_gains_on_the_command_line(tmp_path, capsys):
     assert (out / "map.png").exists() and "turn" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["stability", *map(str, loop), "--gains", "turn", "rset"])
-    assert "`gains` must be one of tip, turn, rest, but is 'rset'" in capsys.readouterr().err
+    assert "`--gains` must be one of tip, turn, rest, but is 'rset'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("alpha", [40.0, 60.0, 80.0])
