@@ -74,6 +74,7 @@ def phases(asked, xp=np) -> list:
     wide = []
     if asked.jump is not None:
         wide.append(more._replace(tries=LONGER[0] * asked.seeds, status=int(ReachStatus.JUMP)))
+        wide.append(wide[0]._replace(done=wide[0].tries, tries=LONGER[1] * asked.seeds, less=CLOSE[1]))
     if (np.isfinite(lower) | np.isfinite(upper)).any():
         free = more._replace(low=-endless, high=endless, tries=FREE, status=int(ReachStatus.AT_LIMIT))
         wide.append(free)
@@ -109,7 +110,7 @@ class SoFar(NamedTuple):
 def wanted(phase, so_far: SoFar, known, far, xp=np):
     """Which of the finite targets (...,) need a phase."""
     beyond = phase.status > 0
-    missed = xp.where(beyond & (phase.downhill > 0), so_far.beyond.costs.min(axis=-1), so_far.made.squares.sum(axis=-1))
+    missed = xp.where(beyond, so_far.beyond.costs.min(axis=-1), so_far.made.squares.sum(axis=-1))
     near = xp.isinf(phase.less) | (missed < phase.less**2)
     open_ = known & (so_far.made.found == 0) & (so_far.why == 0)
     return open_ & near & (phase.far | ~far) & (so_far.sure | ~phase.sure)

@@ -137,6 +137,15 @@ def test_with_a_tolerance_far_below_the_arm_nothing_is_called_out_of_reach(size,
         assert np.isin(made.status, list(right)).sum() >= 9_995, name
 
 
+@both_ways
+def test_an_answer_that_is_hard_to_find_is_no_lack_of_reach_beyond_a_jump():
+    """OUT_OF_REACH it was: with `jump` the search beyond it did not go on where it came close."""
+    twisted = ck.from_dh([1.0] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
+    q, asked = cases(twisted, 10_000)
+    given = {"near": asked["jump elsewhere"][0]["near"][1904], "jump": 0.05, "tolerance": (1e-11, 1e-6)}
+    assert ck.reach(twisted, tips(twisted, q[1904:1905]), **given).status == ReachStatus.JUMP
+
+
 def cornered(kind):
     """An arm whose limits allow for little else: a chain of right angles, or of offsets and twists at random."""
     if kind == "twisted":
