@@ -125,7 +125,7 @@ def problem_from(
             raise errors.fail("tasks", "be left out where `stack` is given", "is given")
         asked = read_stack(given["stack"])
     if walls and (asked is None or "stack" in given):
-        raise errors.fail("walls", "come with `tasks`, or stand in the file of `stack`", f"are {', '.join(walls)}")
+        raise errors.fail("walls", "come with `tasks`, or stand in the file of `stack`", "is given")
     given, written = in_own_units(given)
     v = dict.fromkeys(SWEPT) | DEFAULTS | given
     if "M" in given and hasattr(v["stage"], "tolerance"):

@@ -383,3 +383,10 @@ def test_the_default_start_is_far_from_singularities_of_all_tips_together():
     assert "of l and r together (least singular value 0.0062)" in at(middle) and "--q0" in at(middle)
     assert not at(p.q0)
     np.testing.assert_array_equal(p.q0, made(tables, arms).q0)
+
+
+def test_walls_beside_a_file_are_refused_whatever_they_are(tmp_path):
+    (tmp_path / "stack.toml").write_text('[tasks.tip]\ntip = "flange"\n')
+    for walls in (True, {"floor": {"above": 0.1}}):
+        with pytest.raises(ck.ArgumentError, match="`walls` must come with `tasks`, or stand in the file of `stack`"):
+            ck.problem_from("panda", stack=str(tmp_path / "stack.toml"), walls=walls)
