@@ -327,7 +327,8 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
 
     It needs an inverse with damping, best a constant one, or levels. A damping that depends on the singular value of
     the whole arm vanishes where joints at their bounds leave the others singular, and joints may then jump between
-    bounds. λ² is at least 1e-10 of the trace of J Jᵀ, of `levels` that of the first level, where rounding is as large.
+    bounds. λ² is at least 1e-10 of the trace of J Jᵀ, where rounding is as large. For `levels` this holds for the least
+    λ and the first level's trace, and the others keep their ratios to it.
 
     A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 

@@ -135,7 +135,7 @@ class Levels:
     damping: tuple[Damped | ManipulabilityDamped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
     e: Any = None  # (m,) the weighted error, if known and needed
-    floor: float = 0.0  # λ² over the trace of the first level's J Jᵀ, at least
+    floor: float = 0.0  # the least λ² over the trace of the first level's J Jᵀ, at least
 
     @property
     def by_error(self):
@@ -158,12 +158,14 @@ class Levels:
 
     def __call__(self, rows) -> Factored:
         level, shifts = np.array(self.level), []
-        floor = self.floor * lax.stop_gradient(jnp.sum(rows[level == 0] ** 2))
+        sizes = jnp.stack([jnp.asarray(one.damping, rows.dtype) for one in self.damping])
+        # The others keep their ratio to the least: it is what makes them levels.
+        floors = self.floor * lax.stop_gradient(jnp.sum(rows[level == 0] ** 2) * (sizes / jnp.min(sizes)) ** 2)
         for i, one in enumerate(self.damping):
             own = np.flatnonzero(level == i)
             one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
             shift = jnp.asarray(one.shift(rows[own])[0], rows.dtype)
-            shifts.append(jnp.maximum(shift, floor) if self.floor else shift)
+            shifts.append(jnp.maximum(shift, floors[i]) if self.floor else shift)
         return _by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
 
 

@@ -301,7 +301,7 @@ def _unstable(case, error):
     if _shakes(case) or (moves and case.spans > PLENTY and not follows):
         return _shaking(case, error)
     if case.pace is None and reasons.whirls(case) and case.radius_at(case.start) > UNSTABLE:
-        what = f"{reasons.outside(case)}; {error}; {_radius(case)}"
+        what = "; ".join(filter(None, (reasons.outside(case), error, _radius(case))))
         return Behaviour.DIVERGING, what, remedies.lower(case)
     falls = np.median(seen.late) < np.median(seen.before) or seen.often(Status.AT_LIMIT)
     if not falls and case.radius_at(case.start) > UNSTABLE:

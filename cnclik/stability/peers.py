@@ -51,8 +51,8 @@ def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> La
         made[name], alpha[name] = task, float(one.gain) / dt
     kinds = {type(one).__name__ for one in limits} - {"ConfigurationLimit", "VelocityLimit"}
     for kind in sorted(kinds):
-        instead = "collisions are walls here, bounded(walls=[wall(distance(...), above=..., rate=gain/dt)])"
-        errors.remark(f"{kind} is left out; {instead}.")
+        walls = "; collisions are walls here, bounded(walls=[wall(distance(...), above=..., rate=gain/dt)])"
+        errors.remark(f"{kind} is left out{walls * ('Collision' in kind)}.")
     of_joints = [one for one in limits if type(one).__name__ == "ConfigurationLimit"]
     rates = [float(getattr(one, "config_limit_gain", None) or one.gain) / dt for one in of_joints]
     inverse = damped(max(np.sqrt(shift), LEAST))

@@ -182,8 +182,8 @@ def _amount(law, share):
     if alpha.ndim == 2:
         return f"{share:.2g} of what it is"
     every = [(f" for {name}", alpha[at]) for name, at in law.task.each if alpha.ndim] or [("", np.atleast_1d(alpha))]
-    each = [(whose, dict.fromkeys(f"{v:.3g}" for v in own)) for whose, own in every if own.any()]
-    return " and ".join(f"{', '.join(values)} 1/s{whose}" for whose, values in each)
+    each = [(whose, [f"{v:.3g}" for v in own]) for whose, own in every if own.any()]
+    return " and ".join(f"{', '.join(v[:1] if len(set(v)) == 1 else v)} 1/s{whose}" for whose, v in each)
 
 
 def _words(law, share, word):

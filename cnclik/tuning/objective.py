@@ -355,12 +355,12 @@ def _counts(law, kept):
 def _moved(loop, kept, most, method, stage):
     """Gains of kept postures that break the constraints, each from just below the largest that one step bears to its
     own; where the margin forbids slow ones (most = 0) all, within the usual bounds."""
-    z = first_above(lambda z: np.abs(increments(method, stage, z).sum(-1)), most, MOST_Z, 128)
+    z = first_above(lambda z: np.abs(increments(method, stage, z).sum(-1)), min(most, 2.0), 4 * MOST_Z, 512)
     for name in kept:
         own = pm.gain_of(loop.law, name)
         if z == 0:
             yield pm.named(f"{name}.alpha", loop)
-        elif np.ndim(own) < 2 and np.max(own) > z / loop.Ts:
+        elif np.ndim(own) < 2 and np.all(own > 0) and np.max(own) > z / loop.Ts:
             yield pm.named(f"{name}.alpha", loop, (np.minimum(own, 0.99 * z / loop.Ts) * (1 - 1e-6), own))
 
 

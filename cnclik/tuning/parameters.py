@@ -331,7 +331,8 @@ def _of_stack(law) -> dict:
     tasks = [name for name, _ in law.task.tasks if name not in kept]
     levels = isinstance(law.inverse, inverses.Levels)
     found = {what: [f"{task}.{what}" for task in tasks] for what in ("alpha", "weights") if tasks}
-    each = [f"{names[0]}.damping" for names in law.inverse.names if not set(names) <= set(kept)] if levels else []
+    first = ([n for n in names if n not in kept][:1] for names in law.inverse.names) if levels else ()
+    each = [f"{name}.damping" for found in first for name in found]
     return found | ({"damping": each} if levels else {})
 
 
@@ -344,9 +345,9 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     """A parameter by name, starting at the loop's own value.
 
     alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
-    [1/s]. schedule: K = 5 gains over the horizon [1/s]. damping: λ of damped(λ). null_gain: factor of the null-space
-    velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links' offsets, the tip's last. tool: offset
-    (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a stack: hands.alpha; hands.damping, λ of
+    [1/s]. schedule: K = 5 gains over the horizon [1/s]; it scales the gains of all tasks. damping: λ of damped(λ).
+    null_gain: factor of the null-space velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links'
+    offsets, the tip's last. tool: offset (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a stack: hands.alpha; hands.damping, λ of
     its level; hands.weights, one number if they are equal.
 
     Args:

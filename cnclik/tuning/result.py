@@ -162,7 +162,7 @@ class Tuned:
         return [
             f"{name} {before:.3g} -> {self.after.errors[name]:.3g}"
             for name, before in self.before.errors.items()
-            if self.after.errors[name] > (1 + MORE) * before + LEAST and name.rpartition(" ")[0] not in self.kept
+            if not self.after.errors[name] <= (1 + MORE) * before + LEAST and name.rpartition(" ")[0] not in self.kept
         ]
 
     @property

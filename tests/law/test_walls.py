@@ -422,3 +422,14 @@ def test_hands_stay_apart(dtype):
 def test_what_does_not_fit_is_refused(call, says):
     with pytest.raises(ck.ArgumentError, match=says):
         call()
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_of_walls_that_contradict_the_one_of_level_1_holds(dtype):
+    arm, q0 = ck.planar_arm([1.0, 1.0, 1.0]), np.array([0.3, 1.2, 1.0], dtype)
+    x = ck.position("x")
+    walls = [ck.wall(x, above=0.5, name="one"), ck.wall(x, below=0.3, level=2, name="two")]
+    law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.05), limits=ck.bounded(walls=walls))
+    aim = ck.hold(np.array([0.4, 1.0], dtype))
+    run = ck.solve(law, aim, q0, 0.01, 400)
+    assert held_by(law, run, 100) == ["wall one holds", "wall two gives way"]
