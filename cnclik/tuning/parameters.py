@@ -347,8 +347,8 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
     [1/s]. schedule: K = 5 gains over the horizon [1/s]; it scales the gains of all tasks. damping: λ of damped(λ).
     null_gain: factor of the null-space velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links'
-    offsets, the tip's last. tool: offset (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a stack: hands.alpha; hands.damping, λ of
-    its level; hands.weights, one number if they are equal.
+    offsets, the tip's last. tool: offset (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a
+    stack: hands.alpha; hands.damping, λ of its level; hands.weights, one number if they are equal.
 
     Args:
       bounds: (lower, upper), or None: z = alpha·Ts from 0.001 to 10, damping and Ts up to a factor 1000 and 4 around

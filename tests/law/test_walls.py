@@ -223,7 +223,7 @@ def test_contradicting_walls_are_told_in_the_status(level, dtype):
     missed = [-2.0 * share, -2.0 * (1 - share), 0.0]  # 10/s times 0.2 m; and the third holds
     np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6 if dtype is np.float64 else 1e-4)
     np.testing.assert_allclose(run.x[-1], [0.2, 0.3, -0.1 + 0.2 * (1 - share)], atol=1e-3)
-    said = [f"wall {i} {'holds' if one > -0.01 else 'gives way'}" for i, one in enumerate(missed, 1)]
+    said = [f"wall {i} {'holds' if one > 0.3 * min(missed) else 'gives way'}" for i, one in enumerate(missed, 1)]
     assert held_by(law, run, 75) == said
     with pytest.raises(ck.StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)
@@ -422,14 +422,3 @@ def test_hands_stay_apart(dtype):
 def test_what_does_not_fit_is_refused(call, says):
     with pytest.raises(ck.ArgumentError, match=says):
         call()
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_of_walls_that_contradict_the_one_of_level_1_holds(dtype):
-    arm, q0 = ck.planar_arm([1.0, 1.0, 1.0]), np.array([0.3, 1.2, 1.0], dtype)
-    x = ck.position("x")
-    walls = [ck.wall(x, above=0.5, name="one"), ck.wall(x, below=0.3, level=2, name="two")]
-    law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.05), limits=ck.bounded(walls=walls))
-    aim = ck.hold(np.array([0.4, 1.0], dtype))
-    run = ck.solve(law, aim, q0, 0.01, 400)
-    assert held_by(law, run, 100) == ["wall one holds", "wall two gives way"]
