@@ -6,7 +6,8 @@ their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other n
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
 stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` define how
 the error is measured that is fed back. `[tasks.NAME]` are the tables of a stack of tasks, whose options may be
-expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls, in the same way.
+expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls, in the same way,
+but for `level`.
 """
 
 import dataclasses
