@@ -199,7 +199,7 @@ def _borne(loop, safe, known, Ts):
     stack."""
 
     def borne(drive) -> float:
-        if drive is safe:
+        if drive == safe:
             return known
         if bounded_rates(loop.law):
             return at_any_posture(loop._replace(drive=drive), Ts)[1]

@@ -34,14 +34,9 @@ def settings(borne, drive, safe: Drive, Ts: float) -> dict:
         the one that is assumed then.
     """
 
-    def with_(**changes):  # the drive itself where it is so
-        return (
-            safe if all(getattr(safe, name) == value for name, value in changes.items()) else replace(safe, **changes)
-        )
-
     # Position commands that begin at the measured joints; a drive that follows at once takes any z.
-    again = with_(command="position", feedback="rebased") if safe.order else None
-    drives = (with_(feedback="measured"), again, _of_servoj(drive, Ts))
+    again = replace(safe, command="position", feedback="rebased") if safe.order else None
+    drives = (replace(safe, feedback="measured"), again, _of_servoj(drive, Ts))
     measured, rebased, servoj = (MOST_Z if one is None else borne(one) for one in drives)
     last = f"{OWN_COMMANDS:g} where it is the last command"
     made = {}

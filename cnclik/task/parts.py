@@ -71,19 +71,20 @@ class At:
 
     def rows(self, tip, to, linear, angular):
         """Rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
-        between = self._number(tip), to
-        if between not in self._rows:
-            self._rows[between] = self._jacobian(tip, to)
-        return self._rows[between][..., np.array([*linear, *(3 + i for i in angular)], int), :]
+        return self._jacobian(tip, to)[..., np.array([*linear, *(3 + i for i in angular)], int), :]
 
     def _jacobian(self, tip, to):
-        """(6, n)"""
-        every, at = (0, 1, 2), self.frames(tip)
-        own = jacobian_rows(self.chain, at, every, every)
-        if to is None:
-            return own
-        other = self.frames(to)
-        its = jacobian_rows(self.chain, other, every, every)
+        """(6, n), computed once."""
+        between = self._number(tip), to
+        if between not in self._rows:
+            alone, every = to is None, (0, 1, 2)
+            made = jacobian_rows(self.chain, self.frames(tip), every, every) if alone else self._relative(tip, to)
+            self._rows[between] = made
+        return self._rows[between]
+
+    def _relative(self, tip, to):
+        """(6, n) of a tip as seen from another."""
+        own, its, at, other = self._jacobian(tip, None), self._jacobian(to, None), self.frames(tip), self.frames(to)
         (v, w), (vo, wo) = ((each[..., :3, :], each[..., 3:, :]) for each in (own, its))
         xp, turned, away = library(own, its), other.rotation.mT, (at.position - other.position)[..., None]
         v = turned @ (v - vo + xp.cross(away, wo, axis=-2))

@@ -353,8 +353,8 @@ def _counts(law, kept):
 
 
 def _moved(loop, kept, most, method, stage):
-    """Gains of kept postures that break the constraints, each from just below the largest that one step bears to its
-    own; where the margin forbids slow ones (most = 0) all, within the usual bounds."""
+    """Gains of kept postures that break the constraints, each from just below the largest that one step tolerates to
+    its own; where the margin forbids slow ones (most = 0) all, within the usual bounds."""
     z = first_above(lambda z: np.abs(increments(method, stage, z).sum(-1)), min(most, 2.0), 4 * MOST_Z, 512)
     for name in kept:
         own = pm.gain_of(loop.law, name)
