@@ -39,6 +39,7 @@ class Observed(NamedTuple):
     excess: float  # largest joint velocity over its limit
     fastest: str  # the joint that has it
     at_velocity: np.ndarray  # (n,) whether a joint moves at its velocity limit in most of the late steps
+    at_position: np.ndarray  # (n,) and whether it is at a position limit, or beyond
     by_error: bool  # whether the error caused the largest velocity, rather than the path's speed
     fast_singular: bool  # whether a joint is faster than that next to a singularity
     share: float  # share of the target's motion that the tip followed, over the last two quarters
@@ -134,6 +135,7 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
         excess=float(ratio.max(initial=0.0)),
         fastest=law.chain.joint_names[int(np.argmax(ratio.max(0)))],
         at_velocity=np.mean(ratio[-quarter:] > 1 - ROUNDED, axis=0) >= OFTEN,
+        at_position=_at_position(law.chain, q[:bad][-quarter:]),
         by_error=bool(
             np.max(np.abs(np.asarray(law.alpha, float))) * Ts * size[k] > np.linalg.norm(moved[min(k, len(moved) - 1)])
         ),
@@ -148,6 +150,14 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
         way=float(np.sum(np.linalg.norm(moved[:, law.task.lengths or slice(None)], axis=1))),
         bad=bad,
     )
+
+
+def _at_position(chain, q):
+    """(n,) whether joints are at a limit in most of the instants q (N, n); one whose limits are equal never is."""
+    lower, upper = np.array(chain.lower), np.array(chain.upper)
+    near = 1e-3 * (1 + np.abs(q))
+    at = ((q <= lower + near) | (q >= upper - near)) & (lower < upper)
+    return at.sum(axis=0) >= OFTEN * max(len(q), 1)
 
 
 def _drift(chain, q):

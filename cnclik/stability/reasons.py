@@ -23,10 +23,7 @@ def at_limits(case) -> str:
     """A clause on the joint limits and walls that stop the arm; empty where there are none."""
     if not (keeps_positions(case.law) and case.seen.often(Status.AT_LIMIT)):
         return ""
-    chain, q = case.law.chain, case.end.q
-    near = 1e-3 * (1 + np.abs(q))
-    stopped = (q <= np.array(chain.lower) + near) | (q >= np.array(chain.upper) - near)
-    names = [name for name, is_there in zip(chain.joint_names, stopped, strict=True) if is_there]
+    names = [name for name, is_there in zip(case.law.chain.joint_names, case.seen.at_position, strict=True) if is_there]
     at = [f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit"] * bool(names)
     return ", ".join(at + case.walls)
 

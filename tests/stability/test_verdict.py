@@ -17,6 +17,7 @@ from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, trial, verdict
 from cnclik.stability.advice import advise
 from cnclik.stability.case import case_of
+from cnclik.stability.observed import observe
 from cnclik.stability.trial import Trials
 
 FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
@@ -180,6 +181,17 @@ def test_stuck_at_a_limit(limits):
     found = judge(ck.Law(chain, XY, alpha=3.0, inverse=ck.damped(0.1), limits=limits), goal, 120, Q2)
     assert found.kind == Behaviour.AT_LIMIT, found.sentence
     assert re.search(r"q\d(, q\d)? (is|are) at a limit", found.sentence)
+
+
+def test_a_joint_at_its_limit_in_most_steps_is_named():
+    """Also if it has just left it; a joint whose limits are equal can't be moved, and is not."""
+    chain = ck.replace(FIVE, lower=(-2.0, 0.5, -0.5, -2.0, 0.0), upper=(2.0, 0.5, -0.4, 2.0, 3.0))
+    own = ck.Law(chain, XY, alpha=3.0, inverse=ck.damped(0.1), limits=ck.weighted_least_norm())
+    run = ck.solve(own, NEAR, Q5, Ts, 40, "EE")
+    q = np.array(run.q)
+    q[:, 2:] = -0.45, 0.0, 1.0
+    q[-12:-1, 2] = -0.4
+    assert observe(own, ck.replace(run, q=q), Ts, q.dtype).at_position.tolist() == [False, False, True, False, False]
 
 
 def test_a_path_too_fast_for_the_velocity_limits():
