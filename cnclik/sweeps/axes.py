@@ -7,7 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.problem.options import NAME, SWEPT, check_values
 from cnclik.sweeps import expression
-from cnclik.sweeps.grid import COMPILED_IN, COUNTED, Axis, axis
+from cnclik.sweeps.grid import COMPILED_IN, COUNTED, LEVEL, Axis, axis
 
 NAMES = tuple(name for name, option in SWEPT.items() if option.kind == NAME)  # never expressions
 MOST_VALUES = 10_000_000  # values of an axis, at most
@@ -30,7 +30,7 @@ def read(name, value, joints=0) -> Axis:
         values = {v: v for v in values}
     if isinstance(values, list):
         values = [_worked_out(where, v) for v in values]
-    if isinstance(values, np.ndarray) and name not in COUNTED + COMPILED_IN:
+    if isinstance(values, np.ndarray) and name not in COUNTED + COMPILED_IN and not name.endswith(LEVEL):
         values = values.astype(float)
     nested = values.ndim > 1 if isinstance(values, np.ndarray) else any(isinstance(v, list) for v in values)
     if name in COUNTED and nested:

@@ -23,6 +23,7 @@ MOST_PROGRAMS = 1000  # combinations of compiled-in values, at most; each takes 
 MOST_BLOCKS = 1_000_000  # at most; each is some files in a store
 LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
 COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
+LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level and walls.NAME.level
 COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
 
@@ -66,7 +67,7 @@ def axis(name: str, values, where=None) -> Axis:
             words = "hold numbers, names or named objects, or be a dict {label: value}"
             raise errors.fail(where, words, f"is {values!r}")
         found = Axis(name, tuple(values), labels)
-    elif name in COMPILED_IN:
+    elif name in COMPILED_IN or name.endswith(LEVEL):
         few_enough(where, numbers)
         fits = (
             functools.partial(errors.integer, where, at_least=0)
@@ -108,7 +109,7 @@ def _numbers(name, where, values):
         raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
     if found.dtype.kind not in "fiub":
         return None
-    whole = found.dtype.kind != "f" and (typed or name in COUNTED + COMPILED_IN)
+    whole = found.dtype.kind != "f" and (typed or name in COUNTED + COMPILED_IN or name.endswith(LEVEL))
     return found if whole else found.astype(float)
 
 
