@@ -66,7 +66,7 @@ def _run(verb, *options) -> None:
         if isinstance(args, common.ComputeOptions):  # the other verbs do not need JAX
             with _nothing_collected():
                 _prepare(args.cache)
-        with remarks.listening(), reading.remembered(), _watched(args) as spans:
+        with remarks.listening(module.Args), reading.remembered(), _watched(args) as spans:
             module.run(args)
             if spans is not None:
                 print(spans)

@@ -107,12 +107,12 @@ def parse(Args, argv, *, prog, description):
     return args
 
 
-def of_options(Args, error) -> str:
-    """What an error of an argument says, where that is one of the options under the name that they have here."""
-    found = re.match("Argument `([^`]+)`", text := str(error))
-    name = f"--{found[1].replace('_', '-')}" if found else ""
+def of_options(Args, said) -> str:
+    """What an error or a remark says of an argument; of an option it has the name that options have here."""
+    found = re.match("(Argument )?`([^`]+)`", text := str(said))
+    name = f"--{found[2].replace('_', '-')}" if found else ""
     known = any(name == one.name for one in _options(Args))
-    return text.replace(found[0], f"Option `{name}`", 1) if found and known else text
+    return text.replace(found[0], f"{'Option ' * bool(found[1])}`{name}`", 1) if found and known else text
 
 
 def _options(Args) -> list:

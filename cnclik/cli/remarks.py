@@ -5,14 +5,17 @@ import json
 import sys
 import warnings
 
+from cnclik.cli.arguments import of_options
 from cnclik.errors import Remark
 
 _said = []  # remarks of the running command
 
 
 @contextlib.contextmanager
-def listening():
-    """Context manager that prints each remark of the library once, on stderr; other warnings are not changed."""
+def listening(Args):
+    """Context manager that prints each remark of the library once, on stderr, with the names of a verb's options;
+    other warnings are not changed.
+    """
     _said.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("always", Remark)
@@ -21,9 +24,9 @@ def listening():
         def show(message, category, *rest, **more):
             if not issubclass(category, Remark):
                 usual(message, category, *rest, **more)
-            elif str(message) not in _said:
-                _said.append(str(message))
-                print(f"cnclik: {message}", file=sys.stderr)
+            elif (text := of_options(Args, message)) not in _said:
+                _said.append(text)
+                print(f"cnclik: {text}", file=sys.stderr)
 
         warnings.showwarning = show
         yield

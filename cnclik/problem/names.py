@@ -208,15 +208,19 @@ def _of_tips(task) -> dict:
 
 
 def near_singular_start(chain: Chain, task, q0, below) -> str:
-    """A sentence on the tasks near a singularity at q0 (n,), by themselves or together; empty where none is.
+    """A sentence on the tasks near a singularity at q0 (n,), by themselves or together; empty where none is, or where
+    every posture is near it.
 
     Args: below: least singular value from which on none is; lengths are in the arm's own unit.
     """
     tips = _of_tips(task)
-    least = singular_values(chain, tips.values(), np.vstack([q0, spread_postures(chain)]))[:, 0]
+    least = singular_values(chain, tips.values(), np.asarray(q0, float)[None])[:, 0]
+    if (least >= below).all():
+        return ""
+    most = singular_values(chain, tips.values(), spread_postures(chain)).max(axis=1)
     names = [path[0] for path in tips]
     names.append(f"{' and '.join(dict.fromkeys(names))} together")
-    found = [(name, value) for name, value in zip(names, least, strict=False) if value < below]
+    found = [(name, value) for name, value, best in zip(names, least, most, strict=False) if value < below <= best]
     if not found:
         return ""
     where, value = found[0]

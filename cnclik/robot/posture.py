@@ -104,18 +104,18 @@ def start_posture(chain: Chain, *tasks):
     """
     postures = spread_postures(chain)
     least = singular_values(chain, tasks, postures)
-    least = (least / least.max(axis=1, keepdims=True)).min(axis=0, initial=1.0)
+    most = least.max(axis=1, keepdims=True)
+    least = np.where(most > _SINGULAR, least / np.maximum(most, _SINGULAR), 1.0).min(axis=0, initial=1.0)
     return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
 
 
 def singular_values(chain: Chain, tasks, postures):
     """Least singular values (k, K) at (K, n) postures of the Jacobian of each task, and of all of them together where
-    the chain has joints enough; 1 for what is singular at all of them. Lengths are in the arm's own unit."""
+    the chain has joints enough. Lengths are in the arm's own unit."""
     each = [_in_own_unit(chain, task, postures) for task in tasks]
     if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
         each.append(np.concatenate(each, axis=1))
-    least = np.array([_least(j) for j in each]).reshape(-1, len(postures))
-    return np.where(least.max(axis=1, keepdims=True) > _SINGULAR, least, 1.0)
+    return np.array([_least(j) for j in each]).reshape(-1, len(postures))
 
 
 def spread_postures(chain: Chain):

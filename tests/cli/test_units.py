@@ -165,7 +165,7 @@ def _problem(robot, argv):
 def test_remarks_are_on_stderr_and_in_json(capsys):
     main(["reach", "planar:1,1", "--random", "2", "--near", "0", "90", "--json"])
     told = capsys.readouterr()
-    assert told.err.startswith("cnclik: `near` has a joint at 90 rad") and told.err.count("\n") == 1
+    assert told.err.startswith("cnclik: `--near` has a joint at 90 rad") and told.err.count("\n") == 1
     assert json.loads(told.out)["remarks"] == [told.err.strip().removeprefix("cnclik: ")]
     main(["reach", "planar:1,1", "--random", "2", "--near", "0", "1", "--json"])
     told = capsys.readouterr()
@@ -215,9 +215,9 @@ def test_each_door_remarks_on_a_sampling_time_in_milliseconds(tmp_path, capsys):
     spec.write_text('question = "?"\nexpectation = "."\n[fixed]\nrobot = "planar"\nlengths = [1, 1]\ntask = "xy"\n'
                     "Ts = 4\nN = 2\ndelay = 0.03\n[axes]\nalpha = [1, 2]\n")  # fmt: skip
     main(["diagnose", str(log), "--Ts", "4"])
-    assert "`Ts` is 4 s, a controller slower than once a second. Milliseconds are written" in capsys.readouterr().err
+    assert "`--Ts` is 4 s, a controller slower than once a second. Milliseconds are written" in capsys.readouterr().err
     main(["diagnose", str(log), "--Ts", "4ms"])
-    assert "`Ts`" not in capsys.readouterr().err
+    assert "Ts`" not in capsys.readouterr().err
     main(["sweep", "--check", str(spec)])
     told = capsys.readouterr().err
     assert "`Ts` is 4 s" in told and "`delay` is in samples: 0.03 samples (120 ms)" in told

@@ -372,7 +372,7 @@ def test_one_gain_of_many_rows_is_one_lane(monkeypatch):
     close(moved[1] - np.eye(14), 2 * (moved[0] - np.eye(14)), atol=1e-5)
 
 
-def test_the_default_start_is_far_from_singularities_of_all_tips_together():
+def test_the_default_start_is_far_from_singularities_of_all_tips_together(monkeypatch):
     """Each arm alone is well there in the middle of the limits: its task is the torso's, which both share."""
     tips = {"l": "arm1_8", "r": "arm2_8"}
     arms = ck.load_urdf(robots() / ROBOTS["centauro"], tips=list(tips.values()))
@@ -381,8 +381,9 @@ def test_the_default_start_is_far_from_singularities_of_all_tips_together():
     task, middle = p.law.task, spread_postures(arms)[0]
     at = functools.partial(near_singular_start, arms, task, below=0.1)
     assert "of l and r together (least singular value 0.0062)" in at(middle) and "--q0" in at(middle)
-    assert not at(p.q0)
     np.testing.assert_array_equal(p.q0, made(tables, arms).q0)
+    monkeypatch.setattr("cnclik.problem.names.spread_postures", None)  # other postures are looked at where one is near
+    assert not at(p.q0)
 
 
 def test_walls_beside_a_file_are_refused_whatever_they_are(tmp_path):
