@@ -80,7 +80,7 @@ def phases(asked, xp=np) -> list:
         wide.append(free)
     for phase in wide:
         phase = phase._replace(jump=endless)
-        made += [phase, phase._replace(tries=PLACES, downhill=DOWNHILL, less=CLOSE[0])]
+        made += [phase, phase._replace(done=0, tries=PLACES, downhill=DOWNHILL, less=CLOSE[0])]
     return made
 
 

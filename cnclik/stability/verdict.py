@@ -243,9 +243,11 @@ def _long_enough(case, trials, one):
         if one.mends == "error":
             enough = not trials.vain(one) and trials.repeats(N)
         else:
-            _, made = _decided(_longer(case, trials, N), trials)
+            later, made = _decided(_longer(case, trials, N), trials)
             open_ = made.kind == Behaviour.UNDECIDED or made.slowly
             enough = made.kind in _UNSTABLE_KINDS or (not open_ and trials.repeats(N))
+            if enough and made.kind == Behaviour.CONVERGING:  # as for a run of its own
+                enough = not _tried(later, Trials(later), made.remedies)[-1]
         if enough:
             return (one,), 0
         tried = N
