@@ -28,6 +28,8 @@ _WHY = {
     "converged": "Converged: the loss no longer changes and every constraint is kept.",
     "steps": "Stopped after the given number of steps; every constraint is kept.",
     "stuck": "Stopped where no step descends; every constraint is kept.",
+    "nothing": "Nothing to tune by: the loop begins at its targets and stays there. The values are those given, or the "
+    "nearest that keep every constraint. Give a path, another target or start, or noise.",
     "infeasible": "No values were found that keep every constraint: none of them is for a robot.",
     "non-finite": "No gain within the bounds gives a finite run: look at the path, the start and the damping.",
 }
@@ -103,7 +105,8 @@ class Tuned:
         cost, all else as tuned.
       path_speed: |q̇| over its limit with nearly no gain (z = 0.01), as the path alone requires.
       before, after: `Performance` as given and as tuned.
-      status: "converged", "steps" (stopped at their number), "stuck", "infeasible" or "non-finite".
+      status: "converged", "steps" (stopped at their number), "stuck", "nothing" (no loss), "infeasible" or
+        "non-finite".
       history: {"loss", "violation", "accepted"}: (evaluations,) of the start that won.
       starts: (S,) loss each start ended with, inf where it kept no constraints.
       gradient: how derivatives were computed, in words.

@@ -27,6 +27,7 @@ from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objectiv
 from cnclik.tuning.result import Tuned, result
 
 FRONT = 5.0  # largest factor between the gains of the front and the tuned gain
+NOTHING = 1e-13  # loss that is rounding
 FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
 
 
@@ -98,7 +99,8 @@ def tune(
         progress=progress,
     )
     ends = _judged(objective, [*done.u, *done.best, anchor])
-    chosen = _restored(objective, [*ends, *begun])
+    nothing = bool(sizes.max() < NOTHING)  # roundings prefer no gain: keep those given
+    chosen = _restored(objective, begun[:1] if nothing else [*ends, *begun])
     losses = [float(c.judged.loss) if c.judged.feasible else np.inf for c in ends[:-1]]
     starts = np.reshape(losses, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
@@ -110,7 +112,7 @@ def tune(
         chosen.judged,
         _front(objective, values),
         path_speed=float(judged[0].speed),
-        status=done.why if chosen.judged.feasible else "infeasible",
+        status="infeasible" if not chosen.judged.feasible else "nothing" if nothing else done.why,
         history={name: history[winner] for name, history in done.history._asdict().items()},
         starts=starts,
         evaluations=done.history.loss.size,

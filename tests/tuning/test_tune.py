@@ -57,6 +57,13 @@ def test_reach_with_explicit_euler_finds_the_dead_beat_gain():
     assert found.gradient.startswith("forward")
 
 
+def test_a_loop_without_an_error_keeps_its_gain():
+    """Roundings prefer no gain: one that they chose would be an accident."""
+    found = at(ck.line([1.0, 1.0], [1.0, 1.0], duration=3.0))
+    assert found.status == "nothing" and found.values["alpha"] == pytest.approx(5.0, rel=1e-12) and found.satisfied
+    assert found.why.startswith("Nothing to tune by: the loop begins at its targets")
+
+
 @pytest.mark.slow
 def test_reach_with_the_trapezoid_finds_two():
     found = at(NEAR, method="TRAPEZOID", stage=ck.chord(1))
