@@ -46,19 +46,27 @@ def prose(text):
 def sentences(text):
     for part in prose(text):
         part = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", part.replace("\n", " "))
-        yield from re.split(r"(?<=[.!?:;])\s+(?=[A-ZÀ-Ž0-9*`J\[(])", re.sub(r"`[^`]*`", "CODE", part))
+        yield from re.split(r"(?<=[.!?:;])(?:\*\*)?\s+(?=[A-ZÀ-Ž0-9*`J\[(])", re.sub(r"`[^`]*`", "CODE", part))
+
+
+def long(text):
+    return [s for s in sentences(text) if len(re.findall(r"[^\W\d_]{2,}", s)) > MOST_WORDS]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_page_is_plain(name):
     text = (ROOT / name).read_text(encoding="utf-8")
     assert text.count("\n") <= MOST_LINES
-    long = [s for s in sentences(text) if len(re.findall(r"[^\W\d_]{2,}", s)) > MOST_WORDS]
-    assert not long
+    assert not long(text)
     private = [
         (s, word, plain) for s in sentences(text) for word, plain in PRIVATE.items() if re.search(rf"\b{word}\b", s)
     ]
     assert not private
+
+
+def test_results_are_told_in_short_sentences():
+    pages = sorted((ROOT / "results").rglob("*.md"))
+    assert pages and not [(p, s) for p in pages for s in long(p.read_text(encoding="utf-8"))]
 
 
 def test_it_finds_what_it_looks_for():

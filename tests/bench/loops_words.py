@@ -25,17 +25,20 @@ FINDINGS = """\
 CALM = """\
 Median (worst) over robots and delays of a gain over the measured one, at which the tip overshoots by 1 %. *Delay*,
 *own drives* and *fitted* are cnclik's fastest gain, at which the slowest factor becomes complex: critical damping,
-which comes earlier. *In time*: gains at which the tip of the linear loop overshoots by 1 %."""
+which comes earlier. *In time*: gains at which the tip of the linear loop overshoots by 1 %.
+"""
 
 LAG = """\
 Largest gains, and the lag of the tip behind a ramp without feed-forward, measured and predicted with the joints' own
 drives. *Measured* feedback: the lag is 1/alpha for any drive. *Commanded*: the loop has the kinematic limit 2/Ts for
 any drive, and the tip lags by 1/alpha and the delay of the drive (half a sample less for position commands).
 *Rebased*: each position command begins at the measured joints, so a servo is never more than one step ahead. For the
-same lag gains may be, and must be, many times larger; this explains loops that "do not arrive"."""
+same lag gains may be, and must be, many times larger; this explains loops that "do not arrive".
+"""
 
 FINE = """\
-Velocity servos at 500 Hz with the physics ten times finer."""
+Velocity servos at 500 Hz with the physics ten times finer.
+"""
 
 TOOLS = """\
 `python -m tests.bench.loops --only tools` applies each line of `Advice.settings` to a Panda whose joints follow
@@ -69,13 +72,16 @@ and 8 they diverge. If a null space, damping or a limit reduces a larger gain, t
 """
 
 NAMES = """\
-Gains are alpha in 1/s, delays samples of the controller, ratios predicted over measured. Models: *kinematic* (no
-drive), *delay* (dead time alone), *lag* (a first-order lag for each joint: m/k_v of a velocity servo, k_v/k_p of a
-position servo), *second order* (for each joint ω₀² = k_p/m, 2ζω₀ = k_v/m, m the diagonal of the inertia in this
-posture), *modes* (the same with the eigenvalues of k_v⁻¹M in place of the diagonal; arms of six joints, where the
-loop is the same for every direction of the joints), *fitted* (dead time and lag, or ω₀ and ζ, of each joint
-estimated from a recorded step of each joint while the others hold), *together* (the same of one step of all joints
-at once), *equations* (not cnclik: the coupled linear equations in MuJoCo's own steps, run in time).
+Gains are alpha in 1/s, delays samples of the controller, ratios predicted over measured. The models of the drives:
+
+- *kinematic*: no drive. *delay*: dead time alone.
+- *lag*: a first-order lag for each joint, m/k_v of a velocity servo and k_v/k_p of a position servo.
+- *second order*: for each joint ω₀² = k_p/m and 2ζω₀ = k_v/m, with m the diagonal of the inertia in this posture.
+- *modes*: the same with the eigenvalues of k_v⁻¹M in place of the diagonal. These rows have arms of six joints, where
+  the loop is the same for every direction of the joints.
+- *fitted*: dead time and lag, or ω₀ and ζ, of each joint, estimated from a recorded step of each joint while the
+  others hold. *together*: the same from one step of all joints at once.
+- *equations*: not cnclik, but the coupled linear equations in MuJoCo's own steps, run in time.
 """
 
 METHOD = """\

@@ -123,9 +123,12 @@ def test_numbers_of_the_page_are_those_of_the_data(results):
         assert f"{name}: {', '.join(f'{m} {v:.4f}' for m, v in reach.items())}" in text
         assert f"{min(track['EE'], track['IE']) / track['CN']:.1f} times ({name})" in text
     at = dict(case="track", method="CN")
-    for method in ("TRAPEZOID", "HEUN", "RK4", "EXP-MIDPOINT", "EXP-AB2"):
-        rms = [claims.by_method(first.rms_error.sel(case="track", arm=arm)) for arm in ("2dof", "5dof")]
-        assert " and ".join(f"{one['CN'] / one[method]:.2g}" for one in rms) + f" for {method}" in text
+    others = "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT", "EXP-AB2"
+    assert f"| method | {' | '.join(others)} |" in text
+    for arm, name in (("2dof", "2-dof"), ("5dof", "5-dof")):
+        rms = claims.by_method(first.rms_error.sel(case="track", arm=arm))
+        each = " | ".join(f"{rms['CN'] / rms[m]:.2g}" for m in others)
+        assert f"| {name} arm | {each} |" in text
     twice = claims.by_method(final.sel(arm="2dof", case="track", reading="on-path/twice/consistent"))
     assert f"They end at {twice['IE']:.3f} m and {twice['CN']:.3f} m" in text
     off = final.sel(case="track", reading="on-path/once/printed").values
