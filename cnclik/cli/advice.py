@@ -2,12 +2,18 @@
 
 import math
 
+import numpy as np
+
+from cnclik.cli.heading import robot_and_task, unless_given
+from cnclik.measure.files import plain
+from cnclik.quantities import aloud, in_samples
+from cnclik.record import in_words
+from cnclik.stability.settings import OWN_COMMANDS
+
 COLUMNS = ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")
 
 
 def title_of(found) -> str:
-    from cnclik.cli.heading import robot_and_task
-
     return f"{robot_and_task(found.name, found.tip, found.law.task)}, {loop_of(found)}"
 
 
@@ -24,18 +30,12 @@ def tables_of(found, said, written) -> list:
 
 def rest_of(found, rest) -> list:
     """A sentence with the posture at which a stack rests, where that is not the start."""
-    import numpy as np
-
-    from cnclik.record import in_words
-
     far = found.law.task.tasks and np.abs(np.asarray(rest) - np.asarray(found.q0)).max() > 1e-6
     return [f"Linearized where it rests, at q = {in_words(rest)}."] if far else []
 
 
 def gains_of(found, said, written) -> list:
     """Rows of COLUMNS. Args: written: names of the options that the user wrote."""
-    from cnclik.record import in_words
-
     at_once = ", if drives had no delay" if said.assumed_dead_time else ""
     rows = []
     for row, name in (
@@ -64,6 +64,19 @@ def without_largest(told: dict) -> dict:
     return {name: without_largest(v) if isinstance(v, dict) else v for name, v in kept.items()}
 
 
+def as_table(found, rest, said) -> dict:
+    """The advice as plain numbers. Null means any gain; unknown numbers are left out."""
+    margin = said.analysis.margin
+    about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0, rest=rest)
+    late = None if found.drive is None else found.drive.lumped.delay
+    about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
+    about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
+    about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
+    told = plain(about | plain(said))
+    told = told if exact(found.drive) else without_largest(told) | {"not_known": NOT_KNOWN}
+    return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.analysis.gains.evaluations}
+
+
 def exact(drive) -> bool:
     """Whether the largest stable gain is known: drives without lag or servo, or feedback of commands."""
     return drive is None or drive.order == 0 or drive.feedback == "commanded"
@@ -71,8 +84,6 @@ def exact(drive) -> bool:
 
 def lines_of(found, said, written) -> list:
     """The meaning of the numbers, in sentences."""
-    from cnclik.record import in_words
-
     if said.stack is not None:
         return lines_of_stack(found, said)
     now, eigen = said.analysis.margin, said.analysis.spectrum
@@ -168,8 +179,6 @@ def _unstable(unstable, known) -> str:
 
 def walls_of(said) -> list:
     """Rows of WALL_COLUMNS: distance of each wall at rest, its rate, and how far a step may pass it."""
-    from cnclik.quantities import aloud
-
     rows = []
     for name, one in said.walls.items():
         away = f"{aloud(abs(one.distance), one.unit)}{' behind it' * (one.distance < 0)}"
@@ -180,8 +189,6 @@ def walls_of(said) -> list:
 
 def _conflict(name, one, found) -> str:
     """In which direction a task yields, and to which."""
-    import numpy as np
-
     names = found.law.task.names[found.law.task.of(name)]
     size = np.abs(one.direction)
     most = [names[i] for i in np.argsort(-size)[:2] if size[i] > 0.3]
@@ -193,8 +200,6 @@ def _conflict(name, one, found) -> str:
 
 def _present(written) -> str:
     """Name of the present gain in the table: "default" where the user gave none."""
-    from cnclik.cli.heading import unless_given
-
     return "default" if unless_given(written, "alpha") else "yours"
 
 
@@ -204,8 +209,6 @@ def or_any(value) -> str:
 
 def _margin(now, said, drive, Ts) -> str:
     """The rest of a sentence about the present gain: whether it is stable, and its margins."""
-    from cnclik.quantities import in_samples
-
     own, assumed = said.now, said.assumed_dead_time is not None
     if now.margin <= 1:
         most = f"multiplied by at most {now.margin:.4g} it is stable; " if exact(drive) else ""
@@ -236,9 +239,6 @@ def _sentence(words) -> str:
 
 def _costs(said, found) -> list:
     """Sentences about the loop with the recommended gain."""
-    from cnclik.quantities import aloud, in_samples
-    from cnclik.stability.settings import OWN_COMMANDS
-
     gain, Ts, drive, chain = said.recommended, found.Ts, found.drive, found.law.chain
     late = "any dead time" if gain.delay_margin == math.inf else f"{in_samples(gain.delay_margin, Ts)} more dead time"
     within = f"settles to within 2 % in {gain.settling_time:.3g} s"
@@ -264,8 +264,6 @@ def _costs(said, found) -> list:
                 f"{100 * said.joint_speed:.3g} % of a joint's velocity limit."
             )
     if drive is not None and not own and not drive.ideal:
-        import numpy as np
-
         late = float(np.max(drive.late_by(Ts)))
         lines.append(
             "With --feedback commanded the drives are outside the loop: alpha may be up to "

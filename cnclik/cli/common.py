@@ -5,6 +5,9 @@ import dataclasses
 import re
 from pathlib import Path
 
+from cnclik.cli import progress
+from cnclik.show.output import FigureError
+
 
 @dataclasses.dataclass(kw_only=True)
 class CacheOption:
@@ -38,8 +41,6 @@ class ReportOption:
     @contextlib.contextmanager
     def figures_first(self):
         """Context manager for drawing a verb's figures. A failure is raised here, or after the report."""
-        from cnclik.show.output import FigureError
-
         try:
             yield
         except FigureError as error:
@@ -60,8 +61,6 @@ class ReportOption:
         """Write the page if one is asked for, and print its name; see `cnclik.show.report.Report`."""
         if self.report is None:
             return
-        from cnclik.cli import progress
-        from cnclik.show.output import FigureError
         from cnclik.show.report import Report, write
 
         try:

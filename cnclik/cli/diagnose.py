@@ -7,11 +7,14 @@ import re
 from typing import Literal
 
 from cnclik import errors
+from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.remarks import print_json
 from cnclik.problem.columns import words_of
 from cnclik.quantities import in_samples
+from cnclik.show.output import draw
+from cnclik.writing import output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -44,7 +47,6 @@ def run(args: Args) -> None:
     from cnclik.diagnosis.recording import clock, no_motion, sampling_time
     from cnclik.problem.magnitudes import remark_on_times
     from cnclik.problem.tables import read_columns
-    from cnclik.writing import output_folder
 
     if not args.step and args.kind is not None:
         raise errors.fail("kind", "come with --step", "comes without")
@@ -84,7 +86,6 @@ def _otherwise(t, Ts, name) -> str:
 
 
 def _diagnose(args, names, table, left_out, of):
-    from cnclik.cli import progress
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
     from cnclik.measure.files import plain
 
@@ -136,7 +137,6 @@ def _tasks(args, names, left_out) -> dict:
 
 
 def _diagnose_tasks(args, names, table, tasks, of, longest):
-    from cnclik.cli import progress
     from cnclik.diagnosis.tasks import diagnose_tasks
     from cnclik.measure.files import plain
 
@@ -281,8 +281,6 @@ def _pairs(columns, names, left_out):
 
 
 def _draw(args, make):
-    from cnclik.show.output import draw
-
     about = {"Title": f"diagnosis of {args.log.name}", "Comment": f"cnclik diagnose {args.log.name}"}
     draw({"diagnose.png": (make, about)}, args.out, overwrite=args.overwrite)
     if not args.json:

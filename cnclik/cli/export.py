@@ -5,9 +5,11 @@ import json
 from pathlib import Path
 from typing import Literal
 
+from cnclik import errors
+from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.heading import loop_in_words, robot_and_task, start_and_target, unless_given
 from cnclik.cli.problem import ProblemOptions, problem, table
+from cnclik.problem.options import PATH
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -40,8 +42,6 @@ class Args(ComputeOptions, ProblemOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik import errors
-    from cnclik.cli import progress
     from cnclik.export.example import BUILD
     from cnclik.export.write import MANIFEST, c
 
@@ -68,6 +68,8 @@ def run(args: Args) -> None:
 
 def _heading(args, made, along) -> list:
     """What was asked."""
+    from cnclik.cli.heading import loop_in_words, robot_and_task, start_and_target, unless_given
+
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}"
     if args.what not in ("step", "solve"):
         return [title]
@@ -82,6 +84,4 @@ def _heading(args, made, along) -> list:
 
 def _has_path(given) -> bool:
     """Whether the options give a path or a target."""
-    from cnclik.problem.options import PATH
-
     return given.get("reference", "hold") != "hold" or any(name in given for name in PATH)

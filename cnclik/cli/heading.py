@@ -1,7 +1,16 @@
 """The heading of every answer: robot, tip, task, dead time, start and target, with defaults marked."""
 
+import numpy as np
+
+from cnclik.integrate.drive import Drive
+from cnclik.law.paths import hold_at
+from cnclik.law.reference import aims_of
+from cnclik.problem.names import near_singular_start
 from cnclik.problem.options import PATH
 from cnclik.quantities import in_samples
+from cnclik.record import in_words
+from cnclik.robot.poses import quaternions
+from cnclik.stability.recommend import assumed_of
 
 
 def name_and_tip(name, tip) -> str:
@@ -21,10 +30,6 @@ def robot_and_task(name, tip, task) -> str:
 
 def loop_in_words(made, written) -> str:
     """Method, stage, inverse, gain and gain per step, such as "CN by picard(5), damped, alpha = 5 1/s, z = 0.05"."""
-    import numpy as np
-
-    from cnclik.record import in_words
-
     stage = f" by {made.stage}" * made.method.implicit
     head = f"{made.method}{stage}, {type(made.law.inverse).__name__.lower()}"
     if made.tables is not None:  # the line of each task has its gain
@@ -41,9 +46,6 @@ def unless_given(written, *names) -> str:
 
 def assumed_drives(made) -> list:
     """A sentence about the assumed drives if only their dead time was given."""
-    from cnclik.integrate.drive import Drive
-    from cnclik.stability.recommend import assumed_of
-
     said = assumed_of(made.drive or Drive(), made.Ts)
     measure = "A lag needs a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
     return [f"{said} {measure} to give here."] if said else []
@@ -64,9 +66,6 @@ def start_and_target(made, given: dict) -> list:
 
     Args: given: what the user gave, as `cnclik.cli.problem.table` has it.
     """
-    from cnclik.problem.names import near_singular_start
-    from cnclik.record import in_words
-
     units = ", ".join(dict.fromkeys(made.law.chain.units))
     named = any(given.get(name) is not None for name in PATH) or str(given.get("reference")).lower().endswith(".csv")
     begins = " (on the path)" if given.get("begin") == "on-path" else "" if "q0" in given else " (default)"
@@ -79,10 +78,6 @@ def start_and_target(made, given: dict) -> list:
 
 def _of_stack(made, name, table) -> str:
     """A task of a stack in words: its tips, level, gain and path."""
-    import numpy as np
-
-    from cnclik.record import in_words
-
     law, own = made.law, made.law.task.alone(name)
     tips = " and ".join(path[-1] for path, _ in own.targets)
     what = f"{own.m} joint{'s' * (own.m > 1)}" if tips == "joints" else f"{' '.join(own.targets[0][1].names)} of {tips}"
@@ -106,10 +101,6 @@ def _level_of(law, name) -> str:
 
 def _path_of_stack(made, name, target) -> str:
     """A path of a stack's task, such as "circle from 0.7 0.9 -0.05 m"."""
-    import numpy as np
-
-    from cnclik.law.reference import aims_of
-
     path, parts = target
     one = made.reference[name]
     one = one if hasattr(one, "curve") else one[path[-1]]
@@ -120,12 +111,6 @@ def _path_of_stack(made, name, target) -> str:
 
 
 def _first_point(made, name, default) -> str:
-    import numpy as np
-
-    from cnclik.law.paths import hold_at
-    from cnclik.law.reference import aims_of
-    from cnclik.robot.poses import quaternions
-
     task, said, away = made.law.task, [], ""
     first, here = (aims_of(r, task, 0.0) for r in (made.reference, hold_at(made.law.chain, task, made.q0)))
     for part, aim, own in zip(task.parts, first, here, strict=True):

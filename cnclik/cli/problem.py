@@ -8,8 +8,10 @@ import dataclasses
 import keyword
 from typing import Any
 
+from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
+from cnclik.quantities import in_samples
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
 
@@ -59,7 +61,6 @@ def table(args) -> dict:
 
 def problem(args, **others):
     """The `Problem` that a verb's options describe, some of which stand for its own. Raises: ArgumentError."""
-    from cnclik.cli import progress
     from cnclik.problem.build import problem_from
 
     given = {name: value for name, value in (table(args) | others).items() if value is not None}
@@ -82,8 +83,6 @@ def look_at_units(args, given: dict, chain, task, Ts=None) -> None:
 def drive_words(made) -> str:
     """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
     import numpy as np
-
-    from cnclik.quantities import in_samples
 
     if made.pace is not None:
         return "steps scaled along the path to limits of " + ", ".join(

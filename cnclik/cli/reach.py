@@ -13,7 +13,9 @@ from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.cli.problem import RobotOptions, TaskOptions
 from cnclik.cli.remarks import print_json
-from cnclik.cli.targets import wanted_of
+from cnclik.quantities import aloud
+from cnclik.show.output import draw, drawn_by
+from cnclik.writing import checked_file, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -71,6 +73,8 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
 
 def run(args: Args) -> None:
     _check(args)
+    from cnclik.cli.targets import wanted_of
+
     wanted = wanted_of(args)
     asked = [wanted.title, *wanted.lines, _search(args, wanted.chain)]
     if not args.json:
@@ -84,7 +88,6 @@ def run(args: Args) -> None:
 def _search(args, chain) -> str:
     """A sentence about the search: its tolerance, start and limits."""
     from cnclik.cli.heading import unless_given
-    from cnclik.quantities import aloud
     from cnclik.record import in_words
 
     near = "" if args.near is None else f" from {in_words(args.near)} {', '.join(dict.fromkeys(chain.units))}"
@@ -123,7 +126,6 @@ def _answers(args, wanted, asked):
     from cnclik.reaching.result import fields
     from cnclik.reaching.targets import read
     from cnclik.record import replace
-    from cnclik.writing import checked_file, output_folder
 
     chain, task, targets = wanted.chain, wanted.task, wanted.targets
     pose, _ = read(targets, task)
@@ -180,8 +182,6 @@ def _name(args) -> str:
 
 
 def _largest(made) -> str:
-    from cnclik.quantities import aloud
-
     parts = ((made.position_error, "m"), (made.orientation_error, "rad"))
     if not made.solved.any():
         return "none is reached"
@@ -239,8 +239,6 @@ def _tell(made, summary, seconds):
 
 def _error(made) -> str:
     """Position and orientation error of the first target."""
-    from cnclik.quantities import aloud
-
     parts = (made.position_error, "m"), (made.orientation_error, "rad")
     return " and ".join(aloud(float(values.flat[0]), unit) for values, unit in parts)
 
@@ -261,8 +259,6 @@ def _map(args, chain, task):
     import numpy as np
 
     from cnclik.reaching.map import reachability
-    from cnclik.show.output import draw, drawn_by
-    from cnclik.writing import output_folder
 
     if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
         raise errors.ArgumentError("Options of single targets must be left out with --map, but some are given.")

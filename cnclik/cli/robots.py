@@ -6,6 +6,7 @@ import sys
 
 from cnclik.cli.arguments import option
 from cnclik.cli.common import CacheOption
+from cnclik.problem.words import ROBOTS
 
 DEEPEST = 120  # columns of the tree's lines; deeper links are not indented further
 
@@ -19,7 +20,6 @@ class Args(CacheOption):
 
 
 def run(args: Args) -> None:
-    from cnclik.problem.words import ROBOTS
     from cnclik.robot.files import file_of, read_robot
 
     if args.robot.partition(":")[0] in ROBOTS:

@@ -8,9 +8,11 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.heading import dead_time, loop_in_words, robot_and_task, start_and_target
 from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
+from cnclik.quantities import aloud, plainly
+from cnclik.show.output import draw, load_ahead
+from cnclik.writing import Refused, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -31,10 +33,10 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 
 
 def run(args: Args) -> None:
+    from cnclik.cli.heading import dead_time, loop_in_words, robot_and_task, start_and_target
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
-    from cnclik.show.output import draw, load_ahead
     from cnclik.stability.verdict import prepare, verdict
 
     made = problem(args)
@@ -91,7 +93,6 @@ _CAPTIONS = {
 def _kept(made, args, config):
     """(trajectory, time per step, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
-    from cnclik.writing import Refused, output_folder
 
     files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
     whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
@@ -175,7 +176,6 @@ def _summary(made, trajectory, seconds):
     import numpy as np
 
     from cnclik.measure.metrics import measure_run
-    from cnclik.quantities import aloud, plainly
 
     law = made.law
     found = measure_run(trajectory, law, made.reference, ["chatter"])
@@ -201,8 +201,6 @@ def fastest(chain, qdot):
     """The fastest joint, and the one with the largest share of its limit, in words."""
     import numpy as np
 
-    from cnclik.quantities import plainly
-
     most, limit = np.abs(qdot).max(axis=0), np.array(chain.velocity_limit, float)
     most = np.where(np.isnan(most), np.inf, most)
     limited = np.isfinite(limit)
@@ -220,7 +218,6 @@ def task_rows(name, run, task):
     import numpy as np
 
     from cnclik.integrate.status import OWN
-    from cnclik.quantities import aloud
 
     kinds = ("position", "orientation")
     if hasattr(task.parts[0], "wanted"):
@@ -241,7 +238,6 @@ def _of_walls(run, law):
 
     from cnclik.integrate.status import rounding_of
     from cnclik.law.walls import names_of, wall_distance, wall_margin
-    from cnclik.quantities import aloud
 
     walls, q = law.limits.walls, np.asarray(run.q, float)
     room, most = np.asarray(run.walls), rounding_of(np.asarray(run.qdot))

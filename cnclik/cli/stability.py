@@ -9,13 +9,14 @@ import time
 from typing import Any, NamedTuple
 
 from cnclik import errors
-from cnclik.cli import advice, progress
+from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption, print_table
-from cnclik.cli.heading import dead_time, start_and_target
 from cnclik.cli.problem import DriveOptions, LoopOptions, RobotOptions, TaskOptions, drive_words, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.problem.options import DRIVE
+from cnclik.show.output import draw, drawn_by, load_ahead
+from cnclik.writing import output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -57,9 +58,6 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
 
 def run(args: Args) -> None:
     """Print numbers, and write labelled data, then figures, into the folder."""
-    from cnclik.show.output import draw, load_ahead
-    from cnclik.writing import output_folder
-
     _check(args)
     if not (args.plane or args.map):
         advised = _advice(args, *_loop(args))
@@ -152,8 +150,11 @@ def _advice(args, found, rest):
 
 def _tell(args, advised):
     """Print what was asked, the gains, and how far the present gain is from an unsafe one."""
+    from cnclik.cli import advice
+    from cnclik.cli.heading import dead_time, start_and_target
+
     if args.json:
-        print_json(_as_table(*advised))
+        print_json(advice.as_table(*advised))
         return
     found, rest, said = advised
     asked = [f"{advice.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {dead_time(found)}."]
@@ -164,26 +165,10 @@ def _tell(args, advised):
     print(*advice.lines_of(found, said, args.written), sep="\n")
 
 
-def _as_table(found, rest, said) -> dict:
-    """The advice as plain numbers. Null means any gain; unknown numbers are left out."""
-    from cnclik.measure.files import plain
-
-    margin = said.analysis.margin
-    about = dict(robot=found.name, tip=found.tip, task=list(found.law.task.names), q0=found.q0, rest=rest)
-    late = None if found.drive is None else found.drive.lumped.delay
-    about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
-    about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
-    about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
-    told = plain(about | plain(said))
-    told = told if advice.exact(found.drive) else advice.without_largest(told) | {"not_known": advice.NOT_KNOWN}
-    return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.analysis.gains.evaluations}
-
-
 # --- the plane ----------------------------------------------------------------------------------------
 
 
 def _plane(args, out):
-    from cnclik.show.output import drawn_by
     from cnclik.stability.plane import limit_tables, plane, plane_page
 
     with progress.bar("limits") as report:
@@ -208,8 +193,8 @@ def _write(out, file, data, config):
 def _map(args, out, found, rest):
     import numpy as np
 
+    from cnclik.cli import advice
     from cnclik.measure.dataset import as_json
-    from cnclik.show.output import drawn_by
     from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
 
@@ -253,8 +238,8 @@ def _map(args, out, found, rest):
 def _map_of_gains(args, out, found, rest):
     import numpy as np
 
+    from cnclik.cli import advice
     from cnclik.measure.dataset import as_json
-    from cnclik.show.output import drawn_by
     from cnclik.stability.maps import gains_map
 
     advised = _advice(args, found, rest)
@@ -295,6 +280,8 @@ def _report(args, figures, advised):
     if advised is None:
         args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
         return
+    from cnclik.cli import advice
+
     found, _, said = advised
     answer = f"Recommended: alpha = {advice.or_any(said.recommended_alpha)} 1/s: {said.reason}."
     with progress.bar("runs"):

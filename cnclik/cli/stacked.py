@@ -3,17 +3,21 @@
 import dataclasses
 import math
 
+import numpy as np
+
 from cnclik import errors
+from cnclik.law.reference import of_each
+from cnclik.problem.reference import reference_from
+from cnclik.reaching.aims import aims, of_tips
+from cnclik.record import replace
+from cnclik.show.viewer.look import look, loop_of
+from cnclik.stability.spectrum import held_at
 
 PUSH = 0.05  # [rad, m] by which all joints are displaced at the start of a run
 
 
 def at_targets(found, targets):
     """The problem with new targets for its first tips, in order; the other tips keep theirs."""
-    from cnclik.law.reference import of_each
-    from cnclik.problem.reference import reference_from
-    from cnclik.reaching.aims import aims, of_tips
-
     law = found.law
     tips = aims(of_tips(law.task))
     if len(targets) > len(tips):
@@ -35,12 +39,6 @@ def runs_of_stack(found, rest, said) -> list:
 
     All joints begin a little away from the posture at which the loop rests.
     """
-    import numpy as np
-
-    from cnclik.record import replace
-    from cnclik.show.viewer.look import look, loop_of
-    from cnclik.stability.spectrum import held_at
-
     law, stack = found.law, said.stack
     push = PUSH * (-1.0) ** np.arange(law.chain.n)
     q0 = np.clip(rest + push, np.array(law.chain.lower), np.array(law.chain.upper))

@@ -10,6 +10,7 @@ from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
 from cnclik.quantities import in_samples
+from cnclik.writing import check_free, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -45,7 +46,6 @@ def run(args: Args) -> None:
     from cnclik.problem.magnitudes import remark_on_times
     from cnclik.sweeps import spec as specs
     from cnclik.sweeps import store, summary
-    from cnclik.writing import check_free
 
     spec = specs.read(args.spec, args.set)
     numbers = {n: v for n, v in spec.fixed.items() if n in ("Ts", "delay", "lag") and isinstance(v, (int, float))}
@@ -102,7 +102,6 @@ def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:
     """
     from cnclik.cli.plot import draw
     from cnclik.sweeps import store, summary
-    from cnclik.writing import output_folder
 
     data = store.read(out)
     with output_folder(out, overwrite=overwrite) as folder:

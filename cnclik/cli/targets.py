@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from cnclik import errors
-
-if TYPE_CHECKING:
-    from cnclik.robot.chain import Chain
-    from cnclik.task.task import Task
+from cnclik.cli.heading import robot_and_task
+from cnclik.cli.problem import look_at_units
+from cnclik.measure.answers import transforms
+from cnclik.problem.magnitudes import remark_on_lengths, remark_on_places
+from cnclik.problem.names import robot_and_tip, robot_name, start_from, task_from
+from cnclik.problem.stack import Table, ranks_of, read_stack, references_of, stack_from, tables_from, task_of, tips_of
+from cnclik.problem.tables import read_targets
+from cnclik.reaching.aims import aims, of_tips
+from cnclik.reaching.seeds import spans
+from cnclik.reaching.targets import by_name, read, wanted_at
+from cnclik.record import replace
+from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
+from cnclik.stability.case import whole
+from cnclik.task.parts import At
+from cnclik.task.task import Task
 
 YIELDS = 1e-4  # weight of a level's squared errors relative to the level before
 PERIOD = 10.0  # [s] of paths without one, as of a loop of 1000 steps of 10 ms
@@ -31,11 +46,6 @@ class Wanted(NamedTuple):
 
 def wanted_of(args) -> Wanted:
     """The request of the options. Raises: ArgumentError for options that do not fit."""
-    from cnclik.cli.heading import robot_and_task
-    from cnclik.problem.names import robot_name, task_from
-    from cnclik.reaching.aims import aims
-    from cnclik.reaching.targets import by_name
-
     if args.stack is not None:
         return _of_stack(args)
     chain, tip = _robot(args, dict.fromkeys(args.tip, "tip") if len(args.tip) > 1 else None)
@@ -65,8 +75,6 @@ def wanted_of(args) -> Wanted:
 
 
 def _robot(args, tips):
-    from cnclik.problem.names import robot_and_tip
-
     if len(args.tip) != len(set(args.tip)):
         raise errors.fail("tip", "hold different names", f"is {' '.join(args.tip)}")
     return robot_and_tip(args.robot, args.tip[0] if len(args.tip) == 1 else None, args.base, args.lengths, tips)
@@ -74,22 +82,11 @@ def _robot(args, tips):
 
 def _of_each(args, chain):
     """The same task for each of several tips."""
-    from cnclik.problem.stack import Table, task_of
-
     return task_of(Table("", {"task": args.task, "tip": args.tip}, {}), chain)
 
 
 def _given(args, chain, task):
     """Targets from a file, or random ones, for all aims of a task."""
-    from pathlib import Path
-
-    from cnclik.measure.answers import transforms
-    from cnclik.problem.magnitudes import remark_on_places
-    from cnclik.problem.tables import read_targets
-    from cnclik.reaching.aims import aims
-    from cnclik.reaching.targets import by_name, read
-    from cnclik.task.task import Task
-
     every, file = aims(task), args.targets
     if args.random:
         return _random(args, chain, task)
@@ -106,14 +103,6 @@ def _given(args, chain, task):
 
 def _random(args, chain, task):
     """Poses of joint values drawn evenly within the limits."""
-    import numpy as np
-
-    from cnclik.reaching.aims import aims
-    from cnclik.reaching.seeds import spans
-    from cnclik.reaching.targets import by_name
-    from cnclik.robot.model import modelled
-    from cnclik.task.parts import At
-
     low, high = spans(chain)
     at = At(modelled(chain), np.random.default_rng(errors.seed(args.seed)).uniform(low, high, (args.random, chain.n)))
     return by_name(task, [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)])
@@ -121,11 +110,6 @@ def _random(args, chain, task):
 
 def _look_at_units(args, chain, task, given) -> None:
     """Check units, and remark on numbers that are probably in another one. Args: points: one for each aim."""
-    from cnclik.cli.problem import look_at_units
-    from cnclik.problem.magnitudes import remark_on_lengths
-    from cnclik.reaching.aims import aims
-    from cnclik.task.task import Task
-
     look_at_units(args, {}, chain, task)
     for aim, values in zip(aims(task), given.get("target", ()), strict=False):
         if aim.to is None and not any(args.written.get("target", ())):
@@ -134,11 +118,6 @@ def _look_at_units(args, chain, task, given) -> None:
 
 def _upper_first(task, tables) -> tuple:
     """The task with weights by which the nearest pose keeps upper levels, and a line about that."""
-    import numpy as np
-
-    from cnclik.problem.stack import ranks_of
-    from cnclik.record import replace
-
     ranks = ranks_of(tables, [name for name, _ in task.tasks])
     if not any(ranks.values()):
         return task, ()
@@ -151,15 +130,6 @@ def _upper_first(task, tables) -> tuple:
 
 def _of_stack(args) -> Wanted:
     """The tips of a stack's tasks, with targets on its paths unless others are given."""
-    import numpy as np
-
-    from cnclik.cli.heading import robot_and_task
-    from cnclik.problem.names import robot_name, start_from
-    from cnclik.problem.stack import read_stack, references_of, stack_from, tables_from, tips_of
-    from cnclik.reaching.aims import aims, of_tips
-    from cnclik.reaching.targets import wanted_at
-    from cnclik.stability.case import whole
-
     alone = {"task": args.task, "tip": args.tip or None, "target": args.target or None}
     written = read_stack(args.stack)
     tables = tables_from(written, alone).tasks

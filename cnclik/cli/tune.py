@@ -7,13 +7,14 @@ import time
 from pathlib import Path
 
 from cnclik import errors
-from cnclik.cli import common
+from cnclik.cli import common, progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
-from cnclik.cli.heading import assumed_drives, dead_time, name_and_tip, robot_and_task, start_and_target
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
+from cnclik.show.output import draw, load_ahead
 from cnclik.version import __version__
+from cnclik.writing import output_folder
 
 _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
@@ -66,10 +67,8 @@ def run(args: Args) -> None:
     made = _problem(args)
     asked = _asked(args, made)
     from cnclik import tuning
-    from cnclik.cli import progress
-    from cnclik.show.output import draw, load_ahead
+    from cnclik.cli.heading import assumed_drives, dead_time, name_and_tip, robot_and_task, start_and_target
     from cnclik.tuning.page import CAPTIONS, page_rows
-    from cnclik.writing import output_folder
 
     if args.figures:
         load_ahead("cnclik.show.style")

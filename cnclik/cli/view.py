@@ -11,6 +11,7 @@ from cnclik.cli import terminal
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
+from cnclik.writing import checked_file
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -36,7 +37,6 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
 
 def run(args: Args) -> None:
     from cnclik.show.viewer import front, need
-    from cnclik.writing import checked_file
 
     need.require_viser()
     errors.integer("port", args.port, at_least=1, at_most=65_000)
