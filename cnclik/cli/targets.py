@@ -30,18 +30,13 @@ PERIOD = 10.0  # [s] of paths without one, as of a loop of 1000 steps of 10 ms
 
 
 class Wanted(NamedTuple):
-    """The request: robot, task and targets.
-
-    Attributes:
-      title: robot, tips and task in words. lines: the other lines at the head of the answer.
-      targets: as `cnclik.reach` takes them, several for each tip; None for a map.
-    """
+    """The request: robot, task and targets."""
 
     chain: Chain
     task: Task
-    title: str
-    targets: Any = None
-    lines: tuple = ()
+    title: str  # robot, tips and task in words
+    targets: Any = None  # as `cnclik.reach` takes them, several for each tip; None for a map
+    lines: tuple = ()  # the other lines at the head of the answer
 
 
 def wanted_of(args) -> Wanted:

@@ -17,19 +17,12 @@ _HALVINGS = 24  # halvings of a step, to find when it jumps
 
 @record
 class Corners:
-    """The corners of a path between N + 1 instants.
+    """The corners of a path between N + 1 instants."""
 
-    Attributes:
-      t: (N + 1,) the instants.
-      time: (N + 1,) the last instant before the jump in each step, inf if there is none, and at the end.
-      sharpness: (N + 1,) change of velocity over the larger of those before and after.
-      next: (N + 1,) index of the first corner from each instant on.
-    """
-
-    t: jax.Array
-    time: jax.Array
-    sharpness: jax.Array
-    next: jax.Array
+    t: jax.Array  # (N + 1,) the instants
+    time: jax.Array  # (N + 1,) the last instant before the jump in each step, inf if there is none, and at the end
+    sharpness: jax.Array  # (N + 1,) change of velocity over the larger of those before and after
+    next: jax.Array  # (N + 1,) index of the first corner from each instant on
 
     def after(self, t):
         """(time until the next corner, its sharpness) at t."""

@@ -183,15 +183,11 @@ def _program(laws, references, q0, Ts, M, *, method, h, N_max):
 
 
 class Found(NamedTuple):
-    """What one program gave, or all of them, by name.
+    """What one program gave, or all of them, by (arm, Ts, method, lane), Ts being "once" or "twice"."""
 
-    Attributes:
-      runs: {(arm, Ts, method, lane): Trajectory}, Ts being "once" or "twice".
-      residuals: {(arm, Ts, method, lane): (PASSES + 1, N)}: from the state before each step of a run, the
-        change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment (eq. 9) in the last of 0, 1, … passes [rad].
-    """
-
-    runs: dict
+    runs: dict  # of `Trajectory`s
+    # Of (PASSES + 1, N): from the state before each step of a run, the change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment
+    # (eq. 9) in the last of 0, 1, … passes [rad].
     residuals: dict
 
 

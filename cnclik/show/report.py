@@ -18,28 +18,18 @@ MOST_ROWS, SHORT = 60, 8  # largest number of rows of a table, and of a table ab
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a page says.
+    """What a page says."""
 
-    Attributes:
-      title: what was asked of which robot. answer: in a sentence.
-      facts: ((name, text), …): numbers with their units. lines: further sentences, below the figures.
-      tables: ((caption, header, rows), …).
-      figures: {file name: (function of no arguments that returns a Figure, what it says of itself)}, as
-        `show.output.draw` takes them; captions: {name without ending: caption}.
-      motions: function of no arguments that returns one or two `Motion`s, or None where nothing moves.
-      command: the line that makes it again. dtype: of the numbers.
-    """
-
-    title: str
-    answer: str
-    facts: tuple = ()
-    lines: tuple = ()
-    tables: tuple = ()
-    figures: dict[str, tuple[Callable, str]] = dataclasses.field(default_factory=dict)
-    captions: dict = dataclasses.field(default_factory=dict)
-    motions: Callable | None = None
-    command: str = ""
-    dtype: str = "float64"
+    title: str  # what was asked of which robot
+    answer: str  # in a sentence
+    facts: tuple = ()  # ((name, text), …): numbers with their units
+    lines: tuple = ()  # further sentences, below the figures
+    tables: tuple = ()  # ((caption, header, rows), …)
+    figures: dict[str, tuple[Callable, str]] = dataclasses.field(default_factory=dict)  # as `show.output.draw` has them
+    captions: dict = dataclasses.field(default_factory=dict)  # {name of a figure without ending: caption}
+    motions: Callable | None = None  # returns one or two `Motion`s; None where nothing moves
+    command: str = ""  # the line that makes it again
+    dtype: str = "float64"  # of the numbers
 
 
 def write(report: Report, file) -> None:

@@ -39,50 +39,33 @@ UNMOVED = 1e-9  # a factor within this of 1 belongs to a direction that no joint
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Case:
-    """A run and its loop.
-
-    Attributes:
-      loop: Ts, method, stage, drive. end, start: postures of the run's last and first instant, where it is judged.
-      wanted: (k, p) positions wanted over the last quarter, or None. wanted_velocity: (k, m) task velocities.
-      target, turn: position and rotation wanted at the one of them that is farthest beyond the stretched arm, or at
-        the end where none is beyond it.
-      behind: how far the target moves in a step (RMS, last quarter). path: time that the whole path takes [s], 0 where
-        it is held or nobody knows; period: the same as an option, negative where a circle is followed in the other
-        sense, 0 where it is none.
-      rows, radius, null_radius: J (m, n) and spectral radii over the task and its null space, at rest at the end.
-      overshoot: how far beyond the target an error lands there, as a share of itself.
-      advance: how far the path's time got in the last quarter's steps, of theirs: at a pace it waits for the robot.
-      fold: steps in which the slowest part of what is left of the error falls, or grows, e-fold, at the run's pace.
-      e: weighted error at the end. errors: (N + 1, m), up to the first that is not finite.
-      size: of the last quarter's error, in words. walls: what they do in most of its steps.
-      more: pace and noise of the run.
-    """
+    """A run and its loop."""
 
     law: Law
     reference: ref.Reference
-    loop: tuple
+    loop: tuple  # Ts, method, stage, drive
     seen: Observed
     t: np.ndarray
-    end: Instant
+    end: Instant  # postures of the run's last and first instant, where it is judged
     start: Instant
-    wanted: np.ndarray | None
-    wanted_velocity: np.ndarray
-    target: np.ndarray | None
-    turn: np.ndarray | None
-    behind: float
-    path: float
-    period: float
-    rows: np.ndarray
-    radius: float
+    wanted: np.ndarray | None  # (k, p) positions wanted over the last quarter
+    wanted_velocity: np.ndarray  # (k, m) task velocities
+    target: np.ndarray | None  # the one of these positions that is farthest beyond the stretched arm, else the last,
+    turn: np.ndarray | None  # and the rotation wanted there
+    behind: float  # how far the target moves in a step (RMS, last quarter)
+    path: float  # time that the whole path takes [s], 0 where it is held or nobody knows
+    period: float  # the same as an option, negative where a circle is followed in the other sense, 0 where it is none
+    rows: np.ndarray  # J (m, n) at rest at the end
+    radius: float  # spectral radii there, over the task and its null space
     null_radius: float
-    overshoot: float
-    advance: float
-    fold: float
-    e: np.ndarray
-    errors: np.ndarray
-    size: str
-    walls: list
-    more: dict
+    overshoot: float  # how far beyond the target an error lands there, as a share of itself
+    advance: float  # how far the path's time got in the last quarter's steps, of theirs: at a pace it waits
+    fold: float  # steps in which the slowest part of what is left of the error falls, or grows, e-fold, at that pace
+    e: np.ndarray  # weighted error at the end
+    errors: np.ndarray  # (N + 1, m), up to the first that is not finite
+    size: str  # of the last quarter's error, in words
+    walls: list  # what walls do in most of its steps
+    more: dict  # pace and noise of the run
 
     @property
     def steps(self):

@@ -29,20 +29,13 @@ _BEYOND = (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskSeen:
-    """One task's part of a run.
+    """One task's part of a run."""
 
-    Attributes:
-      name: its own, or its tip's. words: its late error, with what became of it.
-      settled: whether it arrived, follows its target, or has a gain of 0.
-      shrinks: whether the error is on its way down.
-      of_tips: whether it is of positions and orientations of tips.
-    """
-
-    name: str
-    words: str
-    settled: bool
-    shrinks: bool
-    of_tips: bool
+    name: str  # its own, or its tip's
+    words: str  # its late error, with what became of it
+    settled: bool  # whether it arrived, follows its target, or has a gain of 0
+    shrinks: bool  # whether the error is on its way down
+    of_tips: bool  # whether it is of positions and orientations of tips
 
 
 class Together(NamedTuple):

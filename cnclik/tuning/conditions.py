@@ -52,18 +52,13 @@ class Conditions:
 
 @record
 class Scenario:
-    """One run of a tuning.
-
-    Attributes:
-      reference, q0: as for `solve`.
-      noise, plant: as for `simulate`. seed: of the drive's joint noise.
-    """
+    """One run of a tuning: `reference` and `q0` as for `solve`, `noise` and `plant` as for `simulate`."""
 
     reference: Reference
     q0: Float[Array, " n"]
     noise: Float[AnyArray, "N m"] | None = None
     plant: Chain | None = None
-    seed: int | Int[AnyArray, ""] = 0
+    seed: int | Int[AnyArray, ""] = 0  # of the drive's joint noise
 
 
 def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
