@@ -80,6 +80,4 @@ def _widened(leaf):
 
     Always a copy: JAX remembers some constants by identity, whatever the setting, and the caller's shall stay theirs.
     """
-    if _floating(leaf):
-        return np.array(leaf, np.float64)
-    return leaf
+    return np.array(leaf, np.float64) if _floating(leaf) else leaf

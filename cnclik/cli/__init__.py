@@ -150,15 +150,11 @@ def _prepare(cache: bool) -> None:
 
 def _overview() -> str:
     width = max(map(len, VERBS))
-    lines = [f"  {verb:<{width}}  {what}" for verb, what in VERBS.items()]
-    return "\n".join(
-        [
-            "usage: cnclik VERB [options]",
-            "",
-            "Closed-loop inverse kinematics as time stepping.",
-            "",
-            *lines,
-            "",
-            "cnclik VERB --help lists the options of a verb; cnclik --version prints the version.",
-        ]
-    )
+    verbs = "\n".join(f"  {verb:<{width}}  {what}" for verb, what in VERBS.items())
+    return f"""usage: cnclik VERB [options]
+
+Closed-loop inverse kinematics as time stepping.
+
+{verbs}
+
+cnclik VERB --help lists the options of a verb; cnclik --version prints the version."""

@@ -175,6 +175,7 @@ def _summary(made, trajectory, seconds):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
+    from cnclik.integrate.status import counted
     from cnclik.measure.metrics import measure_run
 
     law = made.law
@@ -188,7 +189,7 @@ def _summary(made, trajectory, seconds):
     if trajectory.path_time is not None:
         done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
         rows.append(("path", f"{done:.4g} s of the path in {whole:.4g} s; the path waits for the robot"))
-    rows.append(("steps", _counted(trajectory.status)))
+    rows.append(("steps", counted(trajectory.status)))
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     if made.pace is None or not made.pace.smooth:  # at a smooth pace no step reverses a velocity
@@ -217,7 +218,7 @@ def task_rows(name, run, task):
     """Rows with the errors of a task and, in a stack, the number of steps with each status of the task."""
     import numpy as np
 
-    from cnclik.integrate.status import OWN
+    from cnclik.integrate.status import OWN, counted
 
     kinds = ("position", "orientation")
     if hasattr(task.parts[0], "wanted"):
@@ -229,7 +230,7 @@ def task_rows(name, run, task):
             rms, largest, last = (aloud(float(v), unit) for v in (np.sqrt(np.mean(size**2)), size.max(), size[-1]))
             yield f"{name}{part} error", f"RMS {rms}, largest {largest}, last {last}"
     if name:
-        yield f"{name}steps", _counted(np.asarray(run.status) & OWN)
+        yield f"{name}steps", counted(np.asarray(run.status) & OWN)
 
 
 def _of_walls(run, law):
@@ -252,9 +253,3 @@ def _of_walls(run, law):
         said += f"; a step may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
         said += f"; not kept in {missed} steps, by up to {aloud(-room[:, i].min(), f'{unit}/s')}" if missed else ""
         yield f"wall {name}", said
-
-
-def _counted(status) -> str:
-    from cnclik.integrate.status import count
-
-    return ", ".join(f"{k} {v}" for k, v in count(status).items() if v)

@@ -191,15 +191,6 @@ def _pow(g, args, params, dtype):
     return out if params >= 0 else g.op("div", g.const(1, dtype), out)
 
 
-def _clamp(g, args, params, dtype):
-    low, x, high = args
-    return g.op("min", g.op("max", x, low), high)
-
-
-def _square(g, args, params, dtype):
-    return g.op("mul", args[0], args[0])
-
-
 def _squared(g, x):
     """x·x without a root, where x is 1/√d or a product with it; otherwise None."""
     root = next((a for a in x.args if a.number in g.squares), None) if x.op == "mul" else None
@@ -207,14 +198,6 @@ def _squared(g, x):
         return g.squares.get(x.number)
     rest = x.args[x.args[0] is root]
     return g.op("mul", g.op("mul", rest, rest), g.squares[root.number])
-
-
-def _convert(g, args, params, dtype):
-    return args[0] if args[0].dtype == dtype else None
-
-
-def _not(g, args, params, dtype):
-    return args[0].args[0] if args[0].op == "not" else None
 
 
 def _with_itself(answer, always):
@@ -231,9 +214,12 @@ def _least(g, args, params, dtype):
 
 
 SIMPLER = {
-    **{"add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select_n": _select, "square": _square},
-    **{"and": _logic(False), "or": _logic(True), "not": _not, "max": _least, "min": _least, "integer_pow": _pow},
+    **{"add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select_n": _select},
+    **{"and": _logic(False), "or": _logic(True), "max": _least, "min": _least, "integer_pow": _pow},
     **{name: _with_itself(False, True) for name in ("lt", "gt")},
     **{name: _with_itself(name != "ne", False) for name in ("le", "ge", "eq", "ne")},
-    **{"clamp": _clamp, "convert_element_type": _convert},
+    "not": lambda g, args, params, dtype: args[0].args[0] if args[0].op == "not" else None,
+    "square": lambda g, args, params, dtype: g.op("mul", args[0], args[0]),
+    "clamp": lambda g, args, params, dtype: g.op("min", g.op("max", args[1], args[0]), args[2]),
+    "convert_element_type": lambda g, args, params, dtype: args[0] if args[0].dtype == dtype else None,
 }

@@ -257,10 +257,6 @@ def _batch(args, dims, *, function, batched):
     return [x.reshape(size, inner, *x.shape[1:]) for x in made], [0] * len(made)
 
 
-def _is_inexact(aval):
-    return jnp.issubdtype(aval.dtype, jnp.inexact)
-
-
 def _nothing(primal):
     return ad.Zero(jax.typeof(primal).to_tangent_aval())
 
@@ -268,7 +264,7 @@ def _nothing(primal):
 def _jvp(primals, tangents, *, function, batched):
     made = native_p.bind(*primals, function=function, batched=batched)
     by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
-    real = tuple(_is_inexact(x) for x in made)
+    real = tuple(jnp.issubdtype(x.dtype, jnp.inexact) for x in made)
     if not by or not any(real):
         return made, list(map(_nothing, made))
     found = iter(

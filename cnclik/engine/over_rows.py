@@ -174,7 +174,7 @@ def reduced(g, x, axes, name, dtype):
     if 0 not in axes:
         return Rows(cells, x.length)
     moving = [c for c in cells.flat if c.shape]
-    ends = iter(_over_rounds(g, moving, x.length, name))
+    ends = iter(_loop(g, moving, x.length, name).outs if moving else ())
 
     def still(node):  # constant over the rounds
         if name == "add":
@@ -184,11 +184,6 @@ def reduced(g, x, axes, name, dtype):
         return node
 
     return array_of([next(ends) if c.shape else still(c) for c in cells.flat], cells.shape)
-
-
-def _over_rounds(g, rows, length, name):
-    """One node per row: the reduction of its entries."""
-    return _loop(g, rows, length, name).outs if rows else []
 
 
 def _loop(g, rows, length, name, *, reverse=False) -> Scan:

@@ -13,7 +13,8 @@ _ARGUMENTS = "(const void *const *in, const int64_t *stride, int64_t first, int6
 def in_pieces(writer, items, ending):
     """Writes the items of a block as functions of some statements each; loops and branches stay outside."""
     groups = _groups(items, writer.piece)
-    home = {n.number: k for k, group in enumerate(groups) for item in group for n in _made_by(item)}
+    made = [(k, [item] if isinstance(item, Node) else item.outs) for k, group in enumerate(groups) for item in group]
+    home = {n.number: k for k, nodes in made for n in nodes}
     own = {k for k, group in enumerate(groups) if _is_plain(group[0])}  # groups that become functions
     last = {n.number: len(groups) for n in ending}  # the last group that reads a value
     passed = {n.number: n for n in ending if home.get(n.number) in own}
@@ -54,11 +55,6 @@ def _keep(writer, n, unused):
     place = places.pop() if places else f"*{writer.room(n.dtype, 1)}"
     writer.line(f"{place} = {writer.of(n)};")
     writer.kept[n.number] = place
-
-
-def _made_by(item):
-    """The nodes that an item computes."""
-    return [item] if isinstance(item, Node) else item.outs
 
 
 def _is_plain(item) -> bool:

@@ -220,7 +220,7 @@ class Writer(RowTexts):
         memo = {}
         for i in rows:
             if r.rows[i].shape:
-                self.where[r.rows[i].number] = self.rows_within(r.xs[i], k)
+                self.where[r.rows[i].number] = lambda o, x=r.xs[i]: self.where[x.number](k, o)
             else:
                 self.names[r.rows[i].number] = self.row(r.xs[i], k, memo)
         ends = [r.then[i] for i in alive] + [y for y, _ in stores]
@@ -261,10 +261,6 @@ class Writer(RowTexts):
                 self.where[node.number] = lambda k, a=array, m=len(some), i=i: f"{a}[({k}) * {m} + {i}]"
                 stores.append((y, node))
         return stores
-
-    def rows_within(self, x, k):
-        """The place of one round's part of a stack of stacks."""
-        return lambda i: self.where[x.number](k, i)
 
     def move_on(self, r, names, mask=None):
         """Updates the carries of active lanes; a carry that another one reads is copied first."""

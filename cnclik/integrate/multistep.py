@@ -128,11 +128,8 @@ def _missed(a, b, k) -> float:
     return past - 1.0 + sum(w * k * (-j) ** (k - 1) for j, w in enumerate(b))
 
 
-def _adams(p):
-    return Multistep(name=f"AB{p}", b=adams(p), order=p, source="Bashforth & Adams (1883)")
-
-
-AB2, AB3, AB4 = map(_adams, (2, 3, 4))
+_ADAMS = "Bashforth & Adams (1883)"
+AB2, AB3, AB4 = (Multistep(name=f"AB{p}", b=adams(p), order=p, source=_ADAMS) for p in (2, 3, 4))
 _TAYLOR = "Taylor-type difference of the zeroing-neural-network literature, "
 ZNN4 = Multistep(name="ZNN4", a=(3 / 2, -1.0, 1 / 2), b=(1.0,), order=2, source=_TAYLOR + "four instants; z up to 1")
 ZEAD4 = Multistep(

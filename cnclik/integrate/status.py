@@ -78,6 +78,11 @@ def count(status: ArrayLike) -> dict[str, int]:
     return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
 
 
+def counted(status) -> str:
+    """Those that there are, such as "OK 99, AT_LIMIT 1"."""
+    return ", ".join(f"{name} {steps}" for name, steps in count(status).items() if steps)
+
+
 @errors.renamed(trajectory="run")
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.integrate.status import OWN, count, level
+from cnclik.integrate.status import OWN, counted, level
 from cnclik.record import record, replace
 from cnclik.shapes import Array, Float, Int
 
@@ -57,7 +57,9 @@ class Trajectory:
     def __getitem__(self, name: str) -> Trajectory:
         """The run of one task of a stack: its x and e, and its own status."""
         names = [task for task, _, _ in self.tasks]
-        i = names.index(errors.one_of("name", name, names)) if names else _no_tasks(name)
+        if not names:
+            raise errors.fail("name", "be left out: the run is of no stack, see ck.stack", f"is {name!r}")
+        i = names.index(errors.one_of("name", name, names))
         own = slice(*self.tasks[i][1:])
         status = self.status
         if self.task_status is not None:
@@ -87,11 +89,11 @@ class Trajectory:
             lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
         if qdot.size:
             lines.append(f"  q̇       at most {np.abs(qdot).max():.4g} [rad/s, m/s]")
-        lines.append(f"  status  {_counted(self.status)}")
+        lines.append(f"  status  {counted(self.status)}")
         if self.tasks and size.size:
             for name, a, b in self.tasks:
                 own = np.linalg.norm(e[..., a:b], axis=-1)[..., -1].max()
-                lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {_counted(self[name].status)}")
+                lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {counted(self[name].status)}")
         return "\n".join(lines)
 
     def _repr_html_(self):
@@ -102,14 +104,6 @@ class Trajectory:
             return text
         size = np.linalg.norm(np.asarray(self.e), axis=-1)
         return text + markup.error_plot(self.t, size, np.append(level(self.status), 0))
-
-
-def _no_tasks(name):
-    raise errors.fail("name", "be left out: the run is of no stack, see ck.stack", f"is {name!r}")
-
-
-def _counted(status):
-    return ", ".join(f"{k} {v}" for k, v in count(status).items() if v)
 
 
 def check_run(run, law) -> None:

@@ -19,7 +19,7 @@ from cnclik.law.paths import hold, hold_at
 from cnclik.law.reference import References, of_each, references
 from cnclik.problem.magnitudes import check_units, remark_on_lengths
 from cnclik.problem.names import fitting, gain_from, inverse_from, task_from
-from cnclik.problem.options import DEFAULTS, NAME, NAMES, OF_SHAPE, OF_TASK, OF_WALL, PATH, TABLES, in_own_units
+from cnclik.problem.options import DEFAULTS, NAME, NAMES, OF_SHAPE, OF_STACK, PATH, TABLES, in_own_units
 from cnclik.problem.reference import as_written, reference_from
 from cnclik.problem.words import REFERENCES
 from cnclik.reading import read_toml
@@ -30,7 +30,6 @@ from cnclik.task.build import joints, stack
 from cnclik.task.task import Task
 
 _NAME = re.compile(r"[A-Za-z_]\w*")
-_KNOWN = {"tasks": OF_TASK, "walls": OF_WALL}
 _DAMPING = ("inverse", "damping", "threshold")  # options of the loop, or of one level
 # Options of a loop with one task, and what replaces them in a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
@@ -92,7 +91,7 @@ def _each(kind, tables) -> dict[str, Table]:
         raise errors.fail(kind, f"be tables of {kind}, [{kind}.NAME]", f"is {tables!r}")
     if strange := [name for name in tables if not isinstance(name, str) or not _NAME.fullmatch(name)]:
         raise errors.fail(kind, "have names of letters, digits and _", f"has {strange[0]!r}")
-    return {name: table_from(f"{kind}.{name}", table, _KNOWN[kind]) for name, table in tables.items()}
+    return {name: table_from(f"{kind}.{name}", table, OF_STACK[kind]) for name, table in tables.items()}
 
 
 def table_from(where, table, known) -> Table:

@@ -191,25 +191,23 @@ def _check_names(fixed, axes, bundles, stack):
     shared = {name: set.intersection(*map(set, labels.values())) for name, labels in bundles.items()}
     everywhere = set(fixed) | set(axes) | set(DEFAULTS) | {LIMIT} | set().union(*shared.values())
     used = set()
+
+    def use(where, needs, here=()):
+        used.update(needs)
+        for need in needs - everywhere - set(here):
+            hint = meant(need, sorted(everywhere | set(here)))
+            raise errors.fail(where, "use names that have a value", f"uses {need!r}{hint}")
+
     for table in (fixed, axes, *tables.values()):
         for name, value in table.items():
-            if table is axes and not isinstance(value, list):
-                continue
-            needs = set() if name in NAMES else expression.names(name, value)
-            used |= needs
-            for need in needs - everywhere - (set(table) if table is not fixed else set()):
-                hint = meant(need, sorted(everywhere | set(table)))
-                raise errors.fail(name, "use names that have a value", f"uses {need!r}{hint}")
+            if name not in NAMES and (table is not axes or isinstance(value, list)):
+                use(name, expression.names(name, value), table)
     every = {f"{kind}.{name}": table for kind, some in stack.items() for name, table in some.items()}
     for own, table in every.items():
         known_keys(own, table, OF_STACK[own.partition(".")[0]])
         for key, value in table.items():
-            where = f"{own}.{key}"
-            needs = expression.names(where, value) if expression.is_one(where, key, value) else set()
-            used |= needs
-            for need in needs - everywhere:
-                hint = meant(need, sorted(everywhere))
-                raise errors.fail(where, "use names that have a value", f"uses {need!r}{hint}")
+            if expression.is_one(where := f"{own}.{key}", key, value):
+                use(where, expression.names(where, value))
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
             known = name in OPTIONS or name in used or (table is axes and name.rpartition(".")[0] in every)

@@ -69,12 +69,8 @@ def axis(name: str, values, where=None) -> Axis:
         found = Axis(name, tuple(values), labels)
     elif name in COMPILED_IN or name.endswith(LEVEL):
         few_enough(where, numbers)
-        fits = (
-            functools.partial(errors.integer, where, at_least=0)
-            if name != "delay"
-            else functools.partial(_delay, where)
-        )
-        known = tuple(fits(v.item() if v.ndim == 0 else v) for v in numbers)
+        fits = _delay if name == "delay" else functools.partial(errors.integer, at_least=0)
+        known = tuple(fits(where, v.item() if v.ndim == 0 else v) for v in numbers)
         found = Axis(name, known, known)
     else:
         found = Axis(name, numbers, None)
