@@ -1,7 +1,5 @@
 """Targets of `cnclik reach`: for one tip, for several (--tip more than once), or for the tips of a stack."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 

@@ -1,6 +1,6 @@
 """From JAX to a controller: the step, the loop, forward kinematics and Jacobian as C.
 
-`c` writes them, `load` builds and calls them; `compiled` does both. `trace` and `loop` define what is traced. `source`,
+`c` writes them, `load` builds and calls them; `compiled` does both. `trace` defines what is traced. `source`,
 `solve_source` and `lanes_source` write the C around it, and `reach_source` does both for a search for a target. The
 rest is done by `cnclik.engine`.
 """

@@ -14,11 +14,10 @@ from cnclik.engine.graph import UnsupportedError
 from cnclik.export.cost import operations
 from cnclik.export.example import example, readme
 from cnclik.export.lanes_source import batch_header, batch_source
-from cnclik.export.loop import RESULTS, trace_growth, trace_loop
 from cnclik.export.reach_source import SEEDS, most_operations, reach_source, trace_reach
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
-from cnclik.export.trace import WHAT, Request, trace
+from cnclik.export.trace import RESULTS, WHAT, Request, trace, trace_growth, trace_loop
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_of, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law, check_loop

@@ -20,7 +20,8 @@ from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
 from cnclik.sweeps.grid import COMPILED_IN, MOST_AXES, MOST_PROGRAMS, Axis, few_enough
-from cnclik.sweeps.spec import DEFAULTS, KEYS, LIMIT, OPTIONS, TABLES, Spec, joints_of
+from cnclik.sweeps.labels import LIMIT
+from cnclik.sweeps.spec import DEFAULTS, KEYS, OPTIONS, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
 STEPS = 30  # longest chain of values that refer to each other

@@ -1,18 +1,21 @@
-"""Labels: units, symbols and provenance of a sweep's data, in memory and in a store. Figures and tables read them."""
+"""Labels: units, symbols, provenance and linear limit of a sweep's data, in memory and in a store."""
 
 import json
 
+import jax
 import numpy as np
 
+from cnclik.law.inverse import Pseudoinverse
 from cnclik.measure.dataset import provenance
 from cnclik.sweeps.grid import Grid
-from cnclik.sweeps.limits import linear_limit
 
 # Units of axes, and of results that do not state one.
 UNITS = {
     **{"alpha": "1/s", "Ts": "s", "t": "s", "horizon": "s", "duration": "s", "period": "s"},
     **{"z": "1", "M": "1", "N": "1", "step": "1", "seed": "1", "method": "1", "stage": "1", "robot": "1", "case": "1"},
 }
+LIMIT = "limit"
+_DIGITS = 10  # digits to which the search for it is accurate, and equal on every machine
 SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ", "M": "passes M"}
 
 
@@ -35,6 +38,50 @@ def coordinates(of: Grid, units) -> dict:
             found[name] = (name, np.arange(len(values)), about | {"units": "1"})
             found[f"{name}_value"] = ((name, *parts), values, about)
     return found
+
+
+def linear_limit(spec, of: Grid) -> dict:
+    """The largest z with |R(z)| ≤ 1 as a coordinate, over the axes on which it depends.
+
+    R(z) multiplies the error in a step if J J# = I and the gain is one number: for the exact pseudoinverse. It is NaN
+    for every other law (damped, transposed, gains per axis) and for drives with a lag, and inf for a method without a
+    limit.
+
+    Returns: {"limit": (dimensions, values, attributes)}; {} if no loop has one, or if the spec's own axis z is not
+      alpha·Ts.
+    """
+    passes = [a for a in of.inner if a.name == "M"]
+    counts = [{"M": m} for m in passes[0].values] if passes else [{}]
+    with jax.enable_x64(True):
+        values = np.array([_limits(spec, program, counts) for program in of.programs])
+    values = values.reshape([len(a) for a in (*of.outer, *passes)])
+    dims = [a.name for a in (*of.outer, *passes)]
+    for i in reversed(range(len(dims))):
+        first = np.take(values, [0], axis=i)
+        if np.array_equal(values, np.broadcast_to(first, values.shape), equal_nan=True):
+            values = np.take(values, 0, axis=i)
+            del dims[i]
+    about = {"units": "1", "long_name": "largest stable z of linear theory"}
+    return {} if np.all(np.isnan(values)) else {LIMIT: (tuple(dims), values, about)}
+
+
+def _limits(spec, program, counts) -> list:
+    """The limit of one program for each count of passes; NaN if linear theory has none or lanes differ in it."""
+    lanes = [program | spec.first(last=last) for last in (False, True)]
+    for lane in lanes:
+        made = spec.build(**lane)
+        law, drive = made.law, made.drive
+        if not isinstance(law.inverse, Pseudoinverse) or np.ndim(law.alpha) != 0:
+            return [np.nan] * len(counts)
+        if drive is not None and (drive.order or drive.feedback != "measured"):
+            return [np.nan] * len(counts)
+        if "z" in lane and not np.isclose(float(law.alpha) * float(made.Ts), float(lane["z"]), rtol=1e-6):
+            return [np.nan] * len(counts)
+    out = []
+    for passes in counts:
+        found = {float(f"{spec.lookup(**lane | passes)[1](LIMIT):.{_DIGITS}g}") for lane in lanes}
+        out.append(found.pop() if len(found) == 1 else np.nan)
+    return out
 
 
 def environment(dtype=np.float64) -> dict:

@@ -39,12 +39,11 @@ from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, per_joint
 from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
-from cnclik.sweeps.labels import UNITS
+from cnclik.sweeps.labels import LIMIT, UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "tasks", "walls", "axes", "cases", "bundles", "units", "figure")
 FILES = ("robot", "reference", "stack")  # options that may name a file
-LIMIT = "limit"
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.SWEPT
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {

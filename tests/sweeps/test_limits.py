@@ -9,7 +9,7 @@ import pytest
 import cnclik as ck
 from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import check, run_spec
-from cnclik.sweeps.limits import linear_limit
+from cnclik.sweeps.labels import linear_limit
 from tests.specs import reaching
 
 SPEC = tomllib.loads(reaching(["final_error"], method=["EE", "IE"], alpha=[1.0, 5.0], Ts=[0.01, 0.1]))
