@@ -52,6 +52,11 @@ class Region:
 
     blocks: Sequence = ()
 
+    @property
+    def number(self) -> int:
+        """What it is known by among the numbers of nodes that outputs need, see `live`."""
+        return id(self)
+
 
 class Scan(Region):
     """`length` rounds of a block. Carries start at `first` and continue as `then`; rows come from xs, ys are stacked.
@@ -227,7 +232,7 @@ def _is_choice(node) -> bool:
 
 
 def live(outputs) -> set:
-    """Numbers of all nodes, and ids of all regions, that the outputs need."""
+    """Numbers of all nodes and regions that the outputs need."""
     needed, queue = set(), list(outputs)
     while queue:
         node = queue.pop()
@@ -237,6 +242,6 @@ def live(outputs) -> set:
         queue += node.args
         if isinstance(node.value, tuple) and isinstance(node.value[0], Region):
             region, what, i = node.value
-            needed.add(id(region))
+            needed.add(region.number)
             queue += region.needs(what, i)
     return needed

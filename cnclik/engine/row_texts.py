@@ -23,7 +23,7 @@ def needed_rows(graph, needed, others) -> set:
     """Numbers of the rows that other loops, nodes or final results read."""
     read = [n for n in others if n.shape]
     for item in all_items(graph.root):
-        if isinstance(item, Scan) and id(item) in needed:
+        if isinstance(item, Scan) and item.number in needed:
             read += [x for x, row in zip(item.xs, item.rows, strict=True) if x.shape and row.number in needed]
         elif isinstance(item, Node) and item.number in needed and not item.shape:
             read += [a for a in item.args if a.shape]

@@ -65,21 +65,12 @@ class ScalarWriter(Writer):
         self.tables = []
         return words
 
-    def loop(self, r):
-        """A `while` loop."""
-        names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
-        self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
-        self.line("for (;;) {")
-        self.block(r.asking, [r.begins])
+    def rounds(self, r, names):
         self.line(f"if (!{self.of(r.begins)}) {{")
         self.line("break;")
         self.line("}")
         self.block(r.block, r.then)
-        self.move_on(r, dict(enumerate(names)))
-        self.line("}")
-        self.leave()
-        self.leave()
-        self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+        self.move_on(r, names)
 
     def choice(self, r: Cond):
         alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]

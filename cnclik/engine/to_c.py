@@ -17,6 +17,12 @@ HEAVY = 60  # operations, at least, of a branch that is skipped if no lane needs
 REGION_WEIGHT = 1000
 
 
+def weight(block, needed) -> int:
+    """The cost of what is needed of a block, in operations."""
+    several = (i for i in block.items if i.number in needed)
+    return sum(COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in several)
+
+
 class Writer(RowTexts):
     """Writes the statements of a graph."""
 
@@ -125,7 +131,7 @@ class Writer(RowTexts):
 
     def is_needed(self, item) -> bool:
         """Whether a node or region contributes to the results."""
-        return (item.number if isinstance(item, Node) else id(item)) in self.needed
+        return item.number in self.needed
 
     def block(self, block, ending=()):
         """Writes a block. `ending` are the nodes that are used after it. `leave` must follow."""
@@ -278,22 +284,26 @@ class Writer(RowTexts):
                 self.line(f"{name} = {words};")
 
     def loop(self, r):
-        """Writes rounds that run while some lane is active."""
+        """Writes the rounds of a `while` loop."""
         names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
         self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
         self.line("for (;;) {")
         self.block(r.asking, [r.begins])
+        self.rounds(r, dict(enumerate(names)))
+        self.line("}")
+        self.leave()
+        self.leave()
+        self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+
+    def rounds(self, r, names):
+        """The inside of a loop: it runs while some lane is active."""
         asked, among = self.new(), f" & {self.active[-1]}" if self.active else ""
         self.line(f"const M {asked} = {self.of(r.begins)}{among};")
         self.line(f"if (!ANY({asked})) break;")
         self.active.append(asked)
         self.block(r.block, r.then)
         self.active.pop()
-        self.move_on(r, dict(enumerate(names)), None if not self.active and self.is_shared(r.begins) else asked)
-        self.line("}")
-        self.leave()
-        self.leave()
-        self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+        self.move_on(r, names, None if not self.active and self.is_shared(r.begins) else asked)
 
     def is_shared(self, node) -> bool:
         """Whether a node is the same in all lanes."""
@@ -312,12 +322,6 @@ class Writer(RowTexts):
                 return False
         return True
 
-    def weight(self, block) -> int:
-        """The cost of a block, in operations."""
-        return sum(
-            COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in block.items if self.is_needed(i)
-        )
-
     def choice(self, r):
         """Writes a branch."""
         alive, which, names = [i for i, o in enumerate(r.outs) if o.number in self.needed], self.new(), {}
@@ -331,7 +335,7 @@ class Writer(RowTexts):
             truth = (f"~{which}", which)[k] if r.which.dtype.kind == "b" else f"MASK({which} == {k})"
             among = f" & {self.active[-1]}" if self.active else ""
             self.line(f"const M {mask} = {truth}{among};")
-            self.line(f"if (ANY({mask})) {{" if self.weight(block) >= HEAVY else "{")
+            self.line(f"if (ANY({mask})) {{" if weight(block, self.needed) >= HEAVY else "{")
             self.active.append(mask)
             self.block(block, [results[i] for i in alive])
             for i in alive:

@@ -19,7 +19,7 @@ from cnclik.engine.reader import read
 from cnclik.engine.row_texts import all_items, cells_of
 from cnclik.engine.sines import sincos
 from cnclik.engine.stacks import Rows
-from cnclik.engine.to_c import HEAVY, REGION_WEIGHT
+from cnclik.engine.to_c import HEAVY, weight
 from cnclik.engine.tracing import to_be_read
 from cnclik.hints import hints_on, one_function
 
@@ -88,7 +88,7 @@ class _Writer:
 
     def block(self, block):
         """Computes everything in a block that is needed."""
-        items = [i for i in block.items if (i.number if isinstance(i, Node) else id(i)) in self.needed]
+        items = [i for i in block.items if i.number in self.needed]
         group = []
         for item in items:
             if isinstance(item, Node) and is_operation(item) and not item.shape:
@@ -264,14 +264,9 @@ class _Writer:
         for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
             results = [results[i] for i in alive]
             here = (~which, which)[k] if which.dtype == bool else which == k
-            made = (self.where_needed if self.weight(block) >= HEAVY else self.always)(block, results, here)
+            made = (self.where_needed if weight(block, self.needed) >= HEAVY else self.always)(block, results, here)
             found = made if found is None else [lax.select(here, x, y) for x, y in zip(made, found, strict=True)]
         self.ended([r.outs[i] for i in alive], found)
-
-    def weight(self, block) -> int:
-        """The cost of a block, in operations."""
-        several = [i for i in block.items if (i.number if isinstance(i, Node) else id(i)) in self.needed]
-        return sum(COST.get(i.op, 1) if isinstance(i, Node) else REGION_WEIGHT for i in several)
 
     def always(self, block, results, here):
         """Results of a branch, computed for all lanes."""
@@ -322,7 +317,7 @@ def _users(graph, needed, ends) -> dict:
             by = item.number if is_operation(item) and not item.shape else -1
             for a in item.args if item.number in needed else ():
                 found.setdefault(a.number, set()).add(by)
-        elif id(item) in needed:
+        elif item.number in needed:
             for n in (*item.used, *getattr(item, "xs", ())):
                 found.setdefault(n.number, set()).add(-1)
     for n in ends:

@@ -21,7 +21,7 @@ def _block(block, needed) -> Counter:
         if isinstance(item, Node):
             counts = item.number in needed and item.dtype.kind == "f" and is_operation(item) and item.op != "select_n"
             total[_kind(item.op)] += counts * (item.shape[0] if item.shape else 1)
-        elif id(item) in needed:
+        elif item.number in needed:
             total += _region(item, needed)
     return total
 
