@@ -5,8 +5,6 @@ motion. For dead time alone z = λ^d (1 − λ), and the phase of λ gives d. Wi
 and a gain with which λ is a factor: only the rest of the recording, or a known gain, decides.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

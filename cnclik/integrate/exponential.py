@@ -3,8 +3,6 @@
 See `cnclik.integrate.method.exponential` for the formula and `cnclik.law.feedback` for the feedback.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax.numpy as jnp

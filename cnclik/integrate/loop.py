@@ -7,8 +7,6 @@ A measurement acts through one vector per step, w[k], the difference between the
 law's own chain. It is constant during a step, as for a controller that measures once per sample.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable

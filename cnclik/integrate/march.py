@@ -1,7 +1,5 @@
 """march: one step of a tableau over any field, a law's or a linear one."""
 
-from __future__ import annotations
-
 import functools
 import operator
 from typing import Any, NamedTuple

@@ -11,8 +11,6 @@ alone, as an (exponential) Euler step, and respects what Euler respects. So does
 much since the last one: far from the target at a large gain, or near a singularity, the past predicts nothing.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

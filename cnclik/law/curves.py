@@ -4,8 +4,6 @@ They are records, so that points, periods and durations are parameters; `cnclik.
 Targets are arrays: positions (d,), rotations (3, 3).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -12,8 +12,6 @@ This is the law's solution if the controller knows the target's whole velocity a
 error is the one measured at the step's start, and unknown motion of the target is not predicted.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax.numpy as jnp

@@ -1,7 +1,5 @@
 """Shifted: a reference moved by a vector."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import jax.numpy as jnp

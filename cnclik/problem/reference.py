@@ -1,7 +1,5 @@
 """References by name; the pose of the tip at the start fills in what is not given."""
 
-from __future__ import annotations
-
 import pathlib
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Stacks in plain names: task, gain, J#, references and limits from tables of several tasks and walls."""
 
-from __future__ import annotations
-
 import functools
 import math
 import operator

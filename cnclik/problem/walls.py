@@ -1,7 +1,5 @@
 """Walls in plain names: walls of `bounded` from the tables of a stack's walls."""
 
-from __future__ import annotations
-
 from cnclik import errors
 from cnclik.law.walls import Wall, support_polygon, wall
 from cnclik.problem import words

@@ -1,7 +1,5 @@
 """Aims: the pose that a task asks of each of its tips. A target has t = 12 numbers for each aim."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

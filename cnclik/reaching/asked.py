@@ -1,7 +1,5 @@
 """The arguments of a call of `reach`, shared by all its targets, and the status of an answer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cnclik import errors

@@ -5,8 +5,6 @@ other: the answer is the first try, in their order, that arrives. c/search.c is 
 same numbers, one try after the other in each lane of a vector.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import NamedTuple

@@ -5,8 +5,6 @@ of a search and doubles the share of first tries that succeed. There are sixteen
 tries start from single postures.
 """
 
-from __future__ import annotations
-
 import math
 
 import jax.numpy as jnp

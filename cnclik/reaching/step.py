@@ -11,8 +11,6 @@ raises τ (Marquardt 1963). It converges at bounds and singularities, and to the
 The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import NamedTuple
 

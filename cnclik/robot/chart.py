@@ -13,8 +13,6 @@ and a method adds vectors as usual. Its result becomes q by w = log(exp(w₀) ex
 of functions of q are computed there. For a robot without such joints y is q, and the charts cost nothing.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

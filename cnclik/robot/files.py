@@ -1,7 +1,5 @@
 """Robot files: URDF or MJCF, recognized by their content; and the names of robot_descriptions."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

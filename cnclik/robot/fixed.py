@@ -4,8 +4,6 @@ Vectors are tuples of scalars, matrices tuples of rows. Products with a Python 0
 geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

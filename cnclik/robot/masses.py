@@ -1,7 +1,5 @@
 """Masses: mass and centre of mass carried by each joint."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -5,8 +5,6 @@ The transform of joint i is affine in the sine and cosine of its value v and in 
   Tᵢ(v) = Aᵢ + sin(v) Bᵢ + cos(v) Cᵢ + v Dᵢ  (4×4).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,7 +1,5 @@
 """Loop: a law at rest with its method and its drive, and what its steps do to small errors."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

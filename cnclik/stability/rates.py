@@ -6,8 +6,6 @@ long as no null-space velocity moves with the joints; `spectrum.step_maps` diffe
 hold one to the other.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

@@ -1,7 +1,5 @@
 """Parts in the frame of the tip itself: where the target is, as the tip sees it."""
 
-from __future__ import annotations
-
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot.rotations import library, log_so3, turn_from

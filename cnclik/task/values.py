@@ -1,7 +1,5 @@
 """Parts that are no tip's pose: joint values, and functions of them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 
