@@ -219,8 +219,9 @@ def _tell(made, summary, seconds):
     from cnclik.reaching.aims import aims
     from cnclik.reaching.result import ReachStatus
 
-    count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f} evaluations"
-    print(f"{count:,} target{'s' * (count > 1)} in {seconds:.2f} s, {each}{' each' * (count > 1)}")
+    count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
+    evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"
+    print(f"{count:,} target{'s' * (count > 1)} in {seconds:.2f} s, {evaluations}")
     for name, number in summary["status"].items():
         print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
     if count == 1:
@@ -228,18 +229,19 @@ def _tell(made, summary, seconds):
         for row in q[np.isfinite(q).all(axis=1)]:
             shown = zip(made.chain.joint_names, row, made.chain.units, strict=True)
             print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
-        print(f"  error {_error(made)}; least singular value {made.least_singular_value.flat[0]:.3g}")
+        missed, least = _error(made, made.task.lengths, made.task.angles), made.least_singular_value.flat[0]
+        print(f"  error {missed}; least singular value {least:.3g}")
         for aim, own in zip(aims(made.task), made.each, strict=True) if made.targets is not None else ():
-            print(f"    {aim.label}: {_error(own)}")
+            print(f"    {aim.label}: {_error(own, aim.linear, aim.angular)}")
     held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
     if len(held):
         often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
         print("  at limits: " + ", ".join(f"{name} ({n:,} times)" for n, name in sorted(often, reverse=True)[:4]))
 
 
-def _error(made) -> str:
-    """Position and orientation error of the first target."""
-    parts = (made.position_error, "m"), (made.orientation_error, "rad")
+def _error(made, lengths, angles) -> str:
+    """Position and orientation error of the first target, as far as its task has coordinates of them."""
+    parts = [(made.position_error, "m")] * bool(lengths) + [(made.orientation_error, "rad")] * bool(angles)
     return " and ".join(aloud(float(values.flat[0]), unit) for values, unit in parts)
 
 

@@ -55,9 +55,10 @@ def reach(
     Args:
       chain: the robot.
       targets: one target, or several along a first axis: 4×4 transforms; position and quaternion [x, y, z, w, x, y, z];
-        positions (3,) for a position task; rotations (3, 3) or quaternions (4,) for an orientation task; a `Pose`; or a
-        pair (positions, rotations). [m] For several tips a dict of such targets by the names of a stack's tasks, or of
-        the tips; or constant `references`. One target may be shared by a batch of others.
+        positions (3,) for a position task, or the coordinates alone that it has, such as (2,) for xy; rotations (3, 3)
+        or quaternions (4,) for an orientation task; a `Pose`; or a pair (positions, rotations). [m] For several tips a
+        dict of such targets by the names of a stack's tasks, or of the tips; or constant `references`. One target may
+        be shared by a batch of others.
       task: "pose", "position", "orientation" or a `Task` of tips; its weights define the nearest pose.
       tolerance: tolerance of position [m] and orientation [rad] for which the search aims.
       accept: a wider pair; an answer within it that misses `tolerance` is ACCEPTED.

@@ -150,7 +150,7 @@ def _parts(name, targets, aim):
         targets = targets.curve.position, targets.curve.rotation
     if isinstance(targets, tuple) and len(targets) == 2 and not np.isscalar(targets[0]):
         where, turn = targets
-        where = None if where is None and not aim.linear else _positions(name, where)
+        where = None if where is None and not aim.linear else _positions(name, where, aim)
         turn = None if turn is None and not aim.angular else poses.rotations(name, turn, finite=False)
         return where, turn
     four = not aim.linear and poses.shape_of(targets) == (4, 4) and _are_quaternions(name, targets)
@@ -159,8 +159,8 @@ def _parts(name, targets, aim):
         return found
     targets = errors.array(name, targets, finite=False)
     shape = targets.shape
-    if not aim.angular and shape[-1:] == (3,) and len(shape) in (1, 2):
-        return _positions(name, targets), None
+    if not aim.angular and len(shape) in (1, 2) and shape[-1] in (3, len(_alone(aim))):
+        return _positions(name, targets, aim), None
     if not aim.linear:
         return None, poses.rotations(name, targets, finite=False)
     if shape[-1:] == (3,) and len(shape) in (1, 2):
@@ -170,9 +170,22 @@ def _parts(name, targets, aim):
     raise errors.fail(name, f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
 
 
-def _positions(name, value):
-    value = errors.array(name, value, (3,), (None, 3), finite=False)
-    return np.asarray(value, float) if errors.concrete(value) else value
+def _alone(aim):
+    """The axes of a position whose coordinates may stand alone: those of the base or of another tip."""
+    return () if aim.own[0] else aim.linear
+
+
+def _positions(name, value, aim):
+    """Positions (..., 3), of which the task's coordinates may stand alone; the others are arbitrary."""
+    alone = _alone(aim)
+    some = {3, len(alone)} - {0}
+    value = errors.array(name, value, *((size,) for size in some), *((None, size) for size in some), finite=False)
+    value = np.asarray(value, float) if errors.concrete(value) else value
+    if value.shape[-1] == 3:
+        return value
+    xp = poses.library(value)
+    each = dict(zip(alone, xp.moveaxis(value, -1, 0), strict=True))
+    return xp.stack([each.get(axis, xp.zeros(value.shape[:-1])) for axis in range(3)], -1)
 
 
 def _are_quaternions(name, found) -> bool:

@@ -85,8 +85,9 @@ class Advice:
         at_once = ", if drives had no delay" * (self.assumed_dead_time is not None)
         some = {"": self} if self.stack is None else self.stack.tasks
         gains = [
-            f"{name}{': ' * bool(name)}alpha recommended {one.recommended_alpha:.4g} 1/s (without overshoot to "
-            f"{one.fastest_monotone_alpha:.4g}, stable to {one.largest_stable_alpha:.4g}{at_once})"
+            f"{name}{': ' * bool(name)}alpha recommended {one.recommended_alpha:.4g} 1/s ("
+            f"{_up_to('without overshoot', one.fastest_monotone_alpha)}, "
+            f"{_up_to('stable', one.largest_stable_alpha)}{at_once})"
             for name, one in some.items()
         ]
         settings = [f"  {where}: {what}" for where, what in self.settings.items()]
@@ -94,6 +95,10 @@ class Advice:
         settings[:0] = [f"The same loop elsewhere, by explicit Euler ({own}):"] * bool(settings)
         assumed = [self.assumption] * bool(self.assumption)
         return "\n".join([*assumed, *gains, f"Recommended: {self.reason}.", *settings])
+
+
+def _up_to(what, limit) -> str:
+    return f"{what} to {limit:.4g}" if np.isfinite(limit) else f"{what} at any gain"
 
 
 @in_float64

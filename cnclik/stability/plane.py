@@ -94,7 +94,7 @@ def limit_tables(data):
     delays = [f"d = {d}" for d in data.delay.values]
     return [
         ("Limits of z = alpha·Ts on the real axis", ["method", "stage", *_HEADER], limits),
-        ("Largest stable z, error measured d samples late, stages exact", ["method", *delays], late),
+        ("Largest stable z, error measured with a delay of d samples, stages exact", ["method", *delays], late),
     ]
 
 

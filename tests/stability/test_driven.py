@@ -273,6 +273,7 @@ def test_what_advice_says_of_a_gain_is_what_it_does():
     assert -e.min() == pytest.approx(now.overshoot, abs=1e-3) and now.overshoot > 0.05
     assert np.flatnonzero(np.abs(e) > 0.02)[-1] * 0.01 == pytest.approx(now.settling_time, abs=0.011)
     assert f"\nalpha recommended {said.recommended_alpha:.4g} 1/s (without overshoot to " in f"\n{said}"
+    assert "(without overshoot at any gain, stable at any gain, if drives had" in str(advise(law, None, q, Ts=0.01))
     assert said.recommended.overshoot < 0.01 and said.recommended_alpha < said.fastest_monotone_alpha
     J = np.asarray(ck.jacobian(arm, q))[:2]
     assert np.isnan(said.joint_speed) and said.analysis.times is None and np.linalg.cond(J) < 10
