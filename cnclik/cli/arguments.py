@@ -278,12 +278,18 @@ def _metavar(kind) -> str:
     return " ".join([one] * kind.values) if kind.values else f"{one} ..."
 
 
+class _Form(argparse.RawDescriptionHelpFormatter):
+    """Help without breaks within a name, such as EXP-AB3."""
+
+    def _split_lines(self, text, width):
+        return textwrap.wrap(text, width, break_on_hyphens=False)
+
+
 def _parser(every, prog, description):
     """The parser that prints the help."""
     needed = {one.name: one.default is dataclasses.MISSING for one in every if one.positional}
     usage = " ".join([prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog, usage, description.strip(), formatter_class=form)
+    parser = argparse.ArgumentParser(prog, usage, description.strip(), formatter_class=_Form)
     for one in every:
         about = one.about.replace("%", "%%")
         if one.default not in (None, False, (), [], dataclasses.MISSING):

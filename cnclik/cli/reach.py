@@ -285,10 +285,9 @@ def _map(args, chain, task):
     with args.figures_first():
         draw(figures, out, overwrite=args.overwrite)
     summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
-    answer = (
-        f"{100 * np.mean(found.share > 0):.1f} % of the positions can be reached, "
-        f"{100 * np.mean(found.share == 1):.1f} % in every orientation that was tried"
-    )
+    answer = f"{100 * np.mean(found.share > 0):.1f} % of the positions can be reached"
+    if kind == "pose":
+        answer += f", {100 * np.mean(found.share == 1):.1f} % in every orientation that was tried"
     if args.json:
         print_json(summary)
     else:

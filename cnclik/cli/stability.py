@@ -76,9 +76,10 @@ def run(args: Args) -> None:
         if args.map:
             drawn, advised = (_map_of_gains if loop[0].law.task.tasks else _map)(args, out, *loop)
             figures |= drawn
+    written = out.made
     with args.figures_first():
-        draw(figures, args.out, overwrite=args.overwrite)
-    print(f"Results in {args.out}")
+        written += draw(figures, args.out, overwrite=args.overwrite)
+    print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
     _report(args, figures, advised)
 
 

@@ -83,7 +83,7 @@ def test_a_path_with_a_jump(tmp_path, capsys):
 def test_a_map(where, tmp_path, capsys):
     options = ["--cells", "6", "--orientations", "2", "--out", str(tmp_path)]
     main(["reach", ARM, "--map", where, "--task", "position", *options])
-    assert "of the positions can be reached" in capsys.readouterr().out
+    assert "% of the positions can be reached\n" in capsys.readouterr().out
     assert (tmp_path / "map.png").stat().st_size > 10_000
     with np.load(tmp_path / "map.npz") as data:
         assert data["share"].shape == (6,) * len(set("xy") if where == "xy" else "xyz")
