@@ -19,7 +19,7 @@ from cnclik.hints import QUICK_COMPILE, quick_jit
 from cnclik.record import kept, mapped, record, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
-from cnclik.robot.rotations import library, quaternion, rotation_from_quaternion
+from cnclik.robot.rotations import library, product, quaternion, rotation_from_quaternion
 from cnclik.shapes import AnyArray, Array, Bool, Float
 
 
@@ -77,8 +77,8 @@ def joint_frames(chain: Model, q):
         if i - 1 in starts or i - 2 in starts:  # the three axes of a rotation are those of its frame
             at.append(at[-1])
             continue
-        frame = own[..., i, :, :] if parent < 0 else at[parent] @ own[..., i, :, :]
-        at.append(frame if i not in starts else frame @ _turn(values[..., i : i + 3]))
+        frame = own[..., i, :, :] if parent < 0 else product(at[parent], own[..., i, :, :])
+        at.append(frame if i not in starts else product(frame, _turn(values[..., i : i + 3])))
     return xp.stack(at, -3)
 
 
@@ -109,7 +109,7 @@ def moved(chain: Model, q) -> tuple[Model, AnyArray, AnyArray]:
 def tip_frames(chain: Model, at, axes, tip: int) -> Frames:
     """The frames of a tip, from those of `moved`."""
     support = None if chain.supports is None else chain.supports[tip]
-    tip = at[..., chain.carriers[tip], :, :] @ chain.tips[tip]
+    tip = product(at[..., chain.carriers[tip], :, :], chain.tips[tip])
     place, turn = tip[..., :3, 3], tip[..., :3, :3]
     return Frames(position=place, rotation=turn, axes=axes, points=at[..., :3, 3], support=support)
 

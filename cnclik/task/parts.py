@@ -27,7 +27,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, turn_from
+from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product, turn_from
 
 AXES = "xyz"
 _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
@@ -258,7 +258,7 @@ class Orientation:
         return log_so3(robot.rotation(self.tip, self.to))[places(self.axes)]
 
     def error(self, robot: At, aim):
-        return log_so3(aim @ robot.rotation(self.tip, self.to).T)[places(self.axes)]
+        return log_so3(product(aim, robot.rotation(self.tip, self.to).T))[places(self.axes)]
 
     def here(self, robot: At):
         return robot.rotation(self.tip, self.to)

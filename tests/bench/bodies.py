@@ -10,6 +10,7 @@ import argparse
 import functools
 import importlib.metadata
 import operator
+import os
 import pathlib
 import resource
 import statistics
@@ -381,4 +382,5 @@ Grey: the foot truly stands.
 
 
 if __name__ == "__main__":
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX counts the cores
     main()
