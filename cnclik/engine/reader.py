@@ -170,9 +170,9 @@ class Reader:
         if eqn.primitive.name != "broadcast_in_dim" or not out.ndim or out.shape[0] < stacks.MANY:
             return None
         x, where = inputs[0], eqn.params["broadcast_dimensions"]
-        if not is_cells(x) or 0 in where:
+        if 0 in where or eqn.invars[0].aval.size > LIMIT:
             return None
-        sizes = [1] * (out.ndim - 1)
+        x, sizes = self.cells(x), [1] * (out.ndim - 1)
         for axis, size in zip(where, x.shape, strict=True):
             sizes[axis - 1] = size
         return [Rows(np.broadcast_to(x.reshape(sizes), out.shape[1:]), out.shape[0])]

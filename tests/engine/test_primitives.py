@@ -187,6 +187,17 @@ def test_matrices(dtype):
     check(lambda a, b: (jnp.linalg.solve(a, b), jnp.linalg.det(a), jnp.linalg.inv(a)), a[1:], b[1:], ulps=2e4)
 
 
+@NEEDS_C
+def test_a_long_mask_of_many_rows():
+    """Of 201 rows of 84 entries, as a humanoid's errors over 200 steps: too many to become scalars."""
+    mask, x = np.arange(84) % 3 == 0, np.random.default_rng(0).normal(size=(2, 201, 84))
+
+    def squares(x):
+        return jnp.sum(jnp.where(mask, 0.0, x) ** 2, axis=1)
+
+    check(squares, x, derived_too=False)
+
+
 def test_mixed_precision():
     x, y = numbers("float32")[7:], numbers("float64", 1)[7:]
     check(lambda x, y: (x * y, x + jnp.float32(1), y.astype("float32") * x, (x > y) & (y > 0)), x, y)
