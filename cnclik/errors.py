@@ -55,6 +55,15 @@ def within(where: str):
         raise ArgumentError(str(error).replace("Argument `", f"Argument `{where}.", 1)) from None
 
 
+@contextlib.contextmanager
+def called(old: str, new: str):
+    """Context manager, or decorator: an error of an argument `old` is one of `new`, as the caller's is called."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise ArgumentError(str(error).replace(f"Argument `{old}`", f"Argument `{new}`", 1)) from None
+
+
 def reason(error: Exception) -> str:
     """What an error of the file system, or of a name that is none, says."""
     return getattr(error, "strerror", None) or str(error)

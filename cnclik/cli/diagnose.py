@@ -284,4 +284,4 @@ def _draw(args, make):
     about = {"Title": f"diagnosis of {args.log.name}", "Comment": f"cnclik diagnose {args.log.name}"}
     draw({"diagnose.png": (make, about)}, args.out, overwrite=args.overwrite)
     if not args.json:
-        print(f"Figure in {args.out}")
+        print(f"Wrote diagnose.png to {args.out}/.")

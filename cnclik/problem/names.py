@@ -41,6 +41,7 @@ def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
 # --- robot, task and start ----------------------------------------------------------------------------
 
 
+@errors.called("path", "robot")
 def load(
     robot: str | os.PathLike | Any,
     tip: str | None = None,
@@ -89,6 +90,7 @@ def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
     return robot_and_tip(text, tip, base, lengths)[0]
 
 
+@errors.called("path", "robot")
 def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
     """(chain, name of its tip; "" if it has none).
 

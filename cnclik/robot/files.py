@@ -14,6 +14,7 @@ _DESCRIPTIONS = "robot_descriptions"
 _FIRST = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->|<!\w[^>]*>)*<([\w:.-]+)", re.S)
 
 
+@errors.called("path", "robot")
 def read_robot(robot) -> Tree:
     """The kinematic tree of a URDF or MJCF file, of its text, or of a MuJoCo model.
 

@@ -89,8 +89,8 @@ class Observed(NamedTuple):
         """A clause on joints above their velocity limits; empty where there are none."""
         if not self.too_fast:
             return ""
-        steps = f"{self.too_fast} of {len(self.size) - 1} steps ask for more than a joint's velocity limit"
-        return f"{steps}, {self.fastest} for up to {plainly(self.excess)} times it" if self.excess > 1 else steps
+        steps = f"{self.too_fast} of {len(self.size) - 1} steps exceed a joint's velocity limit"
+        return f"{steps}, {self.fastest} with up to {plainly(self.excess)} times it" if self.excess > 1 else steps
 
     def often(self, bit):
         return bool(len(self.status) and np.mean((self.status & bit) != 0) >= OFTEN)

@@ -259,10 +259,11 @@ def _untried(one):
 
 
 def _in_words(found) -> str:
-    """Alternatives with "or"; what mends something else is a sentence of its own."""
+    """Alternatives with "or"; what mends something else is a sentence of its own. A change is named once."""
     groups = {}
-    for one in found:
-        groups.setdefault(one.mends, []).append(one.words)
+    for k, one in enumerate(found):
+        if all(one.change != before.change for before in found[:k]):
+            groups.setdefault(one.mends, []).append(one.words)
     first, *more = [", or ".join(words) for words in groups.values()] or [""]
     return ". ".join([first, *(words[0].upper() + words[1:] for words in more)])
 

@@ -72,6 +72,13 @@ def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
     assert re.search(r"1 target in \S+ s, 1 evaluation\n", capsys.readouterr().out)
 
 
+def test_a_robot_that_is_not_there_is_no_path(capsys):
+    for argv in (["reach", "none.urdf", "--random", "1"], ["robots", "none.urdf"]):
+        with pytest.raises(SystemExit):
+            main(argv)
+        assert "Argument `robot` must name a URDF file that can be read, but none.urdf" in capsys.readouterr().err
+
+
 def test_a_path_with_a_jump(tmp_path, capsys):
     (tmp_path / "path.csv").write_text("0.5,1,0\n0.52,1,0\n-0.5,-1,0\n")
     main(["reach", ARM, str(tmp_path / "path.csv"), "--task", "xy", "--path", "--jump", "0.3"])

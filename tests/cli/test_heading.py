@@ -117,7 +117,7 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(r"up to [\d.]+ rad/s \(j2\), \d{1,3},\d{3} times its limit ", said), said
     assert said.index("Target x y") < said.index("velocity limit, j") < said.index("position error")  # the answer
-    assert re.search(r"ask for more than a joint's velocity limit, j2 for up to \d{1,3},\d{3} times it", said), said
+    assert re.search(r"exceed a joint's velocity limit, j2 with up to \d{1,3},\d{3} times it", said), said
     main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--reference", "circle", "--radius", "0.05", *run])
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said

@@ -129,7 +129,7 @@ def test_every_joint_that_is_meant_is_named():
     assert list(past) == [1, 2] and re.search(
         r"joint q[23] is up to [\d.]+ rad beyond its limit, and q[23] is beyond", told.sentence
     )
-    assert "a joint's velocity limit, q4 for up to" in told.sentence, told
+    assert "a joint's velocity limit, q4 with up to" in told.sentence, told
     column = ck.from_dh([0.0, 0.5], [0.0, 0.0], [0.0, 0.0], kinds="PR", velocity_limit=[0.01, 2.0])
     said = fastest(column, np.array([[0.05, 0.7], [0.02, -0.9]]))
     assert said == "up to 0.9 rad/s (q2); q1 up to 500 % of its limit"

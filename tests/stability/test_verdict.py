@@ -18,6 +18,7 @@ from cnclik.stability import Behaviour, trial, verdict
 from cnclik.stability.advice import advise
 from cnclik.stability.case import case_of
 from cnclik.stability.observed import observe
+from cnclik.stability.remedies import Remedy
 from cnclik.stability.trial import Trials
 
 FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
@@ -194,6 +195,13 @@ def test_a_joint_at_its_limit_in_most_steps_is_named():
     assert observe(own, ck.replace(run, q=q), Ts, q.dtype).at_position.tolist() == [False, False, True, False, False]
 
 
+def test_a_remedy_for_two_things_is_named_once():
+    same = [Remedy(change={"limits": "saturation"}, words=words, mends=words) for words in ("one", "two")]
+    assert sys.modules["cnclik.stability.verdict"]._in_words([*same, Remedy(change={"alpha": 1.0}, words="less")]) == (
+        "one. Less"
+    )
+
+
 def test_a_path_too_fast_for_the_velocity_limits():
     chain = ck.replace(FIVE, velocity_limit=(0.05,) * 5)
     path = ck.line(TIP, TIP + 1.5 * INWARD, duration=1.0)
@@ -211,11 +219,11 @@ def test_what_asks_for_more_than_joints_can_is_told_how_to_ask_for_less():
     assert "path" not in held.remedy and "velocity_scaling()" in held.remedy and "reduce alpha" in held.remedy
     moving = judge(law(5.0, chain), ck.line(TIP, TIP + 0.7 * INWARD, duration=2.0), 200, Ts=0.01)
     assert moving.kind == Behaviour.BEYOND_LIMITS and moving.remedy.startswith("follow a slower path")
-    assert re.match(r"beyond the robot's limits: \d+ of 200 steps ask for more than a joint's velo", moving.sentence)
+    assert re.match(r"beyond the robot's limits: \d+ of 200 steps exceed a joint's velo", moving.sentence)
     most = float(np.abs(ck.solve(law(5.0), NEAR, Q5, Ts, 60, ck.EE).qdot).max())
     for excess, kind in ((1.5, Behaviour.SETTLED), (2.5, Behaviour.BEYOND_LIMITS)):
         near = judge(law(5.0, ck.replace(FIVE, velocity_limit=(most / excess,) * 5)), NEAR, 60)
-        assert near.kind == kind and f" for up to {excess} times it" in near.sentence, near.sentence
+        assert near.kind == kind and f" with up to {excess} times it" in near.sentence, near.sentence
 
 
 def test_feed_forward_alone_past_a_singularity():
@@ -404,7 +412,7 @@ def test_joints_that_are_too_fast_are_told_of():
     goal, q0 = ck.hold([0.2, 0.9]), [0.3, 1.1]
     told = ck.verdict(law, goal, ck.solve(law, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
     assert told.kind == Behaviour.BEYOND_LIMITS and "The loop is settled: " in told.sentence, told.sentence
-    assert "velocity limit, q2 for up to 8.98 times" in told.sentence and "velocity_scaling()" in told.remedy
+    assert "velocity limit, q2 with up to 8.98 times" in told.sentence and "velocity_scaling()" in told.remedy
     slow = ck.replace(law, limits=ck.velocity_scaling())
     told = ck.verdict(slow, goal, ck.solve(slow, goal, q0, 0.1, 40, "EE"), Ts=0.1, method="EE")
     assert told.kind == "settled" and "velocity limit" not in told.sentence and not told.remedy
