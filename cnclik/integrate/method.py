@@ -171,14 +171,14 @@ def named(method, argument="method") -> Method | Multistep:
 def exponential(method: MethodLike) -> Method | Multistep:
     """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same cost.
 
-    The law's exact solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). So e is measured once, at the step's
-    start, and decays by its exact factor. The tableau integrates what has no closed form, the path of the joints (an
-    exponential integrating-factor step, after Lawson 1967):
+    The law's exact solution over a step is x*(t + s) = x_d(t + s) − exp(−K·s) e(t). So e is measured once, at the
+    start of the step, and decays by its exact factor. The tableau integrates what has no closed form, the path of the
+    joints (an exponential integrating-factor step, after Lawson 1967):
 
       kᵢ = J#(qᵢ) (ẋ_d(t + cᵢ·Ts) + w) + (I − J#J) q̇₀(qᵢ),   qᵢ = q + Ts Σⱼ Aᵢⱼ kⱼ,   q⁺ = q + Ts Σᵢ bᵢ kᵢ
-      w  = (I − e^{−K·Ts}) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)
+      w  = (I − exp(−K·Ts)) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)
 
-    R(z) = e^{−z} for every z and every tableau. For orders above two, w follows the decay within the step, see
+    R(z) = exp(−z) for every z and every tableau. For orders above two, w follows the decay within the step, see
     `cnclik.law.feedback.feedback_within`. With exact J# the order is that of the method; that of EXP-AB methods is two
     while an error decays. With a damped J# the error decays more slowly than assumed, and the order is one. Rotations
     and gain matrices are explained in `cnclik.law.feedback`. An Adams-Bashforth formula becomes an EXP-AB method, with

@@ -144,7 +144,7 @@ def bounds(rate, chain, q):
 
 
 def exponential_rate(alpha: Number, Ts: Number) -> Number:
-    """(1 − e^{−α Ts})/Ts, the rate that does over a step of Ts what α does in continuous time; never above 1/Ts.
+    """(1 − exp(−α Ts))/Ts, the rate that does over a step of Ts what α does in continuous time; never above 1/Ts.
 
     As a rate of limits or walls it takes none past its limit, however large α·Ts is.
 
