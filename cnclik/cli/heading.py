@@ -10,7 +10,6 @@ from cnclik.problem.options import PATH
 from cnclik.quantities import in_samples
 from cnclik.record import in_words
 from cnclik.robot.poses import quaternions
-from cnclik.stability.recommend import assumed_of
 
 
 def name_and_tip(name, tip) -> str:
@@ -46,6 +45,8 @@ def unless_given(written, *names) -> str:
 
 def assumed_drives(made) -> list:
     """A sentence about the assumed drives if only their dead time was given."""
+    from cnclik.stability.recommend import assumed_of
+
     said = assumed_of(made.drive or Drive(), made.Ts)
     measure = "A lag needs a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
     return [f"{said} {measure} to give here."] if said else []

@@ -10,7 +10,6 @@ from cnclik.law.reference import of_each
 from cnclik.problem.reference import reference_from
 from cnclik.reaching.aims import aims, of_tips
 from cnclik.record import replace
-from cnclik.show.viewer.look import look, loop_of
 from cnclik.stability.spectrum import held_at
 
 PUSH = 0.05  # [rad, m] by which all joints are displaced at the start of a run
@@ -39,6 +38,8 @@ def runs_of_stack(found, rest, said) -> list:
 
     All joints begin a little away from the posture at which the loop rests.
     """
+    from cnclik.show.viewer.look import look, loop_of
+
     law, stack = found.law, said.stack
     push = PUSH * (-1.0) ** np.arange(law.chain.n)
     q0 = np.clip(rest + push, np.array(law.chain.lower), np.array(law.chain.upper))

@@ -11,15 +11,12 @@ from cnclik.cli.problem import look_at_units
 from cnclik.measure.answers import transforms
 from cnclik.problem.magnitudes import remark_on_lengths, remark_on_places
 from cnclik.problem.names import robot_and_tip, robot_name, start_from, task_from
-from cnclik.problem.stack import Table, ranks_of, read_stack, references_of, stack_from, tables_from, task_of, tips_of
-from cnclik.problem.tables import read_targets
 from cnclik.reaching.aims import aims, of_tips
 from cnclik.reaching.seeds import spans
 from cnclik.reaching.targets import by_name, read, wanted_at
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
-from cnclik.stability.case import whole
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 
@@ -75,11 +72,15 @@ def _robot(args, tips):
 
 def _of_each(args, chain):
     """The same task for each of several tips."""
+    from cnclik.problem.stack import Table, task_of
+
     return task_of(Table("", {"task": args.task, "tip": args.tip}, {}), chain)
 
 
 def _given(args, chain, task):
     """Targets from a file, or random ones, for all aims of a task."""
+    from cnclik.problem.tables import read_targets
+
     every, file = aims(task), args.targets
     if args.random:
         return _random(args, chain, task)
@@ -111,6 +112,8 @@ def _look_at_units(args, chain, task, given) -> None:
 
 def _upper_first(task, tables) -> tuple:
     """The task with weights by which the nearest pose keeps upper levels, and a line about that."""
+    from cnclik.problem.stack import ranks_of
+
     ranks = ranks_of(tables, [name for name, _ in task.tasks])
     if not any(ranks.values()):
         return task, ()
@@ -123,6 +126,9 @@ def _upper_first(task, tables) -> tuple:
 
 def _of_stack(args) -> Wanted:
     """The tips of a stack's tasks, with targets on its paths unless others are given."""
+    from cnclik.problem.stack import read_stack, references_of, stack_from, tables_from, tips_of
+    from cnclik.stability.case import whole
+
     alone = {"task": args.task, "tip": args.tip or None, "target": args.target or None}
     written = read_stack(args.stack)
     tables = tables_from(written, alone).tasks
