@@ -12,6 +12,7 @@ from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
 _JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
+_NAMED = 4  # candidates for a tip that a message names
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
 
 
@@ -201,7 +202,8 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
     if not candidates:
         raise errors.fail("base", "have a moving joint after it", f"is {base!r} of {tree.file}, which has none")
     if len(candidates) > 1:
-        named = ", ".join(candidates)
+        far = sorted(candidates, key=lambda link: -sum(e.type != "fixed" for way in tree.way(link, base) for e in way))
+        named = ", ".join(far[:_NAMED]) + f" and {len(far) - _NAMED} more" * (len(far) > _NAMED)
         raise errors.fail("tip", f"be given for {tree.file}", f"is not, and the candidates are {named}")
     return candidates[0]
 

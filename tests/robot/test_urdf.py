@@ -265,6 +265,23 @@ ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "
     [
         ("", "has no links"),
         (SPLIT, "candidates are c, d"),
+        (
+            SPLIT
+            + joint("j4", "d", "e")
+            + "".join(f'<link name="{k}"/>' for k in "efg")
+            + joint("j5", "a", "f")
+            + joint("j6", "a", "g"),
+            "candidates are e, c, f, g[.]",
+        ),
+        (
+            SPLIT
+            + joint("j4", "d", "e")
+            + "".join(f'<link name="{k}"/>' for k in "efgh")
+            + joint("j5", "a", "f")
+            + joint("j6", "a", "g")
+            + joint("j7", "a", "h"),
+            "candidates are e, c, f, g and 1 more",
+        ),
         (LINKS + joint("j1", "a", "b"), "3 roots: a, c, d"),
         (LINKS + joint("j1", "a", "b") + joint("j2", "b", "a"), "a loop through link 'a'"),
         (ROW + joint("j4", "d", "b"), "a loop: link 'b' hangs on 'j1' and 'j4'"),
