@@ -191,6 +191,17 @@ print([name for name in heavy if name in sys.modules])
     assert run(code) == "[]"
 
 
+def test_parts_of_verbs_load_no_room_that_few_answers_need():
+    """Reach and export without stability, and stability without what draws robots."""
+    code = """
+import sys, cnclik.cli.heading, cnclik.cli.targets
+print([name for name in sys.modules if name.startswith("cnclik.stability")], end=" ")
+import cnclik.cli.advice, cnclik.cli.stacked
+print([name for name in sys.modules if name.startswith("cnclik.show.viewer")])
+"""
+    assert run(code) == "[] []"
+
+
 def test_a_file_is_shown_without_jax():
     code = """
 import contextlib, io, sys
