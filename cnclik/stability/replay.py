@@ -60,8 +60,10 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     off = np.abs(_apart(law, made, q[: k + 1])).max(axis=1)
     if (off <= floor).all():
         return
-    beside = again(q[0] + 4 * eps * (1 + np.abs(q[0])).astype(q.dtype))
-    spread = np.maximum.accumulate(np.abs(_apart(law, made, beside)).max(axis=1))
+    nudge = (4 * eps * (1 + np.abs(q[0]))).astype(q.dtype)
+    signs = 1, 1 - 2 * (np.arange(len(nudge), dtype=q.dtype) % 2)  # in one direction what grows may cancel
+    beside = [np.abs(_apart(law, made, again(q[0] + sign * nudge))).max(axis=1) for sign in signs]
+    spread = np.maximum.accumulate(np.max(beside, axis=0))
     if (other := np.isfinite(spread + off) & (off > floor + roundings * spread)).any():
         first = int(np.argmax(other))
         must = "be made by the loop that is described, with its drive, pace, noise, method and stage"

@@ -127,6 +127,12 @@ def test_an_error_that_swings_shrinks_all_the_same():
     assert all(told["good"] for told in one["remedies"]) and one["remedies"]
 
 
+def test_a_run_of_a_batch_that_amplifies_roundings_is_not_refused():
+    """What grew in its steps cancelled in those of a start moved one way: it was called the run of another loop."""
+    (one,) = loops.judge(loops.family(2, seed=101), [11], seed=101, remedies=False)
+    assert not one["false"], one["said"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(50))
 def test_no_verdict_of_many_is_false(number):
