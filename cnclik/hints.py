@@ -17,9 +17,12 @@ from cnclik.cache import bounded_jit
 from cnclik.programs import keeping
 from cnclik.programs import kept as kept_whole
 
+# All of them are made here, at once: each that JAX gets later makes it compile anew what a user has compiled before.
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many
-SWITCHES = [_context]  # that decide on programs: this room's, and the engine's
+engine = jax.make_user_context(default_value=None)  # of `cnclik.engine.plan`
+read = jax.make_user_context(default_value=False)  # of `cnclik.engine.tracing`
+SWITCHES = [_context, engine]  # that decide on programs
 
 
 def use_hints(on: bool) -> contextlib.AbstractContextManager:

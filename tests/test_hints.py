@@ -1,6 +1,7 @@
 """Compiler hints and options: under one switch, known to the compiler, and in caches of bounded size."""
 
 import functools
+import pathlib
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -23,6 +24,13 @@ def test_an_option_the_compiler_does_not_know_is_dropped():
     before = hints.is_known.cache_info().misses
     hints.known_options(unknown)
     assert hints.is_known.cache_info().misses == before  # tried once
+
+
+def test_contexts_are_made_together():
+    """A context that JAX gets later becomes part of its keys, and it compiles anew what a user compiled before."""
+    package = pathlib.Path(ck.__file__).parent
+    makers = [file.name for file in package.rglob("*.py") if "make_user_context(" in file.read_text(encoding="utf-8")]
+    assert makers == ["hints.py"]
 
 
 def test_the_switch_turns_options_off():

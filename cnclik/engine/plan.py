@@ -6,11 +6,10 @@ import jax
 
 from cnclik import errors
 from cnclik.engine.compiler import can_build
-from cnclik.hints import SWITCHES, switched_on
+from cnclik.hints import engine as _engine
+from cnclik.hints import switched_on
 
 ENGINES = ("native", "xla", "plain")
-_engine = jax.make_user_context(default_value=None)
-SWITCHES.append(_engine)
 
 
 def use_engine(name: str | None) -> AbstractContextManager:

@@ -5,8 +5,7 @@ import contextlib
 import jax
 
 from cnclik.hints import few_lanes, use_hints
-
-_read = jax.make_user_context(default_value=False)
+from cnclik.hints import read as _read
 
 
 @contextlib.contextmanager
