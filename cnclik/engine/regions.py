@@ -49,6 +49,8 @@ def _scan(reader, eqn, *inputs):
     _small([*carried, *stacked, *scanned], "a round of a scan", [*stacked, *scanned])
     if not length:
         return [*first, *(array_of([], (0, *a.shape)) for a in stacked)]
+    if length == params["unroll"] > 1:
+        return _unrolled(reader, params, consts, first, [reader.cells(x) for x in xs], stacked)
     outside, first, still = g.block, _flat(reader, first), {}
     while True:
         r = Scan(outside, length, params["reverse"])
@@ -76,6 +78,18 @@ def _scan(reader, eqn, *inputs):
         cells = array_of([next(ys) for _ in range(int(np.prod(shape)))], shape)
         out.append(Deep(cells, length, a.shape[0]) if is_deep else Rows(cells, length))
     return [*_unflat(ends, carried), *out]
+
+
+def _unrolled(reader, params, consts, carry, xs, stacked):
+    """The results of a scan that asks to be written out; zeros in its rows then make the rounds shorter."""
+    jaxpr, rounds = params["jaxpr"], range(params["length"])
+    ys = [[None] * len(rounds) for _ in stacked]
+    for k in reversed(rounds) if params["reverse"] else rounds:
+        made = reader.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *carry, *(x[k, ...] for x in xs)])
+        carry = made[: len(carry)]
+        for y, v in zip(ys, made[len(carry) :], strict=True):
+            y[k] = reader.cells(v)
+    return [*carry, *map(np.stack, ys)]
 
 
 def _stays(first, carry, then) -> bool:

@@ -10,7 +10,7 @@ from jax import lax
 
 import cnclik as ck
 from cnclik.engine.constants import of_the_model
-from cnclik.engine.graph import UnsupportedError, While
+from cnclik.engine.graph import Scan, UnsupportedError, While
 from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.reader import read, read_jaxpr
 from cnclik.engine.source import write
@@ -69,6 +69,21 @@ def at_the_counter(q, path):
 @pytest.mark.parametrize("fn", [track, smooth, nested, at_the_counter], ids=lambda f: f.__name__)
 def test_loops_along_a_path(fn, length):
     check(fn, batch(3), batch(length, 3, seed=1), ulps=50)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_loop_that_asks_for_it_is_written_out(reverse):
+    def one(carry, row):
+        x, k = carry
+        on, a = row
+        return (x + jnp.where(on, a * jnp.sin(x[::-1]), 0.0), k + 1), (x[0], x * k)
+
+    def fn(x):
+        return lax.scan(one, (x, 0), (np.eye(3, dtype=bool), x), reverse=reverse, unroll=True)
+
+    check(fn, batch(3))
+    graph, _, _, _ = read(fn, jax.ShapeDtypeStruct((3,), np.float32))
+    assert not any(isinstance(item, Scan) for item in graph.root.items)
 
 
 @pytest.mark.parametrize("kind", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian], ids=lambda f: f.__name__)

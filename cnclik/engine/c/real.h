@@ -7,6 +7,7 @@
 #define TWO_OVER_PI 0.636619772f
 #define PI_LOW -8.742278e-08f
 #define FRACTION 23 /* bits */
+#define WIDE(name) __builtin_ia32_##name##ps512_mask
 #define ROOT_HALF 0x3f3504f3
 #define LN_2 0.69313812256f
 #define LN_2_LOW 9.0580006145e-06f
@@ -20,6 +21,7 @@
 #define TWO_OVER_PI 0.6366197723675814
 #define PI_LOW 1.2246467991473532e-16
 #define FRACTION 52
+#define WIDE(name) __builtin_ia32_##name##pd512_mask
 #define ROOT_HALF 0x3fe6a09e667f3bcd
 #define LN_2 0.6931471803691238
 #define LN_2_LOW 1.9082149292705877e-10
@@ -28,8 +30,14 @@
 #endif
 
 static inline T K(abs)(T x) { return (T)((BITS)x & (BITS_NUMBER)~SIGN); }
+#if defined(__AVX512DQ__) && !defined(__clang__) && BYTES == 64 && SIZE == MAIN
+/* The instruction gives b if one is NaN; lanes where a is (7: not NaN) stay a. */
+static inline T K(max)(T a, T b) { return WIDE(max)(a, b, a, WIDE(cmp)(a, a, 7, -1, 4), 4); }
+static inline T K(min)(T a, T b) { return WIDE(min)(a, b, a, WIDE(cmp)(a, a, 7, -1, 4), 4); }
+#else
 static inline T K(max)(T a, T b) { return K(select)(MASK((a > b) | (a != a)), a, b); }
 static inline T K(min)(T a, T b) { return K(select)(MASK((a < b) | (a != a)), a, b); }
+#endif
 static inline T K(sign)(T x) { return K(select)(MASK(x > 0), K(splat)(1), K(select)(MASK(x < 0), K(splat)(-1), x)); }
 
 static inline T K(sqrt)(T x)
