@@ -22,6 +22,7 @@ from cnclik.shapes import ArrayLike, Float
 _TURNS = ("rx", "ry", "rz")
 _PARTS = {"free": ("x", "y", "z", *_TURNS), "planar": ("x", "y", "yaw"), "ball": _TURNS}
 _REST = {"free": (0, 0, 0, 1, 0, 0, 0), "planar": (0, 0, 1, 0), "circle": (1, 0), "one": (0,), "ball": (1, 0, 0, 0)}
+_COUPLED = 2  # mujoco.mjtEq.mjEQ_JOINT
 
 
 class _Slot(NamedTuple):
@@ -50,8 +51,13 @@ def from_pinocchio_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v:
 
 
 def to_mujoco_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any = None) -> Any:
-    """q as a `mujoco.MjModel` has it, qpos (..., model.nq). Args and returns: as `to_pinocchio_q`."""
-    return _to(robot, _of_mujoco(model), q, qdot, (model.nq, model.nv), (0, 1, 2, 3), own=False)
+    """q as a `mujoco.MjModel` has it, qpos (..., model.nq). Args and returns: as `to_pinocchio_q`.
+
+    A joint that follows another by an equality of the model has the value that this gives it.
+    """
+    made = _to(robot, _of_mujoco(model), q, qdot, (model.nq, model.nv), (0, 1, 2, 3), own=False)
+    _couple(robot, model, *(made if isinstance(made, tuple) else (made, None)))
+    return made
 
 
 def from_mujoco_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any = None) -> Any:
@@ -80,6 +86,23 @@ def _of_mujoco(model) -> list:
     return [_Slot(j.name or f"joint{j.id}", kinds[int(j.type[0])], int(j.qposadr[0]), int(j.dofadr[0])) for j in each]
 
 
+def _couple(robot, model, qpos, qvel):
+    """Sets the joints that the robot has not and that follow another: y − y₀ = Σ aᵢ (x − x₀)ⁱ."""
+    known = {slot.q for slot, places in _matched(robot, _of_mujoco(model)) if places is not None}
+    pairs = [i for i in range(model.neq) if model.eq_type[i] == _COUPLED and model.eq_active0[i]]
+    for _ in pairs:  # as one that follows may lead another
+        for i in pairs:
+            own, other = (int(ids[i]) for ids in (model.eq_obj1id, model.eq_obj2id))
+            y, x = model.jnt_qposadr[own], model.jnt_qposadr[other]
+            if y in known:
+                continue
+            curve = np.polynomial.Polynomial(model.eq_data[i, : 5 if other >= 0 else 1])
+            at = qpos[..., x] - model.qpos0[x]
+            qpos[..., y] = model.qpos0[y] + curve(at)
+            if qvel is not None:
+                qvel[..., model.jnt_dofadr[own]] = curve.deriv()(at) * qvel[..., model.jnt_dofadr[other]]
+
+
 def _matched(robot, slots) -> Iterable:
     """(slot, our coordinates of it or None) for each joint of a model; its only free or planar joint is our base."""
     names = {name: i for i, name in enumerate(errors.kind("robot", robot, Chain).joint_names)}
@@ -94,8 +117,10 @@ def _matched(robot, slots) -> Iterable:
 def _to(robot, slots, q, qdot, sizes, order, own):
     q = np.asarray(errors.array("q", q, (robot.n,), (None, robot.n)), float)
     found, speeds = np.zeros((*q.shape[:-1], sizes[0])), np.zeros((*q.shape[:-1], sizes[1]))
-    given = None if qdot is None else np.broadcast_to(np.asarray(qdot, float), q.shape)
-    for slot, places in _matched(robot, slots):
+    given = None if qdot is None else _velocities("qdot", qdot, q.shape)
+    matched = list(_matched(robot, slots))
+    _require_all(robot, {i for _, places in matched for i in places or ()})
+    for slot, places in matched:
         rest = np.array(_REST[slot.kind], float)
         values, rotation = (rest, None) if places is None else _theirs(slot.kind, q[..., places])
         if slot.kind in ("free", "ball"):
@@ -110,10 +135,10 @@ def _to(robot, slots, q, qdot, sizes, order, own):
 def _from(robot, slots, q, v, sizes, order, own):
     q = np.asarray(errors.array("q", q, (sizes[0],), (None, sizes[0])), float)
     found, speeds = (np.full((*q.shape[:-1], robot.n), np.nan) for _ in range(2))
-    given = None if v is None else np.broadcast_to(np.asarray(v, float), (*q.shape[:-1], sizes[1]))
-    for slot, places in _matched(robot, slots):
-        if places is None:
-            continue
+    given = None if v is None else _velocities("v", v, (*q.shape[:-1], sizes[1]))
+    matched = [(slot, places) for slot, places in _matched(robot, slots) if places is not None]
+    _require_all(robot, {i for _, places in matched for i in places})
+    for slot, places in matched:
         values = q[..., slot.q : slot.q + len(_REST[slot.kind])]
         if slot.kind in ("free", "ball"):
             values = np.concatenate([values[..., :-4], values[..., -4:][..., np.argsort(order)]], -1)
@@ -122,10 +147,18 @@ def _from(robot, slots, q, v, sizes, order, own):
             speeds[..., places] = _turned(
                 given[..., slot.v : slot.v + len(places)], rotation if own and slot.kind != "ball" else None
             )
-    missing = [name for i, name in enumerate(robot.joint_names) if np.isnan(found[..., i]).all()]
-    if missing and not np.isnan(q).any():
-        raise errors.fail("model", "have the robot's joints", f"has no {', '.join(missing)}")
     return found if v is None else (found, speeds)
+
+
+def _velocities(name, given, shape):
+    given = np.asarray(errors.array(name, given, *dict.fromkeys((shape[-1:], shape))), float)
+    return np.broadcast_to(given, shape)
+
+
+def _require_all(robot, places):
+    missing = [name for i, name in enumerate(robot.joint_names) if i not in places]
+    if missing:
+        raise errors.fail("model", "have the robot's joints", f"has no {', '.join(missing)}")
 
 
 # --- one joint's values -------------------------------------------------------------------------------
@@ -149,7 +182,10 @@ def _ours(kind, values):
     if kind in ("planar", "circle"):
         c, s = values[..., -2:-1], values[..., -1:]
         return np.concatenate([values[..., :-2], np.arctan2(s, c)], -1), _about_z(c, s)
-    unit = values[..., -4:] / np.linalg.norm(values[..., -4:], axis=-1, keepdims=True)
+    norm = np.linalg.norm(values[..., -4:], axis=-1, keepdims=True)
+    if np.any(norm == 0):
+        raise errors.fail("q", "hold a quaternion for each free or ball joint", "holds zeros in place of one")
+    unit = values[..., -4:] / norm
     unit = np.where(unit[..., :1] < 0, -unit, unit)
     size = np.linalg.norm(unit[..., 1:], axis=-1, keepdims=True)
     tiny = size < 1e-100

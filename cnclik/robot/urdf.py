@@ -257,4 +257,5 @@ def link_of(tree, name, link):
     if len(padded) == 1:  # some files have invisible spaces around a name
         return padded[0]
     hint = errors.nearest(link, tree.links)
-    raise errors.fail(name, f"be one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
+    moving = f"{', '.join(BASES)} or " if name == "base" else ""
+    raise errors.fail(name, f"be {moving}one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
