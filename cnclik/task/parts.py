@@ -202,7 +202,7 @@ class Position(Vector):
 
 
 @record
-class Orientation:
+class Orientation(Vector):
     """Components of a tip's rotation vector [rad], in the base frame or that of another tip.
 
     e = log(R_d Rᵀ), x = log R.
@@ -211,14 +211,10 @@ class Orientation:
     axes: str
     tip: str | None = None
     to: str | None = None
-    turns, tied = True, False
+    turns, shape = True, (3, 3)
 
     def of_target(self):
         return Orientation(axes=self.axes)
-
-    @property
-    def m(self):
-        return len(self.axes)
 
     @property
     def width(self):
@@ -231,10 +227,6 @@ class Orientation:
     @property
     def units(self):
         return ("rad",) * self.m
-
-    @property
-    def shape(self):
-        return (3, 3)
 
     @property
     def whole(self):
@@ -268,9 +260,6 @@ class Orientation:
 
     def motion(self, aim, rate):
         return spin(aim, rate)[places(self.axes)]
-
-    def velocity(self, robot: At, aim, motion):
-        return motion
 
     def mean(self, aim, before):
         turn = aim @ before.T
