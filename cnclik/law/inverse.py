@@ -57,26 +57,30 @@ class Pseudoinverse:
         return Factored(apply, lax.stop_gradient(least), memory=lambda: (columns, None))
 
 
-@record
-class Damped:
-    """See `damped`."""
+class ByShift:
+    """What damped inverses share, Jᵀ (J Jᵀ + λ² I)⁻¹ with λ² = `shift`."""
 
     factors = True  # whether `memory` has factors, for a task with at most as many rows as joints
-    damping: Number  # λ, never λ²
-
-    def shift(self, rows):
-        """λ², and an estimate of the least singular value if λ² depends on one."""
-        return self.damping * self.damping, None
+    shift: Callable  # of the rows: λ², and an estimate of the least singular value if λ² depends on one
 
     def __call__(self, rows) -> Factored:
         return _by_shift(rows, *self.shift(rows))
 
 
 @record
-class ManipulabilityDamped:
+class Damped(ByShift):
+    """See `damped`."""
+
+    damping: Number  # λ, never λ²
+
+    def shift(self, rows):
+        return self.damping * self.damping, None
+
+
+@record
+class ManipulabilityDamped(ByShift):
     """See `manipulability_damped`."""
 
-    factors = True
     damping: Number  # λ₀, never λ₀²
     threshold: Number  # w₀
 
@@ -88,15 +92,11 @@ class ManipulabilityDamped:
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
         return jnp.maximum(below * below, tiny), _least(factor, tiny)
 
-    def __call__(self, rows) -> Factored:
-        return _by_shift(rows, *self.shift(rows))
-
 
 @record
-class SingularDamped:
+class SingularDamped(ByShift):
     """See `singular_damped`."""
 
-    factors = True
     damping: Number  # λ_max, never λ_max²
     threshold: Number  # ε
 
@@ -107,23 +107,17 @@ class SingularDamped:
         shift = jnp.maximum(share * self.damping * self.damping, tiny_shift(wide))
         return shift, jnp.sqrt(lax.stop_gradient(squared))
 
-    def __call__(self, rows) -> Factored:
-        return _by_shift(rows, *self.shift(rows))
-
 
 @record
-class ErrorDamped:
+class ErrorDamped(ByShift):
     """See `error_damped`."""
 
-    factors, by_error = True, True
+    by_error = True
     damping: Number  # λ at e = 0, never λ²
     e: Any = None  # (m,) the weighted error, where it is known
 
     def shift(self, rows):
         return self.damping * self.damping + 0.5 * (self.e @ self.e), None
-
-    def __call__(self, rows) -> Factored:
-        return _by_shift(rows, *self.shift(rows))
 
 
 @record
