@@ -337,9 +337,10 @@ def noise_gain(steps, drive, Ts) -> tuple:
 def outermost(steps):
     """The modes (r, p) that decide: of real ones the slowest, which lags most, and the fastest, which swings most; of
     others each that differs by more than rounding."""
-    if np.imag(steps).any() or len(steps) < 2:
+    if np.round(np.imag(steps), 9).any() or len(steps) < 2:
         return np.unique(np.round(steps, 9), axis=0)
-    return steps[np.argsort(np.real(steps).sum(-1))[[-1, 0]]]
+    steps = np.real(steps)
+    return steps[np.argsort(steps.sum(-1))[[-1, 0]]]
 
 
 def _outermost_of_each(steps):

@@ -291,3 +291,10 @@ def test_one_line_for_what_can_not_be_asked():
     with pytest.raises(ArgumentError, match=r"`lag` must have shape \(2,\)"):
         analyse(law, None, q, Ts=Ts, drive=Drive(lag=np.ones(3)))
     assert settling(steps(2.5), Drive(), Ts) == np.inf and overshoot(steps(1.5), Drive(), Ts) == pytest.approx(0.5)
+
+
+def test_a_rounding_beside_real_modes_changes_no_overshoot():
+    """The slowest mode was then taken for the one that swings most: 0 where another lands twice as far."""
+    modes, drive = np.array([[-0.232], [-0.232], [-4e-4]]), Drive(delay=4.0, lag=0.06)
+    plain = overshoot(modes, drive, 0.004)
+    assert plain > 0.99 and overshoot(modes + 1e-16j, drive, 0.004) == pytest.approx(plain, rel=1e-9)
