@@ -38,7 +38,7 @@ GONE = 0.25  # and below which a longer run has shrunk it
 UNCHANGED = 0.8  # ratio of two shares of joint speed that go back and forth, above which a loop is no calmer
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
-NUDGE = 1e-10  # [rad, m] of the start, to see whether a loop amplifies roundings
+NUDGE = 1e-10  # [rad, m] of the start, and a share of gain and feed-forward, to see whether a loop amplifies roundings
 FARTHER = 1.1  # ratio of how far two loops get along a path that waits, from which on one gets farther
 AS_GOOD = 2.0  # and of their errors, up to which they are no worse in kind
 LEAST_WAY = 1e-9  # [m, rad]
@@ -173,11 +173,11 @@ class Trials:
 
     def repeats(self, N) -> bool:
         """Whether a run of N steps is the loop's own: that of a chaotic one depends on roundings."""
-        beside = replace(self.given, q0=self.given.q0 + NUDGE)
-        end, other = [
-            truncate(run, N).q[-1] for run in (self.unchanged(whole_trial(N)), self._run(beside, whole_trial(N)))
-        ]
-        return bool(np.allclose(end, other, rtol=1e-3, atol=1e-3, equal_nan=True))
+        law = self.given.law  # a nudge at the start dies out where the loop follows, roundings do not
+        more = {name: (1 + NUDGE) * np.asarray(getattr(law, name), float) for name in ("alpha", "feedforward")}
+        beside = replace(self.given, q0=self.given.q0 + NUDGE, law=replace(law, **more))
+        runs = self.unchanged(whole_trial(N)), self._run(beside, whole_trial(N))
+        return bool(np.allclose(*(truncate(run, N).q for run in runs), rtol=1e-3, atol=1e-3, equal_nan=True))
 
     def possible(self, remedy) -> bool:
         """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""
