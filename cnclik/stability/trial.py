@@ -173,11 +173,11 @@ class Trials:
 
     def repeats(self, N) -> bool:
         """Whether a run of N steps is the loop's own: that of a chaotic one depends on roundings."""
-        law = self.given.law  # a nudge at the start dies out where the loop follows, roundings do not
+        law, steps = self.given.law, whole_trial(N)  # a nudge at the start dies out where the loop follows, roundings do not
         more = {name: (1 + NUDGE) * np.asarray(getattr(law, name), float) for name in ("alpha", "feedforward")}
         beside = replace(self.given, q0=self.given.q0 + NUDGE, law=replace(law, **more))
-        runs = self.unchanged(whole_trial(N)), self._run(beside, whole_trial(N))
-        return bool(np.allclose(*(truncate(run, N).q for run in runs), rtol=1e-3, atol=1e-3, equal_nan=True))
+        q, other = (truncate(run, N).q for run in (self.unchanged(steps), self._run(beside, steps)))
+        return bool(np.allclose(q, other, rtol=1e-3, atol=1e-3, equal_nan=True))
 
     def possible(self, remedy) -> bool:
         """Whether a remedy can be tried: errors of other coordinates are other errors, and long runs take long."""
