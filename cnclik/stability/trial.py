@@ -173,7 +173,7 @@ class Trials:
 
     def repeats(self, N) -> bool:
         """Whether a run of N steps is the loop's own: that of a chaotic one depends on roundings."""
-        law, steps = self.given.law, whole_trial(N)  # a nudge at the start dies out where the loop follows, roundings do not
+        law, steps = self.given.law, whole_trial(N)  # one at the start dies out where the loop follows
         more = {name: (1 + NUDGE) * np.asarray(getattr(law, name), float) for name in ("alpha", "feedforward")}
         beside = replace(self.given, q0=self.given.q0 + NUDGE, law=replace(law, **more))
         q, other = (truncate(run, N).q for run in (self.unchanged(steps), self._run(beside, steps)))
