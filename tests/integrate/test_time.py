@@ -56,7 +56,7 @@ def test_one_program_for_all_types_of_numbers(dtype):
         one = ck.step(LAW, WAVE, q, make(2), make(1))
         counts.append(programs())
         found.append(np.concatenate([run.q[-1], one.q]))
-    assert len(set(counts)) == 1
+    assert np.all(np.max(counts, axis=0) == counts[0])  # those of earlier tests may make room meanwhile
     assert len({tuple(v) for v in found}) == 1
 
 
