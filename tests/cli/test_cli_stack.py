@@ -215,7 +215,7 @@ def test_the_nearest_pose_keeps_upper_levels(tmp_path, capsys):
     main(["reach", str(BAXTER), "--stack", str(tmp_path / "levels.toml")])
     shown = capsys.readouterr().out
     assert "Where not all can be had: left before right." in shown and "Left out: rest." in shown
-    missed = [(float(v), unit) for v, unit in re.findall(r"gripper: (\S+) (\S*m) and", shown)]
+    missed = [(float(v), unit) for v, unit in re.findall(r"gripper: (\S+) (\S*m)\b", shown)]
     assert missed[0][1] in ("µm", "nm") and missed[1][0] > 1 and missed[1][1] == "m", shown
 
 
