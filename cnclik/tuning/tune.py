@@ -81,15 +81,16 @@ def tune(
     # The gain over z that keeps the constraints best.
     safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))
     if not np.isfinite(judged[safe].loss):
-        return _without_run(objective, own, before, given)
+        values = _values(objective, pm.free_of(parameters, own))
+        return _without_descent(objective, values, before, judge(objective, [values])[0], "non-finite", given)
     anchor, run = pm.free_of(parameters, fallbacks[safe]), judged[safe]
     objective = replace(objective, postures=run.postures, growths=run.growths)  # constrain along that run
-    rng = np.random.default_rng(int(goal.conditions.seed))
-    begun = [
-        _nearest_feasible(objective, u, anchor)
-        for u in (pm.free_of(parameters, own), *rng.uniform(-4, 4, (descent.starts - 1, len(anchor))))
-    ]
+    begun = _begun(objective, pm.free_of(parameters, own), anchor, descent.starts, int(goal.conditions.seed))
     sizes = np.array([float(c.judged.loss) for c in begun])
+    if sizes.max() < NOTHING and begun[0].judged.feasible:  # roundings prefer no gain: keep those given
+        values, speed = _values(objective, begun[0].u), float(judged[0].speed)
+        more = dict(front=_front(objective, values), path_speed=speed, starts=sizes)
+        return _without_descent(objective, values, before, begun[0].judged, "nothing", given, **more)
     done = descend(
         objective,
         np.stack([c.u for c in begun]),
@@ -99,8 +100,7 @@ def tune(
         progress=progress,
     )
     ends = _judged(objective, [*done.u, *done.best, anchor])
-    nothing = bool(sizes.max() < NOTHING)  # roundings prefer no gain: keep those given
-    chosen = _restored(objective, begun[:1] if nothing else [*ends, *begun])
+    chosen = _restored(objective, [*ends, *begun])
     losses = [float(c.judged.loss) if c.judged.feasible else np.inf for c in ends[:-1]]
     starts = np.reshape(losses, (2, descent.starts)).min(0)
     winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
@@ -112,7 +112,7 @@ def tune(
         chosen.judged,
         _front(objective, values),
         path_speed=float(judged[0].speed),
-        status="infeasible" if not chosen.judged.feasible else "nothing" if nothing else done.why,
+        status=done.why if chosen.judged.feasible else "infeasible",
         history={name: history[winner] for name, history in done.history._asdict().items()},
         starts=starts,
         evaluations=done.history.loss.size,
@@ -120,12 +120,10 @@ def tune(
     )
 
 
-def _without_run(objective, own, before, given) -> Tuned:
-    """The result if no gain has a finite run."""
-    own = _values(objective, pm.free_of(objective.parameters, own))
-    history = {name: np.zeros(0) for name in History._fields}
-    ended = dict(status="non-finite", history=history, starts=np.full(1, np.inf), evaluations=0)
-    return result(objective, own, before, judge(objective, [own])[0], [], path_speed=np.inf, **ended, **given)
+def _without_descent(objective, values, before, now, status, given, *, front=(), path_speed=np.inf, starts=(np.inf,)):
+    """The result where no descent is of use: no gain has a finite run, or none has an error."""
+    ended = dict(history={name: np.zeros(0) for name in History._fields}, starts=np.array(starts), evaluations=0)
+    return result(objective, values, before, now, front, path_speed=path_speed, status=status, **ended, **given)
 
 
 def _values(objective, u):
@@ -174,6 +172,12 @@ def _between(objective, far, near, shares):
 
 def _least_bad(candidates):
     return min(candidates, key=lambda c: c.judged.violation)
+
+
+def _begun(objective, own, anchor, count, seed) -> list:
+    """Where descents begin: at the law's own values and at random ones, as near to them as the constraints allow."""
+    others = np.random.default_rng(seed).uniform(-4, 4, (count - 1, len(anchor)))
+    return [_nearest_feasible(objective, u, anchor) for u in (own, *others)]
 
 
 def _nearest_feasible(objective, u, anchor) -> Candidate:
