@@ -37,9 +37,7 @@ for _ in range(N):
     step()
 """
 
-MINK = """
-import numpy as np, mink, mujoco
-spec = mujoco.MjSpec.from_file(URDF)
+_MODEL = """spec = mujoco.MjSpec.from_file(URDF)
 if BASE == "free":
     spec.body(ROOT).add_freejoint()
 if BASE == "planar":
@@ -47,7 +45,14 @@ if BASE == "planar":
         spec.body(ROOT).add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
     spec.body(ROOT).add_joint(name="yaw", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
 model = spec.compile()
-robot = mink.Configuration(model)
+"""
+
+MINK = (
+    """
+import numpy as np, mink, mujoco
+"""
+    + _MODEL
+    + """robot = mink.Configuration(model)
 q = robot.q.copy()
 for name, value in START.items():
     q[model.joint(name).qposadr] = value
@@ -62,6 +67,7 @@ def step():
 for _ in range(N):
     step()
 """
+)
 
 PLACO = """
 import numpy as np, placo
@@ -84,7 +90,8 @@ for _ in range(N):
     step()
 """
 
-MJINX = """
+MJINX = (
+    """
 import jax, jax.numpy as jnp, jaxlie, mujoco, mujoco.mjx as mjx, numpy as np
 from mjinx.components._base import JaxComponent
 from mjinx.components.barriers import JointBarrier
@@ -94,15 +101,9 @@ from mjinx.problem import Problem
 from mjinx.solvers import LocalIKSolver
 jax.config.update("jax_enable_x64", True)
 FrameTask.JaxComponentType.compute_jacobian = JaxComponent.compute_jacobian
-spec = mujoco.MjSpec.from_file(URDF)
-if BASE == "free":
-    spec.body(ROOT).add_freejoint()
-if BASE == "planar":
-    for name, axis in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
-        spec.body(ROOT).add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    spec.body(ROOT).add_joint(name="yaw", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-model = spec.compile()
-robot = mjx.put_model(model)
+"""
+    + _MODEL
+    + """robot = mjx.put_model(model)
 q = model.qpos0.copy()
 for name, value in START.items():
     q[model.joint(name).qposadr] = value
@@ -126,6 +127,7 @@ def step():
 for _ in range(N):
     step()
 """
+)
 
 CNCLIK = """
 import jax, numpy as np, cnclik as ck
