@@ -41,7 +41,8 @@ def test_answers_in_every_kind_of_file(targets, tmp_path, capsys):
         assert data.q.attrs["units"] == "rad" and data.position_error.attrs["units"] == "m"
         for k, x in enumerate([(0.5, 1.0), (-0.3, 0.7)]):
             q = arrays["q"][k]
-            assert errors_of(q, x) < 1e-6 and [float(rows[k]["q1"]), float(rows[k]["q2"])] == q.tolist()
+            assert errors_of(q, x) < 1e-6
+            np.testing.assert_allclose([float(rows[k]["q1"]), float(rows[k]["q2"])], q, rtol=0, atol=1e-13)
         assert abs(arrays["position_error"][2] - 2.2) < 1e-4
     main(["reach", ARM, str(tmp_path / "out.npz"), "--task", "xy"])  # what it wrote it also reads
     assert "2  within the tolerance" in capsys.readouterr().out
