@@ -209,6 +209,11 @@ def _with_itself(answer, always):
     return simpler
 
 
+def _one_minus_square(g, args, params, dtype):
+    one, (x,) = g.const(1, dtype), args  # jax 0.11 has it in derivatives of tanh, asin and acos
+    return g.op("mul", g.op("add", one, x), g.op("sub", one, x))
+
+
 def _least(g, args, params, dtype):
     return args[0] if args[0] is args[1] else None
 
@@ -219,6 +224,7 @@ SIMPLER = {
     **{name: _with_itself(False, True) for name in ("lt", "gt")},
     **{name: _with_itself(name != "ne", False) for name in ("le", "ge", "eq", "ne")},
     "not": lambda g, args, params, dtype: args[0].args[0] if args[0].op == "not" else None,
+    "one_minus_square": _one_minus_square,
     "square": lambda g, args, params, dtype: g.op("mul", args[0], args[0]),
     "clamp": lambda g, args, params, dtype: g.op("min", g.op("max", args[1], args[0]), args[2]),
     "convert_element_type": lambda g, args, params, dtype: args[0] if args[0].dtype == dtype else None,

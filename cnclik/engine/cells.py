@@ -3,6 +3,9 @@
 Operations that only move data are done while reading, so they cost nothing in the written program.
 """
 
+import functools
+
+import jax
 import numpy as np
 
 
@@ -70,7 +73,9 @@ MOVES = {
 }
 
 
-_CALLS_NAMES = "jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call"
+_CALLS_NAMES = """
+    jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call call_hi_primitive
+"""
 CALLS = frozenset(_CALLS_NAMES.split())
 
 
@@ -79,15 +84,19 @@ def moved(equation, inputs):
     name, params = equation.primitive.name, equation.params
     if name in MOVES:
         return [MOVES[name](*inputs, **params)]
-    if name == "unstack":  # jax 0.12 has it for iterating over an array
+    if name == "unstack":  # jax 0.11 has it for iterating over an array
         x, axis = inputs[0], params["axis"]
         return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
     return None
 
 
-def called(params):
+def called(equation):
     """The jaxpr that a call runs, and its constants."""
-    inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
+    of, params = equation.primitive, equation.params
+    if of.name == "call_hi_primitive":  # jax 0.11 has it for `custom_root`
+        inner = jax.make_jaxpr(functools.partial(of.to_lojax, **params))(*(v.aval for v in equation.invars))
+    else:
+        inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
     return (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.random import threefry_prng_impl as of_keys
 
-from cnclik.engine.cells import MOVES, array_of
+from cnclik.engine.cells import array_of, moved
 from cnclik.engine.graph import Node, UnsupportedError
 from cnclik.engine.operations import TYPES
 from cnclik.record import bits_of
@@ -38,9 +38,9 @@ class Key(NamedTuple):
 
 def drawn(reader, eqn, inputs) -> list:
     """The results of an equation on keys."""
+    if (found := moved(eqn, inputs)) is not None:
+        return found
     (out,), name = (v.aval for v in eqn.outvars), eqn.primitive.name
-    if name in MOVES:
-        return [MOVES[name](*inputs, **eqn.params)]
     avals = [v.aval for v in eqn.invars]
     keys = [a for a in (*avals, out) if is_key(a)]
     if name not in _DRAWN or any((a.ndim and a is not out) or str(a.dtype) != "key<fry>" for a in keys):

@@ -13,7 +13,7 @@ from jax.interpreters import partial_eval
 
 from cnclik.engine import over_rows, random, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
-from cnclik.engine.cells import CALLS, MOVES, array_of, called, walk
+from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved, walk
 from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
@@ -26,10 +26,10 @@ LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
 LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole
 
 _NAMES = """
-    abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq erf
-    exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter
-    not or pow rem round rsqrt select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh sqrt square
-    sub tan tanh xor bitcast_convert_type
+    abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq
+    erf exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg
+    nextafter not one_minus_square or pow rem round rsqrt select_n shift_left shift_right_arithmetic
+    shift_right_logical sign sin sinh sqrt square sub tan tanh xor bitcast_convert_type
 """
 ELEMENTWISE = frozenset(_NAMES.split())
 _SAME = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
@@ -74,7 +74,7 @@ class Reader:
     def equation(self, eqn, inputs) -> list:
         name = eqn.primitive.name
         if name in CALLS:
-            jaxpr, consts = called(eqn.params)
+            jaxpr, consts = called(eqn)
             return self.run(jaxpr, consts, inputs)
         if name in _PASSED_ON or (name == "reduce_precision" and _keeps(eqn)):
             return list(inputs)
@@ -111,11 +111,8 @@ class Reader:
         return array_of([self.g.const(c.value, c.dtype, exact=True) if c.known else c for c in x.flat], x.shape)
 
     def _of_cells(self, name, eqn, cells):
-        if name in MOVES:
-            return [MOVES[name](*cells, **eqn.params)]
-        if name == "unstack":
-            x, axis = cells[0], eqn.params["axis"]
-            return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
+        if (found := moved(eqn, cells)) is not None:
+            return found
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, cells)]
         rule = RULES.get(name)
