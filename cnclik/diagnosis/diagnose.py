@@ -26,7 +26,7 @@ from cnclik.diagnosis.judge import (
     looked_at,
     spans,
 )
-from cnclik.diagnosis.modes import Modes, find_modes, polynomials, shape_of, trend
+from cnclik.diagnosis.modes import EXACT, Modes, find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
 from cnclik.precision import of_numbers
 from cnclik.quantities import in_samples
@@ -162,8 +162,13 @@ def diagnose(
     report(0, 4, "modes")
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
     scaled = ((y - y[0]) / size)[:, moving]
+    stepped = _stepped(scaled, longest)
+    moving[moving] = ~stepped
+    scaled = scaled[:, ~stepped]
     first, last, found = _found(scaled, longest)
     part = _part(first, scaled[first:last], found, longest)
+    if stepped.any() and part.kind is Kind.MONOTONE:  # the response to these steps, perhaps, which is no loop's
+        part = part._replace(kind=Kind.UNDECIDED)
     report(1, 4, "what it has come to")
     part = _come_to(part, longest)
     report(2, 4, "the loop behind it")
@@ -186,6 +191,13 @@ def diagnose(
         modes=every(found.parts.sum(0)),
         **made,
     )
+
+
+def _stepped(y, longest):
+    """Which columns (k,) rest from the first motion on, to rounding: their fit would be one of roundings."""
+    _, begun, last = looked_at(y, longest)
+    rests = np.ptp(y[begun:last], axis=0) <= EXACT
+    return rests & ~rests.all()
 
 
 class _Part(NamedTuple):

@@ -49,8 +49,9 @@ def reach(
     Called with numbers it works in float64, whatever JAX's setting, on all cores, and returns NumPy arrays; the same
     numbers give the same answers. With a C compiler the search is native code, which is built at the first call for a
     chain, in about a second; otherwise, and for few targets of a process's seventeenth chain, JAX's programs do the
-    same to rounding, several times more slowly. Under jit, vmap and grad it is a pure function in JAX's dtype; in float32 the tolerance is at least 1e-5. Derivatives with respect to targets
-    and geometry are those of the implicit function theorem, dq = J# de, with joints at their limits held constant.
+    same to rounding, several times more slowly. Under jit, vmap and grad it is a pure function in JAX's dtype; in
+    float32 the tolerance is at least 1e-5. Derivatives with respect to targets and geometry are those of the implicit
+    function theorem, dq = J# de, with joints at their limits held constant.
 
     Args:
       chain: the robot.

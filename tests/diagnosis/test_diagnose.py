@@ -213,13 +213,15 @@ def test_the_beginning_of_a_swing_does_not_grow(d, rows, noise):
     assert about(diagnose(grows + noise * rng.standard_normal(grows.shape), TS), 1.4 * stable(4), 4)
 
 
-def test_recorded_commands_beside_joints_are_no_decay_of_a_loop():
-    """A step of all joints with its commands, which have no noise: no factor explains both."""
+@pytest.mark.parametrize("rounding", [0.0, 4e-16])
+def test_recorded_commands_beside_joints_are_no_decay_of_a_loop(rounding):
+    """A step of all joints with its commands, which have no noise but roundings, or none."""
     command = np.where(np.arange(400)[:, None] < 20, 0.0, [0.1, -0.2, 0.15, 0.1, 0.2, -0.1])
     joints = np.zeros_like(command)
     for k in range(1, 400):
         joints[k] = 0.8187 * joints[k - 1] + 0.1813 * 0.97 * command[max(k - 4, 0)]
     joints += 1e-4 * np.random.default_rng(0).standard_normal(joints.shape)
+    command *= 1 + rounding * np.random.default_rng(1).standard_normal(joints.shape)
     found = diagnose(np.hstack([command, joints]), TS)
     assert found.kind is Kind.UNDECIDED and "No smaller gain" not in str(found), found
     assert diagnose(joints, TS).growth == pytest.approx(0.8187, rel=5e-3)
