@@ -74,7 +74,7 @@ MOVES = {
 
 
 _CALLS_NAMES = """
-    jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call call_hi_primitive
+    jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call call_hi_primitive eval_jaxpr
 """
 CALLS = frozenset(_CALLS_NAMES.split())
 

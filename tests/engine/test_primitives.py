@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 from jax import lax
+from jax.extend.core import Primitive
 
 from cnclik.engine.reader import ELEMENTWISE
 from engine.compare import NEEDS_C, check, in_c, in_scalar_c
@@ -44,6 +45,16 @@ def test_functions_of_one_number(names, dtype):
         ulps=40 if dtype == "float64" else 8,
         each=True,
     )
+
+
+@pytest.mark.parametrize("dtype", REALS)
+def test_a_function_that_older_versions_of_jax_do_not_have(dtype):
+    """jax 0.11 has it in derivatives of tanh, asin and acos."""
+    made = getattr(lax, "one_minus_square_p", None)
+    if made is None:
+        made = Primitive("one_minus_square")
+        made.def_abstract_eval(lambda x: x)
+    check(made.bind, numbers(dtype), by=lambda x: (1 + x) * (1 - x), ulps=8, each=True)
 
 
 @NEEDS_C
@@ -210,5 +221,5 @@ def test_a_zero_of_no_model_keeps_what_is_not_a_number():
 def test_every_elementwise_primitive_has_a_test():
     tested = {*ONE, *TWO, "and", "or", "xor", "not", "shift_left", "shift_right_logical", "shift_right_arithmetic"}
     tested |= {"integer_pow", "round", "clamp", "select_n", "convert_element_type", "add_any", "lt_to", "le_to"}
-    tested |= {"bitcast_convert_type"}  # of `test_random`
+    tested |= {"one_minus_square", "bitcast_convert_type"}  # the latter of `test_random`
     assert tested == ELEMENTWISE
