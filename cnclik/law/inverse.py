@@ -194,11 +194,15 @@ def damped_apply(rows, shift):
     shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
     factor, least = dense.cholesky(dense.shifted(gram, shift)), jnp.min(shift)
     even = (jnp.sqrt(least / shift) if jnp.ndim(shift) else 1.0), least
+
+    def solve(t):
+        return dense.factored_solve(factor, lambda x: wide @ (x @ wide) + shift * x, t)
+
     if wide is rows:
-        return lambda t: dense.cholesky_solve(factor, t) @ rows, factor, shift, even
+        return lambda t: solve(t) @ rows, factor, shift, even
 
     # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: dense.cholesky_solve(factor, wide @ t)[::-1], factor, shift, even
+    return lambda t: solve(wide @ t)[::-1], factor, shift, even
 
 
 def tiny_shift(rows):
