@@ -14,6 +14,7 @@ import textwrap
 import typing
 
 from cnclik import errors, quantities
+from cnclik.cli import common
 
 _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
@@ -112,7 +113,9 @@ def of_options(Args, said) -> str:
     found = re.match("(Argument )?`([^`]+)`", text := str(said))
     name = f"--{found[2].replace('_', '-')}" if found else ""
     known = any(name == one.name for one in _options(Args))
-    return text.replace(found[0], f"{'Option ' * bool(found[1])}`{name}`", 1) if found and known else text
+    if not found or not known:
+        return text
+    return common.as_options(text.replace(found[0], f"{'Option ' * bool(found[1])}`{name}`", 1))
 
 
 def _options(Args) -> list:

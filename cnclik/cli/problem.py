@@ -84,10 +84,6 @@ def drive_words(made) -> str:
     """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
     import numpy as np
 
-    if made.pace is not None:
-        return "steps scaled along the path to limits of " + ", ".join(
-            name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name) is not None
-        )
     drive = made.drive
     if drive is None or drive.absent:
         return ""
@@ -101,3 +97,9 @@ def drive_words(made) -> str:
         )
     said.append(f"feedback {drive.feedback}")
     return ", ".join(said)
+
+
+def pace_words(made) -> str:
+    """The limits to which steps are scaled, in words; "" without any."""
+    named = [name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name, None) is not None]
+    return f"steps scaled along the path to limits of {', '.join(named)}" if named else ""

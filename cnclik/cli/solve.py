@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, problem, table
+from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, pace_words, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
@@ -53,7 +53,8 @@ def run(args: Args) -> None:
     given = table(args)
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
-    loop = "; ".join(filter(None, (loop_in_words(made, args.written), along, drive_words(made) or dead_time(made))))
+    said = loop_in_words(made, args.written), along, drive_words(made) or dead_time(made), pace_words(made)
+    loop = "; ".join(filter(None, said))
     where = start_and_target(made, given)
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")

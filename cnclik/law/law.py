@@ -135,7 +135,7 @@ def of_tasks(task: Task, values: dict):
     """Gains of a stack's tasks, by their names, as those of its coordinates: (m,), or (m, m) where one is a matrix."""
     task.require_each("alpha", "have a gain for each task", values)
     sizes = {name: at.stop - at.start for name, at in task.each}
-    each = [errors.array(f"alpha of {k}", values[k], (), (m,), (m, m)) for k, m in sizes.items()]
+    each = [errors.array(f"alpha[{k!r}]", values[k], (), (m,), (m, m)) for k, m in sizes.items()]
     xp = np if all(map(errors.concrete, each)) else jnp
     if all(one.ndim < 2 for one in each):
         return xp.concatenate([one * xp.ones(sizes[name]) for name, one in zip(sizes, each, strict=True)])

@@ -104,7 +104,7 @@ def circle(
     _nonzero("period", period)
     if center.shape[0] == 2:
         if normal is not None:
-            raise errors.fail("normal", "be None for a 2-D centre", f"is {normal!r}")
+            raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
         u, v = np.eye(2)
     else:
         w = np.asarray(errors.array("normal", (0.0, 0.0, 1.0) if normal is None else normal, (3,)), float)

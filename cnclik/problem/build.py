@@ -179,7 +179,7 @@ def _law(chain, task, v, Ts, stack) -> Law:
         if task.m > chain.n and isinstance(inverse, Pseudoinverse):
             require_free(chain, task)
     else:
-        alpha, inverse = gains_from(stack.tasks, v["alpha"]), inverse_of(stack.tasks, task, chain, **damping)
+        alpha, inverse = gains_from(stack.tasks, task, v["alpha"]), inverse_of(stack.tasks, task, chain, **damping)
         walls = walls_from(stack.walls, chain)
     return Law(
         chain,

@@ -233,17 +233,17 @@ def _written(value, kind) -> bool:
     return isinstance(value, str) or (several and any(isinstance(v, str) for v in value))
 
 
-def units(law, width=None) -> dict:
-    """{option: unit} for a law's task and joints.
+def units(law, task, width=None) -> dict:
+    """{option: unit} for a law's joints and a task, the law's own or one of its stack.
 
     Args:
       width: number of values of a point; those after the position are a quaternion's, without unit.
     """
     from cnclik.law.inverse import ManipulabilityDamped  # imported here, as the table is read without JAX
 
-    power = len(law.task.lengths)
+    power = len(task.lengths)
     point = ["m"] if power else []
-    if not point or (law.task.angles and (width or 0) > 3):
+    if not point or (task.angles and (width or 0) > 3):
         point.append("1")
     known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
     known["w"] = known["J"]

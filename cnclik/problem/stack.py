@@ -176,14 +176,15 @@ def task_of(one: Table, chain: Chain) -> Task:
     return functools.reduce(operator.and_, (task_from(kind or None, chain, tip=t, **about).on(chain) for t in tips))
 
 
-def gains_from(tables, alpha):
+def gains_from(tables, task: Task, alpha):
     """The gain of a stack: each task's own, or that of the loop."""
     if not any("alpha" in one.given for one in tables.values()):
         return gain_from(alpha)
     found = {}
     for name, one in tables.items():
+        m = task.alone(name).m
         with errors.within(one.where):
-            found[name] = gain_from(one.given.get("alpha", alpha))
+            found[name] = errors.array("alpha", gain_from(one.given.get("alpha", alpha)), (), (m,))
     return found
 
 

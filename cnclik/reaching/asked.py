@@ -155,7 +155,8 @@ def asked_of(chain, *rest) -> Asked:
 
 def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
     if chain.balls:
-        raise errors.fail("chain", "stand, or move in a plane, to be asked for joint values", "has a free base")
+        what = f"turns about any axis by {chain.joint_names[chain.balls[0][1]]}"
+        raise errors.fail("chain", "have no free base and no ball joint, to be asked for joint values", what)
     if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     numbers = {"seeds": (seeds, MOST_SEEDS), "budget": (budget, (1 << 30) - 1)}

@@ -38,6 +38,7 @@ class Joint:
     multiplier: Number = 1.0
     offset: Number = 0.0
     parent: int | None = None  # index of the joint that carries it, −1 for the base; None: the previous one
+    follower: str = ""  # the name of a mimic joint
 
 
 @record

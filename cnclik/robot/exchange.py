@@ -35,7 +35,9 @@ class _Slot(NamedTuple):
 
 
 def to_pinocchio_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any = None) -> Any:
-    """q as a `pinocchio.Model` has it (..., model.nq), by names; joints that the robot hasn't are neutral.
+    """q as a `pinocchio.Model` has it (..., model.nq), by names; joints that the robot hasn't, frozen ones too, are neutral.
+
+    A mimic joint of the robot that the model has as its own, as without Pinocchio's `mimic=True`, follows.
 
     Args:
       q: (..., n) joint values of the robot.
@@ -88,7 +90,7 @@ def _of_mujoco(model) -> list:
 
 def _couple(robot, model, qpos, qvel):
     """Sets the joints that the robot has not and that follow another: y − y₀ = Σ aᵢ (x − x₀)ⁱ."""
-    known = {slot.q for slot, places in _matched(robot, _of_mujoco(model)) if places is not None}
+    known = {slot.q for slot, places in _matched(robot.joint_names, _of_mujoco(model)) if places is not None}
     pairs = [i for i in range(model.neq) if model.eq_type[i] == _COUPLED and model.eq_active0[i]]
     for _ in pairs:  # as one that follows may lead another
         for i in pairs:
@@ -103,9 +105,9 @@ def _couple(robot, model, qpos, qvel):
                 qvel[..., model.jnt_dofadr[own]] = curve.deriv()(at) * qvel[..., model.jnt_dofadr[other]]
 
 
-def _matched(robot, slots) -> Iterable:
+def _matched(names, slots) -> Iterable:
     """(slot, our coordinates of it or None) for each joint of a model; its only free or planar joint is our base."""
-    names = {name: i for i, name in enumerate(errors.kind("robot", robot, Chain).joint_names)}
+    names = {name: i for i, name in enumerate(names)}
     alone = sum(slot.kind in ("free", "planar") for slot in slots) == 1
     for slot in slots:
         parts = _PARTS.get(slot.kind)
@@ -115,11 +117,17 @@ def _matched(robot, slots) -> Iterable:
 
 
 def _to(robot, slots, q, qdot, sizes, order, own):
+    errors.kind("robot", robot, Chain)
     q = np.asarray(errors.array("q", q, (robot.n,), (None, robot.n)), float)
     found, speeds = np.zeros((*q.shape[:-1], sizes[0])), np.zeros((*q.shape[:-1], sizes[1]))
     given = None if qdot is None else _velocities("qdot", qdot, q.shape)
-    matched = list(_matched(robot, slots))
+    followers = [joint for joint in robot.joints if own and joint.follower]  # MuJoCo's are in the model's equalities
+    matched = list(_matched([*robot.joint_names, *(joint.follower for joint in followers)], slots))
     _require_all(robot, {i for _, places in matched for i in places or ()})
+    for joint in followers:
+        one = slice(joint.coordinate, joint.coordinate + 1)
+        q = np.concatenate([q, joint.multiplier * q[..., one] + joint.offset], -1)
+        given = None if given is None else np.concatenate([given, joint.multiplier * given[..., one]], -1)
     for slot, places in matched:
         rest = np.array(_REST[slot.kind], float)
         values, rotation = (rest, None) if places is None else _theirs(slot.kind, q[..., places])
@@ -133,10 +141,11 @@ def _to(robot, slots, q, qdot, sizes, order, own):
 
 
 def _from(robot, slots, q, v, sizes, order, own):
+    errors.kind("robot", robot, Chain)
     q = np.asarray(errors.array("q", q, (sizes[0],), (None, sizes[0])), float)
     found, speeds = (np.full((*q.shape[:-1], robot.n), np.nan) for _ in range(2))
     given = None if v is None else _velocities("v", v, (*q.shape[:-1], sizes[1]))
-    matched = [(slot, places) for slot, places in _matched(robot, slots) if places is not None]
+    matched = [(slot, places) for slot, places in _matched(robot.joint_names, slots) if places is not None]
     _require_all(robot, {i for _, places in matched for i in places})
     for slot, places in matched:
         values = q[..., slot.q : slot.q + len(_REST[slot.kind])]

@@ -73,7 +73,8 @@ def join(
     joints = [replace(j, parent=parent) for j, parent in zip(chain.joints, chain.parents, strict=True)]
     for joint, parent in zip(_placed(other.joints, other.parents, start), other.parents, strict=True):
         parent = carrier.joint if parent < 0 else count + parent
-        joints.append(replace(joint, parent=parent, coordinate=chain.n + joint.coordinate))
+        name = joint.follower and prefix + joint.follower
+        joints.append(replace(joint, parent=parent, coordinate=chain.n + joint.coordinate, follower=name))
     tips = [t for i, t in enumerate(chain.tips) if i != number or keep]
     tips += [Tip(name=prefix + t.name, joint=count + t.joint, offset=t.offset) for t in other.tips]
     names = [*chain.joint_names, *(prefix + name for name in other.joint_names)]

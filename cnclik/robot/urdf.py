@@ -1,5 +1,6 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
+import itertools
 import os
 import re
 from collections.abc import Sequence
@@ -109,7 +110,8 @@ def _walked(tree, base, links, frozen) -> tuple:
             if leader not in followed:
                 followed.append(leader)
             about = dict(coordinate=followed.index(leader), multiplier=multiplier, offset=offset, parent=parent)
-            joints.append(Joint(kind=kind, axis=axis, origin=before, **about))
+            name = "" if leader is edge else edge.name
+            joints.append(Joint(kind=kind, axis=axis, origin=before, follower=name, **about))
             at[there] = len(joints) - 1, after
     return joints, at, followed
 
@@ -181,8 +183,9 @@ def _frozen(tree, freeze) -> dict:
     for name, value in (freeze or {}).items():
         edge = moving.get(name)
         if edge is None:
-            hint = errors.nearest(name, moving)
-            raise errors.fail("freeze", f"name joints of {tree.file} that move", f"names {name!r}{hint}")
+            kind = next((e.type for e in tree.edges if e.name == name and e.type != "fixed"), None)
+            hint = f", which is {kind}" if kind else errors.nearest(name, moving)
+            raise errors.fail("freeze", f"name joints of {tree.file} with one coordinate", f"names {name!r}{hint}")
         if edge.mimic is not None:
             raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
         value = errors.number(f"freeze[{name!r}]", value)
@@ -210,10 +213,10 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
 
 def _remark_on_a_jaw(tip, up, down):
     """Remark on a default tip that the last joint moves like a gripper's jaw: it is probably not the intended one."""
-    moving = [edge for edge in (*up, *down) if edge.type != "fixed"]
-    named = [_JAW.search(f"{edge.name} {edge.child}") is not None for edge in moving]
-    if named and named[-1] and not named[0]:
-        jaw = moving[-1]
+    moving = [edge for edge in (*up, *down) if edge.type not in ("fixed", "floating", "planar")]  # a base is no arm
+    jaws = list(itertools.takewhile(lambda edge: _JAW.search(f"{edge.name} {edge.child}"), reversed(moving)))
+    if 0 < len(jaws) < len(moving):
+        jaw = jaws[-1]
         errors.remark(
             f"The tip is {tip!r}, a gripper's jaw that joint {jaw.name!r} moves. The tip {jaw.parent!r} is the arm "
             "without the jaw."

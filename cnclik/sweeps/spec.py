@@ -186,7 +186,8 @@ class Spec:
         for name, one in self.axes.items():
             width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
             *of, option = name.split(".")
-            known[name] = options.units(law, width).get(option, known.get(name, ""))
+            task = law.task.alone(of[1]) if of[:1] == ["tasks"] else law.task
+            known[name] = options.units(law, task, width).get(option, known.get(name, ""))
             if of[:1] == ["walls"]:  # those of corners have numbers
                 own = next(w for w in getattr(law.limits, "walls", ()) if of[1] in (w.name, w.name.rpartition("_")[0]))
                 unit = options.OF_WALL[option].unit

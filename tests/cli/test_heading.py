@@ -91,6 +91,12 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert ck.load_urdf(file, tip=jaw).n == 3 and ck.load_urdf(file, tip="wrist").n == 2  # chosen
+        file.write_text(JAWED.replace("arm", "upper_finger").replace("wrist", "knuckle").format(joint="j3", jaw="jaw"))
+        assert ck.load_urdf(file, base="planar").n == 6  # a finger alone, on a base
+    file.write_text(JAWED.replace("wrist", "knuckle").format(joint=joint, jaw=jaw))
+    with pytest.warns(errors.Remark, match="jaw that joint 'j2' moves. The tip 'arm' is the arm without the jaw"):
+        ck.load_urdf(file)
+    file.write_text(JAWED.format(joint=joint, jaw=jaw))
     main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
     said = capsys.readouterr()
     assert said.err.count("gripper's jaw") == 1 and '"remarks": ["The tip is' in said.out
@@ -100,6 +106,15 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     assert not said.err and "hand, tip flange, task x y" in said.out
     main(["reach", str(file), "--tip", "flange", "--random", "2", "--task", "xy"])  # "hand flange, tip flange" it was
     assert capsys.readouterr().out.startswith("hand, tip flange, task x y\n")
+
+
+def test_a_pace_and_dead_time_are_both_said(tmp_path, capsys):
+    main(["solve", "planar:1,1", "--delay", "34ms", "--lag", "0.02", "--max-acceleration", "50", "--max-velocity", "1",
+          *VERBS["solve"][:-1], str(tmp_path / "out")])  # fmt: skip
+    said = "3.4 samples (34 ms) of dead time, velocity drives 20 ms behind their commands, feedback measured; "
+    assert f"{said}steps scaled along the path to limits of velocity, acceleration\n" in capsys.readouterr().out
+    main(["solve", "planar:1,1", "--max-jerk", "500", "--overwrite", *VERBS["solve"][:-1], str(tmp_path / "out")])
+    assert "no dead time given; steps scaled along the path to limits of" in capsys.readouterr().out
 
 
 @pytest.mark.slow

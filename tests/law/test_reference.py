@@ -307,7 +307,7 @@ BAD = [
     (lambda: ck.circle(None, 1, period=1), "`center` must be an array of real numbers, but is None"),
     (lambda: ck.circle([0, 0], -1, period=1), "`radius` must be at least 0, but is -1"),
     (lambda: ck.circle([0, 0], 1, period=0), "`period` must not be 0"),
-    (lambda: ck.circle([0, 0], 1, period=1, normal=[0, 0, 1]), "`normal` must be None for a 2-D centre"),
+    (lambda: ck.circle([0, 0], 1, period=1, normal=[0, 0, 1]), "`normal` must be left out for a circle in a plane"),
     (lambda: ck.circle([0, 0, 0], 1, period=1, normal=[0, 0, 0]), "`normal` must not be the zero vector"),
     (lambda: ck.lissajous([0, 0], [1], period=1), r"`amplitude` must have shape \(2,\), but has shape \(1,\)"),
     (lambda: ck.lissajous([0, 0], [1, 1], period=1, phase=[0]), r"`phase` must have shape \(2,\)"),

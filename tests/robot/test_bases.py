@@ -57,6 +57,38 @@ def test_robots_on_bases_are_pinocchios(name, base):
     np.testing.assert_allclose(rates, qdot, atol=1e-14)
 
 
+LED = """<robot name="led"><link name="rail"/><link name="cart"/><link name="a"/><link name="b"/><link name="c"/>
+<joint name="lift" type="prismatic"><parent link="rail"/><child link="cart"/><axis xyz="0 0.6 0.8"/>
+  <limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+<joint name="out" type="prismatic"><parent link="cart"/><child link="a"/><origin xyz="0.1 0 0.2" rpy="0.1 0.2 0.3"/>
+  <axis xyz="1 0 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/>
+  <mimic joint="lift" multiplier="-0.5" offset="0.05"/></joint>
+<joint name="turn" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
+<joint name="back" type="continuous"><parent link="b"/><child link="c"/><origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
+  <mimic joint="turn" multiplier="-2" offset="0.4"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("followers", [False, True])
+def test_mimic_joints_follow_in_pinocchio(followers):
+    """Without mimic=True Pinocchio has them as joints of their own, which were left at 0."""
+    robot, model = ck.load_urdf(LED, base="planar"), pin.buildModelFromXML(LED, JOINTS["planar"](), followers)
+    q, qdot = postures(robot, 4)[-1], np.random.default_rng(2).normal(size=robot.n)
+    data, (theirs, v) = model.createData(), ck.to_pinocchio_q(robot, model, q, qdot)
+    frame = model.getFrameId("c")
+    pin.forwardKinematics(model, data, theirs, v)
+    at, spin = (
+        pin.updateFramePlacement(model, data, frame),
+        pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED),
+    )
+    own = ck.forward(robot, q)
+    np.testing.assert_allclose(own.position, at.translation, atol=1e-12)
+    np.testing.assert_allclose(own.rotation, at.rotation, atol=1e-12)
+    np.testing.assert_allclose(ck.jacobian(robot, q) @ qdot, spin.vector, atol=1e-12)
+    again, rates = ck.from_pinocchio_q(robot, model, theirs, v)
+    np.testing.assert_allclose(again, q, atol=1e-14)
+    np.testing.assert_allclose(rates, qdot, atol=1e-14)
+
+
 def test_free_and_ball_joints_of_a_model_are_mujocos():
     """Poses, velocities, the centre of mass; breaks for a base whose place is told from the body's, as in a URDF."""
     model = mujoco.MjModel.from_xml_string(HUMANOID)
@@ -101,6 +133,8 @@ def test_a_files_own_free_joint_is_a_base(kind):
     q = np.linspace(0.1, 0.8, own.n)
     np.testing.assert_array_equal(ck.jacobian(own, q), ck.jacobian(told, q))
     assert ck.load_urdf(text, base="l0").n == ck.load_urdf(long_chain(3)).n
+    with pytest.raises(ck.ArgumentError, match=f"with one coordinate, but names 'base', which is {kind}"):
+        ck.load_urdf(text, freeze={"base": 0.0})
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0.6, -0.8), (0, 0, -1)])
