@@ -35,7 +35,7 @@ class _Slot(NamedTuple):
 
 
 def to_pinocchio_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any = None) -> Any:
-    """q as a `pinocchio.Model` has it (..., model.nq), by names; joints that the robot hasn't, frozen ones too, are neutral.
+    """q as a `pinocchio.Model` has it (..., model.nq), by names; joints that it hasn't, frozen ones too, are neutral.
 
     A mimic joint of the robot that the model has as its own, as without Pinocchio's `mimic=True`, follows.
 
