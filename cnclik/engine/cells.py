@@ -10,22 +10,11 @@ import numpy as np
 
 
 def array_of(cells, shape):
-    """An array whose entries are the cells: known numbers, vectors of lanes, or HISTORY."""
+    """An array whose entries are the cells."""
     made = np.empty(len(cells), object)
     for i, cell in enumerate(cells):
         made[i] = cell
     return made.reshape(shape)
-
-
-def known(value):
-    value = np.asarray(value)
-    return array_of(value.ravel().tolist(), value.shape)
-
-
-def each(fn, *arrays):
-    """fn of the cells, entry by entry."""
-    arrays = np.broadcast_arrays(*arrays)
-    return array_of([fn(*cells) for cells in zip(*(a.flat for a in arrays), strict=True)], arrays[0].shape)
 
 
 def walk(jaxpr, consts, values, literal, equation) -> list:

@@ -6,8 +6,6 @@ known, so loop invariants are computed before the loop; nothing moves out of a b
 one scalar at N instants, such as what a scan stacks.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
@@ -48,9 +46,7 @@ class Block:
 
 
 class Region:
-    """A node that contains blocks: a `Scan`, `While` or `Cond`."""
-
-    blocks: Sequence = ()
+    """A node that contains `blocks`: a `Scan`, `While` or `Cond`."""
 
     @property
     def number(self) -> int:
@@ -66,12 +62,9 @@ class Scan(Region):
 
     def __init__(self, parent, length, reverse=False):
         self.length, self.reverse, self.block = length, reverse, Block(parent)
+        self.blocks = [self.block]
         self.first, self.carries, self.then = [], [], []
         self.xs, self.rows, self.ys, self.stacks, self.outs = [], [], [], [], []
-
-    @property
-    def blocks(self):
-        return [self.block]
 
     @property
     def used(self) -> list:
@@ -92,11 +85,8 @@ class While(Region):
         """counts: whether it is a `jax.lax.fori_loop`: its invariants are computed before it."""
         self.asking = Block(parent, branch=not counts)
         self.block = Block(self.asking, branch=not counts)
+        self.blocks = [self.asking, self.block]
         self.first, self.carries, self.then, self.outs, self.begins = [], [], [], [], None
-
-    @property
-    def blocks(self):
-        return [self.asking, self.block]
 
     @property
     def used(self) -> list:

@@ -66,7 +66,7 @@ def number(value, dtype) -> str:
 
 def is_operation(node) -> bool:
     """Whether a node is an elementwise operation on its arguments."""
-    return node.op in _NAMES
+    return node.op in NAMES
 
 
 def text(node, of) -> str:
@@ -104,7 +104,7 @@ def text(node, of) -> str:
         return f"pow_{T}({a[0]}, {_converted(a[1], args[1].dtype, args[0].dtype)})"
     if name == "rem" and kind == "f":
         return f"fmod_{T}({a[0]}, {a[1]})"
-    if name not in _NAMES:
+    if name not in NAMES:
         raise UnsupportedError(f"the operation `{name}` has no C form")
     return f"{name}_{T}({', '.join(a)})"
 
@@ -147,7 +147,7 @@ _SIMPLE = {
     **{"is_finite": "MASK(({0} - {0}) == ({0} - {0}))"},
     "logistic": "1 / (1 + exp_{T}(-{0}))",
 }
-_NAMES = frozenset([
+NAMES = frozenset([
     *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "log", "log1p", "max", "min",
     "sign", "rem", "bitcast_convert_type", "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic",
     "shift_right_logical",

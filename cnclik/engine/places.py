@@ -1,5 +1,6 @@
 """Places: rules of gather, scatter and slices at known or computed places."""
 
+import functools
 import itertools
 
 import numpy as np
@@ -67,8 +68,7 @@ def _wide(g, places):
     """Indices in at least 32 bits, as flat indices may exceed a small type."""
     if places.size == 0 or places.flat[0].dtype.itemsize >= 4:
         return places
-    wide = [g.apply("convert_element_type", [c], np.dtype(np.int32), None) for c in places.flat]
-    return array_of(wide, places.shape)
+    return array_of([g.apply("convert_element_type", [c], np.int32) for c in places.flat], places.shape)
 
 
 def _plus(g, start, offset):
@@ -124,32 +124,37 @@ def _starts(g, vector, dims, sizes, shape, mode):
         start, ok = _start(g, index, shape[d] - sizes[d], mode)
         found[d] = _known(start)
         several += [] if ok is None else [ok]
-    inside = None
-    for ok in several:
-        inside = ok if inside is None else g.op("and", inside, ok)
-    return found, inside
+    return found, functools.reduce(functools.partial(g.op, "and"), several) if several else None
+
+
+def _windows(g, over, shape, places, mapped, sizes, mode, window, hidden, batching):
+    """(place, coordinates of its cell, whether they are inside; None: always) of each entry of windows of shape `over`.
+
+    Args: as `GatherDimensionNumbers` names them: mapped: start_index_map; window: offset_dims; hidden: the axes that a
+      window lacks; batching: the pairs of batching axes.
+    """
+    kept, batch = ([d for d in range(len(s)) if d not in some] for s, some in ((shape, hidden), (over, window)))
+    known = {}
+    for at in np.ndindex(*over):
+        which = tuple(at[d] for d in batch)
+        if which not in known:
+            starts, inside = _starts(g, places[which], mapped, sizes, shape, mode)
+            known[which] = starts | {d: which[b] for d, b in batching}, inside
+        starts, inside = known[which]
+        offsets = dict(zip(kept, (at[d] for d in window), strict=True))
+        yield at, [_plus(g, starts.get(d, 0), offsets.get(d, 0)) for d in range(len(shape))], inside
 
 
 def _gather(g, eqn, x, places):
     p, out, places = eqn.params, eqn.outvars[0].aval, _wide(g, places)
     numbers, sizes, mode = p["dimension_numbers"], p["slice_sizes"], p["mode"]
     hidden = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
-    kept = [d for d in range(len(x.shape)) if d not in hidden]
-    batch = [d for d in range(out.ndim) if d not in numbers.offset_dims]
     cells = x.size if is_cells(x) else x.cells.size
     if not all(c.known for c in places.flat) and out.size * cells > MOST_READS:
         raise UnsupportedError(f"`gather` of {out.size} entries at unknown places among {cells} has no C form")
-    known, made = {}, []
-    for at in np.ndindex(*out.shape):
-        which = tuple(at[d] for d in batch)
-        if which not in known:
-            known[which] = _starts(g, places[which], numbers.start_index_map, sizes, x.shape, mode)
-        starts, inside = known[which]
-        starts = starts | {
-            d: which[b] for d, b in zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
-        }
-        offsets = dict(zip(kept, (at[d] for d in numbers.offset_dims), strict=True))
-        coords = [_plus(g, starts.get(d, 0), offsets.get(d, 0)) for d in range(len(x.shape))]
+    batching = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
+    made, of = [], (numbers.start_index_map, sizes, mode, numbers.offset_dims, hidden, list(batching))
+    for _, coords, inside in _windows(g, out.shape, x.shape, places, *of):
         cell = _taken(g, x, coords, places.flat[0].dtype)
         made.append(cell if inside is None else g.select(inside, cell, _fill(g, p["fill_value"], cell.dtype)))
     return [array_of(made, out.shape)]
@@ -167,21 +172,13 @@ def _scatter(combine):
         p, places = eqn.params, _wide(g, places)
         numbers, mode, out = p["dimension_numbers"], p["mode"], x.reshape(-1).copy()
         hidden = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
-        kept = [d for d in range(x.ndim) if d not in hidden]
-        sizes = dict(zip(kept, (updates.shape[d] for d in numbers.update_window_dims), strict=True))
-        sizes = [sizes.get(d, 1) for d in range(x.ndim)]
-        batch = [d for d in range(updates.ndim) if d not in numbers.update_window_dims]
+        own = iter(updates.shape[d] for d in numbers.update_window_dims)
+        sizes = [1 if d in hidden else next(own) for d in range(x.ndim)]
         if not all(c.known for c in places.flat) and updates.size * x.size > MOST_WRITES:
             raise UnsupportedError(f"`{eqn.primitive.name}` of {updates.size} entries at unknown places has no C form")
-        for at in np.ndindex(*updates.shape):
-            which = tuple(at[d] for d in batch)
-            starts, inside = _starts(g, places[which], numbers.scatter_dims_to_operand_dims, sizes, x.shape, mode)
-            starts |= {
-                d: which[b]
-                for d, b in zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
-            }
-            offsets = dict(zip(kept, (at[d] for d in numbers.update_window_dims), strict=True))
-            coords = [_plus(g, starts.get(d, 0), offsets.get(d, 0)) for d in range(x.ndim)]
+        batching = zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
+        of = numbers.scatter_dims_to_operand_dims, sizes, mode, numbers.update_window_dims, hidden, list(batching)
+        for at, coords, inside in _windows(g, updates.shape, x.shape, places, *of):
             if inside is not None and inside.known:
                 if not inside.value:
                     continue

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import pathlib
 import tempfile
 import time
@@ -24,25 +25,18 @@ CALLS = 4  # of each thread, so that slow lanes do not keep one core busy alone
 
 
 class Program:
-    """A function of one lane as a C library. Raises: UnsupportedError if it has no C form."""
+    """A function of one lane's arrays, of these avals, as a C library. Raises: UnsupportedError if it has no C form."""
 
-    def __init__(self, fn, avals, treedef, *, single=False):
-        """Args:
-        avals: of one lane's arguments, leaf by leaf. treedef: their tree.
-        single: for one lane only: it builds in half the time and is a little quicker.
-        """
+    def __init__(self, fn, avals, *, single=False):
+        """single: for one lane only: it builds in half the time and is a little quicker."""
         if not can_build():
             raise UnsupportedError("there is no C compiler")
         with to_be_read():
-            graph, given, outs, (shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
+            graph, given, outs, (shapes, self.tree) = read(fn, *avals)
         text, self.operations = write(graph, given, outs, shapes)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
         head += "#define BYTES MAIN\n" * single
-        include = [jax.ffi.include_dir()]
-
-        def build(folder):
-            return build_text(head + text, folder, include=include, scheduled=not single)
-
+        build = functools.partial(build_text, head + text, include=[jax.ffi.include_dir()], scheduled=not single)
         self._have(avals, shapes, build)
 
     @classmethod
@@ -116,7 +110,7 @@ class Programs:
     """The programs of a function of flat arguments, by argument types; the reason where there is none."""
 
     def __init__(self, fn, make=Program):
-        """make: makes a program from (fn, avals, treedef): `Program` or `to_jax.Derived`."""
+        """make: makes a program from (fn, avals): `Program` or `to_jax.Derived`."""
         self.fn, self.make, self.found = fn, make, Recent()
 
     def of(self, avals):
@@ -129,7 +123,7 @@ class Programs:
 
     def _made(self, avals):
         try:
-            return self.make(self.fn, avals, jax.tree.structure(tuple(avals)))
+            return self.make(self.fn, avals)
         except UnsupportedError as error:
             return error
 

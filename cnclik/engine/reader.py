@@ -17,6 +17,7 @@ from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved, walk
 from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
+from cnclik.engine.operations import NAMES
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.random import check_dtype
 from cnclik.engine.regions import REGIONS
@@ -25,14 +26,8 @@ from cnclik.engine.stacks import Deep, Rows, is_cells
 LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
 LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole
 
-_NAMES = """
-    abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq
-    erf exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p logistic lt lt_to max min mul ne neg
-    nextafter not one_minus_square or pow rem round rsqrt select_n shift_left shift_right_arithmetic
-    shift_right_logical sign sin sinh sqrt square sub tan tanh xor bitcast_convert_type
-"""
-ELEMENTWISE = frozenset(_NAMES.split())
 _SAME = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
+ELEMENTWISE = NAMES - {"fmod"} | _SAME.keys() | {"clamp", "integer_pow", "one_minus_square"}
 _PASSED_ON = frozenset(["optimization_barrier", "real", "pcast", "pvary", "name"])
 _PARAMS = {"integer_pow": "y", "round": "rounding_method"}
 RULES = ARRAYS | PLACES | MATRICES

@@ -1,10 +1,13 @@
 """Scalar: a graph as the statements of a C99 function for one lane: plain numbers, branches and loops."""
 
+import re
+
 import numpy as np
 
 from cnclik.engine.algebra import COMMUTES
 from cnclik.engine.graph import Cond, UnsupportedError
 from cnclik.engine.operations import BINARY, BITS, COMPARED, LIBRARY, header, number, scalar
+from cnclik.engine.sines import TABLES, reduction
 from cnclik.engine.to_c import Writer
 
 
@@ -105,7 +108,16 @@ def indented(lines) -> list:
 
 def helpers(functions, prefix="") -> str:
     """The C functions that statements call: a writer's `functions`, with its prefix."""
-    return "\n".join(header(f"sincos_{N}.h").replace("sincos", f"{prefix}sincos_{N}") for N in sorted(functions))
+    return "\n".join(_sincos(N, f"{prefix}sincos_{N}") for N in sorted(functions))
+
+
+def _sincos(N, name):
+    size, f = (4, "f") if N == "float" else (8, "")
+    words = {"SINCOS": name, "REAL": N, "TURNS": TABLES[size].turns + f, "MAGIC": TABLES[size].magic + f}
+    text = re.sub(
+        "|".join(words), lambda found: words[found[0]], header("sincos.h").replace("REDUCED", reduction(size))
+    )
+    return re.sub(r"LIBM\((\w+)\)", rf"\1{f}", text)
 
 
 def _type(dtype) -> str:

@@ -17,39 +17,45 @@ RANGE = 1e4
 
 
 class Table(NamedTuple):
-    """The numbers of `sincos` in one precision."""
+    """The numbers of `sincos` in one precision, as texts for JAX and for C."""
 
-    half_pi: tuple  # parts of π/2 whose product with k is exact, then a compensated part, then the tail
-    sine: tuple  # sin r = r + r³ S(r²)
-    cosine: tuple  # cos r = 1 − r²/2 + r⁴ C(r²)
+    half_pi: str  # parts of π/2 whose product with k is exact, then a compensated part, then the tail
+    sine: str  # sin r = r + r³ S(r²)
+    cosine: str  # cos r = 1 − r²/2 + r⁴ C(r²)
+    turns: str  # 2/π
+    magic: str  # 1.5 times two to the power of the mantissa's bits: what is added to it becomes whole
 
 
-TABLES = {  # {bits of the mantissa: table}
-    24: Table(
-        half_pi=(1.5703125, 0.0004837512969970703, 7.549533620476723e-08, 2.5633441e-12),
-        sine=(-0.166666549331917384, 0.00833217745665272256, -0.000195172025549268638),
-        cosine=(0.0416666468486836209, -0.00138873666071656574, 0.0000244383434232972141),
+TABLES = {  # {bytes of a number: table}
+    4: Table(
+        half_pi="1.5703125 0.0004837512969970703 7.549533620476723e-08 2.5633441e-12",
+        sine="-0.166666549331917384 0.00833217745665272256 -0.000195172025549268638",
+        cosine="0.0416666468486836209 -0.00138873666071656574 0.0000244383434232972141",
+        turns="0.636619772",
+        magic="12582912.0",
     ),
-    53: Table(
-        half_pi=(1.5707963267941523, 7.443547480480255e-13, 6.36831716351095e-25),
-        sine=(
-            -0.16666666666666632,
-            0.0083333333333224082,
-            -0.000198412698298032444,
-            2.75573136902666746e-6,
-            -2.50507578467316194e-8,
-            1.58967795431892491e-10,
-        ),
-        cosine=(
-            0.0416666666666665994,
-            -0.00138888888888741166,
-            0.000024801587289477352,
-            -2.75573143508751314e-7,
-            2.08757230672177435e-9,
-            -1.13596367512304589e-11,
-        ),
+    8: Table(
+        half_pi="1.5707963267941523 7.443547480480255e-13 6.36831716351095e-25",
+        sine="-0.16666666666666632 0.0083333333333224082 -0.000198412698298032444 2.75573136902666746e-6"
+        " -2.50507578467316194e-8 1.58967795431892491e-10",
+        cosine="0.0416666666666665994 -0.00138888888888741166 0.000024801587289477352 -2.75573143508751314e-7"
+        " 2.08757230672177435e-9 -1.13596367512304589e-11",
+        turns="0.6366197723675814",
+        magic="6755399441055744.0",
     ),
 }
+
+
+def reduction(size) -> str:
+    """In C, of numbers of `size` bytes: r and z = r² from x and k, and the polynomials s = S(z) and t = C(z)."""
+    suffix, table = "f" * (size == 4), TABLES[size]
+    *exact, part, tail = (word + suffix for word in table.half_pi.split())
+    lines = [f"x = x - k * {p};" for p in exact]
+    lines += [f"r = x - k * {part};", f"r = r + (((x - r) - k * {part}) - k * {tail});", "z = r * r;"]
+    for name, numbers in (("s", table.sine), ("t", table.cosine)):
+        words = [word + suffix for word in reversed(numbers.split())]
+        lines.append(f"{name} = {functools.reduce(lambda made, c: f'({made} * z + {c})', words)};")
+    return "\n  ".join(lines)
 
 
 def sincos(angles):
@@ -75,8 +81,8 @@ def sincos(angles):
 
 def _reduced(x):
     """(sin x, cos x) for |x| ≤ RANGE; meaningless beyond."""
-    table = TABLES[jnp.finfo(x.dtype).nmant + 1]
-    *exact, part, tail = table.half_pi
+    table = TABLES[x.dtype.itemsize]
+    *exact, part, tail = map(float, table.half_pi.split())
     k = lax.round(x * (2 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
     for p in exact:
         x = x - k * p
@@ -91,8 +97,8 @@ def _reduced(x):
     return jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
 
 
-def _polynomial(coefficients, z):
-    out = coefficients[-1]
-    for c in coefficients[-2::-1]:
+def _polynomial(numbers, z):
+    *lower, out = map(float, numbers.split())
+    for c in reversed(lower):
         out = out * z + c
     return out

@@ -7,6 +7,7 @@ import numpy as np
 from cnclik.engine.graph import Node
 from cnclik.engine.operations import LIBRARY, TYPES, header, scalar, vector
 from cnclik.engine.row_texts import all_items
+from cnclik.engine.sines import reduction
 from cnclik.engine.to_c import Writer
 
 LONG = 20_000  # operations; longer programs are written in pieces
@@ -77,14 +78,11 @@ def _types(writer, main):
         dtype, real = np.dtype(name), name in _REAL
         bits, number, suffix = _REAL[name] if real else (f"S{8 * dtype.itemsize}", "", "")
         defined = {"T": T, "N": N, "K(name)": f"name##_{T}", "BITS": bits, "SIZE": dtype.itemsize}
-        defined |= {
-            "LIBM(name)": f"name##{suffix}" if suffix else "name",
-            "BITS_NUMBER": number,
-            "SIGNED": int(dtype.kind == "i"),
-        }
+        defined |= {"LIBM(name)": f"name##{suffix}" if suffix else "name", "BITS_NUMBER": number}
+        defined |= {"SIGNED": int(dtype.kind == "i")}
         yield from (f"#define {key} {value}" for key, value in defined.items())
         yield header("numbers.h")
-        yield header("real.h" if real else "whole.h")
+        yield header("real.h").replace("REDUCED", reduction(dtype.itemsize)) if real else header("whole.h")
         if real:
             yield from _library(writer, T)
         yield from (f"#undef {key.split('(')[0]}" for key in defined)

@@ -22,10 +22,6 @@ class Rows:
     def shape(self) -> tuple:
         return (self.length, *self.cells.shape)
 
-    @property
-    def size(self) -> int:
-        return self.length * self.cells.size
-
 
 class Deep(Rows):
     """An array (N, n, ...) that a nested scan stacks; its cells are nodes of shape (N, n), (N,) or ()."""
@@ -37,10 +33,6 @@ class Deep(Rows):
     @property
     def shape(self) -> tuple:
         return (self.length, self.inner, *self.cells.shape)
-
-    @property
-    def size(self) -> int:
-        return self.length * self.inner * self.cells.size
 
 
 def is_cells(value) -> bool:

@@ -145,11 +145,7 @@ class Writer(RowTexts):
 
     def items(self, items):
         for item in items:
-            self.node(item) if isinstance(item, Node) else self.region(item)
-
-    def region(self, r):
-        """Writes a loop or branch."""
-        {Scan: self.scan, While: self.loop, Cond: self.choice}[type(r)](r)
+            {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
 
     def leave(self):
         """Ends a block: its values go out of scope."""
@@ -168,12 +164,8 @@ class Writer(RowTexts):
                 self.operations += 1
             else:
                 self.declare(n, words)
-        elif n.op == "index":
-            self.index(n)
-        elif n.op == "pick":
-            self.pick(n)
-        elif n.op == "take":
-            self.take(n)
+        elif n.op in ("index", "pick", "take"):
+            getattr(self, n.op)(n)
 
     def index(self, n):
         """One entry of an argument, or of a row."""

@@ -33,16 +33,14 @@ _sincos = jax.jit(sincos, inline=False)
 
 
 class Derived:
-    """A function of one lane, read and written as JAX. Raises: UnsupportedError if it cannot be read."""
+    """A function of one lane's arrays, read and written as JAX. Raises: UnsupportedError if it cannot be read."""
 
-    def __init__(self, fn, avals, treedef):
-        """avals: of one lane's arguments, leaf by leaf. treedef: their tree."""
+    def __init__(self, fn, avals):
         with to_be_read():
-            self.read = *_, (self.shapes, self.tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *avals)
+            self.read = *_, (self.shapes, self.tree) = read(fn, *avals)
         self.avals, self.written = avals, {}
 
     def __call__(self, *leaves) -> list:
-        """Results, leaf by leaf, of one lane's arguments, leaf by leaf."""
         made = self.written.get(hints_on())
         if made is None:  # made once, so that `vmap` caches its result
             graph, given, outs, _ = self.read

@@ -22,10 +22,15 @@ NEEDS_C = pytest.mark.skipif(not can_build(), reason="no C compiler")
 STRICT = "-std=c99 -O1 -pedantic -Wall -Wextra -Werror -fPIC -shared"
 
 
+def of_leaves(fn, treedef):
+    """A function of trees as one of their leaves."""
+    return lambda *leaves: fn(*jax.tree.unflatten(treedef, leaves))
+
+
 def in_c(fn, *args, cores=1):
     """Results of the function as C, of a batch."""
     leaves, treedef = jax.tree.flatten(args)
-    made = Program(fn, lane_avals(leaves), treedef)
+    made = Program(of_leaves(fn, treedef), lane_avals(leaves))
     return jax.tree.unflatten(made.tree, made(leaves, len(leaves[0]), cores))
 
 
@@ -35,7 +40,7 @@ def in_scalar_c(fn, *args):
     leaves = [np.ascontiguousarray(x) for x in leaves]
     with to_be_read():
         given = lane_avals(leaves)
-        graph, nodes, outs, (shapes, tree) = read(lambda *x: fn(*jax.tree.unflatten(treedef, x)), *given)
+        graph, nodes, outs, (shapes, tree) = read(of_leaves(fn, treedef), *given)
     names = [scalar(np.dtype(s.dtype)) for s in (*given, *shapes)]
     size = [int(np.prod(s.shape)) for s in (*given, *shapes)]
 
@@ -61,7 +66,7 @@ def in_scalar_c(fn, *args):
 def derived(fn, *args):
     """Results of the function as the engine writes it for JAX, of a batch."""
     leaves, treedef = jax.tree.flatten(args)
-    made = Derived(fn, lane_avals(leaves), treedef)
+    made = Derived(of_leaves(fn, treedef), lane_avals(leaves))
     with few_lanes(len(leaves[0])):
         return jax.tree.unflatten(made.tree, jax.jit(jax.vmap(made))(*leaves))
 
