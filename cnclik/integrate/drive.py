@@ -88,9 +88,8 @@ class Drive:
         errors.one_of("command", self.command, COMMANDS)
         errors.one_of("feedback", self.feedback, FEEDBACKS)
         if self.natural_frequency is not None and not _none(self.lag):
-            raise errors.fail(
-                "natural_frequency", "be left out where there is a lag: a drive has one of both", "is given"
-            )
+            must = "be left out where there is a lag: a drive has one of both"
+            raise errors.fail("natural_frequency", must, "is given")
         if self.natural_frequency is None and not (is_literal(self.damping_ratio) and self.damping_ratio == 1):
             raise errors.fail("damping_ratio", "come with a natural_frequency", "comes without")
         if self.feedback == "rebased" and not self.steps_positions:
@@ -346,9 +345,7 @@ def _within_limits(drive, u, before, Ts):
 def measured_joints(drive, q, k):
     """The controller's measurement of joint values q (n,) at step k, with noise and encoder resolution."""
     if not _none(drive.joint_noise):
-        key = jax.random.fold_in(
-            jax.random.key(jnp.asarray(drive.seed).astype(jnp.uint32)), jnp.asarray(k).astype(jnp.int32)
-        )
+        key = jax.random.fold_in(_key(drive.seed), jnp.asarray(k).astype(jnp.int32))
         q = q + drive.joint_noise * jax.random.normal(key, q.shape, q.dtype)
     if not _none(drive.resolution):
         steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)
@@ -369,9 +366,11 @@ def white_noise(sigma, N: int, m: int, seed=0):
     dtype = jnp.asarray(sigma).dtype
     # With a known seed the numbers are drawn outside of the traced program.
     with jax.ensure_compile_time_eval() if errors.concrete(seed) else contextlib.nullcontext():
-        drawn = jax.random.normal(jax.random.key(jnp.asarray(seed).astype(jnp.uint32)), (N, m), dtype)
-    return (
-        np.asarray(sigma, dtype) * np.asarray(drawn)
-        if errors.concrete(sigma) and errors.concrete(drawn)
-        else sigma * drawn
-    )
+        drawn = jax.random.normal(_key(seed), (N, m), dtype)
+    if errors.concrete(sigma) and errors.concrete(drawn):
+        return np.asarray(sigma, dtype) * np.asarray(drawn)
+    return sigma * drawn
+
+
+def _key(seed):
+    return jax.random.key(jnp.asarray(seed).astype(jnp.uint32))

@@ -63,18 +63,11 @@ def blank(law: Law, q, method):
     """The history of a loop before its first step, from q (n,); None for a one-step method."""
     if method.steps == 1:
         return None
-    n, m = law.chain.n, law.task.m
-    zeros, zero = functools.partial(jnp.zeros, dtype=q.dtype), jnp.zeros((), q.dtype)
-    at = zeros(n) if remembers_q(law, method) else None
-
-    if method.exponential:
-        null = zeros(n) if remembers_null(law) else None
-        rows = zeros((m, n)) if remembers_rows(law) else None
-        factor = zeros(m * (m + 1) // 2) if remembers_factor(law) else None
-        entry = Entry(q=at, columns=zeros((m, n)), factor=factor, velocity=zeros(m), null=null, rows=rows)
-    else:
-        entry = Entry(q=at, slope=zeros(n))
-    none = jnp.zeros_like(zero, jnp.int32)
+    n, m, zeros = law.chain.n, law.task.m, functools.partial(jnp.zeros, dtype=q.dtype)
+    shapes = {"q": n, "slope": n, "velocity": m, "null": n, "columns": (m, n), "rows": (m, n)}
+    shapes["factor"] = m * (m + 1) // 2
+    entry = Entry(**{name: zeros(shapes[name]) for name in fields_of(law, method)})
+    zero, none = zeros(()), jnp.zeros((), jnp.int32)
     return History(
         entries=(entry,) * (method.steps - 1),
         aims=tuple(zeros(part.shape) for part in law.task.parts),
@@ -85,29 +78,33 @@ def blank(law: Law, q, method):
     )
 
 
-def remembers_q(law: Law, method) -> bool:
+def fields_of(law: Law, method) -> list:
+    """Names of what an `Entry` holds; a posture without a factor needs the rows of J in addition to J#."""
+    if not method.exponential:
+        return ["q", "slope"] if _remembers_q(law, method) else ["slope"]
+    factor, posture = _remembers_factor(law), isinstance(law.null_velocity, Posture)
+    there = {
+        "q": _remembers_q(law, method),
+        "factor": factor,
+        "null": not posture and (law.null_velocity is not None or law.limits is not None),
+        "rows": holds_posture(law) and not factor,
+    }
+    return ["columns", "velocity", *(name for name, remembered in there.items() if remembered)]
+
+
+def _remembers_q(law: Law, method) -> bool:
     """Whether joint values are remembered: for formulas that use them, and to carry slopes between charts."""
     return len(getattr(method, "a", "")) > 1 or bool(law.chain.balls)
+
+
+def _remembers_factor(law: Law) -> bool:
+    """Whether J# is remembered as Jᵀ and the factor of J Jᵀ + λ² I, which costs much less than its columns."""
+    return getattr(law.inverse, "factors", False) and law.limits is None and law.task.m <= law.chain.n
 
 
 def holds_posture(law: Law) -> bool:
     """Whether the null-space term is a posture that decays by its exact factor, projected at each instant."""
     return isinstance(law.null_velocity, Posture) and law.limits is None
-
-
-def remembers_null(law: Law) -> bool:
-    """Whether null-space velocities of past instants are needed."""
-    return not isinstance(law.null_velocity, Posture) and (law.null_velocity is not None or law.limits is not None)
-
-
-def remembers_rows(law: Law) -> bool:
-    """Whether the rows of J are remembered for a posture, in addition to J#."""
-    return holds_posture(law) and not remembers_factor(law)
-
-
-def remembers_factor(law: Law) -> bool:
-    """Whether J# is remembered as Jᵀ and the factor of J Jᵀ + λ² I, which costs much less than its columns."""
-    return getattr(law.inverse, "factors", False) and law.limits is None and law.task.m <= law.chain.n
 
 
 def checked(history, method, law):
@@ -118,11 +115,10 @@ def checked(history, method, law):
         raise errors.fail("history", f"be None for {method}, which has no memory", "is given")
     errors.kind("history", history, History, "be what `step` handed back, `Step.history`")
     n, m, first = law.chain.n, law.task.m, history.entries[0] if history.entries else Entry()
-    kept = first.columns if method.exponential else first.slope
-    q_kept = (first.q is not None) == remembers_q(law, method)
-    shape = (m, n) if method.exponential else (n,)
-    as_law = (first.factor is not None) == (method.exponential and remembers_factor(law))
-    fits = q_kept and as_law and kept is not None and jnp.shape(kept) == shape
+    main, shape = (first.columns, (m, n)) if method.exponential else (first.slope, (n,))
+    alike = (first.q is not None) == _remembers_q(law, method)
+    alike = alike and (first.factor is not None) == (method.exponential and _remembers_factor(law))
+    fits = alike and main is not None and jnp.shape(main) == shape
     if len(history.entries) != method.steps - 1 or not fits:
         raise errors.fail("history", f"be one of {method} and this law", "is of another method or law")
     return history

@@ -50,8 +50,7 @@ class Method:
             raise errors.fail("c", f"have shape ({len(b)},) like `b`", f"has shape ({len(c)},)")
         most = len(b) + any(row[-1] != 0 for row in A)  # s stages have order s at most, implicit ones s + 1
         left = _conditions(A, np.array(b), np.array(c), most + 1)
-        made = {"A": A, "b": b, "c": c, "order": check_order(self.order, b, left)}
-        for name, value in made.items():
+        for name, value in (("A", A), ("b", b), ("c", c), ("order", check_order(self.order, b, left))):
             object.__setattr__(self, name, value)
         if self.exponential and self.implicit:
             raise errors.fail("exponential", "be False for an implicit tableau", "is True")
@@ -103,62 +102,29 @@ def _weight(A, tree):
     return phi, gamma * count, count
 
 
-EE = Method(
-    name="EE", A=((0.0,),), b=(1.0,), c=(0.0,), order=1, source="explicit Euler, Drexler (2016), eq. 2; R(z) = 1 − z"
-)
+def _tableau(name, order, A, b, source) -> Method:
+    """A `Method` with cᵢ = Σⱼ Aᵢⱼ."""
+    return Method(name=name, A=A, b=b, c=tuple(map(sum, A)), order=order, source=source)
 
-IE = Method(
-    name="IE",
-    A=((1.0,),),
-    b=(1.0,),
-    c=(1.0,),
-    order=1,
-    source="implicit Euler, Drexler (2016), eqs. 4 and 6-10; R(z) = 1/(1 + z)",
-)
+
+EE = _tableau("EE", 1, ((0.0,),), (1.0,), "explicit Euler, Drexler (2016), eq. 2; R(z) = 1 − z")
+IE = _tableau("IE", 1, ((1.0,),), (1.0,), "implicit Euler, Drexler (2016), eqs. 4 and 6-10; R(z) = 1/(1 + z)")
 
 # The paper averages the increments of EE and of IE. Its second slope is therefore taken at the end point of
 # *implicit Euler*, not at its own end point: this is not the textbook Crank-Nicolson (see TRAPEZOID) and it
 # is not A-stable.
-CN = Method(
-    name="CN",
-    A=((0.0,), (0.0, 1.0)),
-    b=(0.5, 0.5),
-    c=(0.0, 1.0),
-    order=2,
-    source="the paper's Crank-Nicolson, Drexler (2016), eqs. 11-12; R(z) = (1 − z²/2)/(1 + z)",
-)
+_PAPERS = "the paper's Crank-Nicolson, Drexler (2016), eqs. 11-12; R(z) = (1 − z²/2)/(1 + z)"
+CN = _tableau("CN", 2, ((0.0,), (0.0, 1.0)), (0.5, 0.5), _PAPERS)
 
 # The textbook Crank-Nicolson: the second slope is taken at the step's own end point. A-stable.
-TRAPEZOID = Method(
-    name="TRAPEZOID",
-    A=((0.0,), (0.5, 0.5)),
-    b=(0.5, 0.5),
-    c=(0.0, 1.0),
-    order=2,
-    source="trapezoidal rule, Crank & Nicolson (1947); R(z) = (1 − z/2)/(1 + z/2)",
-)
+_TEXTBOOK = "trapezoidal rule, Crank & Nicolson (1947); R(z) = (1 − z/2)/(1 + z/2)"
+TRAPEZOID = _tableau("TRAPEZOID", 2, ((0.0,), (0.5, 0.5)), (0.5, 0.5), _TEXTBOOK)
 
-HEUN = Method(
-    name="HEUN", A=((0.0,), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0), order=2, source="Heun (1900); R(z) = 1 − z + z²/2"
-)
-
-MIDPOINT = Method(
-    name="MIDPOINT",
-    A=((0.0,), (0.5, 0.0)),
-    b=(0.0, 1.0),
-    c=(0.0, 0.5),
-    order=2,
-    source="explicit midpoint rule, Runge (1895); R(z) = 1 − z + z²/2",
-)
-
-RK4 = Method(
-    name="RK4",
-    A=((0.0,), (0.5, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0, 0.0)),
-    b=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    c=(0.0, 0.5, 0.5, 1.0),
-    order=4,
-    source="Kutta (1901); R(z) = 1 − z + z²/2 − z³/6 + z⁴/24",
-)
+HEUN = _tableau("HEUN", 2, ((0.0,), (1.0, 0.0)), (0.5, 0.5), "Heun (1900); R(z) = 1 − z + z²/2")
+_RUNGE = "explicit midpoint rule, Runge (1895); R(z) = 1 − z + z²/2"
+MIDPOINT = _tableau("MIDPOINT", 2, ((0.0,), (0.5, 0.0)), (0.0, 1.0), _RUNGE)
+_STAGES = (0.0,), (0.5, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0, 0.0)
+RK4 = _tableau("RK4", 4, _STAGES, (1 / 6, 1 / 3, 1 / 3, 1 / 6), "Kutta (1901); R(z) = 1 − z + z²/2 − z³/6 + z⁴/24")
 
 MethodLike = Method | Multistep | str  # a method or its name
 

@@ -91,12 +91,8 @@ class Multistep:
             raise errors.fail("a", "have no double root of λᵖ = Σⱼ aⱼ λᵖ⁻¹⁻ʲ at 1: errors would add up", "has one")
         if self.exponential and a != (1.0,):
             raise errors.fail("exponential", "be False for a formula that remembers joint values", "is True")
-        made = {
-            "a": a,
-            "b": b,
-            "order": check_order(self.order, b, [[_missed(a, b, k)] for k in range(1, len(a + b) + 2)]),
-        }
-        for name, value in made.items():
+        order = check_order(self.order, b, [[_missed(a, b, k)] for k in range(1, len(a + b) + 2)])
+        for name, value in (("a", a), ("b", b), ("order", order)):
             object.__setattr__(self, name, value)
 
     def __repr__(self):
@@ -131,17 +127,9 @@ def _missed(a, b, k) -> float:
 _ADAMS = "Bashforth & Adams (1883)"
 AB2, AB3, AB4 = (Multistep(name=f"AB{p}", b=adams(p), order=p, source=_ADAMS) for p in (2, 3, 4))
 _TAYLOR = "Taylor-type difference of the zeroing-neural-network literature, "
-ZNN4 = Multistep(name="ZNN4", a=(3 / 2, -1.0, 1 / 2), b=(1.0,), order=2, source=_TAYLOR + "four instants; z up to 1")
-ZEAD4 = Multistep(
-    name="ZEAD4", a=(3 / 5, 1 / 5, 1 / 5), b=(8 / 5,), order=2, source=_TAYLOR + "four instants; z up to 1"
-)
-ZNN6 = Multistep(
-    name="ZNN6",
-    a=(6 / 13, 2 / 13, 4 / 13, 3 / 13, -2 / 13),
-    b=(24 / 13,),
-    order=3,
-    source=_TAYLOR + "six instants; z up to 2/3",
-)
-IFD5 = Multistep(
-    name="IFD5", a=(-1 / 8, 3 / 4, 5 / 8, -1 / 4), b=(9 / 4,), order=3, source=_TAYLOR + "five instants; z up to 0.281"
-)
+_FOUR, _FIVE = _TAYLOR + "four instants; z up to 1", _TAYLOR + "five instants; z up to 0.281"
+ZNN4 = Multistep(name="ZNN4", a=(3 / 2, -1.0, 1 / 2), b=(1.0,), order=2, source=_FOUR)
+ZEAD4 = Multistep(name="ZEAD4", a=(3 / 5, 1 / 5, 1 / 5), b=(8 / 5,), order=2, source=_FOUR)
+_ZNN6 = 6 / 13, 2 / 13, 4 / 13, 3 / 13, -2 / 13
+ZNN6 = Multistep(name="ZNN6", a=_ZNN6, b=(24 / 13,), order=3, source=_TAYLOR + "six instants; z up to 2/3")
+IFD5 = Multistep(name="IFD5", a=(-1 / 8, 3 / 4, 5 / 8, -1 / 4), b=(9 / 4,), order=3, source=_FIVE)

@@ -17,18 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from cnclik.integrate.exponential import CLOSED, Start, closure, start
-from cnclik.integrate.history import (
-    Entry,
-    History,
-    holds_posture,
-    mark,
-    remember,
-    remembers_null,
-    remembers_q,
-    remembers_rows,
-    valid,
-    weights,
-)
+from cnclik.integrate.history import Entry, History, fields_of, holds_posture, mark, remember, valid, weights
 from cnclik.integrate.march import Moved, combine, shift
 from cnclik.law.inverse import remembered
 from cnclik.law.law import Evaluation, evaluate_at, observe, resolve, weighted
@@ -81,7 +70,7 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
 def _plain(law, reference, q, at, t, Ts, method, history, count, begun):
     """Evaluation, slope, and entry of a formula on f, and None, as it remembers no J#."""
     first = evaluate_at(law, q, at) if begun is None else begun.moved.first
-    entry = Entry(q=q if remembers_q(law, method) else None, slope=first.qdot)
+    entry = Entry(q=q if "q" in fields_of(law, method) else None, slope=first.qdot)
     if begun is not None:
         return first, begun.moved.qdot, entry, None
     a, b = weights(method, count)
@@ -108,14 +97,9 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     if to.null is not None or law.limits is not None:
         null = first.qdot - first.apply(first.task_velocity)
     columns, factor = _columns(first, law.task.m, q) if first.memory is None else first.memory()
-    entry = Entry(
-        q=q if remembers_q(law, method) else None,
-        columns=columns,
-        factor=factor,
-        velocity=to.velocity,
-        null=null if remembers_null(law) else None,
-        rows=first.rows if remembers_rows(law) else None,
-    )
+    found, kept = {"q": q, "columns": columns, "factor": factor, "velocity": to.velocity}, fields_of(law, method)
+    found |= {"null": null, "rows": first.rows}
+    entry = Entry(**{name: found[name] for name in kept})
     if begun is not None:
         return first, begun.moved.qdot, entry, None
     betas = weights(method, count)[1]
@@ -129,10 +113,10 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
         parts = [part + (to.null - _applied(e, _rows(e) @ to.null)) for part, e in zip(parts, entries, strict=True)]
-    elif remembers_null(law):
+    elif "null" in kept:
         parts = [part + e.null for part, e in zip(parts, entries, strict=True)]
     slope = combine(betas, [parts[0], *(_carried(law, q, *one) for one in zip(entries[1:], parts[1:], strict=True))])
-    if null is not None and not holds_posture(law) and not remembers_null(law):
+    if null is not None and not holds_posture(law) and "null" not in kept:
         slope = slope + null
     return first, slope, entry, turned
 
@@ -153,7 +137,6 @@ def _another(now, past, velocity, before, held):
 
 
 def _rows(entry: Entry):
-    """The weighted rows of J at a past instant."""
     return entry.rows if entry.factor is None else entry.columns
 
 

@@ -41,8 +41,13 @@ class Stage(Protocol):
     def evaluations(self, n) -> Count: ...
 
 
+@record
 class _Passes:
-    """Passes k ← improved(k): the text of a stage, "picard(5)", and its cost."""
+    """M passes k ← improved(k), at most `maximum`: the text of a stage, "picard(5)", and its cost."""
+
+    M: Count
+    maximum: int
+    tolerance: float
 
     def __str__(self):
         return f"{type(self).__name__.lower()}({self.M})"
@@ -52,6 +57,7 @@ class _Passes:
         return self.M
 
 
+@record
 class _FromPrediction(_Passes):
     """Passes from the slope of the linearised law."""
 
@@ -69,10 +75,6 @@ class _FromPrediction(_Passes):
 class Picard(_Passes):
     """See `picard`."""
 
-    M: Count
-    maximum: int
-    tolerance: float
-
     def __call__(self, g, first, h, ahead) -> Solved:
         return _iterate(self, lambda k: g(k).qdot, first.qdot, h)
 
@@ -80,11 +82,6 @@ class Picard(_Passes):
 @record
 class Chord(_FromPrediction):
     """See `chord`."""
-
-    M: Count
-    maximum: int
-    tolerance: float
-    implicit: bool
 
     def improved(self, g, h, k):
         at = g(k)
@@ -94,11 +91,6 @@ class Chord(_FromPrediction):
 @record
 class Newton(_FromPrediction):
     """See `newton`."""
-
-    M: Count
-    maximum: int
-    tolerance: float
-    implicit: bool
 
     def improved(self, g, h, k):
         value, push = jax.linearize(lambda k: g(k).qdot, k)
