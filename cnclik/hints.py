@@ -163,9 +163,7 @@ def equations(jaxpr):
                 yield from equations(getattr(value, "jaxpr", value))
 
 
-_LAPACK_NAMES = """
-    cholesky eig eigh geqp3 geqrf hessenberg householder_product lu qr schur svd triangular_solve
-"""
+_LAPACK_NAMES = "cholesky eig eigh geqp3 geqrf hessenberg householder_product lu qr schur svd triangular_solve"
 _LAPACK = frozenset(_LAPACK_NAMES.split())
 
 

@@ -18,7 +18,6 @@ GENERATOR = '<meta name="generator" content="cnclik">'  # in pages, which are kn
 
 
 def escaped(text) -> str:
-    """A text in a page."""
     return html.escape(str(text))
 
 

@@ -21,18 +21,19 @@ MOST_SORTED = 48
 
 def _reduce(g, eqn, x):
     axes, out = eqn.params["axes"], eqn.outvars[0].aval
-    op = functools.partial(g.op, REDUCTIONS[eqn.primitive.name])
+    name = REDUCTIONS[eqn.primitive.name]
     kept = [a for a in range(x.ndim) if a not in axes]
     rows = x.transpose(*kept, *axes).reshape(int(np.prod(out.shape)), -1)
-    return [array_of([functools.reduce(op, row) if len(row) else empty(g, eqn) for row in rows], out.shape)]
+    op = functools.partial(g.op, name)
+    made = [functools.reduce(op, row) if len(row) else neutral(g, name, out.dtype) for row in rows]
+    return [array_of(made, out.shape)]
 
 
-def empty(g, eqn):
-    """The result of reducing an empty array."""
-    name, dtype = REDUCTIONS[eqn.primitive.name], eqn.outvars[0].aval.dtype
+def neutral(g, name, dtype):
+    """What an operation reduces nothing to."""
     if name in ("max", "min"):
         raise UnsupportedError("the largest of no numbers has no C form")
-    return g.const({"add": 0, "mul": 1, "or": 0, "xor": 0, "and": 1}[name], dtype)
+    return g.const(np.invert(np.zeros((), dtype)) if name == "and" else name == "mul", dtype)
 
 
 def _running(g, eqn, x):

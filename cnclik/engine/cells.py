@@ -80,7 +80,6 @@ def moved(equation, inputs):
 
 
 def called(equation):
-    """The jaxpr that a call runs, and its constants."""
     of, params = equation.primitive, equation.params
     if of.name == "call_hi_primitive":  # jax 0.11 has it for `custom_root`
         inner = jax.make_jaxpr(functools.partial(of.to_lojax, **params))(*(v.aval for v in equation.invars))

@@ -115,8 +115,6 @@ class Cond(Region):
 
 
 class Graph:
-    """A program under construction."""
-
     def __init__(self):
         self.root = self.block = Block()
         self.count = 0

@@ -194,7 +194,6 @@ def _plain(*args, function, batched):
 
 
 def _called(*args, function, batched):
-    """The function by the C library, or by JAX if there is none."""
     lane, size = _lanes([jax.typeof(x) for x in args], batched)
     program = (function.single if size is None else function.programs).of(lane) if in_c() else None
     if not isinstance(program, Program) or size == 0:
@@ -231,7 +230,6 @@ def _now(*args, function, batched):
 
 @functools.partial(bounded_jit, static_argnames=("function", "batched"))
 def called(*args, function, batched):
-    """Calls the primitive outside of a user's program."""
     return native_p.bind(*args, function=function, batched=batched)
 
 

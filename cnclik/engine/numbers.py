@@ -32,7 +32,6 @@ class Numbers:
         self.native, self.ready, self.entries = native(self.source), {}, Recent()
 
     def source(self, known, given):
-        """The original function of the two tuples."""
         return self.fn(*known, *given, **self.static)
 
     def __call__(self, known, given):

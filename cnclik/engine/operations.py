@@ -34,7 +34,6 @@ LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextaft
 
 @functools.cache
 def header(name) -> str:
-    """The text of a file in the folder `c`."""
     return (pathlib.Path(__file__).parent / "c" / name).read_text(encoding="utf-8")
 
 

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 
+from cnclik.engine.arrays import neutral
 from cnclik.engine.cells import MOVES, array_of
 from cnclik.engine.graph import Scan
 from cnclik.engine.stacks import Rows, as_rows, entry, is_cells, stacked_node
@@ -211,9 +212,7 @@ def running(g, eqn, x, name):
 
 
 def _start(g, name, row, k):
-    if name in ("max", "min"):
-        return entry(g, row, k)
-    return g.const({"add": 0, "mul": 1, "or": 0, "xor": 0, "and": -1 if row.dtype.kind in "iu" else 1}[name], row.dtype)
+    return entry(g, row, k) if name in ("max", "min") else neutral(g, name, row.dtype)
 
 
 def moved(g, eqn, x):

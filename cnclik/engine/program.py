@@ -135,7 +135,6 @@ def key_of(avals) -> tuple:
 
 
 def lane_avals(leaves, *, batched=True) -> list:
-    """The avals of one lane of some arrays."""
     found = []
     for x in leaves:
         a = jax.typeof(x)

@@ -37,7 +37,6 @@ class Key(NamedTuple):
 
 
 def drawn(reader, eqn, inputs) -> list:
-    """The results of an equation on keys."""
     if (found := moved(eqn, inputs)) is not None:
         return found
     (out,), name = (v.aval for v in eqn.outvars), eqn.primitive.name
@@ -54,13 +53,11 @@ def drawn(reader, eqn, inputs) -> list:
 
 
 def as_cell(reader, key):
-    """A known key as a cell."""
     pairs = bits_of(key).reshape(-1, 2)
     return array_of([Key(*(reader.g.const(x, x.dtype) for x in pair)) for pair in pairs], key.shape)
 
 
 def is_key(aval) -> bool:
-    """Whether an aval describes keys."""
     return jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended)
 
 

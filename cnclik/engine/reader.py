@@ -34,7 +34,6 @@ RULES = ARRAYS | PLACES | MATRICES
 
 
 def params_of(eqn):
-    """The parameters of an elementwise operation."""
     key = _PARAMS.get(eqn.primitive.name)
     return None if key is None else int(eqn.params[key])
 
@@ -59,7 +58,6 @@ class Reader:
         return stacks.constant(self.g, value, LIMIT)
 
     def cells(self, x):
-        """Any value as cells."""
         return random.as_cell(self, x.value) if isinstance(x, Opaque) else stacks.cells_of(self.g, x, LIMIT)
 
     def run(self, jaxpr, consts, values) -> list:
@@ -177,7 +175,6 @@ def _keeps(eqn) -> bool:
 
 
 def _counted(eqn):
-    """The result of an iota."""
     params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
     sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
     return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)

@@ -17,7 +17,6 @@ def _shapes(avals):
 
 
 def _flat(reader, values):
-    """Scalar nodes of values."""
     cells = [cell for v in values for cell in reader.cells(v).flat]
     return [node for cell in cells for node in (cell if isinstance(cell, Key) else [cell])]
 

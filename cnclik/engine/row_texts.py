@@ -65,7 +65,6 @@ def places_needed(graph, needed) -> set:
 
 
 def cells_of(out) -> list:
-    """All nodes of a result."""
     return list(out.cells.flat if isinstance(out, Rows) else out.flat if isinstance(out, np.ndarray) else [out])
 
 
@@ -103,7 +102,6 @@ class RowTexts:
         return self.names[key]
 
     def materialise(self, n):
-        """Computes a row into memory."""
         k, array = self.new("k"), self.room(n.dtype, n.shape[0])
         self.dtypes.add(n.dtype)
         self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
@@ -171,7 +169,6 @@ class RowTexts:
         return self.load(whole, f"{first} + {step} * {which}")
 
     def table(self, values, k) -> str:
-        """An entry of a known row."""
         N = scalar(values.dtype)
         self.dtypes.add(values.dtype)
         if values.dtype.kind in "iu" and len(values) > 1:

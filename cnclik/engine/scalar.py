@@ -21,11 +21,9 @@ class ScalarWriter(Writer):
         self.prefix = prefix
 
     def statements(self) -> list:
-        """All lines of the function, indented."""
         return indented(super().statements())
 
     def type(self, node) -> str:
-        """The C type of a node."""
         return _type(node.dtype)
 
     def splat(self, dtype, words) -> str:
@@ -37,7 +35,6 @@ class ScalarWriter(Writer):
         return super().of(node)
 
     def room(self, dtype, entries) -> str:
-        """Declares an array of `entries` numbers."""
         name = self.new("r")
         self.line(f"{_type(dtype)} {name}[{entries}];")
         return name
@@ -49,7 +46,6 @@ class ScalarWriter(Writer):
         return _text(node, [of(a, False) for a in args])
 
     def sincos(self, node, of) -> str:
-        """The name of a sine or cosine; both of an angle are computed at once."""
         self.functions.add(scalar(node.dtype))
         return super().sincos(node, of)
 

@@ -64,12 +64,10 @@ def entry(dtype, data, size):
 
 
 def vectors(writer, main) -> str:
-    """The C text before functions on vectors."""
     return "\n".join([f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)])
 
 
 def _types(writer, main):
-    """Definitions of the vector types in use."""
     used = {dtype.name for dtype in writer.dtypes if dtype.kind != "b"} | {main.name}
     for name in TYPES:
         if name not in used:

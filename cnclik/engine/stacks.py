@@ -91,7 +91,6 @@ def known_value(x):
 
 
 def columns(g, node) -> Rows:
-    """A whole array as rows."""
     N, *inner = node.shape
     if node.op == "array":
         flat = node.value.reshape(N, -1).T

@@ -62,7 +62,6 @@ class Writer(RowTexts):
         return f"{letter}{self.counted}"
 
     def type(self, node) -> str:
-        """The vector type of a node."""
         self.dtypes.add(node.dtype)
         return vector(node.dtype)
 
@@ -89,7 +88,6 @@ class Writer(RowTexts):
         return name
 
     def variable(self, node, words, letter="c") -> str:
-        """Declares a variable of the node's type."""
         name = self.new(letter)
         self.line(f"{self.type(node)} {name} = {words};")
         return name
@@ -130,7 +128,6 @@ class Writer(RowTexts):
     # --- statements -----------------------------------------------------------------------------------
 
     def is_needed(self, item) -> bool:
-        """Whether a node or region contributes to the results."""
         return item.number in self.needed
 
     def block(self, block, ending=()):
@@ -177,7 +174,6 @@ class Writer(RowTexts):
             self.names[n.number] = self.row(whole, str(n.params[0]), {})
 
     def load(self, node, at) -> str:
-        """An entry of an argument."""
         self.dtypes.add(node.dtype)
         return self.reads[self.given.index(node)](at)
 
@@ -276,7 +272,6 @@ class Writer(RowTexts):
                 self.line(f"{name} = {words};")
 
     def loop(self, r):
-        """Writes the rounds of a `while` loop."""
         names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
         self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
         self.line("for (;;) {")
@@ -315,7 +310,6 @@ class Writer(RowTexts):
         return True
 
     def choice(self, r):
-        """Writes a branch."""
         alive, which, names = [i for i, o in enumerate(r.outs) if o.number in self.needed], self.new(), {}
         self.line(f"const {self.type(r.which)} {which} = {self.of(r.which)};")
         given = next((k for k, b in enumerate(r.blocks) if not any(map(self.is_needed, b.items))), None)

@@ -52,8 +52,6 @@ class Derived:
 
 
 class _Writer:
-    """Writes a graph as JAX operations."""
-
     def __init__(self, graph, given, outs, leaves, *, fenced):
         self.graph, self.outs, self.fenced, self.active = graph, outs, fenced, None
         self.values = {n.number: x for n, x in zip(given, leaves, strict=True)}
@@ -62,7 +60,6 @@ class _Writer:
         self.users, self.stages = _users(graph, self.needed, ends), {}
 
     def results(self, dtypes) -> list:
-        """The results, given their types."""
         self.block(self.graph.root)
         return [self.result(out, d) for out, d in zip(self.outs, dtypes, strict=True)]
 
@@ -74,7 +71,6 @@ class _Writer:
         return jnp.stack(cells, len(shape)).reshape(out.shape) if cells else jnp.zeros(out.shape, dtype)
 
     def of(self, n):
-        """The value of a node."""
         return n.value if n.op in ("const", "array") else self.values[n.number]
 
     def whole(self, n, shape=None):
@@ -85,7 +81,6 @@ class _Writer:
     # --- blocks ---------------------------------------------------------------------------------------
 
     def block(self, block):
-        """Computes everything in a block that is needed."""
         items = [i for i in block.items if i.number in self.needed]
         group = []
         for item in items:
@@ -220,7 +215,6 @@ class _Writer:
         return inner
 
     def ended(self, nodes, values):
-        """Sets the values of a region's results."""
         self.values |= {n.number: x for n, x in zip(nodes, values, strict=True)}
 
     def scan(self, r):
@@ -239,8 +233,6 @@ class _Writer:
         self.ended([*(r.outs[i] for i in alive), *(r.outs[nk + k] for k in stacked)], [*ends, *ys])
 
     def loop(self, r):
-        """A `while` loop."""
-
         def asked(carry):
             inner = self.within(r.carries, carry)
             inner.block(r.asking)

@@ -31,7 +31,6 @@ class Batch:
         self.function.argtypes = (ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, *[ctypes.c_void_p] * 3)
 
     def __call__(self, parameters, *given, N, cores=None, **named) -> dict:
-        """See `Compiled.batch`."""
         N = errors.integer("N", N, at_least=0)
         cores = available() if cores is None else errors.integer("cores", cores, at_least=1)
         columns, lanes = self._columns(self._values(parameters, given, named))
@@ -56,7 +55,6 @@ class Batch:
         return found
 
     def _values(self, parameters, given, named) -> dict:
-        """{name: value} of all inputs and parameters."""
         own = [row["name"] for row in self.inputs if row["name"] not in parameters]
         if len(given) > len(own):
             raise errors.fail("arguments", f"be at most {', '.join(own)}", f"are {len(given)}")

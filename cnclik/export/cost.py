@@ -29,9 +29,7 @@ def _block(block, needed) -> Counter:
 def _region(item, needed) -> Counter:
     if isinstance(item, Cond):
         return max((_block(b, needed) for b in item.blocks), key=Counter.total)
-    if isinstance(item, Scan):
-        return Counter({kind: count * item.length for kind, count in _block(item.block, needed).items()})
-    rounds = _rounds(item)
+    rounds = item.length if isinstance(item, Scan) else _rounds(item)
     return Counter({kind: count * rounds for kind, count in _block(item.block, needed).items()})
 
 
@@ -45,12 +43,8 @@ def _rounds(loop) -> int:
         if asked.op == "lt" and asked.args[0] in loop.carries and asked.args[1].known:
             count, end = asked.args
             first, then = (of[loop.carries.index(count)] for of in (loop.first, loop.then))
-            if (
-                first.known
-                and then.op == "add"
-                and count in then.args
-                and any(a.known and a.value == 1 for a in then.args)
-            ):
+            counts = then.op == "add" and count in then.args and any(a.known and a.value == 1 for a in then.args)
+            if first.known and counts:
                 return max(int(end.value) - int(first.value), 0)
     raise UnsupportedError("a `while` loop without a bound that is known has no C form")
 

@@ -10,7 +10,6 @@ from cnclik.version import __version__
 
 
 def batch_header(program, names: Names) -> str:
-    """The header of the function for many lanes."""
     given = "\n".join(f"     {i}: {f.name} ({f.size}) {f.about}" for i, f in enumerate(_given(program)))
     found = "\n".join(f"     {i}: {f.name} ({f.size})" for i, f in enumerate(_found(program)))
     about = f"{names.name}_batch: many loops side by side. Written by cnclik {__version__}."
@@ -48,7 +47,6 @@ def _signature(names) -> str:
 
 
 def batch_source(program, names: Names) -> str:
-    """The source of the function for many lanes."""
     reads = [lane(names.dtype, f"given[{i}].data", f"given[{i}].stride") for i, _ in enumerate(_given(program))]
     reads.append(lambda at: "splat_S32(steps)")
     numbers, results = _found(program), program.outputs["output"]
@@ -80,6 +78,5 @@ static void lanes(int64_t first, int64_t n, int32_t steps, const {names.name}_co
 
 
 def _kept(names, field, where):
-    """The C text that stores a result if it is wanted."""
     store = entry(np.dtype(np.int32) if field.kind == INT else names.dtype, where, field.size)
     return lambda at, *words: f"if ({where}) {store(at, *words)}"

@@ -211,7 +211,6 @@ def _input(buffers):
 
 
 def _joints(q, shape):
-    """Joint values as an array, if they have the shape."""
     if type(q) is np.ndarray and q.shape == shape and q.dtype.kind == "f":  # the common case, quick
         return q
     return errors.array("q", q, shape, finite=False)

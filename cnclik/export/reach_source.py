@@ -28,8 +28,6 @@ LEAST = 64.0  # smallest tolerance, in roundings
 
 
 class Reaching(NamedTuple):
-    """The inputs of the C source."""
-
     asked: asked.Asked  # in the chain's own unit
     look: Routine  # one evaluation and step of the search
     call: Routine  # arguments and results of the exported function, without a graph
@@ -84,7 +82,6 @@ def _axes(aim) -> tuple:
 
 
 def most_operations(reaching: Reaching) -> dict:
-    """The largest number of operations of a call."""
     tries = reaching.call.inputs["parameters"][-1].value
     looks = tries * (strategy.CAREFUL + strategy.SLOW) + strategy.PLACES * strategy.DOWNHILL
     return {what: count * looks for what, count in operations(reaching.look).items()}
@@ -102,7 +99,6 @@ def reach_source(reaching: Reaching, names: Names) -> tuple:
 
 
 def _call(reaching, names) -> str:
-    """The exported function."""
     of, c, known = reaching.asked, names.number, seeds(reaching.asked.chain)
     (lower, upper), own = of.limited(), np.array(of_joints(of.chain, of.unit))
     roots = np.sqrt(np.asarray(of.task.weight_of_each, float))

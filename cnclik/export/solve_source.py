@@ -6,7 +6,6 @@ from cnclik.export.source import GROUPS, Names, arguments, statements
 
 
 def solve_header(program, names: Names) -> str:
-    """The part of the header for the loop."""
     rows = "\n".join(
         f"  {'int32_t' if name == 'status' else names.real} *{name}; /* {about} */"
         for name, about in (
@@ -31,7 +30,6 @@ typedef struct {{
 
 
 def signature(program, names) -> str:
-    """The declaration of the loop."""
     given = arguments(program, names, ("output",))
     return f"int32_t {names.name}({given},\n  int32_t steps, const {names.name}_trajectory *trajectory)"
 

@@ -19,8 +19,6 @@ PREFIX = "clik_"  # prefix of all public names, so that none is a keyword, a mac
 
 
 class Names:
-    """The names in the C of one export."""
-
     def __init__(self, name, dtype, what):
         name = PREFIX + name.removeprefix(PREFIX)
         self.name, self.dtype, self.what = name, np.dtype(dtype), what
@@ -33,7 +31,6 @@ class Names:
         return f"{self.name}_{group}"
 
     def number(self, value, kind="real") -> str:
-        """A constant in C."""
         return number(value, self.dtype if kind == "real" else np.int32)
 
     def rows(self, values, kind="real", indent="  ") -> str:
@@ -115,14 +112,12 @@ def _type(names, field) -> str:
 
 
 def arguments(program, names, ending=("output",)) -> str:
-    """The parameters of the C function."""
     given = [g for g in GROUPS if program.inputs[g]]
     const = {"parameters": "const ", "input": "const "}
     return ", ".join(f"{const.get(g, '')}{names.type(g)} *{g}" for g in (*given, *ending))
 
 
 def signature(program, names) -> str:
-    """The declaration of the C function."""
     returns = "int32_t" if names.statuses else "void"
     return f"{returns} {names.entry}({arguments(program, names)})"
 

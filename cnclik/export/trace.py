@@ -35,8 +35,6 @@ _OVER_TIME = {  # results over all steps: how two values combine, and the initia
 
 
 class Request(NamedTuple):
-    """What is to be exported."""
-
     law: Law
     reference: Reference | References | None  # None: the target is an argument of the function
     method: Method | Multistep

@@ -20,10 +20,12 @@ from cnclik.export.source import Names, header, source
 from cnclik.export.trace import RESULTS, WHAT, Request, trace, trace_growth, trace_loop
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_of, named
 from cnclik.integrate.stage import Stage, picard
+from cnclik.law.inverse import damped
 from cnclik.law.law import Law, check_loop
 from cnclik.law.reference import Reference
 from cnclik.record import brief
 from cnclik.robot.chain import Chain
+from cnclik.task.build import pose
 from cnclik.version import __version__
 from cnclik.writing import output_folder
 
@@ -100,12 +102,10 @@ def c(
 
 
 def digest(content: bytes) -> str:
-    """The checksum of a file."""
     return hashlib.sha256(content).hexdigest()
 
 
 def digest_of(about: dict) -> str:
-    """The checksum of a manifest."""
     return digest(json.dumps(about, sort_keys=True).encode())
 
 
@@ -126,9 +126,6 @@ def checked(law, reference, what, method, stage, dtype, name, runtime, batch=Fal
     if batch and what not in ("step", "solve"):
         raise errors.fail("batch", f"be left out for {what!r}", f"is {batch!r}")
     if isinstance(law, Chain) and what in ("fk", "jacobian", "reach"):
-        from cnclik.law.inverse import damped
-        from cnclik.task.build import pose
-
         law = Law(law, pose(), alpha=1.0, inverse=damped(1.0))
     errors.kind("law", law, Law)
     if reference is not None:
@@ -144,7 +141,6 @@ _DTYPES = {"float64": "float64", "float32": "float32", "double": "float64", "flo
 
 
 def configuration(request: Request) -> list:
-    """The exported configuration in words, line by line."""
     law, lines = request.law, []
     lines.append(f"{request.what} for {brief(law.chain)}, in {request.dtype}")
     if request.what in ("fk", "jacobian"):
@@ -170,7 +166,6 @@ def _evaluations(request) -> list:
 
 
 def _wanted(names) -> tuple:
-    """Results of a batch, by name."""
     if not isinstance(names, (tuple, list)):
         raise errors.fail("batch", "be True or names of results such as q and e", f"is {names!r}")
     for name in names:

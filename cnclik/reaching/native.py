@@ -5,7 +5,6 @@ compiles in a second and is twenty times as fast as JAX's programs.
 """
 
 import ctypes
-import functools
 import pathlib
 import tempfile
 import threading
@@ -88,8 +87,6 @@ def _built(asked):
 
 
 class Native:
-    """The native search."""
-
     libraries = 0  # that this process has built
 
     def __init__(self, asked: Asked, library):
@@ -188,14 +185,14 @@ class Native:
             if k == 0:
                 so_far.sure[:] = asked.sure(made["looks"]) & ~far
                 count = np.count_nonzero(made["found"])
-                report = report and functools.partial(_still, report, count)
+                # Few of the further tries succeed.
+                report = report and (lambda _, told=report, count=count: told(count))
             if phase.status:
                 so_far.why[ids] = asked.meaning(phase.status, there["found"] != 0, there["squares"])[ids]
         q, squares, _, steep, looks, found, *_ = so_far.made
         return asked.reached(pose, near, q, squares, steep, looks, found != 0, so_far.sure, so_far.why)
 
     def _rows(self, count):
-        """Rows of the record for so many targets."""
         return np.empty((count, width(self.asked.chain.n)))
 
     def _call(self, made, pose, near, phase=None, **others):
@@ -226,10 +223,6 @@ class Native:
                     report(int(np.count_nonzero(made["found"])))
 
 
-def _still(report, count, _):
-    report(count)  # few of the further tries succeed
-
-
 def _put(call, **values):
     """Put the addresses of arrays, and numbers, into the fields of a call."""
     for name, value in values.items():
@@ -238,7 +231,6 @@ def _put(call, **values):
 
 
 def _told(phase) -> dict:
-    """The fields of a phase that C needs."""
     return {name: getattr(phase, name) for name in IN_C}
 
 
@@ -250,5 +242,4 @@ def _as_c(phase):
 
 
 def _found(made) -> Found:
-    """The fields of an array of results."""
     return Found(*(made[name] for name in Found._fields))

@@ -34,7 +34,6 @@ def native_source(chain, task) -> str:
 
 
 def lanes_of(program, real, whole) -> str:
-    """The C type of a lane's state."""
     fields = [
         f"  {whole if f.kind == INT else real} {f.name}{f'[{f.size}]' * bool(f.shape)};"
         for f in program.inputs["lanes"]

@@ -16,27 +16,12 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.hints import few_lanes
+from cnclik.reaching import strategy
 from cnclik.reaching.aims import aims, owners
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
 from cnclik.reaching.step import Search, begin, iterate
-from cnclik.reaching.strategy import (
-    AROUND,
-    CAREFUL,
-    COARSE,
-    OUTER,
-    PLACES,
-    PLAIN,
-    SELDOM,
-    SLOW,
-    STEPS,
-    STUCK,
-    Phase,
-    SoFar,
-    narrowed,
-    phases,
-    wanted,
-)
+from cnclik.reaching.strategy import Phase, SoFar, narrowed, phases, wanted
 from cnclik.record import replace
 from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 
@@ -64,11 +49,10 @@ def nothing(shape, n, dtype=float, xp=np):
         return xp.full((*shape, *own), value, dtype)
 
     one = full(0.0, n), full(np.inf, 2), full(np.inf), full(np.nan), full(0.0), full(0.0)
-    return Found(*one, full(0.0, PLACES, n), full(np.inf, PLACES))
+    return Found(*one, full(0.0, strategy.PLACES, n), full(np.inf, strategy.PLACES))
 
 
 def choose(which, one, other):
-    """One tree or the other."""
     return jax.tree.map(lambda one, other: jnp.where(which, one, other), one, other)
 
 
@@ -101,8 +85,6 @@ def given(asked, postures, to, dtype, by=None) -> Given:
 
 
 class Try(NamedTuple):
-    """The state of a try."""
-
     at: Search
     step: Int[Array, ""]
     most: Int[Array, ""]  # steps
@@ -117,16 +99,16 @@ def advance(chain, task, pose, near, bounds, tolerance, roots, own: Try) -> Try:
     low, high = bounds
     within_bounds = jnp.where(own.free, -np.inf, low), jnp.where(own.free, np.inf, high)
     at = iterate(chain, task, own.at, pose, within_bounds, tolerance, own.careful, roots)
-    step, short = own.step + 1, own.most <= CAREFUL
-    within, close = ((at.squares <= most**2).all() for most in (tolerance, COARSE))
-    ends = at.arrived | (short & (at.steep <= STUCK)) | (step >= own.most)
+    step, short = own.step + 1, own.most <= strategy.CAREFUL
+    within, close = ((at.squares <= most**2).all() for most in (tolerance, strategy.COARSE))
+    ends = at.arrived | (short & (at.steep <= strategy.STUCK)) | (step >= own.most)
     on = ends & ~within & ~at.arrived & short & close  # some more steps
-    most = jnp.where(on, own.most + SLOW, own.most)
+    most = jnp.where(on, own.most + strategy.SLOW, own.most)
     inward = ends & within & own.free
     q = jnp.clip(turned(at.best, 0.0 if near is None else near, periods(chain), low, high, jnp), low, high)
     again = begin(q.astype(at.q.dtype), 0.0 * at.trust)._replace(looks=at.looks)
     new = Try(at, step, most, own.careful | on, own.free, ends & ~on, ends & within)
-    new = choose(inward, Try(again, 0 * step, 0 * step + CAREFUL, own.careful, ~inward, ~inward, ~inward), new)
+    new = choose(inward, Try(again, 0 * step, 0 * step + strategy.CAREFUL, own.careful, ~inward, ~inward, ~inward), new)
     return choose(own.over, own, new)
 
 
@@ -141,21 +123,22 @@ def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     seed = postures[which[own], np.arange(len(own))]
     stretch = jnp.where(k < SETS, 1.0, jnp.asarray(STRETCHES)[number % len(STRETCHES)]).astype(pose.dtype)
     q = starts(seed, near, asked.periods, ends, low, high, stretch, jnp)
-    some = (scattered >> 16) % PLACES
-    by = (k >= SETS) & (number % SELDOM <= (count > 1)) & jnp.isfinite(made.costs[some])
+    some = (scattered >> 16) % strategy.PLACES
+    by = (k >= SETS) & (number % strategy.SELDOM <= (count > 1)) & jnp.isfinite(made.costs[some])
     if count > 1:  # of several tips one begins elsewhere
-        q = jnp.where(by & (own != number // SELDOM % count), made.places[some], q)
+        q = jnp.where(by & (own != number // strategy.SELDOM % count), made.places[some], q)
     else:
         q = jnp.where(by, made.places[some] + seed - middle, q)
     if near is not None:
-        shift = AROUND * k.astype(pose.dtype) / PLAIN * 2 * (postures[number % len(postures)] - middle) / width
-        q = jnp.where(k < PLAIN, turned(near + shift, near, asked.periods, low, high, jnp), q)
-    place = jnp.minimum(k, PLACES - 1)
+        away = postures[number % len(postures)] - middle
+        shift = strategy.AROUND * k.astype(pose.dtype) / strategy.PLAIN * 2 * away / width
+        q = jnp.where(k < strategy.PLAIN, turned(near + shift, near, asked.periods, low, high, jnp), q)
+    place = jnp.minimum(k, strategy.PLACES - 1)
     q = jnp.where(phase.downhill > 0, made.places[place], q)
     there = (phase.downhill == 0) | jnp.isfinite(made.costs[place])
     outer = (phase.downhill == 0) & (k >= SETS) & (jnp.isfinite(low) | jnp.isfinite(high)).any()
-    there = there & ~(outer & (number % (2 * OUTER) == 2 * OUTER - 1)) & (k < phase.tries)
-    return jnp.clip(q, low, high).astype(pose.dtype), outer & (number % OUTER == 2), there
+    there = there & ~(outer & (number % (2 * strategy.OUTER) == 2 * strategy.OUTER - 1)) & (k < phase.tries)
+    return jnp.clip(q, low, high).astype(pose.dtype), outer & (number % strategy.OUTER == 2), there
 
 
 def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Found:
@@ -166,8 +149,8 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     bounds = narrowed(phase.low, phase.high, phase.jump, near, jnp)
     number, downhill = k + jnp.arange(together, dtype=jnp.int32), phase.downhill > 0
     q, free, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
-    plain = (number < PLAIN) & ~downhill
-    most = jnp.where(downhill, phase.downhill, jnp.where(plain, STEPS, CAREFUL))
+    plain = (number < strategy.PLAIN) & ~downhill
+    most = jnp.where(downhill, phase.downhill, jnp.where(plain, strategy.STEPS, strategy.CAREFUL))
     at = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q)
     own = Try(at, jnp.zeros_like(number), most, ~plain, free, ~there, jnp.zeros_like(there))
     roots, order = None if of.asked.task.weights is None else phase.roots, jnp.arange(together)
@@ -191,7 +174,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     posture, squares, least, steep = told
     looks = made.looks + jnp.sum(jnp.where(counted & there, at.looks, 0.0))
     costs = jnp.concatenate([made.costs, jnp.where(own.found | downhill, jnp.inf, cost)])
-    kept = jnp.argsort(costs)[:PLACES]
+    kept = jnp.argsort(costs)[: strategy.PLACES]
     places = jnp.concatenate([made.places, at.best])[kept]
     return Found(posture, squares, least, steep, looks, (won < together) * 1.0, places, costs[kept])
 
@@ -204,7 +187,7 @@ def search(of: Given, phase: Phase, made: Found, pose, near, wanted, together=TO
 
     def goes_on(carry):
         k, made = carry
-        return wanted & (made.found == 0) & (k < phase.tries) & ((k < PLAIN) | (made.looks < phase.budget))
+        return wanted & (made.found == 0) & (k < phase.tries) & ((k < strategy.PLAIN) | (made.looks < phase.budget))
 
     def once(carry):
         k, made = carry

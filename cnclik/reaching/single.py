@@ -230,7 +230,6 @@ def _on_all_cores(fn, ids, size, progress=None):
 
 
 def filled(rows, size=CAPACITY):
-    """The array padded with rows of 0."""
     if len(rows) == size:
         return rows
     out = np.zeros((size, *rows.shape[1:]), rows.dtype)

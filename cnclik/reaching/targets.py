@@ -23,7 +23,6 @@ _FORMS = {
 
 
 def task_of(task) -> Task:
-    """A task from its name, or as it is."""
     return task if isinstance(task, Task) else _named(errors.one_of("task", task, TASKS))
 
 
