@@ -214,13 +214,10 @@ def _one_minus_square(g, args, params, dtype):
     return g.op("mul", g.op("add", one, x), g.op("sub", one, x))
 
 
-def _least(g, args, params, dtype):
-    return args[0] if args[0] is args[1] else None
-
-
 SIMPLER = {
     **{"add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select_n": _select},
-    **{"and": _logic(False), "or": _logic(True), "max": _least, "min": _least, "integer_pow": _pow},
+    **{"and": _logic(False), "or": _logic(True), "integer_pow": _pow},
+    **dict.fromkeys(("max", "min"), lambda g, args, params, dtype: args[0] if args[0] is args[1] else None),
     **{name: _with_itself(False, True) for name in ("lt", "gt")},
     **{name: _with_itself(name != "ne", False) for name in ("le", "ge", "eq", "ne")},
     "not": lambda g, args, params, dtype: args[0].args[0] if args[0].op == "not" else None,

@@ -228,11 +228,10 @@ def _processor() -> str:
 
 
 def opened(library, *, lets_go=True):
-    """The loaded library. Args: lets_go: release Python's lock during calls, for calls longer than a step."""
-    return (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
+    """The loaded library, closed once nothing refers to it; its functions alone do not keep it open.
 
-
-def closed_after(library):
-    """The library, closed once nothing refers to it; its functions alone do not keep it open."""
-    weakref.finalize(library, _ctypes.dlclose, library._handle).atexit = False  # a thread may still run its code
-    return library
+    Args: lets_go: release Python's lock during calls, for calls longer than a step.
+    """
+    found = (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
+    weakref.finalize(found, _ctypes.dlclose, found._handle).atexit = False  # a thread may still run its code
+    return found

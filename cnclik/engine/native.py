@@ -53,7 +53,7 @@ def native(fn: Callable) -> Callable:
     def call(*args, **named):
         function, leaves = of(*args, **named)
         leaves = [jnp.asarray(x) for x in leaves]
-        tree = function.tree(leaves)
+        _, tree = function.out([jax.typeof(x) for x in leaves])
         if function.itself:  # it has effects, or closes over values of a surrounding trace
             return fn(*args, **named)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
@@ -102,9 +102,6 @@ class Function:
             self.itself |= bool(closed.effects) or closes_over_traced(closed)
             self.shapes[key] = jax.tree.flatten(shapes)
         return self.shapes[key]
-
-    def tree(self, leaves):
-        return self.out([jax.typeof(x) for x in leaves])[1]
 
     def jvp(self, by, real):
         """The tangents of the results, as a function of the arguments and of the tangents of the arguments `by`.

@@ -126,11 +126,8 @@ def _converted(x, old, new):
     if new.kind == "b":
         return f"MASK({x} != 0)"
     if old.kind == "b":
-        return (
-            f"({T})-__builtin_convertvector({x}, {T})"
-            if new.kind != "f"
-            else f"select_{T}({x}, splat_{T}(1), splat_{T}(0))"
-        )
+        one_or_zero = f"select_{T}({x}, splat_{T}(1), splat_{T}(0))"
+        return one_or_zero if new.kind == "f" else f"({T})-__builtin_convertvector({x}, {T})"
     if old.kind == "f" and new.kind in "iu":
         about = np.iinfo(new)
         top = old.type(2.0**about.bits if new.kind == "u" else 2.0 ** (about.bits - 1))

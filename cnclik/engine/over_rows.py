@@ -124,10 +124,7 @@ def _broadcast(g, eqn, x):
     shape, where = eqn.params["shape"], eqn.params["broadcast_dimensions"]
     if not where or where[0] != 0 or shape[0] != x.length:
         return None
-    sizes = [1] * (len(shape) - 1)
-    for axis, size in zip(where[1:], x.cells.shape, strict=True):
-        sizes[axis - 1] = size
-    return [Rows(np.broadcast_to(x.cells.reshape(sizes), shape[1:]), x.length)]
+    return [Rows(MOVES["broadcast_in_dim"](x.cells, shape[1:], [axis - 1 for axis in where[1:]]), x.length)]
 
 
 def _stack(g, eqn, *inputs):

@@ -81,18 +81,22 @@ def _known(node):
     return int(node.value) if node.known else node
 
 
+def _clipped(g, starts, shape, sizes):
+    """(starts such that slices of these sizes are inside, their type)"""
+    starts = [_wide(g, s).item() for s in starts]
+    at = [_known(_held(g, s, m - n)) for s, m, n in zip(starts, shape, sizes, strict=True)]
+    return at, starts[0].dtype if starts else np.dtype(np.int32)
+
+
 def _dynamic_slice(g, eqn, x, *starts):
-    sizes, starts = eqn.params["slice_sizes"], [_wide(g, s) for s in starts]
-    at = [_known(_held(g, s.item(), m - n)) for s, m, n in zip(starts, x.shape, sizes, strict=True)]
-    dtype = starts[0].item().dtype if starts else np.dtype(np.int32)
+    sizes = eqn.params["slice_sizes"]
+    at, dtype = _clipped(g, starts, x.shape, sizes)
     made = [_taken(g, x, list(map(_plus, itertools.repeat(g), at, where)), dtype) for where in np.ndindex(*sizes)]
     return [array_of(made, sizes)]
 
 
 def _dynamic_update_slice(g, eqn, x, update, *starts):
-    starts = [_wide(g, s) for s in starts]
-    at = [_known(_held(g, s.item(), m - n)) for s, m, n in zip(starts, x.shape, update.shape, strict=True)]
-    out, dtype = x.reshape(-1).copy(), starts[0].item().dtype
+    (at, dtype), out = _clipped(g, starts, x.shape, update.shape), x.reshape(-1).copy()
     for where in np.ndindex(*update.shape):
         number = _number(g, list(map(_plus, itertools.repeat(g), at, where)), x.shape, dtype)
         _put(g, out, number, None, update[where], lambda old, new: new)

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from cnclik.cache import Recent
-from cnclik.engine.compiler import CompilerError, build_text, built, can_build, closed_after, opened
+from cnclik.engine.compiler import CompilerError, build_text, built, can_build, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.reader import read
 from cnclik.engine.source import write
@@ -103,7 +103,7 @@ def _opened(find):
     library.width.restype = library.work_bytes.restype = ctypes.c_int64
     library.run.restype = None
     library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
-    return closed_after(library), path.name
+    return library, path.name
 
 
 class Programs:

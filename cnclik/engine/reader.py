@@ -162,10 +162,8 @@ class Reader:
         x, where = inputs[0], eqn.params["broadcast_dimensions"]
         if 0 in where or eqn.invars[0].aval.size > LIMIT:
             return None
-        x, sizes = self.cells(x), [1] * (out.ndim - 1)
-        for axis, size in zip(where, x.shape, strict=True):
-            sizes[axis - 1] = size
-        return [Rows(np.broadcast_to(x.reshape(sizes), out.shape[1:]), out.shape[0])]
+        axes = [axis - 1 for axis in where]
+        return [Rows(MOVES["broadcast_in_dim"](self.cells(x), out.shape[1:], axes), out.shape[0])]
 
 
 def _keeps(eqn) -> bool:
@@ -175,9 +173,8 @@ def _keeps(eqn) -> bool:
 
 
 def _counted(eqn):
-    params, (out,) = eqn.params, (v.aval for v in eqn.outvars)
-    sizes = [-1 if axis == params["dimension"] else 1 for axis in range(out.ndim)]
-    return np.broadcast_to(np.arange(out.shape[params["dimension"]]).reshape(sizes), out.shape).astype(out.dtype)
+    (out,) = (v.aval for v in eqn.outvars)
+    return np.broadcast_to(np.indices(out.shape, out.dtype, sparse=True)[eqn.params["dimension"]], out.shape)
 
 
 def closes_over_traced(closed) -> bool:

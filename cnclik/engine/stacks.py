@@ -95,9 +95,8 @@ def columns(g, node) -> Rows:
     if node.op == "array":
         flat = node.value.reshape(N, -1).T
         same = [bool((c == c[0]).all()) for c in flat]
-        made = [
-            g.const(c[0], c.dtype) if s else g.array(np.ascontiguousarray(c)) for c, s in zip(flat, same, strict=True)
-        ]
+        some = zip(flat, same, strict=True)
+        made = [g.const(c[0], c.dtype) if s else g.array(np.ascontiguousarray(c)) for c, s in some]
     else:
         made = [g.shared("column", (node,), at, (N,), node.dtype) for at in np.ndindex(*inner)]
     return Rows(array_of(made, tuple(inner)), N)
@@ -129,11 +128,9 @@ def _row(g, column, N):
     if whole is not None and all(c.op == "index" and c.args[0] is whole for c in column):
         rest = tuple(first.params[1:])
         if whole.shape[0] == N and all(c.params == (k, *rest) for k, c in enumerate(column)):
-            return (
-                whole
-                if len(whole.shape) == 1 and whole.op != "input"
-                else g.shared("column", (whole,), rest, (N,), whole.dtype)
-            )
+            if len(whole.shape) == 1 and whole.op != "input":
+                return whole
+            return g.shared("column", (whole,), rest, (N,), whole.dtype)
     if all(c.known for c in column):
         return g.array(np.array([c.value for c in column], first.dtype))
     return g.shared("list", tuple(column), None, (N,), first.dtype)

@@ -170,16 +170,9 @@ class _Writer:
         """A node other than an operation on scalars."""
         if is_operation(n):
             return self.applied(n, self.of)
+        if n.op in _PLACES:
+            return _at(self.of(n.args[0]), _PLACES[n.op](n.params))
         return getattr(self, f"_{n.op}")(n, *n.args)
-
-    def _index(self, n, x):
-        return _at(self.of(x), n.params)
-
-    def _column(self, n, x):
-        return _at(self.of(x), (None, *n.params))
-
-    def _within(self, n, x):
-        return _at(self.of(x), (None, n.params))
 
     def _slid(self, n, x):
         start, stride = n.params
@@ -280,6 +273,9 @@ class _Writer:
 
         empty = [jnp.zeros(n.shape, n.dtype) for n in results]
         return lax.while_loop(lambda state: state[0], body, (here, empty))[1]
+
+
+_PLACES = {"index": tuple, "column": lambda places: (None, *places), "within": lambda place: (None, place)}
 
 
 def _at(x, places):

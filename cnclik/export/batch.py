@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.compiler import build, closed_after, opened
+from cnclik.engine.compiler import build, opened
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
@@ -25,7 +25,7 @@ class Batch:
             raise errors.fail("batch", "be asked for when exporting, c(..., batch=True)", "is not in this folder")
         self.inputs, self.outputs, self.dtype = manifest["batch"]["inputs"], manifest["batch"]["outputs"], dtype
         library = build([folder / f"{name}.c"], folder, flags=["-O2"])  # as quick as -O3, and built in half the time
-        self.library = closed_after(opened(library))
+        self.library = opened(library)
         self.function = getattr(self.library, name)
         self.function.restype = None
         self.function.argtypes = (ctypes.c_int64, ctypes.c_int64, ctypes.c_int32, *[ctypes.c_void_p] * 3)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.compiler import build, closed_after, opened
+from cnclik.engine.compiler import build, opened
 from cnclik.export.batch import Batch
 from cnclik.export.write import MANIFEST, c, digest, digest_of
 from cnclik.integrate.advance import Step
@@ -87,7 +87,7 @@ class Compiled:
         self.library = build([folder / f"{name}.c"], folder)
         self.buffers = {group: _Buffer(fields, self.dtype) for group, fields in manifest["inputs"].items() if fields}
         self.buffers["output"] = _Buffer(manifest["outputs"], self.dtype)
-        library = closed_after(opened(self.library, lets_go=what == "solve"))
+        library = opened(self.library, lets_go=what == "solve")
         function = getattr(library, name)
         function.library = library  # stays open as long as it may be called
         function.restype = ctypes.c_int32 if what in ("step", "solve", "reach") else None

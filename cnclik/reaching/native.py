@@ -13,7 +13,7 @@ import warnings
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.compiler import build, closed_after, opened
+from cnclik.engine.compiler import build, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.plan import in_c
 from cnclik.reaching.aims import told_apart
@@ -75,7 +75,7 @@ def _built(asked):
         with tempfile.TemporaryDirectory(prefix="cnclik-reach-") as folder:  # the file is not needed once it is open
             source = pathlib.Path(folder, "reach_lanes.c")
             source.write_text(text, encoding="utf-8")
-            library = closed_after(opened(build([source], folder, flags=["-O2"], limit=LONGEST)))
+            library = opened(build([source], folder, flags=["-O2"], limit=LONGEST))
         of = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
         library.search.restype, library.search.argtypes = None, of
         library.along.restype, library.along.argtypes = ctypes.c_int64, (ctypes.c_void_p, *of[:2])

@@ -117,6 +117,14 @@ def test_known_whole_numbers_are_worked_out_as_they_would_be(dtype):
     check(lambda *_: all_of(x, y), *(np.broadcast_to(v, (3, *v.shape)) for v in (x, y)), by=all_of)
 
 
+@pytest.mark.parametrize("dtype", [np.int32, np.uint8, bool])
+def test_bits_reduced_over_nothing(dtype):
+    def fn(x):
+        return [of(x[:0], axes=(0,)) | x[0] for of in (lax.reduce_and, lax.reduce_or, lax.reduce_xor)]
+
+    check(fn, np.ones((3, 2), dtype))
+
+
 def test_functions_of_truths():
     def fn(x, y):
         return x & y, x | y, x ^ y, ~x, x == y, x != y, jnp.where(x, y, ~y), x < y, x <= y, x.astype(int), x * 1.5
