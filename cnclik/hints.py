@@ -32,7 +32,7 @@ def use_hints(on: bool) -> contextlib.AbstractContextManager:
 
 def hints_on() -> bool:
     """Whether XLA gets hints: the switch is on and the program is for a CPU."""
-    return _context.value and on_cpu()
+    return _context.value and jax.default_backend() == "cpu"
 
 
 def switched_on() -> bool:
@@ -51,16 +51,6 @@ def as_here(fn):
             return fn(*args, **named)
 
     return there
-
-
-def _around():
-    """All that tracing depends on besides arguments and JAX's settings."""
-    return _lanes.value, *(switch.value for switch in SWITCHES)
-
-
-def on_cpu() -> bool:
-    """Whether what is traced is a program for a CPU."""
-    return jax.default_backend() == "cpu"
 
 
 # --- options of the compiler --------------------------------------------------------------------------
@@ -120,7 +110,8 @@ def quick_jit(fn=None, *, compiler=QUICK_COMPILE, **options):
     @functools.wraps(fn)
     def call(*args, **kwargs):
         if keeping():
-            found = kept_whole(fn, _around(), known_options(compiler), static, args, kwargs)
+            around = _lanes.value, *(switch.value for switch in SWITCHES)  # what else tracing depends on
+            found = kept_whole(fn, around, known_options(compiler), static, args, kwargs)
             if found is not None:
                 return found
         try:

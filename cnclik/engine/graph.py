@@ -68,8 +68,8 @@ class Scan(Region):
 
     @property
     def used(self) -> list:
-        """The nodes that its block starts from or ends with."""
-        return [*self.first, *self.then, *self.ys]
+        """The nodes that its block starts from, takes or ends with."""
+        return [*self.first, *self.xs, *self.then, *self.ys]
 
     def needs(self, what, i) -> list:
         """The nodes that one of its nodes depends on."""

@@ -290,8 +290,7 @@ def _needs(block, results) -> list:
     """Nodes that a block and its results read, in order."""
     found = {n.number: n for n in results}
     for item in all_items(block):
-        several = item.args if isinstance(item, Node) else [*item.used, *getattr(item, "xs", ())]
-        found |= {n.number: n for n in several}
+        found |= {n.number: n for n in (item.args if isinstance(item, Node) else item.used)}
     return list(found.values())
 
 
@@ -304,7 +303,7 @@ def _users(graph, needed, ends) -> dict:
             for a in item.args if item.number in needed else ():
                 found.setdefault(a.number, set()).add(by)
         elif item.number in needed:
-            for n in (*item.used, *getattr(item, "xs", ())):
+            for n in item.used:
                 found.setdefault(n.number, set()).add(-1)
     for n in ends:
         found.setdefault(n.number, set()).add(-1)

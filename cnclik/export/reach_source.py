@@ -99,7 +99,7 @@ def reach_source(reaching: Reaching, names: Names) -> tuple:
 
 
 def _call(reaching, names) -> str:
-    of, c, known = reaching.asked, names.number, seeds(reaching.asked.chain)
+    of, c, known, bit = reaching.asked, names.number, seeds(reaching.asked.chain), names.name.upper()
     (lower, upper), own = of.limited(), np.array(of_joints(of.chain, of.unit))
     roots = np.sqrt(np.asarray(of.task.weight_of_each, float))
     tables = {"lower": lower, "upper": upper, "jump": np.full(of.chain.n, np.inf), "periods": of.periods}
@@ -146,14 +146,9 @@ def _call(reaching, names) -> str:
   output->position_error = made.looks > 0 ? row[N + 1] * {c(of.unit)} : NAN;
   output->orientation_error = made.looks > 0 ? row[N + 2] : NAN;
   output->evaluations = (int32_t)made.looks;
-  output->status = {names.name.upper()}_OUT_OF_BUDGET;
-  if (made.looks == 0) {{
-    output->status = {names.name.upper()}_NON_FINITE;
-  }} else if (made.found != 0) {{
-    output->status = {names.name.upper()}_SOLVED;
-  }} else if (far) {{ /* nothing else is known: other postures might lead there */
-    output->status = {names.name.upper()}_OUT_OF_REACH;
-  }}
+  /* Beyond the arm's length nothing else is known: other postures might lead there. */
+  output->status = made.looks == 0 ? {bit}_NON_FINITE : made.found != 0 ? {bit}_SOLVED
+    : far ? {bit}_OUT_OF_REACH : {bit}_OUT_OF_BUDGET;
   return output->status;
 }}
 """

@@ -208,11 +208,10 @@ class Sampled:
         x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
         return x if self.late is None else x + self.late * line[self.whole][..., None]
 
-    def beside(self, axes: int):
-        """Several drives, with `axes` more axes after theirs."""
-        at = tuple(range(-2 - axes, -2)), tuple(range(-1 - axes, -1))
-        late = None if self.late is None else np.expand_dims(self.late, at[1])
-        return replace(self, phi=np.expand_dims(self.phi, at[0]), now=np.expand_dims(self.now, at[1]), late=late)
+    def beside(self):
+        """Several drives, with two more axes after theirs."""
+        late = None if self.late is None else np.expand_dims(self.late, (-3, -2))
+        return replace(self, phi=np.expand_dims(self.phi, (-4, -3)), now=np.expand_dims(self.now, (-3, -2)), late=late)
 
     def transfer(self, at):
         """The transfer function from command to motion at points z (...), for one drive shared by all joints."""

@@ -122,7 +122,7 @@ def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
     which = jnp.where(k < SETS, of.nearest(pose, number), (scattered >> 20) % len(postures))
     seed = postures[which[own], np.arange(len(own))]
     stretch = jnp.where(k < SETS, 1.0, jnp.asarray(STRETCHES)[number % len(STRETCHES)]).astype(pose.dtype)
-    q = starts(seed, near, asked.periods, ends, low, high, stretch, jnp)
+    q = starts(seed, near, asked.periods, ends, low, high, stretch)
     some = (scattered >> 16) % strategy.PLACES
     by = (k >= SETS) & (number % strategy.SELDOM <= (count > 1)) & jnp.isfinite(made.costs[some])
     if count > 1:  # of several tips one begins elsewhere
@@ -179,7 +179,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     return Found(posture, squares, least, steep, looks, (won < together) * 1.0, places, costs[kept])
 
 
-def search(of: Given, phase: Phase, made: Found, pose, near, wanted, together=TOGETHER) -> Found:
+def search(of: Given, phase: Phase, made: Found, pose, near, wanted) -> Found:
     """The tries of a phase, until one arrives or seeds or budget are used up; none where it is not `wanted`."""
     fresh = wanted & (phase.done == 0)
     made = made._replace(cost=jnp.where(fresh, jnp.inf, made.cost))
@@ -191,7 +191,7 @@ def search(of: Given, phase: Phase, made: Found, pose, near, wanted, together=TO
 
     def once(carry):
         k, made = carry
-        return k + together, tries(of, phase, made, pose, near, k, together)
+        return k + TOGETHER, tries(of, phase, made, pose, near, k, TOGETHER)
 
     return lax.while_loop(goes_on, once, (phase.done, made))[1]
 

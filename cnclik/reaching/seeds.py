@@ -65,8 +65,8 @@ def turned(q, about, periods, low, high, xp=np):
     return q + xp.where(few <= most, periods * turns, 0.0)
 
 
-def starts(seed, near, periods, ends, low, high, stretch=1.0, xp=np):
-    """Postures to start from: seeds (..., n), turned to where `near` is, if there is one, and within the bounds.
+def starts(seed, near, periods, ends, low, high, stretch):
+    """A posture to start from: a seed (n,), turned to where `near` is, if there is one, and within the bounds.
 
     Of a joint whose value is beyond them, its place in the range of the seeds becomes its place between the bounds: all
     that is between them is tried, however far from the seeds it is, and not their corners alone.
@@ -74,15 +74,13 @@ def starts(seed, near, periods, ends, low, high, stretch=1.0, xp=np):
     An answer with several joints at limits has few postures about it from which a search arrives, and most of them have
     joints there, too: seeds stretched by 4 have three in four joints at one of their bounds, by 8 seven in eight.
 
-    Args: ends: of the range of the seeds, see `spans`. stretch: of each seed (...,) about the middle of the bounds.
+    Args: ends: of the range of the seeds, see `spans`. stretch: of the seed about the middle of the bounds.
     """
-    q = seed if near is None else turned(seed, near, periods, low, high, xp)
-    beyond, width = (q < low) | (q > high), np.maximum(ends[1] - ends[0], 1e-9)
-    stretch = xp.asarray(stretch)[..., None]
-    beyond = beyond | (stretch > 1) & xp.isfinite(high - low)
-    place = 0.5 + stretch * ((seed - ends[0]) / width - 0.5)
-    between = low + xp.where(beyond, high - low, 0.0) * place
-    return xp.clip(xp.where(beyond, between, q), low, high)
+    q = seed if near is None else turned(seed, near, periods, low, high, jnp)
+    beyond = (q < low) | (q > high) | (stretch > 1) & jnp.isfinite(high - low)
+    place = 0.5 + stretch * ((seed - ends[0]) / np.maximum(ends[1] - ends[0], 1e-9) - 0.5)
+    between = low + jnp.where(beyond, high - low, 0.0) * place
+    return jnp.clip(jnp.where(beyond, between, q), low, high)
 
 
 def _made(chain: Chain) -> Seeds:

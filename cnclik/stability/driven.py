@@ -53,7 +53,7 @@ def loop_matrix(steps, drive: Drive, Ts: float, inputs: bool = False):
     """
     model, (p, n, _), xp = sampled(drive, Ts), steps.shape[-3:], library(steps)
     if several(drive):  # modes along the first axes, then unit vectors and joints
-        model = model.beside(2)
+        model = model.beside()
     count = model.size + drive.adds_up + model.remembered + p - 1 + INPUTS * inputs
     units = np.eye(n * count)
     x = units[:, : n * model.size].reshape(-1, n, model.size)
