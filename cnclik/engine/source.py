@@ -94,7 +94,8 @@ def _library(writer, T):
     asked |= {"exp"} if "logistic" in asked else set()
     asked |= {"fmod"} if "rem" in asked else set()
     for name in sorted(asked & set(LIBRARY)):
-        yield f"LANE_BY_LANE{'_OF_TWO' * (LIBRARY[name] == 2)}({name})"
+        each, of = ("EACH", "x[i]") if LIBRARY[name] == 1 else ("EACH_OF_TWO", "x[i], y[i]")
+        yield f"{each}({name}, LIBM({name})({of}))"
 
 
 def _call(given, shapes):

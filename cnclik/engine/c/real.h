@@ -40,12 +40,7 @@ static inline T K(min)(T a, T b) { return K(select)(MASK((a < b) | (a != a)), a,
 #endif
 static inline T K(sign)(T x) { return K(select)(MASK(x > 0), K(splat)(1), K(select)(MASK(x < 0), K(splat)(-1), x)); }
 
-static inline T K(sqrt)(T x)
-{
-  T r = x;
-  for (int i = 0; i < W; ++i) r[i] = LIBM(sqrt)(x[i]); /* compiles to one instruction */
-  return r;
-}
+EACH(sqrt, LIBM(sqrt)(x[i])) /* compiles to one instruction */
 
 /* To the nearest whole number, halves to the even one. */
 static inline T K(round_even)(T x)
@@ -150,9 +145,3 @@ static inline T K(log1p)(T x)
   const T u = 1 + x;
   return K(select)(MASK(x == 0), x, K(log_of)(u, K(select)(MASK(u > 2), 1 - (u - x), x - (u - 1))));
 }
-
-/* The library's functions, lane by lane. */
-#define LANE_BY_LANE(name) \
-  static inline T K(name)(T x) { T r = x; for (int i = 0; i < W; ++i) r[i] = LIBM(name)(x[i]); return r; }
-#define LANE_BY_LANE_OF_TWO(name) \
-  static inline T K(name)(T x, T y) { T r = x; for (int i = 0; i < W; ++i) r[i] = LIBM(name)(x[i], y[i]); return r; }

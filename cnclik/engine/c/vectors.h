@@ -118,5 +118,11 @@ static inline void store_four(char *p, int64_t stride, S32 a, S32 b, S32 c, S32 
 }
 #endif
 
+/* A function of one vector or of two, lane by lane. */
+#define EACH(name, value) \
+  static inline T K(name)(T x) { T r = x; for (int i = 0; i < W; ++i) r[i] = value; return r; }
+#define EACH_OF_TWO(name, value) \
+  static inline T K(name)(T x, T y) { T r = x; for (int i = 0; i < W; ++i) r[i] = value; return r; }
+
 /* A vector T in the work memory, kept between rounds of a loop; `place` counts as if vectors had 64 bytes. */
 #define AT(T, place) ((T *)(work + (place) / 64 * BYTES))

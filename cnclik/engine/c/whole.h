@@ -12,44 +12,12 @@ static inline T K(abs)(T x) { return x; }
 static inline T K(sign)(T x) { return (T)-(x > 0); }
 #endif
 
-static inline T K(div)(T a, T b)
-{
-  T r = a;
-  for (int i = 0; i < W; ++i) r[i] = b[i] == 0 ? (N)-1 : SIGNED && b[i] == (N)-1 ? (N)(0 - (uint64_t)a[i]) : a[i] / b[i];
-  return r;
-}
-
-static inline T K(rem)(T a, T b)
-{
-  T r = a;
-  for (int i = 0; i < W; ++i) r[i] = b[i] == 0 ? a[i] : SIGNED && b[i] == (N)-1 ? 0 : a[i] % b[i];
-  return r;
-}
-
-static inline T K(shift_left)(T a, T b)
-{
-  T r = a;
-  for (int i = 0; i < W; ++i) r[i] = (uint64_t)b[i] < ALL_BITS ? (N)((uint64_t)a[i] << b[i]) : 0;
-  return r;
-}
-
-static inline T K(shift_right_logical)(T a, T b)
-{
-  T r = a;
-  const uint64_t all = ~(uint64_t)0 >> (64 - ALL_BITS);
-  for (int i = 0; i < W; ++i) r[i] = (uint64_t)b[i] < ALL_BITS ? (N)(((uint64_t)a[i] & all) >> b[i]) : 0;
-  return r;
-}
-
-static inline T K(shift_right_arithmetic)(T a, T b)
-{
-  T r = a;
-  for (int i = 0; i < W; ++i) {
-    const int far = (uint64_t)b[i] >= ALL_BITS;
-    const int64_t x = (int64_t)((uint64_t)a[i] << (64 - ALL_BITS)) >> (64 - ALL_BITS);
-    r[i] = (N)(x >> (far ? 63 : (int)b[i]));
-  }
-  return r;
-}
+EACH_OF_TWO(div, y[i] == 0 ? (N)-1 : SIGNED && y[i] == (N)-1 ? (N)(0 - (uint64_t)x[i]) : x[i] / y[i])
+EACH_OF_TWO(rem, y[i] == 0 ? x[i] : SIGNED && y[i] == (N)-1 ? 0 : x[i] % y[i])
+EACH_OF_TWO(shift_left, (uint64_t)y[i] < ALL_BITS ? (N)((uint64_t)x[i] << y[i]) : 0)
+EACH_OF_TWO(shift_right_logical,
+            (uint64_t)y[i] < ALL_BITS ? (N)(((uint64_t)x[i] & (~(uint64_t)0 >> (64 - ALL_BITS))) >> y[i]) : 0)
+EACH_OF_TWO(shift_right_arithmetic,
+            (N)((int64_t)((uint64_t)x[i] << (64 - ALL_BITS)) >> (64 - ALL_BITS) >> ((uint64_t)y[i] < ALL_BITS ? (int)y[i] : 63)))
 
 #undef ALL_BITS
