@@ -38,10 +38,7 @@ def checked_file(name, file, *endings, overwrite=True) -> pathlib.Path:
     size = len(file.name.encode(errors="replace"))
     if size > 250:
         raise errors.fail(name, "have a name of at most 250 bytes", f"has {size}")
-    fits = False
-    with contextlib.suppress(OSError, ValueError):
-        fits = os.path.isdir(file.parent) and not os.path.isdir(file)
-    if not fits:
+    if os.path.isdir(file) or not os.path.isdir(file.parent):
         raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
     if is_input(file):
         raise errors.fail(name, "be another file than what is read", f"is {file.name[:60]!r}")

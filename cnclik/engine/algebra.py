@@ -33,10 +33,6 @@ def _converted(value, dtype):
     return np.asarray(value).astype(dtype)[()]
 
 
-def _rounded(value, method):
-    return np.round(value) if method == 1 else np.copysign(np.floor(np.abs(value) + 0.5), value)
-
-
 def _shifted(value, by, name):
     """As XLA shifts: a shift by at least as many bits as the type has leaves 0, or the sign if it is arithmetic."""
     bits, by = 8 * value.itemsize, int(by)
@@ -77,7 +73,7 @@ def folded(name, values, dtype, params):
         if name == "integer_pow":
             return None if dtype.kind != "f" and params < 0 else values[0] ** dtype.type(params)
         if name == "round":
-            return _rounded(values[0], params)
+            return np.round(values[0]) if params == 1 else np.copysign(np.floor(np.abs(values[0]) + 0.5), values[0])
         if name.startswith("shift_"):
             return _shifted(*values, name)
         fold = _FOLDED.get(name)

@@ -89,14 +89,11 @@ def _triangular_solve(g, eqn, a, b):
     for i in range(len(x)) if lower else reversed(range(len(x))):
         before = range(i) if lower else range(i + 1, len(x))
         for c in range(x.shape[1]):
-            known = [(unit[i, k], x[k, c]) for k in before if not _is_zero(x[k, c])]  # LAPACK skips zeros, too
+            some = [k for k in before if not (x[k, c].known and x[k, c].value == 0)]  # LAPACK skips zeros, too
+            known = [(unit[i, k], x[k, c]) for k in some]
             x[i, c] = g.op("mul", _minus(g, x[i, c], known), pivots[i])
     x = scaled(x) if lower and roots is not None else x
     return [x if p["left_side"] else x.T]
-
-
-def _is_zero(node) -> bool:
-    return node.known and node.value == 0
 
 
 def _lu(g, eqn, a):

@@ -187,7 +187,9 @@ def reduced(g, x, axes, name, dtype):
 def _loop(g, rows, length, name, *, reverse=False) -> Scan:
     """A loop that reduces the entries of rows."""
     r, shapes = Scan(g.block, length, reverse), [((), c.dtype) for c in rows]
-    r.xs, r.first = list(rows), [_start(g, name, c, length - 1 if reverse else 0) for c in rows]
+    start = length - 1 if reverse else 0
+    r.first = [entry(g, c, start) if name in ("max", "min") else neutral(g, name, c.dtype) for c in rows]
+    r.xs = list(rows)
     r.carries = g.nodes(r, "carry", shapes, r.block)
     r.rows = g.nodes(r, "row", shapes, r.block)
     outside, g.block = g.block, r.block
@@ -206,10 +208,6 @@ def running(g, eqn, x, name):
     r = _loop(g, moving, x.length, name, reverse=eqn.params["reverse"])
     r.ys = list(r.then)
     return [Rows(array_of([stacked_node(g, r, i) for i in range(len(r.ys))], x.cells.shape), x.length)]
-
-
-def _start(g, name, row, k):
-    return entry(g, row, k) if name in ("max", "min") else neutral(g, name, row.dtype)
 
 
 def moved(g, eqn, x):

@@ -106,12 +106,10 @@ class _Writer:
                 rest.append(n)
             elif n.number not in self.values:
                 self.stages_of(rest)
-                self.sines([m for m in nodes[k:] if m.op in ("sin", "cos") and self.is_there(m.args[0])])
+                angles = [(m, m.args[0]) for m in nodes[k:] if m.op in ("sin", "cos")]
+                self.sines([m for m, angle in angles if angle.known or angle.number in self.values])
                 rest = []
         self.stages_of(rest)
-
-    def is_there(self, n) -> bool:
-        return n.known or n.number in self.values
 
     def sines(self, nodes):
         """Sines and cosines of angles that have values, in one stage."""

@@ -102,13 +102,9 @@ extern "C" {{
 def struct(names, group, fields) -> str:
     lines = []
     for f in fields:
-        size = f"[{f.size}]" if f.shape else ""
-        lines.append(f"  {_type(names, f)} {f.name}{size};" + (f" /* {f.about} */" if f.about else ""))
+        kind, size = "int32_t" if f.kind == INT else names.real, f"[{f.size}]" if f.shape else ""
+        lines.append(f"  {kind} {f.name}{size};" + (f" /* {f.about} */" if f.about else ""))
     return "typedef struct {\n" + "\n".join(lines) + f"\n}} {names.type(group)};\n"
-
-
-def _type(names, field) -> str:
-    return "int32_t" if field.kind == INT else names.real
 
 
 def arguments(program, names, ending=("output",)) -> str:

@@ -20,7 +20,7 @@ from cnclik.integrate.exponential import CLOSED, Start, closure, start
 from cnclik.integrate.history import Entry, History, fields_of, holds_posture, mark, remember, valid, weights
 from cnclik.integrate.march import Moved, combine, shift
 from cnclik.law.inverse import remembered
-from cnclik.law.law import Evaluation, evaluate_at, observe, resolve, weighted
+from cnclik.law.law import evaluate_at, observe, resolve, weighted
 from cnclik.law.limits import within
 from cnclik.robot.chart import between, centre, into, rates
 from cnclik.shapes import Array, Bool
@@ -96,7 +96,10 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     null = None
     if to.null is not None or law.limits is not None:
         null = first.qdot - first.apply(first.task_velocity)
-    columns, factor = _columns(first, law.task.m, q) if first.memory is None else first.memory()
+    if first.memory is None:
+        columns, factor = jax.vmap(first.apply)(jnp.eye(law.task.m, dtype=q.dtype)), None
+    else:
+        columns, factor = first.memory()
     found, kept = {"q": q, "columns": columns, "factor": factor, "velocity": to.velocity}, fields_of(law, method)
     found |= {"null": null, "rows": first.rows}
     entry = Entry(**{name: found[name] for name in kept})
@@ -112,18 +115,15 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     parts = [_applied(e, weighted(law.task, e.velocity + held)) for e in entries]
     turned = (count > 0) & _another(*parts[:2], entry.velocity, entries[1].velocity, held)
     if holds_posture(law):
-        parts = [part + (to.null - _applied(e, _rows(e) @ to.null)) for part, e in zip(parts, entries, strict=True)]
+        rows = [e.rows if e.factor is None else e.columns for e in entries]
+        each = zip(parts, entries, rows, strict=True)
+        parts = [part + (to.null - _applied(e, j @ to.null)) for part, e, j in each]
     elif "null" in kept:
         parts = [part + e.null for part, e in zip(parts, entries, strict=True)]
     slope = combine(betas, [parts[0], *(_carried(law, q, *one) for one in zip(entries[1:], parts[1:], strict=True))])
     if null is not None and not holds_posture(law) and "null" not in kept:
         slope = slope + null
     return first, slope, entry, turned
-
-
-def _columns(first: Evaluation, m, q):
-    """The columns of J# (m, n), and None as the factor."""
-    return jax.vmap(first.apply)(jnp.eye(m, dtype=q.dtype)), None
 
 
 def _another(now, past, velocity, before, held):
@@ -134,10 +134,6 @@ def _another(now, past, velocity, before, held):
     apart, most = now - past, jnp.maximum(now @ now, past @ past)
     change, asked = velocity - before, before + held
     return (apart @ apart > TURNED * most) & (4 * (change @ change) < asked @ asked)
-
-
-def _rows(entry: Entry):
-    return entry.rows if entry.factor is None else entry.columns
 
 
 def _applied(entry: Entry, velocity):

@@ -35,7 +35,9 @@ def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, r
     followed = passes[["residual"]].sel(reading=list(PICARD_READINGS)).isel({"pass": slice(0, 31)})
     add("fig13", "Error against evaluations, all methods", methods, plots.work)
     add("fig14", "Observed orders, stages converged", methods, plots.orders)
-    add("fig15", "Convergence of the Picard iteration, Ts once and twice", followed, _passes)
+    drawn = functools.partial(plots.passes, chosen=paper.M, settled=claims.SETTLED)
+    picard = "Convergence of the Picard iteration, Ts once and twice"
+    add("fig15", picard, followed, lambda data: drawn(data.residual))
     both = _overview_data(trajectories, methods)
     add("overview", "An arm following a line, and the error of each method", both, _overview)
     return found
@@ -56,10 +58,6 @@ def fingerprint(data) -> str:
         raw = values.tobytes() if values.dtype.kind in "fiub" else "\n".join(map(str, values.ravel())).encode()
         digest.update(f"{name} {data[name].dims} {values.shape}\n".encode() + raw)
     return digest.hexdigest()
-
-
-def _passes(data):
-    return plots.passes(data.residual, chosen=paper.M, settled=claims.SETTLED)
 
 
 def _overview_data(trajectories, methods):
