@@ -67,14 +67,8 @@ class _Pickler(pickle.Pickler):
             raise _UnknownError
         # Our own, also one that is made anew by each call: by its code and what it has got hold of.
         held = [cell.cell_contents for cell in value.__closure__ or ()]
-        return _Place, (
-            0,
-            value.__module__,
-            marshal.dumps(value.__code__, 0),
-            value.__defaults__,
-            value.__kwdefaults__,
-            held,
-        )
+        code = marshal.dumps(value.__code__, 0)
+        return _Place, (0, value.__module__, code, value.__defaults__, value.__kwdefaults__, held)
 
 
 def keep(folder) -> None:

@@ -56,9 +56,7 @@ MOVES = {
     "slice": lambda x, start_indices, limit_indices, strides: x[
         tuple(map(slice, start_indices, limit_indices, strides or (1,) * x.ndim))
     ],
-    "copy": lambda x, **_: x,
-    "copy_p": lambda x, **_: x,
-    "stop_gradient": lambda x, **_: x,
+    **dict.fromkeys(("copy", "copy_p", "stop_gradient"), lambda x, **_: x),
 }
 
 

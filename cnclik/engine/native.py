@@ -262,14 +262,8 @@ def _jvp(primals, tangents, *, function, batched):
     real = tuple(jnp.issubdtype(x.dtype, jnp.inexact) for x in made)
     if not by or not any(real):
         return made, list(map(_nothing, made))
-    found = iter(
-        native_p.bind(
-            *primals,
-            *(tangents[i] for i in by),
-            function=function.jvp(by, real),
-            batched=(*batched, *(batched[i] for i in by)),
-        )
-    )
+    given, wide = [*primals, *(tangents[i] for i in by)], (*batched, *(batched[i] for i in by))
+    found = iter(native_p.bind(*given, function=function.jvp(by, real), batched=wide))
     return made, [next(found) if r else _nothing(x) for x, r in zip(made, real, strict=True)]
 
 

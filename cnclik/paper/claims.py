@@ -74,17 +74,13 @@ def picard(passes) -> list:
     for where in _places(passes, "arm", "case", "reading", "method"):
         residual = passes.residual.sel(where).transpose("pass", "step").values
         worst = residual.max(axis=1)
-        found.append(
-            where
-            | {
-                "residual_max": worst[:11].tolist(),
-                "residual_median": np.median(residual, axis=1)[:11].tolist(),
-                "contraction": _contraction(residual),
-                "needed": {f"{tolerance:.0e}": _needed(worst, tolerance) for tolerance in TOLERANCES},
-                "claim": CLAIM["picard"],
-                "holds": bool(worst[paper.M] < SETTLED),
-            }
-        )
+        about = {
+            "residual_max": worst[:11].tolist(),
+            "residual_median": np.median(residual, axis=1)[:11].tolist(),
+            "contraction": _contraction(residual),
+            "needed": {f"{tolerance:.0e}": _needed(worst, tolerance) for tolerance in TOLERANCES},
+        }
+        found.append(where | about | {"claim": CLAIM["picard"], "holds": bool(worst[paper.M] < SETTLED)})
     return found
 
 
