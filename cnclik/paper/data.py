@@ -1,6 +1,8 @@
 """The runs of `cnclik.paper.readings` as labelled data: what the figures, the claims and the tables are read from."""
 
+import functools
 import itertools
+import json
 from typing import NamedTuple
 
 import jax
@@ -10,11 +12,15 @@ import xarray as xr
 from cnclik.hints import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
+from cnclik.measure.files import save_netcdf
+from cnclik.paper import choices, claims, tables
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import READINGS
+from cnclik.paper.choices import DEFAULT, READINGS
 from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, Found, Lane
 from cnclik.precision import in_float64
+from cnclik.show.output import draw
 from cnclik.threads import side_by_side
+from cnclik.writing import output_folder
 
 CONFIG = {
     "paper": "D. A. Drexler, Solution of the Closed-Loop Inverse Kinematics Algorithm Using the Crank-Nicolson Method, "
@@ -51,6 +57,39 @@ def everything(progress=None) -> Results:
             found.runs.update(one.runs)
             found.residuals.update(one.residuals)
     return Results(trajectories(found), methods(found), passes(found))
+
+
+def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False):
+    """All experiments of Section V under all eight readings of its text, in float64; half a minute, mostly to compile.
+
+    Args:
+      out: folder for data, claims.json, claims.md and, after them, figures; None: nothing is written.
+      reading: what figures 1 to 12 show.
+      progress: called as progress(done, total, note).
+      overwrite: write also into a folder of others.
+
+    Returns: datasets `trajectories`, `methods` and `passes`; `judge` makes claims of the first and the last.
+    Raises: ArgumentError for an unknown reading or an unusable folder; FigureError where figures could not be drawn,
+      with data and claims in place.
+    """
+    shown = str(choices.reading(reading))
+    if out is None:
+        return everything(progress)
+    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *choices.FIGURES]
+    with output_folder(out, overwrite=overwrite, files=files) as folder:
+        found = everything(progress)
+        for name, data in found._asdict().items():
+            folder.write(f"{name}.nc", functools.partial(save_netcdf, data))
+        judged = claims.judge(found.trajectories, found.passes)
+        # allow_nan: a claim that rests on a NaN must not pass as JSON.
+        folder.write_text("claims.json", json.dumps(judged, indent=1, allow_nan=False) + "\n")
+        from cnclik.paper import figures  # by now the data are safe from what loading matplotlib may raise
+
+        pictures = figures.figures(*found, shown)
+        captions = {name: about.get("Title", "") for name, (_, about) in pictures.items()}
+        folder.write_text("claims.md", tables.page(judged, found, shown, captions))
+    draw(pictures, out, progress=progress, overwrite=overwrite)
+    return found
 
 
 def trajectories(found: Found) -> xr.Dataset:
