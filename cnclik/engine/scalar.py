@@ -7,7 +7,7 @@ import numpy as np
 from cnclik.engine.algebra import COMMUTES
 from cnclik.engine.graph import Cond, UnsupportedError
 from cnclik.engine.operations import BINARY, BITS, COMPARED, LIBRARY, header, number, scalar
-from cnclik.engine.sines import TABLES, reduction
+from cnclik.engine.sines import in_c
 from cnclik.engine.to_c import Writer
 
 
@@ -109,11 +109,8 @@ def helpers(functions, prefix="") -> str:
 
 def _sincos(N, name):
     size, f = (4, "f") if N == "float" else (8, "")
-    words = {"SINCOS": name, "REAL": N, "TURNS": TABLES[size].turns + f, "MAGIC": TABLES[size].magic + f}
-    text = re.sub(
-        "|".join(words), lambda found: words[found[0]], header("sincos.h").replace("REDUCED", reduction(size))
-    )
-    return re.sub(r"LIBM\((\w+)\)", rf"\1{f}", text)
+    text = re.sub(r"LIBM\((\w+)\)", rf"\1{f}", in_c(header("sincos.h"), size))
+    return re.sub("SINCOS|REAL", lambda found: name if found[0] == "SINCOS" else N, text)
 
 
 def _type(dtype) -> str:

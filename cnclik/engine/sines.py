@@ -1,4 +1,4 @@
-"""Sines: sine and cosine together for XLA on a CPU, by one range reduction and two short polynomials, within 2 ulp.
+"""Sines: sine and cosine together, by one range reduction and two short polynomials, within 2 ulp: for XLA and for C.
 
 XLA's own sine and cosine cost several times more and dominate a kinematics loop. Here x = k·π/2 + r with |r| ≤ π/4
 (Cody & Waite 1980). π/2 is split into short parts, so that k times each but the last is exact for |x| ≤ 1e4;
@@ -46,8 +46,11 @@ TABLES = {  # {bytes of a number: table}
 }
 
 
-def reduction(size) -> str:
-    """In C, of numbers of `size` bytes: r and z = r² from x and k, and the polynomials s = S(z) and t = C(z)."""
+def in_c(text, size) -> str:
+    """A text in C with its TURNS, MAGIC and REDUCED for numbers of `size` bytes.
+
+    REDUCED makes r and z = r² of x and k, and the polynomials s = S(z) and t = C(z).
+    """
     suffix, table = "f" * (size == 4), TABLES[size]
     *exact, part, tail = (word + suffix for word in table.half_pi.split())
     lines = [f"x = x - k * {p};" for p in exact]
@@ -55,7 +58,8 @@ def reduction(size) -> str:
     for name, numbers in (("s", table.sine), ("t", table.cosine)):
         words = [word + suffix for word in reversed(numbers.split())]
         lines.append(f"{name} = {functools.reduce(lambda made, c: f'({made} * z + {c})', words)};")
-    return "\n  ".join(lines)
+    text = text.replace("REDUCED", "\n  ".join(lines))
+    return text.replace("TURNS", table.turns + suffix).replace("MAGIC", table.magic + suffix)
 
 
 def sincos(angles):

@@ -2,9 +2,7 @@
 #if SIZE == 4
 #define SIGN 0x80000000
 #define SMALL 4194304.0f /* larger numbers are whole */
-#define MAGIC 12582912.0f
 #define FAR 1e4f
-#define TWO_OVER_PI 0.636619772f
 #define PI_LOW -8.742278e-08f
 #define FRACTION 23 /* bits */
 #define WIDE(name) __builtin_ia32_##name##ps512_mask
@@ -16,9 +14,7 @@
 #else
 #define SIGN 0x8000000000000000
 #define SMALL 2251799813685248.0
-#define MAGIC 6755399441055744.0
 #define FAR 1e4
-#define TWO_OVER_PI 0.6366197723675814
 #define PI_LOW 1.2246467991473532e-16
 #define FRACTION 52
 #define WIDE(name) __builtin_ia32_##name##pd512_mask
@@ -62,7 +58,7 @@ static inline T K(held)(T x, N low, N high)
 static inline void K(sincos)(T x, T *sine, T *cosine)
 {
   const T angle = x;
-  const T turned = x * TWO_OVER_PI + MAGIC, k = turned - MAGIC;
+  const T turned = x * TURNS + MAGIC, k = turned - MAGIC;
   const BITS quadrant = (BITS)turned; /* its last bits are those of k */
   T r, s, t, z;
   REDUCED
