@@ -69,7 +69,8 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
         notes.append(PATH)
     if made["period"] < 2.01:
         notes.append("Values alternate every second sample: z is above 1.")
-    notes += _alike(likely, best, whole, known, Ts)
+    unknown = alpha is None and kind is not Kind.SUSTAINED  # a clipped oscillation hides its z
+    notes += _alike(likely, best, whole, known, "--alpha or " * unknown, Ts)
     made["confidence"] = min(made["confidence"], OTHER if may_be_path else 1.0)
     if len(shape) > 1 and together(shape) < APART:
         made["confidence"] *= together(shape)
@@ -101,7 +102,7 @@ def advice_excited(loops, alpha, Ts) -> dict:
     if alpha is None and apart > AGREED:
         wide = f"No gain can be given: gains for the loops that explain it differ by a factor of {apart:.2g}."
         return made | {"z": best.z, "note": " ".join([wide, "--alpha or a recorded step (--step) decides.", *notes])}
-    notes = [notes[0], *_alike(loops, best, False, None, Ts), *notes[1:]]
+    notes = [notes[0], *_alike(loops, best, False, None, "--alpha or " * (alpha is None), Ts), *notes[1:]]
     return made | _gains(best.z, limits_of(best, Ts), share, alpha) | {"note": " ".join([*notes, UNLESS])}
 
 
@@ -155,8 +156,8 @@ def _confidence(loops, whole) -> float:
     return float(sum(loop.share for loop in loops if abs(loop.delay - best.delay) <= near))
 
 
-def _alike(likely, best, whole, known, Ts) -> list:
-    """Other loops that the recording may belong to, and how to decide between them."""
+def _alike(likely, best, whole, known, decides, Ts) -> list:
+    """Other loops that the recording may belong to, and what decides between them beside a recorded step."""
     if known is not None and whole:
         told = "Dead time and lag follow from alpha and the oscillation; a recorded step shows more (--step)."
         return [told] if best.lag else []
@@ -169,7 +170,7 @@ def _alike(likely, best, whole, known, Ts) -> list:
     ]
     return [
         f"A dead time of {ends[0]}, one of {ends[1]} and anything in between are possible. The gain suits most of "
-        "them; --alpha or a recorded step (--step) decides."
+        f"them; {decides}a recorded step (--step) decides."
     ]
 
 

@@ -165,6 +165,14 @@ def test_a_drive_that_lags_is_found_by_the_gain():
     assert blind.factor * z < 1.05 * limits.recommended and "--alpha or a recorded step (--step) decides" in str(blind)
 
 
+@pytest.mark.parametrize("alpha", [None, 35.0])
+def test_alpha_does_not_decide_where_an_oscillation_is_clipped(alpha):
+    """Its z is hidden: "--alpha decides" was said also to those who had given it."""
+    found = diagnose(loop(1.0077 * stable(4), 4, 400), 0.01, alpha=alpha)
+    assert found.kind is Kind.SUSTAINED
+    assert "suits most of them; a recorded step (--step) decides" in str(found) and "--alpha" not in str(found)
+
+
 def test_limits_of_dead_time_alone_are_those_of_the_theory():
     for d in (0, 1, 5):
         ours, theirs = limits_of(LateLoop(d, 0.0, 0.1), TS), driven_limits("EE", Ts=TS, drive=Drive(delay=d))
