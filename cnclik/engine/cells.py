@@ -61,7 +61,8 @@ MOVES = {
 
 
 _CALLS_NAMES = """
-    jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call call_hi_primitive eval_jaxpr
+    jit pjit closed_call core_call remat remat2 checkpoint custom_jvp_call custom_vjp_call custom_vmap_call
+    call_hi_primitive eval_jaxpr
 """
 CALLS = frozenset(_CALLS_NAMES.split())
 
@@ -82,7 +83,7 @@ def called(equation):
     if of.name == "call_hi_primitive":  # jax 0.11 has it for `custom_root`
         inner = jax.make_jaxpr(functools.partial(of.to_lojax, **params))(*(v.aval for v in equation.invars))
     else:
-        inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in params)
+        inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call") if key in params)
     return (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
 
 

@@ -7,7 +7,7 @@ from cnclik.engine.cells import array_of, consts_and_carry
 from cnclik.engine.graph import Block, Cond, Scan, UnsupportedError, While
 from cnclik.engine.random import Key, check_dtype, is_key
 from cnclik.engine.residuals import computed_anew
-from cnclik.engine.stacks import Deep, Rows, row_node, stacked_node
+from cnclik.engine.stacks import Deep, Rows, is_cells, row_node, stacked_node
 
 LARGEST_ROW = 4096  # entries, at most, that one round takes or stacks
 
@@ -48,7 +48,7 @@ def _scan(reader, eqn, *inputs):
     _small([*carried, *stacked, *scanned], "a round of a scan", [*stacked, *scanned])
     if not length:
         return [*first, *(array_of([], (0, *a.shape)) for a in stacked)]
-    if length == params["unroll"] > 1:
+    if length > 1 and (length == params["unroll"] or any(map(_is_mask, xs, scanned))):
         return _unrolled(reader, params, consts, first, [reader.cells(x) for x in xs], stacked)
     outside, first, still = g.block, _flat(reader, first), {}
     while True:
@@ -79,8 +79,13 @@ def _scan(reader, eqn, *inputs):
     return [*_unflat(ends, carried), *out]
 
 
+def _is_mask(x, aval) -> bool:
+    """Whether it is a short known array of bools: rounds that know theirs are shorter when written out."""
+    return aval.dtype == bool and is_cells(x) and stacks.known_value(x) is not None
+
+
 def _unrolled(reader, params, consts, carry, xs, stacked):
-    """The results of a scan that asks to be written out; zeros in its rows then make the rounds shorter."""
+    """The results of a scan, round by round."""
     jaxpr, rounds = params["jaxpr"], range(params["length"])
     ys = [[None] * len(rounds) for _ in stacked]
     for k in reversed(rounds) if params["reverse"] else rounds:

@@ -18,7 +18,6 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.engine.tracing import is_read
 from cnclik.law import dense
 from cnclik.law.inverse import Levels, positive, through
 from cnclik.law.limits import Limited, bounds
@@ -175,7 +174,7 @@ def swept(of: Problem, hessian, qdot, slope):
         return (jnp.where(on, there, qdot), slope - (there - here) * row), None
 
     joints = hessian, np.eye(len(qdot), dtype=bool), 1.0 / jnp.diagonal(hessian), of.low, of.high
-    return lax.scan(one, (qdot, slope), joints, unroll=is_read() or 1)[0]
+    return lax.scan(one, (qdot, slope), joints)[0]
 
 
 def descent(of: Problem, start, passes) -> _Pass:

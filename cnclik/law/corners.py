@@ -1,12 +1,13 @@
 """Corners: where the velocity of a path jumps, found before the run."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from cnclik.engine.tracing import is_read
-from cnclik.law.curves import Path, interval
-from cnclik.law.reference import by_target, sample
+from cnclik.law.curves import interval
+from cnclik.law.reference import of_each_instant, sample
 from cnclik.record import record
 from cnclik.task.task import Task
 
@@ -40,11 +41,7 @@ def corners(reference, task: Task, t) -> Corners | None:
     if reference.still:
         return None
     reference, t = lax.stop_gradient((reference, t))
-
-    # Not vmapped: a user's function may not allow it, and loops that are read stay loops.
-    in_turn = is_read() or any(isinstance(one.curve, Path) for one, _ in by_target(reference, task))
-    each = lax.map if in_turn else lambda fn, x: jax.vmap(fn)(x)
-    N = t.shape[0] - 1
+    each, N = functools.partial(of_each_instant, reference=reference, task=task), t.shape[0] - 1
 
     def velocity(t):
         return sample(reference, task, t)[1]

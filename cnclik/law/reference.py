@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from cnclik import errors
 from cnclik.engine.constants import of_the_model
-from cnclik.engine.tracing import is_read
+from cnclik.engine.tracing import together
 from cnclik.law.curves import Hold, Path, Tangent
 from cnclik.record import brief, record, replace
 from cnclik.robot import poses
@@ -175,6 +175,12 @@ def _tangent(reference, task, t):
     return replace(reference, curve=curve)
 
 
+def of_each_instant(fn, x, reference, task: Task):
+    """fn, which asks the reference, of each row of x; one by one for a user's path, which may allow no vmap."""
+    users = any(isinstance(one.curve, Path) for one, _ in by_target(reference, task))
+    return jax.lax.map(fn, x) if users else together(fn, x)
+
+
 def motion(reference, task: Task, t):
     """An upper bound (N,) of the target's motion, or its feed-forward, between the instants t (N + 1,)."""
 
@@ -182,12 +188,9 @@ def motion(reference, task: Task, t):
         aims = aims_of(reference, task, t)
         return jnp.concatenate([part.chart(a) for part, a in zip(task.parts, aims, strict=True)]).astype(t.dtype)
 
-    every = [one for one, _ in by_target(reference, task)]
-    # Not vmapped, as a user's function may not allow it; the engine keeps it as a loop.
-    in_turn = is_read() or any(isinstance(one.curve, Path) for one in every)
-    found = jax.lax.map(chart, t) if in_turn else jax.vmap(chart)(t)
+    found = of_each_instant(chart, t, reference, task)
     moved = safe_sqrt(jnp.sum((found[1:] - found[:-1]) ** 2, axis=1))
-    for one in every:
+    for one, _ in by_target(reference, task):
         if one.feedforward is not None:
             moved = moved + (t[1:] - t[:-1]) * safe_norm(one.feedforward)
     return moved

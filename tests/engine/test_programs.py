@@ -72,18 +72,32 @@ def test_loops_along_a_path(fn, length):
 
 
 @pytest.mark.parametrize("reverse", [False, True])
-def test_a_loop_that_asks_for_it_is_written_out(reverse):
+@pytest.mark.parametrize("unroll", [1, True])
+def test_a_loop_over_a_known_mask_or_that_asks_for_it_is_written_out(reverse, unroll):
     def one(carry, row):
         x, k = carry
         on, a = row
         return (x + jnp.where(on, a * jnp.sin(x[::-1]), 0.0), k + 1), (x[0], x * k)
 
     def fn(x):
-        return lax.scan(one, (x, 0), (np.eye(3, dtype=bool), x), reverse=reverse, unroll=True)
+        mask = x > 0 if unroll is True else np.eye(3, dtype=bool)
+        return lax.scan(one, (x, 0), (mask, x), reverse=reverse, unroll=unroll)
 
     check(fn, batch(3))
     graph, _, _, _ = read(fn, jax.ShapeDtypeStruct((3,), np.float32))
     assert not any(isinstance(item, Scan) for item in graph.root.items)
+
+
+def test_a_function_with_a_batching_rule_of_its_own_is_read():
+    @jax.custom_batching.custom_vmap
+    def fn(x, y):
+        return jnp.sin(x) * y
+
+    @fn.def_vmap
+    def _(_, batched, x, y):
+        return jnp.sin(x) * y, True
+
+    check(lambda x, y: (fn(x, y), jax.vmap(fn)(x, y)), batch(3), batch(3, seed=1))
 
 
 @pytest.mark.parametrize("kind", [jax.grad, jax.jacfwd, jax.jacrev, jax.hessian], ids=lambda f: f.__name__)
