@@ -59,9 +59,7 @@ class Line:
 
     def __call__(self, t):
         s = _progress(t, self.duration)
-        position = None
-        if self.start is not None:
-            position = self.start + s * (self.end - self.start)
+        position = None if self.start is None else self.start + s * (self.end - self.start)
         return position, self.rotation if self.turn is None else exp_so3(s * self.turn) @ self.rotation
 
 
@@ -216,10 +214,22 @@ def _running(xp, fn, state, rows):
     return tuple(map(np.stack, zip(*made, strict=True))) if made and isinstance(state, tuple) else np.array(made)
 
 
-def quaternions_of(name, values, count: int):
-    """Unit quaternions (count, 4) of as many rotations (3, 3) or unit quaternions w, x, y, z."""
-    values = errors.array(name, values, (count, 4), (count, 3, 3))
-    return quaternions(poses.rotations(name, values))
+def timed(times, positions, rotations) -> tuple:
+    """Checked times (K,), and for them positions (K, d) and unit quaternions (K, 4), either of which may be None."""
+    times = errors.array("times", times, (None,))
+    count = times.shape[0]
+    if count < 2:
+        raise errors.fail("times", "hold at least two times", f"holds {count}")
+    if errors.concrete(times) and not np.all(np.diff(times) > 0):
+        raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
+    if positions is None and rotations is None:
+        raise errors.fail("positions", "be given, or `rotations`", "is None")
+    if positions is not None:
+        positions = errors.array("positions", positions, (count, None))
+    if rotations is not None:
+        rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
+        rotations = quaternions(poses.rotations("rotations", rotations))
+    return times, positions, rotations
 
 
 @bounded_jit

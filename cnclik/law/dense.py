@@ -151,24 +151,18 @@ def pinv(rows):
 def _pinv(rows):
     if len(rows) <= 2:  # one rotation suffices
         return _pinv_by_rotations(rows)
-    quick, least, trusted = _pinv_by_elimination(rows)
-    return lax.cond(trusted, lambda rows: (quick, least), _pinv_by_rotations, rows)
-
-
-def _pinv_by_elimination(rows):
-    """Jᵀ (J Jᵀ)⁻¹ =: P, refined once, a lower estimate of the least singular value within √m, and whether to trust
-    them.
-
-    P (2I − J P) squares the error I − J P of size eps·κ². The result is as good as any, eps·κ, while κ³ < 1/eps. The
-    test uses κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹), which is infinite or NaN for a singular J.
-    """
     lower, inverse, trusted = _eliminated(rows)
     first = cholesky_solve(lower, rows)
-    return 2.0 * first - first @ rows.T @ first, 1.0 / jnp.sqrt(inverse), trusted
+    quick = 2.0 * first - first @ rows.T @ first, 1.0 / jnp.sqrt(inverse)
+    return lax.cond(trusted, lambda rows: quick, _pinv_by_rotations, rows)
 
 
 def _eliminated(rows):
-    """The Cholesky factor of J Jᵀ, the trace of (J Jᵀ)⁻¹, and whether to trust them."""
+    """The Cholesky factor of J Jᵀ, the trace of (J Jᵀ)⁻¹, and whether to trust them.
+
+    With P = Jᵀ (J Jᵀ)⁻¹ from them, P (2I − J P) squares the error I − J P of size eps·κ². The result is as good as any,
+    eps·κ, while κ³ < 1/eps. The test uses κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹), which is infinite or NaN for a singular J.
+    """
     lower = cholesky(rows @ rows.T)
     size, inverse = jnp.sum(rows**2), inverse_trace(lower)
     return lower, inverse, size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3)

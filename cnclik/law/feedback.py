@@ -76,11 +76,9 @@ def _along(law, rate, turns, share):
     """A task velocity (m,) whose rotational parts turn with the target by a share of its turn."""
     if all(turn is None for turn in turns):
         return rate
-    found = []
-    for where, turn in zip(law.task.slices, turns, strict=True):
-        own = rate[where]
-        found.append(own if turn is None else own + share * law.feedforward * (turn @ own - own))
-    return jnp.concatenate(found)
+    each = zip((rate[where] for where in law.task.slices), turns, strict=True)
+    share = share * law.feedforward
+    return jnp.concatenate([own if turn is None else own + share * (turn @ own - own) for own, turn in each])
 
 
 def held_feedback(law: Law, e, turns, Ts):
@@ -111,17 +109,13 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
     k = jnp.abs(jnp.asarray(law.alpha))
     z = Ts * jnp.max(k if k.ndim < 2 else jnp.sum(k, axis=1))
     half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)
-    found = []
-    for c, turn in zip(times, turns, strict=True):
-        found.append(_along(law, (2.0 - 4.0 * c) * half + (4.0 * c - 1.0) * whole, turn, 1.0))
-    return found
+    rates = ((2.0 - 4.0 * c) * half + (4.0 * c - 1.0) * whole for c in times)
+    return [_along(law, rate, turn, 1.0) for rate, turn in zip(rates, turns, strict=True)]
 
 
 def null_over_step(law: Law, Ts):
     """Factor of a posture term over a step, (1 − e^{−rate·Ts})/(rate·Ts); None where the term isn't linear."""
-    if isinstance(law.null_velocity, Posture):
-        return _share(law.null_velocity.rate * Ts)
-    return None
+    return _share(law.null_velocity.rate * Ts) if isinstance(law.null_velocity, Posture) else None
 
 
 # --- the target's motion ------------------------------------------------------------------------------

@@ -85,9 +85,7 @@ class ManipulabilityDamped(ByShift):
     threshold: Number  # w₀
 
     def shift(self, rows):
-        wide = dense.wide_side(rows)
-        tiny = tiny_shift(wide)
-        factor = dense.cholesky(dense.shifted(wide @ wide.T, tiny))
+        factor, tiny = gram_factor(rows)
         w = jnp.sqrt(jnp.prod(jnp.maximum(jnp.diagonal(factor) ** 2, tiny)))
         below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
         return jnp.maximum(below * below, tiny), _least(factor, tiny)
@@ -172,9 +170,7 @@ def _by_shift(rows, shift, least=None) -> Factored:
 
 def least_of(rows):
     """Estimate of the least singular value of some rows: from below, and within √m."""
-    wide = dense.wide_side(rows)
-    tiny = tiny_shift(wide)
-    return _least(dense.cholesky(dense.shifted(wide @ wide.T, tiny)), tiny)
+    return _least(*gram_factor(rows))
 
 
 def damped_apply(rows, shift):
@@ -211,15 +207,20 @@ def tiny_shift(rows):
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
 
 
+def gram_factor(rows, shift=None):
+    """The Cholesky factor of J Jᵀ + shift I, or of JᵀJ where that is smaller, and the shift, by default tiny."""
+    wide = dense.wide_side(rows)
+    shift = tiny_shift(wide) if shift is None else shift
+    return dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift
+
+
 @record
 class Transpose:
     """See `transpose`."""
 
     def __call__(self, rows) -> Factored:
-        shift = 1e-12  # prevents a division by 0 in the estimate's factorization
-        wide = dense.wide_side(rows)
-        factor = dense.cholesky(dense.shifted(wide @ wide.T, shift))
-        return Factored(lambda t: t @ rows, _least(factor, shift), memory=lambda: (rows, None))
+        least = _least(*gram_factor(rows, 1e-12))  # which prevents a division by 0
+        return Factored(lambda t: t @ rows, least, memory=lambda: (rows, None))
 
 
 def _least(factor, shift):

@@ -86,9 +86,7 @@ class Weighted:
         roots = roots_of(chain, q, asked)
         made = inverse(rows * roots)
         factored = Factored(lambda t: roots * made.apply(t), plain.least)
-        back = None
-        if chain.bounded:
-            back = self.rate * (jnp.clip(q, chain.lower, chain.upper) - q)
+        back = self.rate * (jnp.clip(q, chain.lower, chain.upper) - q) if chain.bounded else None
         if null is not None:
             null = roots * roots * null
             back = null if back is None else back + null
@@ -230,18 +228,13 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
         fits = ~over & ~lost
         better = ~at.done & (fits | (s > at.best) | (at.best < 0))
         share = jnp.where(fits | (s < 0), 1.0, s)
-        made = share * along + rest
-
-        def choose(new, old):
-            return jnp.where(better, new, old)
-
         return _Pass(
             locked=jnp.maximum(at.locked, worst),
             fixed=jnp.where(worst > 0, at_bound, at.fixed),
             done=at.done | fits,
             best=jnp.where(better, jnp.where(fits, 1.0, s), at.best),
-            qdot=choose(made, at.qdot),
-            kept=choose(at.locked, at.kept),
+            qdot=jnp.where(better, share * along + rest, at.qdot),
+            kept=jnp.where(better, at.locked, at.kept),
             limited=at.limited | over,
             reached=jnp.where(jnp.isinf(at.reached), beyond, at.reached),
         )

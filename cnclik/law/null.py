@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from cnclik import errors
-from cnclik.law import dense
-from cnclik.law.inverse import tiny_shift
+from cnclik.law.inverse import gram_factor
 from cnclik.record import leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
@@ -33,7 +32,6 @@ class Posture:
     balls: tuple[tuple[int, int], ...] = dataclasses.field(default=(), repr=False)  # set by `on`, for the robot
 
     def on(self, chain):
-        """The term of this robot."""
         return replace(self, balls=chain.balls)
 
     def __call__(self, q):
@@ -52,12 +50,11 @@ class MaximizeManipulability:
 
     def __call__(self, q):
         chain = modelled(self.chain)
-        return self.gain * jax.grad(lambda y: self._measure(chain, chart.out(chain, q, y)))(chart.centre(chain, q))
 
-    def _measure(self, chain, q):
-        wide = dense.wide_side(rows(self.task, At(chain, q)))
-        # A shift at rounding level keeps the derivative finite at w = 0, where w has a kink.
-        return jnp.prod(jnp.diagonal(dense.cholesky(dense.shifted(wide @ wide.T, tiny_shift(wide)))))
+        def w(y):  # its tiny shift keeps the derivative finite at w = 0, where w has a kink
+            return jnp.prod(jnp.diagonal(gram_factor(rows(self.task, At(chain, chart.out(chain, q, y))))[0]))
+
+        return self.gain * jax.grad(w)(chart.centre(chain, q))
 
 
 @record(kw_only=False)

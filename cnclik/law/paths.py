@@ -10,7 +10,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, quaternions_of
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, timed
 from cnclik.law.reference import A_REFERENCE, Reference, References, of_each, references
 from cnclik.record import leaf, replace
 from cnclik.robot import poses
@@ -74,9 +74,7 @@ def line(
         if rotation is None:
             raise errors.fail("rotation", "be given with `rotation_end`", "is None")
         turn = _turn(rotation, rotation_end)
-    duration = leaf(duration)
-    curve = Line(start=start, end=end, rotation=rotation, turn=turn, duration=duration)
-    return Reference(curve=curve)
+    return Reference(curve=Line(start=start, end=end, rotation=rotation, turn=turn, duration=leaf(duration)))
 
 
 def circle(
@@ -181,23 +179,14 @@ def waypoints(
         180° apart.
       closed: the last waypoint equals the first; the path passes through it smoothly and repeats.
     """
-    times, closed = errors.array("times", times, (None,)), errors.truth("closed", closed)
-    count = times.shape[0]
-    if count < 2:
-        raise errors.fail("times", "hold at least two times", f"holds {count}")
-    if errors.concrete(times) and not np.all(np.asarray(times)[1:] > np.asarray(times)[:-1]):
-        raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
-    if positions is None and rotations is None:
-        raise errors.fail("positions", "be given, or `rotations`", "is None")
-    position = quaternion = None
-    if positions is not None:
-        positions = errors.array("positions", positions, (count, None))
-        position = cubic(times, positions, closed, "positions")
-    if rotations is not None:
-        quaternion = cubic(times, quaternions_of("rotations", rotations, count), closed, "rotations")
+    closed = errors.truth("closed", closed)
+    times, *given = timed(times, positions, rotations)
+    names = "positions", "rotations"
+    position, quaternion = (
+        None if v is None else cubic(times, v, closed, name) for name, v in zip(names, given, strict=True)
+    )
     times = jnp.asarray(times)
-    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed)
-    return Reference(curve=curve)
+    return Reference(curve=Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed))
 
 
 def path(fn: Callable) -> Reference:
@@ -275,24 +264,18 @@ def _nonzero(name, value):
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
     """A target's position and rotation, from a whole pose or given separately; both checked."""
-    found = poses.whole(name, target)
-    if found is None:
-        return _position(name, target), rotation_matrix(called, rotation)
-    if rotation is not None:
-        raise errors.fail(called, f"be left out where `{name}` is a whole pose", "is given")
-    if found[0].ndim != 1:
-        raise errors.fail(name, "be one pose", f"holds {len(found[0])}")
-    return found
-
-
-def _position(name, value):
-    if value is None:
-        return None
-    value = errors.array(name, value, (None,))
-    if not 1 <= value.shape[0] <= 3:
-        joints = " (joint values are given by hold(values=...))" * (name == "target")
-        raise errors.fail(name, f"have 1 to 3 coordinates{joints}", f"has {value.shape[0]}")
-    return value
+    if (found := poses.whole(name, target)) is not None:
+        if rotation is not None:
+            raise errors.fail(called, f"be left out where `{name}` is a whole pose", "is given")
+        if found[0].ndim != 1:
+            raise errors.fail(name, "be one pose", f"holds {len(found[0])}")
+        return found
+    if target is not None:
+        target = errors.array(name, target, (None,))
+        if not 1 <= target.shape[0] <= 3:
+            joints = " (joint values are given by hold(values=...))" * (name == "target")
+            raise errors.fail(name, f"have 1 to 3 coordinates{joints}", f"has {target.shape[0]}")
+    return target, rotation_matrix(called, rotation)
 
 
 def rotation_matrix(name, value):

@@ -16,13 +16,10 @@ from cnclik.engine.constants import of_the_model
 from cnclik.engine.tracing import together
 from cnclik.law.curves import Hold, Path, Tangent
 from cnclik.record import brief, record, replace
-from cnclik.robot import poses
 from cnclik.robot.rotations import safe_norm, safe_sqrt
 from cnclik.shapes import Array, Float
 from cnclik.task.parts import spin
 from cnclik.task.task import Task
-
-Target = poses.PoseLike | None  # see `hold`
 
 A_REFERENCE = "be a Reference such as hold(...), or references(name=...) for several"
 
@@ -159,20 +156,20 @@ def _moving(reference, parts, t):
 
 def tangent(reference, task: Task, t):
     """The reference extrapolated from time t with its velocity, or with the given feed-forward."""
-    return of_each(lambda one, parts: _tangent(one, parts, t), reference, task)
 
+    def one(reference, task):
+        aims, rates = _moving(reference, task, t)
+        position = velocity = rotation = turning = None
+        for part, where, aim, rate in zip(task.parts, task.motions, aims, rates, strict=True):
+            told = None if reference.feedforward is None else reference.feedforward[where]
+            if part.turns:
+                rotation, turning = aim, spin(aim, rate) if told is None else part.spread(told)
+            else:
+                position, velocity = aim, rate if told is None else told
+        curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning)
+        return replace(reference, curve=curve)
 
-def _tangent(reference, task, t):
-    aims, rates = _moving(reference, task, t)
-    position = velocity = rotation = turning = None
-    for part, where, aim, rate in zip(task.parts, task.motions, aims, rates, strict=True):
-        told = None if reference.feedforward is None else reference.feedforward[where]
-        if part.turns:
-            rotation, turning = aim, spin(aim, rate) if told is None else part.spread(told)
-        else:
-            position, velocity = aim, rate if told is None else told
-    curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning)
-    return replace(reference, curve=curve)
+    return of_each(one, reference, task)
 
 
 def of_each_instant(fn, x, reference, task: Task):

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.curves import Spline, quaternions_of
+from cnclik.law.curves import Spline, timed
 from cnclik.law.reference import Reference
+from cnclik.robot.poses import library
 from cnclik.shapes import ArrayLike, Float, Number
 
 KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # kinds, and the least delay of each [longest periods]
@@ -41,34 +42,20 @@ def resampled(
     Raises: ArgumentError for shapes and values that do not fit.
     """
     errors.one_of("kind", kind, KINDS)
-    times = errors.array("times", times, (None,))
-    count = times.shape[0]
-    if count < 2:
-        raise errors.fail("times", "hold at least two times", f"holds {count}")
-    if positions is None and rotations is None:
-        raise errors.fail("positions", "be given, or `rotations`", "is None")
-    points = []
-    if positions is not None:
-        points.append(errors.array("positions", positions, (count, None)))
-    if rotations is not None:
-        points.append(quaternions_of("rotations", rotations, count))
-    known = all(map(errors.concrete, (times, *points)))
-    xp = np if known else jnp  # NumPy compiles nothing
+    times, *points = timed(times, positions, rotations)
+    xp = library(times, points)  # NumPy compiles nothing
     times = xp.asarray(times)
-    if known and not np.all(np.diff(times) > 0):
-        raise errors.fail("times", "increase", f"is {times.tolist()}")
     gap = xp.max(xp.diff(times))
     least = KINDS[kind] * gap
     if delay is None:
         delay = least
-    elif errors.concrete(errors.number("delay", delay)) and known and float(delay) < least * (1 - 1e-9):
+    elif errors.concrete(errors.number("delay", delay)) and xp is np and float(delay) < least * (1 - 1e-9):
         raise errors.fail("delay", f"be at least {least:g} s, for {kind} to use only what has come", f"is {delay:g}")
-    pieces = [_pieces(xp, kind, times, xp.asarray(p), gap) for p in points]
-    knots, parts = pieces[0][0], [jnp.asarray(coefficients) for _, coefficients in pieces]
-    parts = [None if given is None else parts.pop(0) for given in (positions, rotations)]
-    curve = Spline(
-        times=jnp.asarray(knots + delay), position=parts[0], quaternion=parts[1], rotation=None, closed=False
-    )
+    pieces = [(None, None) if p is None else _pieces(xp, kind, times, xp.asarray(p), gap) for p in points]
+    knots = next(knots for knots, _ in pieces if knots is not None)
+    position, quaternion = (None if made is None else jnp.asarray(made) for _, made in pieces)
+    times = jnp.asarray(knots + delay)
+    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=False)
     return Reference(curve=curve, known=False)
 
 

@@ -45,7 +45,6 @@ class Wall:
     name: str = ""
 
     def on(self, chain) -> Wall:
-        """The wall for this robot."""
         return replace(self, task=self.task.on(chain))
 
     def distance(self, robot: At):

@@ -19,6 +19,7 @@ from cnclik.robot import urdf
 from cnclik.robot.chain import Chain
 from cnclik.robot.files import file_of, read_robot
 from cnclik.robot.posture import is_planar, least_singular_values, singular_values, spread_postures, start_posture
+from cnclik.robot.tree import text_of
 from cnclik.task import build
 from cnclik.task.task import Task
 
@@ -74,7 +75,7 @@ def _file_of(name: str) -> str | None:
     """The file, or its text, that a name means; None for a built-in robot. Raises: ArgumentError for other names."""
     if name.partition(":")[0] in words.ROBOTS:
         return None
-    file = name if name.lstrip("\ufeff \t\r\n").startswith("<") else file_of(name)
+    file = name if text_of(name) else file_of(name)
     if file is None:
         names = ", ".join(n for n in words.ROBOTS if not words.ROBOTS[n].needs)
         must = f"be a URDF or MJCF file, {names}, planar:1,1,1 or a name of robot_descriptions"

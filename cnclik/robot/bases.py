@@ -1,7 +1,6 @@
 """Moving bases, and joints of several coordinates split into joints of one. It does not load JAX."""
 
 import dataclasses
-import math
 
 from cnclik import errors
 from cnclik.robot.tree import NO_OFFSET, Edge, Tree
@@ -27,7 +26,7 @@ def grounded(tree: Tree, base=None) -> tuple[Tree, str]:
         must = f"be left out for {tree.file}, where joint {own!r} already moves what it carries"
         raise errors.fail("base", must, f"is {base!r}")
     ground = next(name for name in ("world", "ground", "_world", "_ground") if name not in tree.links)
-    joint = _joint("base", kind, ground, tree.root, NO_OFFSET, _Z)
+    joint = Edge("base", kind, ground, tree.root, NO_OFFSET, _Z)
     return dataclasses.replace(tree, root=ground, links=(*tree.links, ground), edges=(*tree.edges, joint)), ground
 
 
@@ -45,12 +44,6 @@ def unfolded(tree: Tree, base, tips) -> Tree:
     return dataclasses.replace(tree, links=(*tree.links, *more), edges=edges) if more else tree
 
 
-def _joint(name, kind, parent, child, origin, axis):
-    """A joint without limits."""
-    ends = {"name": name, "type": kind, "parent": parent, "child": child, "origin": origin, "axis": axis}
-    return Edge(**ends, lower=-math.inf, upper=math.inf, velocity=math.inf, mimic=None)
-
-
 def _parts(edge):
     """The joint as joints of one coordinate each, named after it."""
     if edge.type == "planar":
@@ -63,7 +56,7 @@ def _parts(edge):
     ends = [edge.parent, *(f"{edge.name}_{name}" for name, _, _ in kinds[:-1]), edge.child]
     origins = [edge.origin, *[NO_OFFSET] * 5]
     return [
-        _joint(f"{edge.name}_{name}", kind, ends[i], ends[i + 1], origins[i], axis)
+        Edge(f"{edge.name}_{name}", kind, ends[i], ends[i + 1], origins[i], axis)
         for i, (name, kind, axis) in enumerate(kinds)
     ]
 
@@ -71,8 +64,6 @@ def _parts(edge):
 def _across(axis):
     """Two axes across a unit axis, right-handed with it; x and y if the axis is z."""
     x, y, z = axis
-    if z > -0.5:  # the shortest rotation from z to the axis, applied to x and y
-        k = 1 / (1 + z)
-        return (1 - k * x * x, -k * x * y, -x), (-k * x * y, 1 - k * y * y, -y)
-    k = 1 / (1 - z)
-    return (1 - k * x * x, -k * x * y, x), (k * x * y, k * y * y - 1, -y)
+    s = 1 if z > -0.5 else -1
+    k = 1 / (1 + s * z)  # the shortest rotation from ±z to the axis, applied to x and ±y
+    return (1 - k * x * x, -k * x * y, -s * x), (-s * k * x * y, s * (1 - k * y * y), -y)

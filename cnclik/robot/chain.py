@@ -176,11 +176,8 @@ def planar_arm(lengths: Float[ArrayLike, " n"], *, clockwise: bool = False, join
     for i, length in enumerate(lengths):
         errors.number(f"lengths[{i}]", length, at_least=0)
     axis = (0.0, 0.0, -1.0 if errors.truth("clockwise", clockwise) else 1.0)
-    steps = (0.0, *lengths)
-    joints = [
-        Joint(kind=REVOLUTE, axis=axis, origin=Offset(position=(0.0, steps[i], 0.0)), coordinate=i)
-        for i in range(len(lengths))
-    ]
+    origins = [Offset(position=(0.0, step, 0.0)) for step in (0.0, *lengths[:-1])]
+    joints = [Joint(kind=REVOLUTE, axis=axis, origin=origin, coordinate=i) for i, origin in enumerate(origins)]
     return assemble(joints, Offset(position=(0.0, lengths[-1], 0.0)), joint_names=joint_names)
 
 
@@ -233,14 +230,8 @@ def from_dh(
         # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
         joints.append(Joint(kind=kinds[i], axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
         before = along_z if convention == "modified" else compose(along_z, along_x)
-    return assemble(
-        joints,
-        compose(before, offset_of("tool", tool)),
-        joint_names=joint_names,
-        lower=lower,
-        upper=upper,
-        velocity_limit=velocity_limit,
-    )
+    tip = compose(before, offset_of("tool", tool))
+    return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
 def from_screws(
@@ -263,8 +254,7 @@ def from_screws(
       kinds: string such as "RRP", by default all revolute.
       joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
     """
-    points = [_scalars(f"points[{i}]", p, 3) for i, p in enumerate(_sequence("points", points))]
-    axes = [_unit(f"axes[{i}]", _scalars(f"axes[{i}]", w, 3)) for i, w in enumerate(_sequence("axes", axes))]
+    points, axes = _rows("points", points), [_unit(f"axes[{i}]", w) for i, w in enumerate(_rows("axes", axes))]
     if len(axes) != len(points):
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
     kinds = _kinds(kinds, len(points))
@@ -337,6 +327,13 @@ def _scalars(name, values, size=None) -> tuple:
     return out
 
 
+def _rows(name, rows) -> list:
+    """Rows of three scalars each, as `_scalars`."""
+    if not isinstance(rows, (list, tuple)) and np.ndim(rows) != 2:
+        raise errors.fail(name, "have shape (n, 3)", f"has shape {np.shape(rows)}")
+    return [_scalars(f"{name}[{i}]", row, 3) for i, row in enumerate(rows)]
+
+
 def _known(name, values, n):
     """Limits (n,) as floats; None if they are traced or belong to several lanes."""
     parts = values if isinstance(values, (tuple, list)) else ()
@@ -346,12 +343,6 @@ def _known(name, values, n):
     if any(map(math.isnan, known)):
         raise errors.fail(name, "hold no NaN", f"is {tuple(known)}")
     return known
-
-
-def _sequence(name, rows):
-    if not isinstance(rows, (list, tuple)) and np.ndim(rows) != 2:
-        raise errors.fail(name, "have shape (n, 3)", f"has shape {np.shape(rows)}")
-    return rows
 
 
 def _kinds(kinds, n):
@@ -388,8 +379,6 @@ def offset_of(name, transform, places=False) -> Offset:
 def _unit(name, axis):
     if all(errors.concrete(a) for a in axis) and not any(float(a) for a in axis):
         raise errors.fail(name, "not be the zero vector", "is")
-    if all(is_number(a) for a in axis):
-        length = math.sqrt(sum(a * a for a in axis))
-        return tuple(a / length for a in axis)
-    length = sum(a * a for a in axis) ** 0.5
+    squared = sum(a * a for a in axis)
+    length = math.sqrt(squared) if all(map(is_number, axis)) else squared**0.5
     return tuple(a / length for a in axis)

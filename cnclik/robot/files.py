@@ -7,7 +7,7 @@ import re
 
 from cnclik import errors
 from cnclik.reading import read_bytes
-from cnclik.robot.tree import Tree, read_urdf
+from cnclik.robot.tree import Tree, read_urdf, text_of
 
 ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
 _DESCRIPTIONS = "robot_descriptions"
@@ -31,8 +31,8 @@ def is_mjcf(robot) -> bool:
     """Whether it is a MuJoCo model, or a file or text whose first element is <mujoco>."""
     if type(robot).__module__.partition(".")[0] == "mujoco":
         return True
-    if isinstance(robot, str) and robot.lstrip("\ufeff \t\r\n").startswith("<"):
-        data = robot.lstrip("\ufeff \t\r\n").encode(errors="replace")
+    if (text := text_of(robot)) is not None:
+        data = text.encode(errors="replace")
     elif isinstance(robot, (str, os.PathLike)) and os.path.isfile(robot):
         data = read_bytes("robot", robot, "a file of a robot")
     else:

@@ -103,9 +103,7 @@ def manipulability(
 @functools.partial(one_off, static_argnames="tip")
 def _manipulability(chain, task, q, *, tip):
     chain = cast(modelled(chain), q.dtype)
-    if task is None:
-        rows = jacobian_rows(chain, frames(chain, q, tip), (0, 1, 2), (0, 1, 2))
-    else:
-        rows = task.rows_at(chain, q)
+    every = 0, 1, 2
+    rows = jacobian_rows(chain, frames(chain, q, tip), every, every) if task is None else task.rows_at(chain, q)
     rows = rows if len(rows) <= chain.n else rows.T
     return safe_sqrt(jnp.maximum(jnp.linalg.det(rows @ rows.T), 0.0))

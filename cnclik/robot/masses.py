@@ -1,12 +1,12 @@
 """Masses: mass and centre of mass carried by each joint."""
 
 import functools
-
-import numpy as np
+from typing import Any
 
 from cnclik import errors
 from cnclik.record import record, replace
 from cnclik.robot.fixed import ZERO, Offset, Triple, placed, scale, vadd
+from cnclik.robot.poses import library
 from cnclik.shapes import Array, Float, Number
 
 
@@ -61,11 +61,6 @@ def shares(chain) -> Float[Array, "j+1 4"]:
     """
     if not chain.masses:
         raise errors.fail("robot", "have masses, as of a URDF file with <inertial> in its links", "has none")
-    each = [[*scale(m.mass, m.center), m.mass] for m in chain.masses]
-    if all(errors.concrete(x) for row in each for x in row):
-        each = np.array(each, float)
-        return each / each[:, 3].sum()
-    import jax.numpy as jnp
-
-    each = jnp.array(each)
+    each: Any = [[*scale(m.mass, m.center), m.mass] for m in chain.masses]
+    each = library(each).array(each, float)
     return each / each[:, 3].sum()

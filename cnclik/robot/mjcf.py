@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import math
 import os
@@ -15,7 +16,8 @@ from cnclik import errors
 from cnclik.reading import read_bytes
 from cnclik.robot.chain import Chain
 from cnclik.robot.fixed import ZERO, Offset, compose, scale, vsub
-from cnclik.robot.tree import MOST, MOVING, Edge, Tree, snapped
+from cnclik.robot.rotations import rotation_from_quaternion
+from cnclik.robot.tree import MOST, MOVING, Edge, Tree, snapped, text_of
 from cnclik.robot.urdf import chain, moved
 
 _TYPES = ("floating", "ball", "prismatic", "revolute")  # by mjtJoint
@@ -84,16 +86,18 @@ def _compiled(model) -> tuple:
         raise errors.ArgumentError(need) from None
     if isinstance(model, mujoco.MjModel):
         return "the model", model
-    text = isinstance(model, str) and model.lstrip("\ufeff \t\r\n").startswith("<")
-    if not text and not isinstance(model, (str, os.PathLike, mujoco.MjSpec)):
+    text = text_of(model)
+    if not isinstance(model, (str, os.PathLike, mujoco.MjSpec)):
         must = "be an MJCF file, the text of one, a mujoco.MjSpec or a mujoco.MjModel"
         raise errors.fail("model", must, f"is {type(model).__name__}")
-    file = "the text" if text else "the spec" if isinstance(model, mujoco.MjSpec) else pathlib.Path(model).name
+    file = (
+        "the text" if text is not None else "the spec" if isinstance(model, mujoco.MjSpec) else pathlib.Path(model).name
+    )
     try:
         if isinstance(model, mujoco.MjSpec):
             return file, model.copy().compile()
-        if text:
-            return file, mujoco.MjModel.from_xml_string(model.lstrip("\ufeff \t\r\n"))
+        if text is not None:
+            return file, mujoco.MjModel.from_xml_string(text)
         read_bytes("model", model, "an MJCF file")  # reports an unreadable file in our words
         return file, mujoco.MjModel.from_xml_path(os.fspath(model))
     except (ValueError, mujoco.FatalError) as error:
@@ -103,28 +107,12 @@ def _compiled(model) -> tuple:
 
 
 def _offset(position, quaternion) -> Offset:
-    w, x, y, z = (float(v) for v in quaternion)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
+    rows = rotation_from_quaternion(map(float, quaternion))
     return Offset(position=snapped(map(float, position)), rotation=tuple(map(snapped, rows)))
 
 
-def _edge(name, kind, parent, child, origin: Offset, axis=(1.0, 0.0, 0.0), bounds=(-math.inf, math.inf), mimic=None):
-    return Edge(
-        name=name,
-        type=kind,
-        parent=parent,
-        child=child,
-        origin=(origin.position, origin.rotation),
-        axis=axis,
-        lower=bounds[0],
-        upper=bounds[1],
-        velocity=math.inf,
-        mimic=mimic,
-    )
+def _edge(name, kind, parent, child, origin: Offset, *rest) -> Edge:
+    return Edge(name, kind, parent, child, (origin.position, origin.rotation), *rest)
 
 
 def _joints_of(model, i, parent, body, joints, coupled) -> list:
@@ -135,10 +123,8 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
     found, at, before = [], _offset(model.body_pos[i], model.body_quat[i]), ZERO
     first = model.body_jntadr[i]
     for k in range(first, first + model.body_jntnum[i]):
-        kind, place, axis = (
-            _TYPES[model.jnt_type[k]],
-            *(snapped(map(float, v[k])) for v in (model.jnt_pos, model.jnt_axis)),
-        )
+        kind = _TYPES[model.jnt_type[k]]
+        place, axis = (snapped(map(float, v[k])) for v in (model.jnt_pos, model.jnt_axis))
         origin = compose(at, Offset(position=vsub(place, before)))
         (leader, *mimic), bounds = coupled.get(joints[k], ("",)), (-math.inf, math.inf)
         origin = Offset() if kind == "floating" else origin  # its values are the body's place in the world
@@ -147,10 +133,11 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
             origin = compose(origin, moved(kind, axis, rest))
             bounds = tuple(map(float, model.jnt_range[k])) if model.jnt_limited[k] else bounds
         child, kind = f"{joints[k]} of {body}", "fixed" if leader is None else kind
-        found.append(_edge(joints[k], kind, parent, child, origin, axis, bounds, (leader, *mimic) if leader else None))
+        mimic = (leader, *mimic) if leader else None
+        found.append(_edge(joints[k], kind, parent, child, origin, axis, *bounds, math.inf, mimic))
         parent, before, at = child, place, Offset()
     if found and not any(before):
-        return [*found[:-1], Edge(**(vars(found[-1]) | {"child": body}))]
+        return [*found[:-1], dataclasses.replace(found[-1], child=body)]
     return [*found, _edge(body, "fixed", parent, body, compose(at, Offset(position=scale(-1.0, before))))]
 
 

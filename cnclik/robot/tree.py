@@ -30,12 +30,12 @@ class Edge:
     type: str
     parent: str
     child: str
-    origin: tuple  # position [m], rows of the rotation
-    axis: tuple
-    lower: float  # [rad, m], −inf if the file gives none
-    upper: float
-    velocity: float  # [rad/s, m/s], inf if the file gives none
-    mimic: tuple | None  # (joint name, multiplier, offset)
+    origin: tuple = NO_OFFSET  # position [m], rows of the rotation
+    axis: tuple = (1.0, 0.0, 0.0)
+    lower: float = -math.inf  # [rad, m]
+    upper: float = math.inf
+    velocity: float = math.inf  # [rad/s, m/s]
+    mimic: tuple | None = None  # (joint name, multiplier, offset)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,13 +89,18 @@ class Tree:
         return tuple(leaf for leaf in self.leaves if moved.get(leaf))
 
 
+def text_of(file) -> str | None:
+    """The text of a file that is given as such, which begins with "<"."""
+    text = file.lstrip("\ufeff \t\r\n") if isinstance(file, str) else ""
+    return text if text.startswith("<") else None
+
+
 def read_urdf(path) -> Tree:
     """The whole kinematic tree of a URDF file, or of its text, which begins with "<". Raises ArgumentError as
     `load_urdf`.
     """
-    if isinstance(path, str) and path.lstrip("\ufeff \t\r\n").startswith("<"):
-        file, data = "the text", path.lstrip("\ufeff \t\r\n")
-    else:
+    file, data = "the text", text_of(path)
+    if data is None:
         try:
             path = pathlib.Path(path)
         except TypeError:

@@ -13,11 +13,9 @@ from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.masses import shares
 from cnclik.robot.model import mass_frames, modelled
 from cnclik.shapes import Array, ArrayLike, Float
-from cnclik.task.build import letters_of
+from cnclik.task.build import Weights, letters_of
 from cnclik.task.parts import At, Vector, places
 from cnclik.task.task import Task, with_weights
-
-Weights = Float[ArrayLike, " m"] | None
 
 
 @record
@@ -38,7 +36,6 @@ class Center(Vector):
         return ("m",) * self.m
 
     def on(self, chain):
-        """The part of this robot."""
         return self if self.bodies is not None else replace(self, bodies=shares(chain))
 
     def seen(self, chain, q):

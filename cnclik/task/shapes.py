@@ -64,7 +64,6 @@ class Distance(Vector):
     tip, to = "distance", None
 
     def on(self, chain):
-        """The part of this robot."""
         for shape in (self.one, self.other):
             if shape.tip is not None:
                 chain.tip_number(shape.tip)

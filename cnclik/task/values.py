@@ -31,7 +31,6 @@ class Joints(Vector):
         return self.wanted
 
     def on(self, chain):
-        """The part of this robot."""
         if self.which is not None:
             return self
         turned = {i + k for _, i in chain.balls for k in range(3)}
