@@ -220,7 +220,7 @@ def timed(times, positions, rotations) -> tuple:
     count = times.shape[0]
     if count < 2:
         raise errors.fail("times", "hold at least two times", f"holds {count}")
-    if errors.concrete(times) and not np.all(np.diff(times) > 0):
+    if errors.concrete(times) and not np.all(np.asarray(times)[1:] > np.asarray(times)[:-1]):
         raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
     if positions is None and rotations is None:
         raise errors.fail("positions", "be given, or `rotations`", "is None")
