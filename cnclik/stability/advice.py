@@ -220,7 +220,7 @@ def removing(loop, share: float, Ts: float) -> float:
 
 def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
     """What a gain of z does in a loop at rest, see `loop_at_rest`. Args: z_largest: the largest stable one."""
-    steps = loop._replace(drive=Drive()).modes(np.array([z]), Ts)[0][0]  # of a square arm each joint is one
+    steps = loop.prompt.modes(np.array([z]), Ts)[0][0]  # of a square arm each joint is one
     return gain_of(steps, loop.drive, Ts, z, z_largest)
 
 

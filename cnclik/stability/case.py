@@ -7,7 +7,6 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive
 from cnclik.integrate.pace import path_waits
 from cnclik.integrate.status import Status, rounding_of
 from cnclik.law import reference as ref
@@ -15,13 +14,14 @@ from cnclik.law.law import Law
 from cnclik.law.walls import names_of
 from cnclik.quantities import aloud
 from cnclik.record import replace
+from cnclik.robot.model import one_off
 from cnclik.robot.posture import beyond_arm
-from cnclik.stability.driven import modes_of, overshoot
+from cnclik.stability.driven import overshoot
 from cnclik.stability.drives import side_by_side
-from cnclik.stability.local import Instant, maps, radii, resting, targets
+from cnclik.stability.loop import LoopAtRest, resting
 from cnclik.stability.observed import OFTEN, Observed, observe, rms
 from cnclik.stability.reasons import SLOWEST
-from cnclik.stability.spectrum import directions, growing, leaky, null_flow_of_numbers, of_error, spectrum_of, staying
+from cnclik.stability.spectrum import leaky, of_error, spectrum_of
 from cnclik.stability.stacked import together
 
 UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
@@ -46,8 +46,8 @@ class Case:
     loop: tuple  # Ts, method, stage, drive
     seen: Observed
     t: np.ndarray
-    end: Instant  # postures of the run's last and first instant, where it is judged
-    start: Instant
+    end: LoopAtRest  # where the run is judged: at its last instant, or at its first
+    q0: np.ndarray  # (n,)
     wanted: np.ndarray | None  # (k, p) positions wanted over the last quarter
     wanted_velocity: np.ndarray  # (k, m) task velocities
     target: np.ndarray | None  # the one of these positions that is farthest beyond the stretched arm, else the last,
@@ -198,9 +198,14 @@ class Case:
         kept = self.law.limits is not None
         return reach(chain, (position, rotation), task=task, tolerance=(1e-4, 1e-4), limits=kept)
 
-    def radius_at(self, at: Instant, share=1.0) -> float:
-        """Spectral radius at rest at another posture, of steps of which a pace leaves a share."""
-        return float(radii(*resting(self.law, at), np.full(1, share), *self.loop)[0])
+    @functools.cached_property
+    def start(self) -> LoopAtRest:
+        """The loop at rest where the run began."""
+        return resting(self.law, self.q0, *self.loop[1:])
+
+    def radius_at(self, at: LoopAtRest, share=1.0) -> float:
+        """Spectral radius at rest there, of steps of which a pace leaves a share."""
+        return float(at.share_radii([share], self.loop[0])[0])
 
 
 def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Case:
@@ -214,9 +219,9 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     *wanted, speeds = (v if v is None else np.asarray(v) for v in targets(reference, law.task, t[some]))
     velocity = np.zeros((len(some), law.task.m)) if speeds is None else speeds
     at = farthest(law, wanted[0])
-    end, start = Instant(q[last], None), Instant(q[0], None)
     weighted = e[last] * np.asarray(law.task.weight_of_each, float)
-    rest = _at_rest(law, end, weighted, Ts, method, stage, drive)
+    end = resting(law, q[last], method, stage, drive)
+    rest = _at_rest(end, weighted, Ts)
     advance = 1.0 if run.path_time is None else _advance(t, len(seen.late), Ts)  # times are rounded
     return Case(
         law=law,
@@ -225,7 +230,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         seen=seen,
         t=t,
         end=end,
-        start=start,
+        q0=q[0],
         wanted=wanted[0],
         wanted_velocity=velocity,
         target=None if wanted[0] is None else wanted[0][at],
@@ -306,25 +311,35 @@ def _period(reference) -> float:
     return float(getattr(curve, "period", getattr(curve, "duration", 0.0)))
 
 
-def _at_rest(law, end, e, Ts, method, stage, drive) -> dict:
+@one_off
+def targets(reference, task, t):
+    """Position, rotation and task velocity of a reference at times t (k,), each None or an array (k, ...); the first
+    two are known of a task of one tip's pose.
+    """
+
+    def one(t):
+        aims, velocity = ref.sample(reference, task, t)
+        found = {part.turns: aim for part, aim in zip(task.parts, aims, strict=True)} if task.of_one_tip else {}
+        return found.get(False), found.get(True), velocity
+
+    return jax.vmap(one)(t)
+
+
+def _at_rest(end, e, Ts) -> dict:
     """The linear loop at rest at the end of the run: rows, radii, overshoot, time constant."""
-    rest = resting(law, end)
-    moved, rows = maps(*rest, np.ones(1), Ts, method, stage)
+    moved, rows = end.maps(np.ones(1), np.full(1, Ts))
     if not np.isfinite(moved[0]).all():
         return dict(rows=rows, radius=np.inf, null_radius=np.inf, overshoot=0.0, fold=1.0)
-    if callable(law.null_velocity):  # motion to another posture is not an instability
-        flow = null_flow_of_numbers(rest[0], rest[1].reference, end.q)
-        moved = staying(moved, growing(*map(np.asarray, flow)))
     found = spectrum_of(moved[0], rows)
-    if drive.prompt:
+    if end.drive.prompt:
         # |λ| to the power of the steps that half a turn takes.
         radius, sizes, angle = found.radius, np.minimum(np.abs(found.task), 1.0), np.abs(np.angle(found.task))
         beyond = np.max(np.where(angle > 0, sizes ** (np.pi / np.maximum(angle, 1e-9)), 0.0), initial=0.0)
     else:
-        radius = float(radii(*rest, np.ones(1), Ts, method, stage, drive)[0])
-        steps = modes_of(moved, directions(rows)[2], Drive())[0]
-        beyond = overshoot(steps, side_by_side(drive), Ts) if radius < 1 else 1.0
-    slowest = _slowest(moved[0], rows, e) if drive.prompt and method.steps == 1 else radius
+        radius = float(end.share_radii([1.0], Ts)[0])
+        steps = end.prompt.modes([end.rate * Ts], Ts)[0][0]
+        beyond = overshoot(steps, side_by_side(end.drive), Ts) if radius < 1 else 1.0
+    slowest = _slowest(moved[0], rows, e) if end.drive.prompt and end.method.steps == 1 else radius
     fold = 1 / max(abs(np.log(max(radius if radius > 1 else slowest, 1e-3))), 1 / SLOWEST)
     return dict(rows=rows, radius=radius, null_radius=found.null_radius, overshoot=float(beyond), fold=float(fold))
 

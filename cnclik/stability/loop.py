@@ -1,5 +1,7 @@
 """Loop: a law at rest with its method and its drive, and what its steps do to small errors."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +40,10 @@ from cnclik.stability.spectrum import (
     task_radius,
 )
 
+GAINS = 256  # looked at together
+LEAST = 1e-15  # share of the gain down to which a stable one is looked for
+_NOISE = 1e-6  # of eigenvalues: one that is 1 may come out larger by less
+
 
 class LoopAtRest(NamedTuple):
     """A loop at rest, checked, with the number behind its gain, see `at_rest`."""
@@ -51,6 +57,16 @@ class LoopAtRest(NamedTuple):
     drive: Drive
     known: dict  # what was asked for: limits of one loop look at the same gains
 
+    def _once(self, key, make):
+        if key not in self.known:
+            self.known[key] = make()
+        return self.known[key]
+
+    @property
+    def prompt(self) -> LoopAtRest:
+        """The same loop without its drive."""
+        return self._replace(drive=Drive())
+
     @property
     def points(self) -> int:
         """How many gains are looked at together."""
@@ -61,16 +77,12 @@ class LoopAtRest(NamedTuple):
     @property
     def rates(self) -> Rates | None:
         """See `rates_of`."""
-        if "rates" not in self.known:
-            self.known["rates"] = rates_of(self.law, self.held, self.q)
-        return self.known["rates"]
+        return self._once("rates", lambda: rates_of(self.law, self.held, self.q))
 
     def maps(self, scale, Ts):
         """See `step_maps`, `staying`."""
-        key = self.method, np.asarray(scale, float).tobytes(), np.asarray(Ts, float).tobytes()
-        if key not in self.known:
-            self.known[key] = self._maps(np.asarray(scale, float), np.asarray(Ts, float))
-        return self.known[key]
+        scale, Ts = np.asarray(scale, float), np.asarray(Ts, float)
+        return self._once((self.method, scale.tobytes(), Ts.tobytes()), lambda: self._maps(scale, Ts))
 
     def _maps(self, scale, Ts):
         if self.rates is None:
@@ -80,13 +92,12 @@ class LoopAtRest(NamedTuple):
 
     def growing(self):
         """See `spectrum.growing`."""
-        if "growing" not in self.known:
-            flow, rows = map(np.asarray, null_flow_of_numbers(self.law, self.held, self.q))
-            climbs = isinstance(getattr(self.law.null_velocity, "base", None), MaximizeManipulability)
-            if climbs and directions(rows)[2].shape[1] < len(rows):
-                raise errors.fail("q", "be no singular posture to climb the manipulability from", "is: it has no slope")
-            self.known["growing"] = growing(flow, rows)
-        return self.known["growing"]
+        return self._once("growing", lambda: growing(*self.flow()))
+
+    def flow(self):
+        """See `spectrum.null_flow`."""
+        made = self._once("flow", lambda: null_flow_of_numbers(self.law, self.held, self.q))
+        return [*map(np.asarray, made)]
 
     def now(self, Ts) -> Spectrum:
         """Its eigenvalues with the gain it has."""
@@ -125,6 +136,43 @@ class LoopAtRest(NamedTuple):
         task = self.rates.driven(taken, self.method, self.stage, self.drive)
         return task, np.zeros((len(scale), 0, self.method.steps))
 
+    def share_radii(self, share, Ts):
+        """Spectral radii (k,) over the task's directions with shares (k,) of the gain."""
+        return self.radii(np.asarray(share) * self.rate * Ts, Ts)[0]
+
+    def stable_share(self, Ts) -> float:
+        """Share of the gain up to which it is stable, to 1 %: 1 if all of it is, 0 below LEAST.
+
+        All of it counts, too, where only smaller gains are not: those that don't outweigh what else moves the task.
+        """
+        count = GAINS if self.drive.prompt else looked_at(self.drive, 3)
+
+        def bad(share):
+            return ~(self.share_radii(share, Ts) <= 1 + _NOISE)
+
+        least, whole = bad(np.array([LEAST, 1.0]))
+        if least and not whole:
+            return 1.0
+        for top in np.geomspace(1, LEAST, 6)[:-1]:  # three decades at a time
+            grid = np.geomspace(top * 1e-3, top, count)
+            unstable = bad(grid)
+            first = int(np.argmax(unstable))
+            if not unstable.any():
+                return float(top)
+            if first > 0:
+                grid = np.linspace(grid[first - 1], grid[first], count)
+                return float(grid[max(int(np.argmax(bad(grid))) - 1, 0)])
+        return 0.0
+
+    def fastest_share(self, Ts, most=1.0) -> float:
+        """Share of the gain, at most `most`, with which it settles soonest."""
+        count = GAINS if self.drive.prompt else 2 * (looked_at(self.drive, 3) // 2)
+        grid = np.linspace(0, 1, count + 1)[1:]
+        for _ in range(2):
+            best = grid[np.argmin(self.share_radii(most * grid, Ts))]
+            grid = np.clip(best + (np.arange(count) - count // 2) / (count // 2) / count, 1e-9, 1.0)
+        return most * float(best)
+
 
 FINE = 0.2  # of an error that a step removes, on the way to where a stack rests
 LONG = 2000  # steps of it
@@ -158,4 +206,15 @@ def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
     """Args: as for `recommend`."""
     method, stage = checked(method, stage)
     (law, held), drive = at_rest(law, reference, q), check_drive(drive, law.chain)
-    return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
+    made = LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
+    if isinstance(getattr(law.null_velocity, "base", None), MaximizeManipulability):
+        rows = made.flow()[1]
+        if directions(rows)[2].shape[1] < len(rows):
+            raise errors.fail("q", "be no singular posture to climb the manipulability from", "is: it has no slope")
+    return made
+
+
+def resting(law, q, method, stage, drive) -> LoopAtRest:
+    """The same of a checked loop at any instant of a run, the error being what it is there; a gain of 0 is one, too."""
+    rate = largest_rate(law.alpha) if np.any(law.alpha) else 1.0
+    return LoopAtRest(*at_rest(law, None, q), as_joint_values(law.chain, q), method, stage, rate, drive, {})

@@ -5,9 +5,8 @@ import numpy as np
 from cnclik.integrate.status import Status
 from cnclik.quantities import plainly
 from cnclik.reaching.result import ReachStatus
-from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.posture import beyond_arm
-from cnclik.stability.spectrum import drift_of_numbers, held_at, leaky
+from cnclik.stability.spectrum import drift_of_numbers, leaky
 from cnclik.stability.stacked import out_of_reach
 
 REVERSING = 0.15  # a loop shakes if a larger share of its joint speed reverses in the next step
@@ -66,7 +65,7 @@ def outside(case) -> str:
     """A clause on the joint farthest beyond its limits; empty where there is none."""
     law, beyond = case.law, case.seen.outside
     if keeps_positions(law):  # a joint that began outside returns
-        began = np.maximum(case.start.q - np.array(law.chain.upper), np.array(law.chain.lower) - case.start.q)
+        began = np.maximum(case.q0 - np.array(law.chain.upper), np.array(law.chain.lower) - case.q0)
         beyond = np.where(beyond > began + INSIDE, beyond, 0.0)
     most = int(np.argmax(beyond))
     if beyond[most] <= INSIDE:
@@ -129,7 +128,7 @@ def leaks(case) -> bool:
     """Whether the null-space velocity causes the remaining error."""
     if not leaky(case.law):
         return False
-    pull = case.rows @ _drift(case.law, case.end.q)
+    pull = case.rows @ _drift(case.law, case.end)
     asked = np.asarray(case.law.alpha, float)
     asked = asked @ case.e if asked.ndim == 2 else asked * case.e
     return bool(np.linalg.norm(pull) > LEAK * np.linalg.norm(asked) > 0)
@@ -140,10 +139,9 @@ def null_excess(case) -> float:
     if case.law.null_velocity is None:
         return 0.0
     limit = np.maximum(np.array(case.law.chain.velocity_limit, float), 1e-12)
-    return float(max(np.max(np.abs(_drift(case.law, at.q)) / limit) for at in (case.start, case.end)))
+    return float(max(np.max(np.abs(_drift(case.law, at)) / limit) for at in (case.start, case.end)))
 
 
-def _drift(law, q):
-    """How the null-space velocity moves an arm at rest at q (n,)."""
-    q = as_joint_values(law.chain, q)
-    return np.asarray(drift_of_numbers(law, held_at(law, q), q))
+def _drift(law, at):
+    """How the law's null-space velocity moves the arm of a loop at rest (n,)."""
+    return np.asarray(drift_of_numbers(law, at.held, at.q))

@@ -260,8 +260,8 @@ def largest_stable(loop: LoopAtRest, Ts, reach=REACH) -> float:
 
 def without_overshoot(loop, drive, Ts, most, reach) -> float:
     """Largest z up to `most` without overshoot through a drive, see `DrivenLimits`; of several the slowest joint's."""
-    prompt = loop._replace(drive=Drive())
-    return monotone_limit(lambda z: prompt.modes(z, Ts)[0], side_by_side(drive), Ts, most, reach, looked_at(drive, 3))
+    modes, points = lambda z: loop.prompt.modes(z, Ts)[0], looked_at(drive, 3)
+    return monotone_limit(modes, side_by_side(drive), Ts, most, reach, points)
 
 
 LATE = 2  # samples, from which on exponential steps have a limit

@@ -14,7 +14,6 @@ from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
 from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD
-from cnclik.stability.local import fastest_share, resting, stable_share
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.spectrum import leaky
 
@@ -87,19 +86,16 @@ def _steps(case, spans, mends, words, times):
 def lower(case) -> tuple:
     """What stops a loop that shakes or diverges: less gain, by what is stable at rest at both ends of the run, of which
     the last may be where it has gone astray."""
-    law, (_, method, stage, drive) = case.law, case.loop
-    ends = [resting(law, at) for at in (case.end, case.start) if np.abs(at.q).max() <= WILD]
+    law, (Ts, method, stage, drive) = case.law, case.loop
+    ends = [at for at in (case.end, case.start) if np.abs(at.q).max() <= WILD]
     within = less_null(case.null_radius) if case.null_unstable else ()
-    shares = [stable_share(*at, *case.loop) for at in ends]
+    shares = [at.stable_share(Ts) for at in ends]
     share = min(shares, default=1.0)
     if share == 0 and drive.feedback == "rebased":
         words = "begin each position command at the last one (feedback commanded): no smaller gain is stable"
         return (Remedy(change={"feedback": "commanded"}, words=words, mends="motion"),)
     if 0 < share < 1:
-        at, held = ends[int(np.argmin(shares))]
-        scaled = replace(at, alpha=np.asarray(at.alpha, float) * share)
-        best = share * fastest_share(scaled, held, *case.loop)
-        why = "settles soonest"
+        best, why = ends[int(np.argmin(shares))].fastest_share(Ts, share), "settles soonest"
         if law.task.tasks:  # what settles soonest is what the slowest of its tasks asks for
             best, why = 0.5 * share, "is half of that"
         change = {"alpha": _gain(law, best)} | (within[0].change if within else {})
@@ -123,19 +119,17 @@ def lower(case) -> tuple:
 
 def faster(case) -> tuple:
     """The gain, at most the present one, with which the loop settles soonest."""
-    ends = [resting(case.law, at) for at in (case.end, case.start)]
-    share, why = min(fastest_share(*at, *case.loop) for at in ends), "settles soonest"
+    ends, Ts = (case.end, case.start), case.loop[0]
+    share, why = min(at.fastest_share(Ts) for at in ends), "settles soonest"
     if case.law.task.tasks and share > 0.9:  # what the slowest of its tasks asks for
-        share, why = 0.5 * min(stable_share(*at, *case.loop) for at in ends), "is half of what is stable"
+        share, why = 0.5 * min(at.stable_share(Ts) for at in ends), "is half of what is stable"
     words = f"reduce {_words(case.law, share, 'to about')}, which {why}"
     return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if share < 1 else ()
 
 
 def raised(case) -> tuple:
     """More gain, where that makes the loop at rest faster: as much as does, up to four times."""
-    at, held = resting(case.law, case.end)
-    scaled = replace(at, alpha=np.asarray(at.alpha, float) * 4.0)
-    share = 4.0 * fastest_share(scaled, held, *case.loop)
+    share = case.end.fastest_share(case.loop[0], 4.0)
     if not case.loop[-1].prompt:
         share /= 2  # what settles soonest through a drive overshoots
     if share <= 1.2:
@@ -305,7 +299,7 @@ def freer(case) -> tuple:
 
 def inside(case) -> tuple:
     """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther."""
-    q, chain = case.start.q, case.law.chain
+    q, chain = case.q0, case.law.chain
     began = np.all((q >= np.array(chain.lower)) & (q <= np.array(chain.upper)))
     if reasons.keeps_positions(case.law) or not (began and case.loop[-1].prompt):
         return ()

@@ -152,7 +152,7 @@ class Trials:
         Ts, method, stage, drive = case.loop
         how = dict(N=case.steps, method=method, stage=stage, drive=drive, turn=case.turn, **case.more)
         self.case, self.Ts = case, Ts
-        self.given = Run(law=case.law, reference=case.reference, q0=case.start.q, **how)
+        self.given = Run(law=case.law, reference=case.reference, q0=case.q0, **how)
         self.unchanged = functools.cache(lambda steps: self._run(self.given, steps))
         self.mended = functools.cache(lambda one, steps: self._run(changed(self.given, one.change), steps))
 

@@ -23,7 +23,7 @@ from cnclik.stability import reasons, remedies
 from cnclik.stability.case import UNSTABLE, case_of, in_words
 from cnclik.stability.judged import Behaviour, Judged, judged, restless
 from cnclik.stability.linear import checked
-from cnclik.stability.local import Instant, maps, resting
+from cnclik.stability.loop import resting
 from cnclik.stability.observed import FALLEN
 from cnclik.stability.replay import check_made, check_path
 from cnclik.stability.trial import Trials, only_longer, whole_trial
@@ -271,4 +271,5 @@ def _in_words(found) -> str:
 @in_float64
 def prepare(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()) -> None:
     """Compile what `verdict` will ask of such a run: beside other work, for who is going to ask."""
-    maps(*resting(law, Instant(np.asarray(q, float), None)), np.ones(1), float(Ts), *checked(method, stage))
+    method, stage = checked(method, stage)
+    resting(law, np.asarray(q, float), method, stage, drive).maps(np.ones(1), np.full(1, Ts, float))

@@ -29,7 +29,7 @@ from cnclik.problem.names import task_from
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability import trial
-from cnclik.stability.local import Instant, radii, resting
+from cnclik.stability.loop import resting
 from cnclik.stability.observed import rms
 from cnclik.stability.trial import Run, changed, only_longer, times
 
@@ -405,7 +405,7 @@ def spectral(loop, run, of):
     if not (np.isfinite(run.q[-1]).all() and np.abs(run.q[-1]).max() < 1e3):
         return np.inf
     how = of.method_record, of.stage, of.drive
-    return float(radii(*resting(loop.law, Instant(run.q[-1], None)), np.ones(1), float(loop.Ts), *how)[0])
+    return float(resting(loop.law, run.q[-1], *how).share_radii([1.0], float(loop.Ts))[0])
 
 
 # --- whether remedies mend ----------------------------------------------------------------------------

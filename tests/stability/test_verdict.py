@@ -17,6 +17,7 @@ from cnclik.problem.names import task_from
 from cnclik.stability import Behaviour, trial, verdict
 from cnclik.stability.advice import advise
 from cnclik.stability.case import case_of
+from cnclik.stability.loop import LoopAtRest
 from cnclik.stability.observed import observe
 from cnclik.stability.remedies import Remedy
 from cnclik.stability.trial import Trials
@@ -71,15 +72,14 @@ def test_explicit_euler_over_z(z, N, kinds):
 
 def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
     """Else the program of the verdict is made after the run, and not beside it."""
-    module, case, asked = sys.modules["cnclik.stability.verdict"], sys.modules["cnclik.stability.case"], []
-    maps = module.maps
+    module, asked = sys.modules["cnclik.stability.verdict"], []
+    maps = LoopAtRest.maps
 
-    def recorded(*args):
-        asked.append(jax.tree.map(lambda v: (np.shape(v), np.result_type(v)), args))
-        return maps(*args)
+    def recorded(self, *args):
+        asked.append(jax.tree.map(lambda v: (np.shape(v), np.result_type(v)), (self.law, self.held, self.q, args)))
+        return maps(self, *args)
 
-    monkeypatch.setattr(module, "maps", recorded)
-    monkeypatch.setattr(case, "maps", recorded)
+    monkeypatch.setattr(LoopAtRest, "maps", recorded)
     module.prepare(law(5.0), NEAR, Q5, Ts=Ts, method=ck.EE)
     judge(law(5.0), NEAR, 20)
     assert len(asked) >= 2 and len({str(one) for one in asked}) == 1
@@ -88,7 +88,7 @@ def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
 
 def test_what_a_loop_does_at_rest_is_known_without_its_step(monkeypatch):
     """A humanoid's step was differentiated, and compiled, for it."""
-    monkeypatch.setattr(sys.modules["cnclik.stability.local"], "step_maps", None)
+    monkeypatch.setattr(sys.modules["cnclik.stability.loop"], "step_maps", None)
     assert judge(law(5.0), NEAR, 60).radius == pytest.approx(0.5)
 
 

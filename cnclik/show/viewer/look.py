@@ -18,7 +18,7 @@ from cnclik.record import replace
 from cnclik.stability.case import WILD
 from cnclik.stability.driven import driven_factors, looked_at_drive, modes_of, radius
 from cnclik.stability.drives import own_drives
-from cnclik.stability.local import Instant, maps, resting
+from cnclik.stability.loop import resting
 from cnclik.stability.spectrum import directions, largest_rate, spectrum_of
 
 
@@ -74,7 +74,7 @@ def factors_of(made, q):
     rests = np.isfinite(q[-1]).all() and np.abs(q[-1]).max() <= WILD
     q = np.asarray(q[-1] if rests else made.q0, float)
     drive = made.drive or Drive()
-    moved, rows = maps(*resting(made.law, Instant(q, None)), np.ones(1), made.Ts, made.method, made.stage)
+    moved, rows = resting(made.law, q, made.method, made.stage, drive).maps(np.ones(1), np.full(1, made.Ts))
     if not np.isfinite(moved).all():
         return np.zeros(0, complex), np.inf
     if drive.prompt:
