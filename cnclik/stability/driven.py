@@ -14,7 +14,7 @@ from cnclik.precision import in_float64
 from cnclik.record import record
 from cnclik.robot.rotations import library
 from cnclik.stability.drives import longer, own_drives, several, side_by_side
-from cnclik.stability.linear import EPS, FEW, REACH, amplification, checked, first_above, least_on
+from cnclik.stability.linear import EPS, FEW, REACH, checked, coefficients, first_above, least_on
 
 SLACK = 2**22 * EPS  # a radius above 1 by more is unstable; eigenvalues of 1 have rounding
 _ZERO = 1e-9  # smaller factors count as 0
@@ -32,15 +32,8 @@ INPUTS = 4  # of a loop: noise, target, by how much that moves, and what is fed 
 
 def increments(method, stage, z):
     """D (..., p) of a method: R(z) − 1 of a one-step one, of a multistep formula aⱼ − δ₀ⱼ − z bⱼ."""
-    method, stage = checked(method, stage)
-    z = np.asarray(z)
-    if method.steps == 1 or method.exponential:
-        return (amplification(method, stage, z) - 1.0)[..., None]
-    found = np.zeros((*z.shape, method.steps), z.dtype if np.iscomplexobj(z) else np.float64)
-    found[..., : len(method.a)] += method.a
-    found[..., 0] -= 1.0
-    found[..., : len(method.b)] -= z[..., None] * np.array(method.b)
-    return found
+    a, b = coefficients(*checked(method, stage), z)
+    return a - (np.arange(len(a)) == 0) + b
 
 
 def loop_matrix(steps, drive: Drive, Ts: float, inputs: bool = False):

@@ -119,18 +119,23 @@ def factors(method, stage, z, delay: int = 0):
     """
     method, stage = checked(method, stage)
     delay = errors.integer("delay", delay, at_least=0, at_most=MOST)
-    if method.steps == 1 or method.exponential:
-        return late_factors(amplification(method, stage, z), delay)
-    z = _numbers(z)
-    row = np.zeros((*z.shape, method.steps + delay), z.dtype if np.iscomplexobj(z) else np.float64)
-    row[..., : len(method.a)] += method.a
-    row[..., delay : delay + len(method.b)] -= z[..., None] * np.array(method.b)
+    a, b = coefficients(method, stage, _numbers(z))
+    row = np.zeros((*b.shape[:-1], len(a) + delay), b.dtype)
+    row[..., : len(a)] += a
+    row[..., delay:] += b
     return np.linalg.eigvals(companion(row)).astype(complex)
+
+
+def coefficients(method, stage, z):
+    """a (p,) and B (..., p) of a step, see `factors`; both checked."""
+    if method.steps == 1 or method.exponential:
+        return np.ones(1), (amplification(method, stage, z) - 1.0)[..., None]
+    a, b = (np.pad(np.asarray(v, float), (0, method.steps - len(v))) for v in (method.a, method.b))
+    return a, -np.asarray(z)[..., None] * b
 
 
 def companion(row):
     """The matrix (..., p, p) of e[k+1] = Σⱼ rowⱼ e[k−j], the newest first."""
-    row = np.asarray(row)
     made = np.zeros((*row.shape, row.shape[-1]), row.dtype)
     made[..., 0, :] = row
     made[..., np.arange(1, row.shape[-1]), np.arange(row.shape[-1] - 1)] = 1
@@ -318,15 +323,6 @@ def delayed_radius(method, stage, z, delay: int):
       delay: d ≥ 0, whole samples.
     """
     return np.abs(factors(method, stage, z, delay)).max(-1)
-
-
-def late_factors(prompt, delay: int):
-    """Factors (..., d + 1) of a loop that is d samples late, from a prompt one's λ (...): μ^(d+1) − μ^d + 1 − λ = 0."""
-    prompt = np.asarray(prompt)
-    row = np.zeros((*prompt.shape, delay + 1), prompt.dtype)
-    row[..., 0] += 1
-    row[..., -1] += prompt - 1
-    return np.linalg.eigvals(companion(row))
 
 
 def late_stable(delay: float) -> float:

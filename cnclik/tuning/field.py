@@ -23,12 +23,11 @@ def radius_field(tuned, q=None):
     q = np.asarray(tuned.after.run.q)[-1] if q is None else q
     alpha = np.geomspace(tuned.after.z / tuned.Ts / 20, tuned.after.z / tuned.Ts * 8, 40)
     Ts = np.geomspace(tuned.Ts / 8, tuned.Ts * 8, 25)
-    grid_Ts, grid_alpha = (v.ravel() for v in np.meshgrid(Ts, alpha, indexing="ij"))
     drive = tuned.conditions.drive
-    radius = radius_over(tuned.law, q, grid_alpha, grid_Ts, tuned.method, tuned.stage, drive=drive)
+    radius = radius_over(tuned.law, q, alpha, Ts, tuned.method, tuned.stage, drive=drive)
     gain = "gain α" if np.ndim(tuned.law.alpha) == 0 else "largest gain of α"
     return xr.Dataset(
-        {"radius": (("Ts", "alpha"), radius.reshape(25, 40), {"units": "1", "long_name": "spectral radius"})},
+        {"radius": (("Ts", "alpha"), radius, {"units": "1", "long_name": "spectral radius"})},
         coords={"alpha": ("alpha", alpha, {"units": "1/s"}), "Ts": ("Ts", Ts, {"units": "s"})},
         attrs={"Ts_before": float(tuned.before.run.t[1] - tuned.before.run.t[0]), "gain": gain, "delay": drive.delay},
     )

@@ -10,12 +10,12 @@ from cnclik.integrate.drive import Drive
 from cnclik.law.law import weighted_gain
 from cnclik.record import replace
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.stability.driven import driven_limits, looked_at_drive, loop_matrix, modes_of, noise_limit, radius
+from cnclik.stability.driven import driven_limits, looked_at_drive, loop_matrix, noise_limit
 from cnclik.stability.drives import each_drive
 from cnclik.stability.linear import at_rest_as, stepped
 from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.rates import parts_at_rest
-from cnclik.stability.spectrum import at_rest, directions, of_error, one_step
+from cnclik.stability.spectrum import at_rest, of_error, one_step
 from cnclik.stability.tasks import bounded_rates
 
 SQUARINGS = 10  # of a matrix to bound its radius: the power p = 1024
@@ -123,20 +123,12 @@ def measured_radius(matrices):
 
 
 def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
-    """Spectral radius of the loop at rest at q for many gains and sampling times.
+    """Spectral radius (a, b) of the loop at rest at q for many gains and sampling times.
 
     Args:
       law: its alpha, of any shape, is scaled. q: (n,).
-      alpha, Ts: (k,) largest |eigenvalue| of the gain [1/s], sampling time [s].
+      alpha, Ts: (b,) largest |eigenvalue| of the gain [1/s], (a,) sampling times [s].
       method, stage: as for `solve`. drive: between command and motion.
-    Returns: (k,).
     """
     loop = loop_at_rest(law, None, q, _forgetful(method), stage, drive)
-    moved, rows = loop.maps(np.asarray(alpha) / loop.rate, Ts)
-    steps = modes_of(moved, directions(rows)[2], drive)
-    if drive.order == 0:
-        return radius(steps, drive, 1.0)
-    found = np.empty(len(steps))
-    for value in np.unique(Ts):
-        found[Ts == value] = radius(steps[Ts == value], drive, float(value))
-    return found
+    return np.stack([loop.radii(np.asarray(alpha) * T, T)[0] for T in Ts])
