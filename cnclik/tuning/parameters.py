@@ -178,75 +178,10 @@ def scaled_links(chain, factors):
     return with_tip(replace(chain, joints=joints), stretch(chain.tip, factors[len(joints)]))
 
 
-def _in_law(changes):
-    """A `put` that changes fields of the law: changes(law, value) is {field: new content}."""
-
-    def put(loop, value):
-        return replace(loop, law=replace(loop.law, **changes(loop.law, value)))
-
-    return put
-
-
-def _with_tool(chain, value):
-    return with_tip(chain, Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation))
-
-
 KNOTS = 5  # of a gain schedule
 
-# Start, default bounds, `put` and unit of each name, as functions of (law, Ts).
-
-
-def _alpha(law, Ts):
-    alpha = np.asarray(law.alpha, float)
-    if alpha.ndim == 2 and not np.allclose(alpha, alpha.T):
-        raise errors.fail("alpha", "be a symmetric matrix to be tuned", "is not symmetric")
-    return alpha, 1e-3 / Ts, 10.0 / Ts
-
-
-def _schedule(law, Ts):
-    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` needs a symmetric matrix
-
-
-def _damping(law, Ts):
-    if not isinstance(law.inverse, inverses.Damped):
-        raise errors.fail("over", "name damping for a law that has damped(...) alone", "names it for another inverse")
-    start = float(law.inverse.damping)
-    return start, start / 1e3, start * 1e3
-
-
-def _null_gain(law, Ts):
-    if law.null_velocity is None:
-        raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
-    return 1.0, 0.0, 10.0
-
-
-def _links(law, Ts):
-    return np.ones(len(law.chain.joints) + 1), 0.5, 2.0
-
-
-def _tool(law, Ts):
-    start = np.array([float(v) for v in law.chain.tip.position])
-    return start, start - 0.5, start + 0.5
-
-
-_KNOWN = {
-    "alpha": (_alpha, _in_law(lambda law, v: {"alpha": v}), "1/s"),
-    "schedule": (_schedule, lambda loop, v: replace(loop, schedule=v), "1/s"),
-    "damping": (_damping, _in_law(lambda law, v: {"inverse": inverses.Damped(damping=v)}), "m or 1"),
-    "null_gain": (_null_gain, _in_law(lambda law, v: {"null_velocity": ScaledNullVelocity(law.null_velocity, v)}), "1"),
-    "feedforward": (
-        lambda law, Ts: (float(law.feedforward), 0.0, 2.0),
-        _in_law(lambda law, v: {"feedforward": v}),
-        "1",
-    ),
-    "links": (_links, _in_law(lambda law, v: {"chain": scaled_links(law.chain, v)}), "1"),
-    "tool": (_tool, _in_law(lambda law, v: {"chain": _with_tool(law.chain, v)}), "m"),
-    "Ts": (lambda law, Ts: (Ts, Ts / 4, Ts * 4), lambda loop, v: replace(loop, Ts=v), "s"),
-}
-NAMES = tuple(_KNOWN)
-_POSITIVE = ("alpha", "schedule", "damping", "weights", "Ts")
-
-# The same for a task of a stack, "hands.alpha": functions of (law, Ts, task), and of (law, task, value).
+# Start and default bounds of each name, as functions of (law, Ts, task); what a value changes of the law, as functions
+# of (law, task, value); and its unit. The task is None, or one of a stack, as in "hands.alpha".
 
 
 def even(values):
@@ -258,18 +193,27 @@ def even(values):
 def gain_of(law, task):
     """The gain of one task of a stack."""
     alpha = np.asarray(law.alpha, float)
-    return alpha if alpha.ndim == 0 else even(alpha[(law.task.of(task),) * alpha.ndim])
+    return alpha if alpha.ndim == 0 or task is None else even(alpha[(law.task.of(task),) * alpha.ndim])
 
 
-def _task_alpha(law, Ts, task):
-    return gain_of(law, task), *_alpha(law, Ts)[1:]
+def _alpha(law, Ts, task=None):
+    alpha = np.asarray(law.alpha, float)
+    if alpha.ndim == 2 and not np.allclose(alpha, alpha.T):
+        raise errors.fail("alpha", "be a symmetric matrix to be tuned", "is not symmetric")
+    return gain_of(law, task), 1e-3 / Ts, 10.0 / Ts
 
 
 def _with_alpha(law, task, value):
+    if task is None:
+        return {"alpha": value}
     alpha, at = jnp.asarray(law.alpha), law.task.of(task)
     alpha = alpha if alpha.ndim else jnp.full(law.task.m, alpha)
     own = value * jnp.eye(at.stop - at.start) if value.ndim < alpha.ndim == 2 else value
     return {"alpha": alpha.at[(at,) * alpha.ndim].set(own)}
+
+
+def _schedule(law, Ts, task):
+    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` needs a symmetric matrix
 
 
 def _level(law, task):
@@ -278,24 +222,49 @@ def _level(law, task):
     return next(i for i, names in enumerate(law.inverse.names) if task in names)
 
 
-def _task_damping(law, Ts, task):
-    """The damping of a level, up to halfway (as a ratio) to the next level's: dampings define the order of levels."""
-    i = _level(law, task)
-    each = [float(one.damping) for one in law.inverse.damping]
+def _damping(law, Ts, task):
+    """Of a level up to halfway (as a ratio) to the next level's: dampings define the order of levels."""
+    if task is None:
+        if not isinstance(law.inverse, inverses.Damped):
+            must = "name damping for a law that has damped(...) alone"
+            raise errors.fail("over", must, "names it for another inverse")
+        return _around(float(law.inverse.damping))
+    i, each = _level(law, task), [float(one.damping) for one in law.inverse.damping]
     start = each[i]
     below, above = (d for d in each if d < start), (d for d in each if d > start)
     return start, np.sqrt(start * max(below, default=start / 1e6)), np.sqrt(start * min(above, default=start * 1e6))
 
 
+def _around(start):
+    return start, start / 1e3, start * 1e3
+
+
 def _with_damping(law, task, value):
+    if task is None:
+        return {"inverse": inverses.Damped(damping=value)}
     each, i = list(law.inverse.damping), _level(law, task)
     each[i] = replace(each[i], damping=value)
     return {"inverse": replace(law.inverse, damping=tuple(each))}
 
 
-def _task_weights(law, Ts, task):
-    start = even(np.asarray(law.task.weight_of_each, float)[law.task.of(task)])
-    return start, start / 1e3, start * 1e3
+def _null_gain(law, Ts, task):
+    if law.null_velocity is None:
+        raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
+    return 1.0, 0.0, 10.0
+
+
+def _tool(law, Ts, task):
+    start = np.array([float(v) for v in law.chain.tip.position])
+    return start, start - 0.5, start + 0.5
+
+
+def _with_tool(law, task, value):
+    chain = law.chain
+    return {"chain": with_tip(chain, Offset(position=tuple(value[i] for i in range(3)), rotation=chain.tip.rotation))}
+
+
+def _weights(law, Ts, task):
+    return _around(even(np.asarray(law.task.weight_of_each, float)[law.task.of(task)]))
 
 
 def _with_weights(law, task, value):
@@ -303,15 +272,38 @@ def _with_weights(law, task, value):
 
 
 _OF_TASK = {
-    "alpha": (_task_alpha, _with_alpha, "1/s"),
-    "damping": (_task_damping, _with_damping, "m or 1"),
-    "weights": (_task_weights, _with_weights, "1"),
+    "alpha": (_alpha, _with_alpha, "1/s"),
+    "damping": (_damping, _with_damping, "m or 1"),
+    "weights": (_weights, _with_weights, "1"),
 }
+_KNOWN = {
+    "alpha": _OF_TASK["alpha"],
+    "schedule": (_schedule, None, "1/s"),  # of the loop, as Ts is
+    "damping": _OF_TASK["damping"],
+    "null_gain": (_null_gain, lambda law, _, v: {"null_velocity": ScaledNullVelocity(law.null_velocity, v)}, "1"),
+    "feedforward": (lambda law, *_: (float(law.feedforward), 0.0, 2.0), lambda law, _, v: {"feedforward": v}, "1"),
+    "links": (
+        lambda law, *_: (np.ones(len(law.chain.joints) + 1), 0.5, 2.0),
+        lambda law, _, v: {"chain": scaled_links(law.chain, v)},
+        "1",
+    ),
+    "tool": (_tool, _with_tool, "m"),
+    "Ts": (lambda law, Ts, _: (Ts, Ts / 4, Ts * 4), None, "s"),
+}
+NAMES = tuple(_KNOWN)
+_POSITIVE = ("alpha", "schedule", "damping", "weights", "Ts")
 
 
 @functools.cache  # the same function for the same name, as it is a key of programs
-def _put_in_task(what, task):
-    return _in_law(lambda law, value: _OF_TASK[what][1](law, task, value))
+def _putting(what, task):
+    change = (_OF_TASK if task else _KNOWN)[what][1]
+
+    def put(loop, value):
+        if change is None:
+            return replace(loop, **{what: value})
+        return replace(loop, law=replace(loop.law, **change(loop.law, task, value)))
+
+    return put
 
 
 def postures(law) -> list:
@@ -358,16 +350,15 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     if task and loop.law.task.tasks:
         errors.one_of("over", task, [known for known, _ in loop.law.task.tasks])
         of, _, unit = _OF_TASK[errors.one_of("over", what, _OF_TASK)]
-        put, (start, lower, upper) = _put_in_task(what, task), of(loop.law, float(loop.Ts), task)
     else:
-        of, put, unit = _KNOWN[errors.one_of("over", name, NAMES)]
-        start, lower, upper = of(loop.law, float(loop.Ts))
+        (of, _, unit), what, task = _KNOWN[errors.one_of("over", name, NAMES)], name, None
+    start, lower, upper = of(loop.law, float(loop.Ts), task)
     if bounds is not None:
         if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
             raise errors.fail(f"bounds of {name}", "be (lower, upper)", f"are {bounds!r}")
         lower, upper = bounds
     kind = SPD if what == "alpha" and np.ndim(start) == 2 else BOX
-    made = parameter(name, start, lower, upper, put, kind=kind, unit=unit)
+    made = parameter(name, start, lower, upper, _putting(what, task), kind=kind, unit=unit)
     if what in _POSITIVE and not np.all(made.lower > 0):
         raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
     return made
