@@ -10,13 +10,5 @@ from cnclik.diagnosis.fit import DriveFit, fit_drive
 from cnclik.diagnosis.judge import Kind
 from cnclik.diagnosis.tasks import StackDiagnosis, TaskDiagnosis, diagnose_tasks
 
-__all__ = [
-    "Diagnosis",
-    "DriveFit",
-    "Kind",
-    "StackDiagnosis",
-    "TaskDiagnosis",
-    "diagnose",
-    "diagnose_tasks",
-    "fit_drive",
-]
+__all__ = ["Diagnosis", "DriveFit", "Kind", "StackDiagnosis", "TaskDiagnosis"]
+__all__ += ["diagnose", "diagnose_tasks", "fit_drive"]

@@ -8,24 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik import errors
+from cnclik.diagnosis import judge
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.blocks import orthogonal, within
 from cnclik.diagnosis.excited import excited
-from cnclik.diagnosis.judge import (
-    ABOVE_NOISE,
-    BEGUN,
-    HELD,
-    LEAST,
-    MOST,
-    OSCILLATING,
-    TURNS,
-    Kind,
-    explained,
-    judged,
-    likelier,
-    looked_at,
-    spans,
-)
+from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, spans
 from cnclik.diagnosis.modes import EXACT, Modes, find_modes, polynomials, shape_of, trend
 from cnclik.diagnosis.recording import columns
 from cnclik.precision import of_numbers
@@ -217,7 +204,7 @@ class _Part(NamedTuple):
 
 
 def _part(first, rows, found, longest) -> _Part:
-    return _Part(first, rows, found, *judged(rows, found, longest))
+    return _Part(first, rows, found, *judge.judged(rows, found, longest))
 
 
 def _come_to(part, longest) -> _Part:
@@ -244,12 +231,13 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
         made = advice(kind, part.factor, shape, loop, found.noise, alpha, Ts)
         whole = made.pop("whole", True)
         periods = _wandering(scaled, part.first, longest)
-        if kind is Kind.GROWING and (_begins(part, made, whole, alpha, periods) or not likelier(part.rows, found)):
+        begins = kind is Kind.GROWING and _begins(part, made, whole, alpha, periods)
+        if begins or (kind is Kind.GROWING and not judge.likelier(part.rows, found)):
             kind, made, whole = Kind.UNDECIDED, {"kind": Kind.UNDECIDED}, True
     report(3, 4, "noise")
     noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
     if kind is Kind.NOISE or not whole or periods or noisy or stays:
-        driven = _noise_driven(scaled[-MOST:], longest, alpha, Ts)
+        driven = _noise_driven(scaled[-judge.MOST :], longest, alpha, Ts)
         if periods and not driven:
             made = {name: made[name] for name in ("kind", "period", "growth") if name in made}
             made["note"] = (
@@ -264,7 +252,7 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
         made["note"] = UNFINISHED
     elif made["kind"] in (Kind.QUIET, Kind.NOISE):
         moved = np.ptp(found.path + found.parts.sum(0), axis=0)
-        slow = np.any(moved > ABOVE_NOISE * found.noise + STILL)
+        slow = np.any(moved > judge.ABOVE_NOISE * found.noise + STILL)
         made["note"] = SLOW if slow else HIDDEN if kind is Kind.NOISE else ""
     elif kind is Kind.MONOTONE:
         made |= _monotone(float(np.abs(part.factor)), alpha, Ts)
@@ -275,7 +263,7 @@ def _begins(part, made, whole, alpha, periods) -> bool:
     """Whether growth may be the start of a swing: it shows few periods, and its loop is not certain."""
     alone = made.get("pure") or alpha is not None  # with a lag, few rows fit many loops
     sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
-    return len(part.rows) < TURNS * made["period"] and not (sure or periods)
+    return len(part.rows) < judge.TURNS * made["period"] and not (sure or periods)
 
 
 def _is_clear(part) -> bool:
@@ -288,11 +276,11 @@ def _is_clear(part) -> bool:
 
 def _found(y, longest):
     """(first row, last row, modes) of the rows to be judged. A growing motion is small at first, which is not rest."""
-    first, begun, last = looked_at(y, longest)
+    first, begun, last = judge.looked_at(y, longest)
     if begun > first:
         found = find_modes(y[first:last], longest)
-        grown = np.abs(found.factors) ** (last - first) > 1 / BEGUN
-        if grown.any() and explained(y[first:last], found) and found.score < polynomials(y[first:last]):
+        grown = np.abs(found.factors) ** (last - first) > 1 / judge.BEGUN
+        if grown.any() and judge.explained(y[first:last], found) and found.score < polynomials(y[first:last]):
             return first, last, found
     begun, found = _explained(y[begun:last], begun, longest)
     return begun, last, found
@@ -305,7 +293,7 @@ def _explained(seen, first, longest):
     """
     whole = first, find_modes(seen, longest)
     at, found = whole
-    while not explained(seen, found):
+    while not judge.explained(seen, found):
         cut = len(seen) // 4
         if len(seen) - cut < 4 * LEAST:
             return whole
@@ -319,7 +307,7 @@ def _explained(seen, first, longest):
 def _moved_before(y, first) -> bool:
     """Whether a recording oscillated before row `first` as it does after: then it did not grow."""
     before, seen = y[max(2 * first - len(y), 0) : first], y[first:]
-    least = np.std(np.diff(seen, axis=0), axis=0) / HELD
+    least = np.std(np.diff(seen, axis=0), axis=0) / judge.HELD
     return len(before) >= LEAST and bool(np.any(np.std(np.diff(before, axis=0), axis=0) > least))
 
 
@@ -335,7 +323,7 @@ def _wandering(y, first, longest):
         if len(part) < 2 * LEAST or not np.all(np.ptp(part, axis=0) > STILL):
             return None
         found = find_modes(part, longest)
-        kind, chosen, _ = judged(part, found, longest)
+        kind, chosen, _ = judge.judged(part, found, longest)
         if kind not in OSCILLATING:
             return None
         sizes.append(spans(found.parts[chosen]).max())

@@ -21,31 +21,11 @@ from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law
 from cnclik.law.paths import causal
 from cnclik.law.reference import Reference, References, of_each
+from cnclik.problem import names
+from cnclik.problem import stack as stacks
 from cnclik.problem.magnitudes import check_units
-from cnclik.problem.names import (
-    gain_from,
-    inverse_from,
-    limits_from,
-    null_from,
-    require_free,
-    robot_and_tip,
-    robot_name,
-    stage_from,
-    start_from,
-    task_from,
-)
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
-from cnclik.problem.stack import (
-    Written,
-    gains_from,
-    inverse_of,
-    read_stack,
-    references_of,
-    stack_from,
-    tables_from,
-    tips_of,
-)
 from cnclik.problem.walls import walls_from
 from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.robot.chain import Chain
@@ -119,11 +99,11 @@ def problem_from(
     given = as_written({name: value for name, value in options.items() if value is not None})
     for key in given:
         errors.one_of("option", key, SWEPT)
-    asked = None if tasks is None else Written(tasks, walls or {})
+    asked = None if tasks is None else stacks.Written(tasks, walls or {})
     if "stack" in given:
         if tasks is not None:
             raise errors.fail("tasks", "be left out where `stack` is given", "is given")
-        asked = read_stack(given["stack"])
+        asked = stacks.read_stack(given["stack"])
     if walls and (asked is None or "stack" in given):
         raise errors.fail("walls", "come with `tasks`, or stand in the file of `stack`", "is given")
     given, written = in_own_units(given)
@@ -134,12 +114,12 @@ def problem_from(
     N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    stack, tips = (None, None) if asked is None else (tables_from(asked, given), tips_of(asked))
-    chain, tip = robot_and_tip(robot, v["tip"], v["base"], v["lengths"], tips)
-    task = task_from(v["task"], chain) if stack is None else stack_from(stack.tasks, chain)
+    stack, tips = (None, None) if asked is None else (stacks.tables_from(asked, given), stacks.tips_of(asked))
+    chain, tip = names.robot_and_tip(robot, v["tip"], v["base"], v["lengths"], tips)
+    task = names.task_from(v["task"], chain) if stack is None else stacks.stack_from(stack.tasks, chain)
     check_units(chain, task, written)
     law = _law(chain, task, v, Ts, stack)
-    q0 = start_from(chain, task, v["q0"])
+    q0 = names.start_from(chain, task, v["q0"])
     seed = errors.seed(given.get("seed", 0))
     begin = errors.one_of("begin", v["begin"], BEGINS)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
@@ -147,10 +127,10 @@ def problem_from(
         path = {name: v[name] for name in PATH}
         reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
     else:
-        reference = references_of(stack.tasks, chain, task, q0, N * Ts)
+        reference = stacks.references_of(stack.tasks, chain, task, q0, N * Ts)
     q0 = on_path(chain, task, reference, q0) if begin == "on-path" else q0
     return Problem(
-        name=robot_name(robot, v["tip"]),
+        name=names.robot_name(robot, v["tip"]),
         tip=tip,
         law=law,
         reference=of_each(lambda one, _: causal(one), reference, task) if unknown else reference,
@@ -158,7 +138,7 @@ def problem_from(
         Ts=Ts,
         N=N,
         method=named(v["method"]),
-        stage=stage_from(v["stage"], v["M"]),
+        stage=names.stage_from(v["stage"], v["M"]),
         drive=_drive(chain, given, seed),
         pace=_pace(chain, given),
         noise=v["noise"],
@@ -175,19 +155,20 @@ def _law(chain, task, v, Ts, stack) -> Law:
     walls: tuple = ()
     damping = {name: v[name] for name in ("inverse", "damping", "threshold")}
     if stack is None:
-        alpha, inverse = gain_from(v["alpha"]), inverse_from(*damping.values())
+        alpha, inverse = names.gain_from(v["alpha"]), names.inverse_from(*damping.values())
         if task.m > chain.n and isinstance(inverse, Pseudoinverse):
-            require_free(chain, task)
+            names.require_free(chain, task)
     else:
-        alpha, inverse = gains_from(stack.tasks, task, v["alpha"]), inverse_of(stack.tasks, task, chain, **damping)
+        alpha = stacks.gains_from(stack.tasks, task, v["alpha"])
+        inverse = stacks.inverse_of(stack.tasks, task, chain, **damping)
         walls = walls_from(stack.walls, chain)
     return Law(
         chain,
         task,
         alpha=alpha,
         inverse=inverse,
-        limits=limits_from(v["limits"], Ts, v["limit_rate"], walls),
-        null_velocity=null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
+        limits=names.limits_from(v["limits"], Ts, v["limit_rate"], walls),
+        null_velocity=names.null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
 

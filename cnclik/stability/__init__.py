@@ -45,25 +45,14 @@ from cnclik.stability.spectrum import (
 from cnclik.stability.tasks import Leak, StackAdvice, TaskAdvice
 from cnclik.stability.verdict import Verdict, verdict
 
-__all__ = ["Advice", "Analysis", "Behaviour", "DrivenLimits", "Ending", "Margin", "Outcome", "RealAxisLimits"]
-__all__ += ["Leak", "LimitAdvice", "Recommendation", "Remedy", "Spectrum", "StackAdvice", "TaskAdvice", "Verdict"]
-__all__ += ["WallAdvice"]
-__all__ += ["from_pink", "to_pink"]
-__all__ += ["advise", "agreement", "amplification", "analyse", "at_rest", "attraction_radius", "certified_radius"]
-__all__ += [
-    "curvature_bound",
-    "delay_limit",
-    "delayed_radius",
-    "driven_factors",
-    "driven_limits",
-    "gain_per_second",
-    "gain_per_step",
-    "gains_map",
-    "largest_rate",
-]
-__all__ += ["margin", "one_step", "outcome", "outcomes", "passes_map", "plane", "real_axis_limits", "recommend"]
-__all__ += ["responses", "sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit"]
-__all__ += ["stability_map", "stability_region", "step_maps", "task_map", "task_radius", "verdict"]
+__all__ = ["Advice", "Analysis", "Behaviour", "DrivenLimits", "Ending", "Leak", "LimitAdvice", "Margin", "Outcome"]
+__all__ += ["RealAxisLimits", "Recommendation", "Remedy", "Spectrum", "StackAdvice", "TaskAdvice", "Verdict"]
+__all__ += ["WallAdvice", "advise", "agreement", "amplification", "analyse", "at_rest", "attraction_radius"]
+__all__ += ["certified_radius", "curvature_bound", "delay_limit", "delayed_radius", "driven_factors", "driven_limits"]
+__all__ += ["from_pink", "gain_per_second", "gain_per_step", "gains_map", "largest_rate", "margin", "one_step"]
+__all__ += ["outcome", "outcomes", "passes_map", "plane", "real_axis_limits", "recommend", "responses"]
+__all__ += ["sampled_attraction", "settle", "spectral_radius", "spectrum", "stability_limit", "stability_map"]
+__all__ += ["stability_region", "step_maps", "task_map", "task_radius", "to_pink", "verdict"]
 
 _MOVED = {"practice": "advise", "Practice": "Advice"}  # names of the version before, which go with the next one
 

@@ -5,16 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik.record import record
-from cnclik.stability.driven import (
-    damping_ratio,
-    delay_margin,
-    noise_gain,
-    outermost,
-    overshoot,
-    respond,
-    settling,
-    until_settled,
-)
+from cnclik.stability import driven
 from cnclik.stability.drives import each_drive, side_by_side
 
 KEPT = 1e-3  # share of a speed up to which a lag is settled
@@ -54,16 +45,16 @@ class Gain:
 def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
     """Of modes (r, p), see `modes_of`. Args: z_largest: the largest stable z."""
     several = side_by_side(drive)
-    motion, speed = noise_gain(steps, several, Ts)
-    behind, forward, start = _following(outermost(steps), several, Ts)
+    motion, speed = driven.noise_gain(steps, several, Ts)
+    behind, forward, start = _following(driven.outermost(steps), several, Ts)
     return Gain(
         alpha=z / Ts,
         z=z,
-        damping_ratio=damping_ratio(steps, several, Ts),
-        overshoot=overshoot(steps, several, Ts),
-        settling_time=settling(steps, several, Ts),
+        damping_ratio=driven.damping_ratio(steps, several, Ts),
+        overshoot=driven.overshoot(steps, several, Ts),
+        settling_time=driven.settling(steps, several, Ts),
         gain_margin=z_largest / z,
-        delay_margin=min(delay_margin(steps, one, Ts) for one in each_drive(drive)),
+        delay_margin=min(driven.delay_margin(steps, one, Ts) for one in each_drive(drive)),
         noise_gain=motion,
         velocity_noise_gain=speed,
         lag=behind,
@@ -74,8 +65,10 @@ def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
 
 def _following(steps, drive, Ts) -> tuple:
     """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]; of some modes."""
-    N, r = until_settled(steps, drive, Ts, KEPT), len(steps)
-    q = respond(np.concatenate([steps, steps]).real, drive, Ts, N, speed=1.0, forward=np.repeat([0.0, 1.0], r))[0]
+    N, r = driven.until_settled(steps, drive, Ts, KEPT), len(steps)
+    q = driven.respond(np.concatenate([steps, steps]).real, drive, Ts, N, speed=1.0, forward=np.repeat([0.0, 1.0], r))[
+        0
+    ]
     late = Ts * np.arange(N + 1).reshape(-1, *(1,) * (q.ndim - 1)) - q
     most = np.abs(late[..., r:]).max(0)
     at_last = np.where(np.abs(late[-1, ..., r:]) < KEPT * most, 0.0, late[-1, ..., r:])
