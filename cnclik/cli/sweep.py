@@ -145,7 +145,7 @@ def _join(args) -> dict:
 
 def _check(spec) -> None:
     """Grid size, programs, memory and time."""
-    from cnclik.sweeps.cost import estimate
+    from cnclik.sweeps.sweep import estimate
 
     found = estimate(spec)
     axes = " × ".join(f"{name} {count}" for name, count in found.axes.items())

@@ -1,11 +1,17 @@
-"""Advice: the cause of an oscillation or a growth, and the gain, sign or frame that stops it."""
+"""Advice: the cause of an oscillation or a growth, and the gain, sign or frame that stops it.
+
+If the frames of error and Jacobian are turned by θ about an axis, a step leaves e[k+1] = (1 − z e^{iθ}) e[k] across the
+axis: a spiral, in which one coordinate follows another by a quarter turn. With dead time alone all coordinates
+oscillate in phase.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from cnclik.diagnosis.judge import Kind
 from cnclik.diagnosis.late import LateLoop, gain_of, loops_of, phase_delay
 from cnclik.diagnosis.modes import trend
-from cnclik.diagnosis.turned import APART, together, turned_of
 from cnclik.quantities import in_samples
 from cnclik.stability.driven import DrivenLimits, driven_limits
 from cnclik.stability.linear import late_monotone, late_stable
@@ -24,6 +30,8 @@ CLOSE = 0.15  # share of the total delay within which dead times count as equal
 OTHER = 0.6  # confidence, at most, in a sustained oscillation's loop: a path may oscillate, too
 HALF_TURN = 3.5  # [rad] of an oscillation that must be visible to rule out a path
 FOLDS = 3.0  # factors of e over which growth or decay is visible
+ROUND = 0.2  # |vᵀv|/‖v‖² of a shape v, at most, to count as a circle: 0 for a circle, 1 in phase
+APART = 0.95  # below this, columns are not in phase
 WHOLE = 0.95  # confidence in causes found without a fit: a sign, a frame
 PATH = "A path may also have this period (--longest-period)."
 UNLESS = (
@@ -172,6 +180,40 @@ def _alike(likely, best, whole, known, decides, Ts) -> list:
         f"A dead time of {ends[0]}, one of {ends[1]} and anything in between are possible. The gain suits most of "
         f"them; {decides}a recorded step (--step) decides."
     ]
+
+
+class Turned(NamedTuple):
+    """Frames that are turned against each other."""
+
+    degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
+    axis: np.ndarray  # (3,) in the order of the coordinates; for two coordinates, the third axis
+    z: float
+
+
+def together(shape) -> float:
+    """|vᵀv|/‖v‖² of a shape (k,): 1 if all columns are in phase or opposite, 0 for a circle."""
+    return float(np.abs(np.sum(shape**2)) / np.sum(np.abs(shape) ** 2))
+
+
+def turned_of(shape, factor):
+    """`Turned` if a complex shape (k,) of two or three coordinates, or both halves of six, are circles; otherwise None.
+
+    A mode turns in a plane by 1 − z e^{iθ}. λ is given as the factor above the real axis; the shape gives the
+    direction.
+    """
+    blocks = {2: [shape], 3: [shape], 6: [shape[:3], shape[3:]]}.get(len(shape), [])
+    power = [np.sum(np.abs(block) ** 2) for block in blocks]
+    blocks = [block for block, p in zip(blocks, power, strict=True) if p > 1e-2 * max(power)]
+    if not blocks or not factor.imag or max(map(together, blocks)) > ROUND:
+        return None
+    block = max(blocks, key=lambda block: np.sum(np.abs(block) ** 2))
+    block = np.pad(block, (0, 3 - len(block)))
+    axis = np.cross(block.real, -block.imag)  # y = Re(v λ^k) turns from Re v to −Im v
+    axis = axis / np.linalg.norm(axis)
+    degrees = np.degrees(np.angle(1 - factor))
+    if axis[np.argmax(np.abs(axis))] < 0:
+        axis, degrees = -axis, -degrees
+    return Turned(float(degrees), axis, float(np.abs(1 - factor)))
 
 
 def _turned_frames(kind, factor, turned, shape, alpha, Ts) -> dict:

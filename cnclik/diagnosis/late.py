@@ -215,9 +215,7 @@ def _with_lags(fit, factor, phase) -> list:
         return tried
     found = _family(factor, phase_delay(factor), fit.Ts)
     exact = None if fit.z is None else lag_of(factor, fit.z, fit.Ts)
-    if exact is not None:
-        found.append(LateLoop(exact.delay, float(exact.lag), fit.z))
-    return [fit.scored(loop) for loop in found]
+    return [fit.scored(loop) for loop in (*found, exact) if loop is not None]
 
 
 def _family(factor, phase, Ts) -> list:
@@ -240,25 +238,23 @@ def _family(factor, phase, Ts) -> list:
 
 
 def lag_of(factor, z, Ts):
-    """The `Drive` with dead time and a lag with which a loop of gain z has this factor as its largest, or None."""
+    """The loop of gain z, with dead time and a lag, that has this factor as its largest, or None."""
     from scipy.optimize import least_squares
 
     phase = max(phase_delay(factor), 0.1)
 
-    def drive_of(values):
-        return Drive(
-            delay=float(min(abs(values[0]), 2 * phase + 2, MOST - 1)), lag=float(np.exp(np.clip(values[1], -20, 5)))
-        )
+    def loop_of(values):
+        delay, lag = min(abs(values[0]), 2 * phase + 2, MOST - 1), np.exp(np.clip(values[1], -20, 5))
+        return LateLoop(float(delay), float(lag), z)
 
     def off(values):
-        value = 1.0 + z / Ts * sampled(drive_of(values), Ts).transfer(factor)
+        value = 1.0 + z / Ts * sampled(loop_of(values).drive, Ts).transfer(factor)
         return [value.real, value.imag]
 
     for share in (0.5, 0.2, 0.8):
         made = least_squares(off, [share * phase, np.log((1 - share) * phase * Ts)], method="lm", max_nfev=200)
         if made.cost < 1e-16:
-            drive = drive_of(made.x)
-            largest = np.abs(driven_factors([-z], drive, Ts)).max()
-            if abs(largest - np.abs(factor)) < 1e-3:
-                return drive
+            loop = loop_of(made.x)
+            if abs(np.abs(driven_factors([-z], loop.drive, Ts)).max() - np.abs(factor)) < 1e-3:
+                return loop
     return None

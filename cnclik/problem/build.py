@@ -26,7 +26,6 @@ from cnclik.problem import stack as stacks
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
-from cnclik.problem.walls import walls_from
 from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.robot.chain import Chain
 from cnclik.shapes import AnyArray, ArrayLike, Float, Number
@@ -161,7 +160,7 @@ def _law(chain, task, v, Ts, stack) -> Law:
     else:
         alpha = stacks.gains_from(stack.tasks, task, v["alpha"])
         inverse = stacks.inverse_of(stack.tasks, task, chain, **damping)
-        walls = walls_from(stack.walls, chain)
+        walls = stacks.walls_from(stack.walls, chain)
     return Law(
         chain,
         task,

@@ -165,8 +165,8 @@ def advise(
         recommended_method=DEFAULT.name,
         speed=speed,
         joint_speed=_joint_speed(loop, Ts, speed),
-        settings=settings(_borne(by, safe, by_euler, Ts), drive, safe, Ts) if by_euler else {},
-        notes=(*_left(loop, found.spectrum), *_pulled(law, loop, chosen / Ts), *_notes(loop, drive, chosen, Ts)),
+        settings=settings(functools.partial(_borne, by, safe, by_euler, Ts), drive, safe, Ts) if by_euler else {},
+        notes=(*_moved(law, loop, found.spectrum, chosen / Ts), *_notes(loop, drive, chosen, Ts)),
         stack=None if at_any is None else stack_advice(loop, safe, at_any, Ts),
         limits=limit_advice(law, safe, Ts),
         walls=wall_advice(loop, Ts, speed),
@@ -199,18 +199,13 @@ def _no_gain(loop, gains, Ts):
     return errors.fail(name, f"leave some gain {what} at Ts = {Ts:g} s: less of it, or a shorter Ts", why)
 
 
-def _borne(loop, safe, known, Ts):
-    """The function from a drive to the recommended z of a loop through it: known of one, the same for any posture of a
-    stack."""
-
-    def borne(drive) -> float:
-        if drive == safe:
-            return known
-        if bounded_rates(loop.law):
-            return at_any_posture(loop._replace(drive=drive), Ts)[1]
-        return without_overshoot(loop, longer(drive), Ts, MOST_Z, MOST_Z)
-
-    return borne
+def _borne(loop, safe, known, Ts, drive) -> float:
+    """The recommended z of a loop through a drive: known of one, the same for any posture of a stack."""
+    if drive == safe:
+        return known
+    if bounded_rates(loop.law):
+        return at_any_posture(loop._replace(drive=drive), Ts)[1]
+    return without_overshoot(loop, longer(drive), Ts, MOST_Z, MOST_Z)
 
 
 def removing(loop, share: float, Ts: float) -> float:
@@ -274,46 +269,34 @@ def _reason(gains, chosen, drive) -> str:
     return f"the largest gain that does not overshoot, even with one more sample of dead time than the {late:g} given"
 
 
-def _left(loop, now) -> tuple:
-    """A remark where the loop does not stay in this posture."""
-    if loop.law.null_velocity is None or not loop.growing().any():
-        return ()
-    grows = f"a motion grows by {now.null_radius:.6g} each step, whatever the gain"
-    return (
-        f"In the null space the arm drifts away from this posture ({grows}). Ask again at the posture where it rests.",
-    )
-
-
-def _pulled(law, loop, alpha) -> tuple:
-    """A remark on the error that the null-space velocity, which is removed at rest, would leave."""
+def _moved(law, loop, now, alpha):
+    """Remarks on a null-space velocity: where the loop does not stay in this posture, and on the error that the motion
+    which is removed at rest would leave."""
     if law.null_velocity is None:
-        return ()
+        return
+    if loop.growing().any():
+        grows = f"a motion grows by {now.null_radius:.6g} each step, whatever the gain"
+        where = "Ask again at the posture where it rests."
+        yield f"In the null space the arm drifts away from this posture ({grows}). {where}"
     velocity = np.asarray(drift_of_numbers(law, loop.held, loop.q))
     pull = np.linalg.norm(loop.maps(np.ones(1), np.ones(1))[1] @ velocity)
-    if pull / alpha < rest_tolerance(law.chain):
-        return ()
-    return (
-        f"With this J# the null-space velocity disturbs the task by {pull:.3g} [m/s, rad/s]: an error of about "
-        f"{pull / alpha:.3g} [m, rad] remains at the recommended gain. Use pseudoinverse(), less damping or a slower "
-        "null-space velocity.",
-    )
+    if not pull / alpha < rest_tolerance(law.chain):
+        yield (
+            f"With this J# the null-space velocity disturbs the task by {pull:.3g} [m/s, rad/s]: an error of about "
+            f"{pull / alpha:.3g} [m, rad] remains at the recommended gain. Use pseudoinverse(), less damping or a "
+            "slower null-space velocity."
+        )
 
 
-def _notes(loop, drive, chosen, Ts) -> tuple:
+def _notes(loop, drive, chosen, Ts):
     """Remarks on what these numbers ignore."""
-    said = []
     if np.abs(np.imag(loop.modes(np.array([chosen]), Ts)[0])).max(initial=0.0) > 1e-9:
-        said.append(
+        yield (
             "The gain matrix rotates the error (complex eigenvalues), so that overshoot says little. Keep well below "
             "the largest stable gain."
         )
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
-        said.append(
-            "This linear answer ignores limits, noise and resolution of the drives; `cnclik solve` simulates them."
-        )
+        yield "This linear answer ignores limits, noise and resolution of the drives; `cnclik solve` simulates them."
     if drive is not None and drive.feedback == "rebased":
-        said.append(
-            f"Each position command starts at the measured joints: {REBASED}, and steady errors of the drives add up. "
-            f"{WHERE}."
-        )
-    return tuple(said)
+        begins = "Each position command starts at the measured joints"
+        yield f"{begins}: {REBASED}, and steady errors of the drives add up. {WHERE}."

@@ -92,7 +92,8 @@ def limit_advice(law, drive, Ts: float) -> LimitAdvice | None:
         return None
     rate = max(one for one, _ in rates)
     what, keeps, passes = _held([name for one, name in rates if one == rate])
-    stable, fastest, recommended = (z / Ts for z in least_limits("EE", None, Ts, drive).values())
+    most = least_limits("EE", None, Ts, drive)
+    stable, fastest, recommended = (z / Ts for z in (most.stable, most.monotone, most.recommended))
     late = drive.lumped.delay
     through = f" with {in_samples(late, Ts)} of dead time" if late else ""
     kinds = (

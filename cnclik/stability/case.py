@@ -30,7 +30,6 @@ LOOKED_AT = 9  # number of instants of the last quarter whose targets are examin
 PLENTY = 5.0  # after so many time constants an error that has not decreased is taken as permanent
 LEAST = 50  # and steps
 NEARLY = 0.95  # share of a path that counts as all of it; at a pace the last part may take very long
-NOISE = 4.0  # an error below so many standard deviations is noise
 COUNTS = 0.05  # a smaller share of the last error does not count
 YIELDS = 0.3  # nor of what walls miss: in float32 one of level 1 misses a tenth, or a fifth, of those of level 2
 BRIEF = 16  # part of a path, or of half a run to a held target, over which velocities at a pace are averaged
@@ -87,13 +86,9 @@ class Case:
         """Whether the run is long enough for an error that does not shrink to be one that stays: also for joints at
         their velocity limits, which take their time to turn half around."""
         settled = not self.stirred and not self.crawls
-        return self.spans >= PLENTY and self.steps >= max(LEAST, self.half_turn) and settled
-
-    @property
-    def half_turn(self):
-        """Steps for half a turn of a joint at its velocity limit; 0 where no joint is at a limit."""
-        limit = float(np.min(np.array(self.law.chain.velocity_limit, float)))
-        return np.pi / (self.loop[0] * limit) if self.held_back else 0.0
+        slowest = self.loop[0] * float(np.min(np.array(self.law.chain.velocity_limit, float)))
+        half_turn = np.pi / slowest if self.held_back else 0.0  # steps
+        return self.spans >= PLENTY and self.steps >= max(LEAST, half_turn) and settled
 
     @property
     def stirred(self):
@@ -147,11 +142,6 @@ class Case:
     def follows(self):
         """Whether it is less than a sample behind its target, or than noise moves that, in the last quarter."""
         return rms(self.seen.late) <= max(self.behind, self.seen.floor, self.noise)
-
-    @property
-    def in_noise(self):
-        """Whether the remaining error is explained by noise."""
-        return self.seen.largest <= NOISE * self.noise
 
     @property
     def around(self):

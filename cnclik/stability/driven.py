@@ -220,11 +220,12 @@ def driven_limits(method=DEFAULT, stage=None, *, Ts: float, drive: Drive = Drive
     errors.number("Ts", Ts, positive=True)
     if own_drives(drive):
         raise errors.fail("drive", "be one for all joints (`advise` takes one for each)", "has several numbers")
-    return _limits(method, stage, float(Ts), drive)
+    return least_limits(method, stage, float(Ts), drive)
 
 
-def _limits(method, stage, Ts, drive) -> DrivenLimits:
-    """Of one drive, or the least of several."""
+def least_limits(method, stage, Ts: float, drive: Drive) -> DrivenLimits:
+    """The least of `driven_limits` of the joints' drives, each as one for all."""
+    (method, stage), drive = checked(method, stage), side_by_side(drive)
     points = looked_at(drive, 2)
 
     def modes(z):
@@ -244,13 +245,6 @@ def _limits(method, stage, Ts, drive) -> DrivenLimits:
         fastest=np.inf if fastest >= REACH else fastest,
         rate=rate,
     )
-
-
-def least_limits(method, stage, Ts: float, drive: Drive) -> dict:
-    """The least of `driven_limits` of the joints' drives, each as one for all: stable, monotone, recommended."""
-    method, stage = checked(method, stage)
-    found = _limits(method, stage, Ts, side_by_side(drive))
-    return {name: getattr(found, name) for name in ("stable", "monotone", "recommended")}
 
 
 # --- responses ----------------------------------------------------------------------------------------

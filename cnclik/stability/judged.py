@@ -26,6 +26,7 @@ AROUND = 3  # times around a path that tell, however slow a direction of the loo
 # (Panda, UR5; EE, AB2; 3 rad/s², 60 rad/s³): 0.007 to 0.025 in calm loops, 0.04 to 0.75 in those that shake. A path
 # that turns faster has more by itself, whatever the gain: lissajous figures at the same limits 0.04 to 0.3.
 RESTLESS = 0.045
+NOISE = 4.0  # an error below so many standard deviations is noise
 OVERSHOOT = 0.4  # of an error by which a loop lands beyond the target, from which on it rings
 
 
@@ -104,7 +105,7 @@ def _held(case, error):
     # A loop that carries what it rounds away would have moved by now.
     if seen.still and 4 * case.rounding / len(seen.late) < seen.largest <= 2 * case.rounding:
         return _rounded(case, error)
-    if seen.arrived or case.in_noise:
+    if seen.arrived or seen.largest <= NOISE * case.noise:
         return _arrived(case, error)
     if case.radius > UNSTABLE or case.null_unstable:
         return _unstable(case, error)
@@ -294,7 +295,7 @@ def _unstable(case, error):
     seen = case.seen
     if seen.shrinks and not _shakes(case):
         return undecided(case, error)
-    if (seen.grows or seen.soars) and (case.pace is None or (seen.lost and not _shakes(case))):
+    if seen.grows and (case.pace is None or (seen.lost and not _shakes(case))):
         return Behaviour.DIVERGING, f"the error has grown to {case.size}; {_radius(case)}", remedies.lower(case)
     follows = case.pace is not None and (case.waits or case.follows)  # it moves with its path
     moves = seen.visible or (case.pace is not None and seen.largest > VISIBLE)  # it may rest between whiles

@@ -29,15 +29,14 @@ from cnclik.stability.spectrum import (
     directions,
     error_of_numbers,
     growing,
+    largest,
     largest_rate,
     null_flow_of_numbers,
-    null_radius,
     rest_tolerance,
     spectrum_of,
     staying,
     step_map,
     step_maps,
-    task_radius,
 )
 
 GAINS = 256  # looked at together
@@ -119,7 +118,7 @@ class LoopAtRest(NamedTuple):
         """Spectral radii (k,) over the task's directions, and over the null space's where it moves; see `along`."""
         if self.drive.prompt and self.rates is None:
             moved, rows = self.along(z, Ts)
-            return task_radius(moved, rows), null_radius(moved, rows)
+            return tuple(largest(moved, basis) for basis in directions(rows)[2:])
         task, null = self.modes(z, Ts)
         Ts = 1.0 if Ts is None else Ts  # of prompt drives, which know none
         moves = callable(self.law.null_velocity)

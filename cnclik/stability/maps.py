@@ -216,7 +216,7 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
             n: (n, v, {"units": "1/s", "long_name": f"α of {n}"})
             for n, (_, v) in zip(alpha, (first, second), strict=True)
         },
-        attrs={name: limits[name] / Ts for name in ("stable", "recommended")}
+        attrs={"stable": limits.stable / Ts, "recommended": limits.recommended / Ts}
         | {"Ts": Ts, "method": loop.method.name, "stage": str(loop.stage), "q": np.asarray(loop.q)},
     )
 

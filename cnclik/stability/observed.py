@@ -65,10 +65,6 @@ class Observed(NamedTuple):
         return bool(higher and self.largest > max(self.before.max(), self.floor))
 
     @property
-    def soars(self):
-        return self.grows and bool(np.all(np.diff(self.late) > 0))
-
-    @property
     def lost(self):
         """Whether the error has grown by more than it varies along a path."""
         return bool(np.median(self.late) > LOST * np.median(self.size[: len(self.size) - len(self.late)]))

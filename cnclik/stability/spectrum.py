@@ -245,12 +245,7 @@ def directions(rows):
 
 def task_radius(moved, rows):
     """Largest |λ| (k,) of maps (k, n, n) over the task directions that J (m, n) moves; inf where not finite."""
-    return _largest(moved, directions(rows)[2])
-
-
-def null_radius(moved, rows):
-    """The same over the null space of J; 0 where there is none."""
-    return _largest(moved, directions(rows)[3])
+    return largest(moved, directions(rows)[2])
 
 
 def null_flow(law, held, q):
@@ -292,7 +287,8 @@ def staying(moved, growth):
     return moved - found + still
 
 
-def _largest(moved, basis):
+def largest(moved, basis):
+    """Largest |λ| (k,) of maps (k, n, n) over the directions of a basis, 0 of none; inf where not finite."""
     basis = at_instants(basis, moved.shape[-1] // len(basis))
     parts = basis.T @ moved @ basis
     finite = np.isfinite(moved).all((-2, -1))

@@ -189,14 +189,14 @@ def at_any_posture(loop, Ts: float, share: float | None = None) -> tuple:
     Args: share: what of an error a step may remove at most where a gain is recommended, or None.
     """
     limits = least_limits(loop.method, loop.stage, Ts, loop.drive)
-    recommended = min(MOST_Z, limits["recommended"])
+    recommended = min(MOST_Z, limits.recommended)
     if share is not None:
 
         def removed(z):
             return np.abs(increments(loop.method, loop.stage, z).sum(-1))
 
         recommended = min(recommended, first_above(removed, share, MOST_Z, 128))
-    return limits["monotone"], recommended
+    return limits.monotone, recommended
 
 
 def shares_of(loop, Ts: float) -> Shares:
@@ -247,7 +247,7 @@ def _to_lower(here, drive, recommended) -> dict:
     if stable(found):
         return found
     loop, task = here.loop, here.loop.law.task
-    limit = least_limits(loop.method, loop.stage, here.Ts, drive)["stable"]
+    limit = least_limits(loop.method, loop.stage, here.Ts, drive).stable
     left = [name for name, _ in task.each if here.z(name) > limit]
     while left and not stable(found):
         depends = here.fastest(here.lowered(found))

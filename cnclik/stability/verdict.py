@@ -37,12 +37,8 @@ SAME = 0.75, 1.9  # ratios between which an error stays
 STRAYS = 4.0  # ratio of errors beyond which a loop follows its path no more
 _STAY = (Behaviour.STALLED, Behaviour.AT_LIMIT)
 _FOLLOW = (Behaviour.SETTLED, Behaviour.LAGGING)
-_FINE = (
-    Behaviour.SETTLED,
-    Behaviour.LAGGING,
-    Behaviour.PARTLY,
-    Behaviour.CONVERGING,
-)  # what a robot does as well, within its limits
+# What a robot does as well, within its limits.
+_FINE = Behaviour.SETTLED, Behaviour.LAGGING, Behaviour.PARTLY, Behaviour.CONVERGING
 TOO_FAST = 2.0  # ratio of a joint's velocity and its limit from which on a robot does something else than the run
 
 

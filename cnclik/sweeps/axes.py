@@ -117,12 +117,8 @@ def known_keys(where, table, names):
     """Raise ArgumentError for an unknown key, with the nearest known name."""
     for key in table:
         if key not in names:
-            raise unknown_key(where, key, names)
-
-
-def unknown_key(where, key, names):
-    """The error for it."""
-    return errors.ArgumentError(f"Argument `{where}` must hold known keys, but holds {key!r}{meant(key, names)}.")
+            found = f"{key!r}{meant(key, names)}"
+            raise errors.ArgumentError(f"Argument `{where}` must hold known keys, but holds {found}.")
 
 
 def meant(found, names) -> str:

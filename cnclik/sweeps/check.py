@@ -18,7 +18,7 @@ from cnclik.problem.options import OF_STACK
 from cnclik.problem.stack import read_stack
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import NAMES, known_keys, meant, unknown_key
+from cnclik.sweeps.axes import NAMES, known_keys, meant
 from cnclik.sweeps.grid import COMPILED_IN, MOST_AXES, MOST_PROGRAMS, Axis, few_enough
 from cnclik.sweeps.labels import LIMIT
 from cnclik.sweeps.spec import DEFAULTS, KEYS, OPTIONS, TABLES, Spec, joints_of
@@ -211,9 +211,8 @@ def _check_names(fixed, axes, bundles, stack):
                 use(where, expression.names(where, value))
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
-            known = name in OPTIONS or name in used or (table is axes and name.rpartition(".")[0] in every)
-            if not known:
-                raise unknown_key(where, name, (*OPTIONS, *sorted(used)))
+            if not (table is axes and name.rpartition(".")[0] in every):
+                known_keys(where, (name,), (*OPTIONS, *sorted(used)))
     for name in REQUIRED:
         if name not in everywhere:
             lacking = next((where for where, table in tables.items() if name not in table), "fixed")

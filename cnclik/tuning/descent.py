@@ -152,7 +152,9 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
         updates, state = optimizer.update(grad, c.state, trial)
         down = jnp.all(jnp.isfinite(updates)) & (jnp.vdot(updates, grad) < 0)
         steepest = -grad / jnp.maximum(jnp.linalg.norm(grad), 1.0)
-        direction = _shortened(jnp.where(down, updates, steepest))
+        direction = jnp.where(down, updates, steepest)
+        largest = jnp.max(jnp.abs(direction))
+        direction = direction * jnp.minimum(1.0, REACH / jnp.where(largest > 0, largest, 1.0))
         state = _where(down, state, optimizer.init(trial))
 
         moved = c._replace(
@@ -177,11 +179,6 @@ def _round(objective, carry, multipliers, weight, scale, *, steps, optimizer, mo
         return new, History(new.loss, jnp.max(new.constraints, initial=-jnp.inf), accepted)
 
     return lax.scan(step, carry, None, length=steps)
-
-
-def _shortened(direction):
-    largest = jnp.max(jnp.abs(direction))
-    return direction * jnp.minimum(1.0, REACH / jnp.where(largest > 0, largest, 1.0))
 
 
 def _where(condition, a, b):

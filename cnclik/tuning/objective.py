@@ -312,7 +312,9 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
     most = np.inf if goal.ringing else linear.largest_share(drive, float(Ts), goal.delay_margin, goal.noise_gain)
     parameters = pm.chosen(goal.over, loop, goal.bounds or {})
     tuned = {p.name.partition(".")[0] for p in parameters}
-    kept = [name for name in pm.postures(law) if name not in tuned]
+    kept, counts = [name for name in pm.postures(law) if name not in tuned], np.array(metric(law))
+    for name in kept:
+        counts[law.task.of(name)] = 0.0
     parameters += tuple(_moved(loop, kept, 0.0 if goal.margin < 1 else most, method, stage))
     shortest = next((float(p.lower) for p in parameters if p.name == "Ts"), float(Ts))
     horizon = N * float(Ts)
@@ -339,17 +341,9 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
         drive=drive,
         method=method,
         stage=stage,
-        counts=_counts(law, kept) if law.task.tasks else None,
+        counts=counts if law.task.tasks else None,
         contracts=goal.ringing or goal.margin < 1,
     )
-
-
-def _counts(law, kept):
-    """Weight (m,) of each coordinate of a stack in the loss, none of the postures that are kept."""
-    counts = np.array(metric(law))
-    for name in kept:
-        counts[law.task.of(name)] = 0.0
-    return counts
 
 
 def _moved(loop, kept, most, method, stage):

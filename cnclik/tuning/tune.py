@@ -85,7 +85,9 @@ def tune(
         return _without_descent(objective, values, before, judge(objective, [values])[0], "non-finite", given)
     anchor, run = pm.free_of(parameters, fallbacks[safe]), judged[safe]
     objective = replace(objective, postures=run.postures, growths=run.growths)  # constrain along that run
-    begun = _begun(objective, pm.free_of(parameters, own), anchor, descent.starts, int(goal.conditions.seed))
+    # Descents begin at the law's own values and at random ones, as near to them as the constraints allow.
+    others = np.random.default_rng(int(goal.conditions.seed)).uniform(-4, 4, (descent.starts - 1, len(anchor)))
+    begun = [_nearest_feasible(objective, u, anchor) for u in (pm.free_of(parameters, own), *others)]
     sizes = np.array([float(c.judged.loss) for c in begun])
     if sizes.max() < NOTHING and begun[0].judged.feasible:  # roundings prefer no gain: keep those given
         values, speed = _values(objective, begun[0].u), float(judged[0].speed)
@@ -172,12 +174,6 @@ def _between(objective, far, near, shares):
 
 def _least_bad(candidates):
     return min(candidates, key=lambda c: c.judged.violation)
-
-
-def _begun(objective, own, anchor, count, seed) -> list:
-    """Where descents begin: at the law's own values and at random ones, as near to them as the constraints allow."""
-    others = np.random.default_rng(seed).uniform(-4, 4, (count - 1, len(anchor)))
-    return [_nearest_feasible(objective, u, anchor) for u in (own, *others)]
 
 
 def _nearest_feasible(objective, u, anchor) -> Candidate:
