@@ -134,7 +134,6 @@ def _apart(known, z, by=NEAR) -> bool:
 
 
 def _changed(known, z) -> list:
-    """A note if z is not the known gain."""
     if known is None or not _apart(known, z):
         return []
     return [f"alpha·Ts is {known:.4g}: measurement or drive change the gain by a factor of {z / known:.3g}."]
@@ -183,8 +182,6 @@ def _alike(likely, best, whole, known, decides, Ts) -> list:
 
 
 class Turned(NamedTuple):
-    """Frames that are turned against each other."""
-
     degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
     axis: np.ndarray  # (3,) in the order of the coordinates; for two coordinates, the third axis
     z: float

@@ -199,7 +199,6 @@ class _Part(NamedTuple):
 
     @property
     def factor(self):
-        """The dominant factor."""
         return self.found.factors[self.chosen[0]]
 
 

@@ -141,7 +141,6 @@ def fit_drive(
 
 
 def _best(shapes, log):
-    """The simplest fit, unless another one is much better."""
     found = sorted((fit for shape in shapes for fit in _fits(shape, log)), key=lambda fit: fit.count)
     best = found[0]
     for other in found[1:]:
@@ -374,7 +373,6 @@ def _least(shape, starts, log, parts, delay=None):
 
 
 def _scored(shape, values, log, parts, *, own):
-    """A `Fit` with its criterion."""
     N, k = log.motion.shape
     power = np.mean(log.left(shape, values, parts) ** 2, axis=0) + EXACT**2
     numbers = 1 + len(NUMBERS[shape.order]) * (k if own else 1) + k * (1 + len(parts))

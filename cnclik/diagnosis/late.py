@@ -46,7 +46,6 @@ class LateLoop(NamedTuple):
 
     @property
     def drive(self) -> Drive:
-        """The drive between command and motion."""
         return Drive(delay=float(self.delay), lag=float(self.lag))
 
     @property
@@ -59,7 +58,6 @@ class LateLoop(NamedTuple):
         return 1.0 if z is None else float(np.exp(-0.5 * min((np.log(self.z / z) / KNOWN) ** 2, OTHER_GAIN)))
 
     def factors(self, Ts):
-        """All factors of the loop."""
         if self.lag or self.delay != round(self.delay):
             return driven_factors([-self.z], self.drive, Ts)
         rule = np.zeros(round(self.delay) + 2)
@@ -150,8 +148,6 @@ def _explained(loops, fit, noise) -> bool:
 
 
 class _Fit(NamedTuple):
-    """A recording to which loops are fitted."""
-
     y: np.ndarray
     basis: np.ndarray
     Ts: float

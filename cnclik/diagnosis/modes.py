@@ -104,7 +104,6 @@ class _Reduced(NamedTuple):
 
 
 def _candidates(y, basis):
-    """Factors for each order."""
     N = len(y)
     rows = min(int(0.4 * N), ROWS)
     width = N - rows + 1

@@ -27,7 +27,6 @@ class Shape:
         return made
 
     def drive(self, values) -> Drive:
-        """The drive of a row of values."""
         return replace(self.start, **self.numbers(values))
 
 

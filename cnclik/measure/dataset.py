@@ -113,7 +113,6 @@ class Axes(NamedTuple):
 
 
 def axes_of(task, chain) -> Axes:
-    """The coordinates of a task."""
     tips = []
     for _, one in task.targets:
         part = one.parts[0]
@@ -165,5 +164,4 @@ def _commit() -> str:
 
 
 def about(name, units) -> dict:
-    """Attributes of a variable."""
     return {"long_name": name, "units": units}

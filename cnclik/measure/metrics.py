@@ -95,7 +95,6 @@ def _finite(value):
 
 
 def _squares(rows):
-    """Sum of squares along the last axis."""
     return _finite(jnp.sum(rows * rows, axis=-1))
 
 

@@ -85,7 +85,6 @@ def hold(arm, target=None):
 
 
 def line(arm, period, **ends):
-    """A straight line."""
     errors.number("period", period, positive=True)
     first, turned = _point("from", ends.get("from"), arm.task, arm.here)
     last, turned_last = _point("to", ends.get("to"), arm.task, arm.here if "to" in ends else _away(arm))
@@ -96,7 +95,6 @@ def line(arm, period, **ends):
 
 
 def circle(arm, period, center=None, radius=None, normal=None, phase=0.0):
-    """A circle."""
     _needs_position("circle", arm.task)
     radius = arm_length(arm.chain) / 10 if radius is None else radius
     errors.number("radius", radius, positive=True)
@@ -109,7 +107,6 @@ def circle(arm, period, center=None, radius=None, normal=None, phase=0.0):
 
 
 def lissajous(arm, period, center=None, amplitude=None, frequency=None, phase=None):
-    """A Lissajous curve."""
     _needs_position("lissajous", arm.task)
     amplitude = arm_length(arm.chain) / 20 if amplitude is None else amplitude
     at, rotation = _point("center", center, arm.task, arm.here)

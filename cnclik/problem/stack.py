@@ -53,7 +53,6 @@ class Table(NamedTuple):
 
 
 def read_stack(file) -> Written:
-    """The tables of a stack's file."""
     written = read_toml("stack", file)
     for key in written:
         if key not in Written._fields:
@@ -86,7 +85,6 @@ def tables_from(written: Written, given: dict) -> Written:
 
 
 def _each(kind, tables) -> dict[str, Table]:
-    """Tables of tasks, or of walls."""
     if not isinstance(tables, Mapping):
         raise errors.fail(kind, f"be tables of {kind}, [{kind}.NAME]", f"is {tables!r}")
     if strange := [name for name in tables if not isinstance(name, str) or not _NAME.fullmatch(name)]:
@@ -267,7 +265,6 @@ def references_of(tables, chain: Chain, task: Task, q0, horizon) -> References:
 
 
 def _path(one, chain, q0, horizon, _, task):
-    """The path of one target of a task."""
     kind, path = one.given.get("reference", "hold"), {key: one.given.get(key) for key in PATH}
     of_tip = hasattr(task.parts[0], "axes")
     if not of_tip:
@@ -331,7 +328,6 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
 
 
 def _shape(table):
-    """A shape from its table."""
     given = table_from("shape", table, OF_SHAPE).given
     kind = "half-space" if "normal" in given else "capsule" if {"from", "to"} & set(given) else "sphere"
     given = fitting("shape", kind, words.SHAPES[kind], given)

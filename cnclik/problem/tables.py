@@ -86,7 +86,6 @@ def _is_slip(rows) -> bool:
 
 
 def _is_meant(cell) -> bool:
-    """Whether a cell is a number, or is meant to be one."""
     return bool(cell.strip()) and (quantities.number(cell) is not None or bool(quantities.hint(cell)))
 
 

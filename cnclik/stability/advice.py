@@ -238,7 +238,6 @@ _MEASURE = (
 
 
 def _assumption(loop, drive, safe, chosen, Ts) -> str:
-    """What is assumed of unknown drives, and how to measure them."""
     if drive is None:
         return (
             f"Assumed, as nothing is known of your drives: {1e3 * safe.delay * Ts:.3g} ms of dead time and a lag of "

@@ -38,8 +38,6 @@ UNMOVED = 1e-9  # a factor within this of 1 belongs to a direction that no joint
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Case:
-    """A run and its loop."""
-
     law: Law
     reference: ref.Reference
     loop: tuple  # Ts, method, stage, drive
@@ -129,7 +127,6 @@ class Case:
 
     @property
     def pace(self):
-        """The pace of the run, or None."""
         return self.more["pace"]
 
     @property
@@ -150,7 +147,6 @@ class Case:
 
     @property
     def waits(self):
-        """Whether the path waits for the robot."""
         return self.moving and path_waits(self.pace, self.reference)
 
     @property

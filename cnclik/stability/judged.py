@@ -57,7 +57,6 @@ class Judged(NamedTuple):
 
 
 def judged(case) -> Judged:
-    """What a case's run did."""
     return Judged(*_judged(case))
 
 

@@ -63,7 +63,6 @@ class LoopAtRest(NamedTuple):
 
     @property
     def prompt(self) -> LoopAtRest:
-        """The same loop without its drive."""
         return self._replace(drive=Drive())
 
     @property

@@ -22,8 +22,6 @@ ROUNDED = 1e-6  # share of a velocity limit that is a rounding
 
 
 class Observed(NamedTuple):
-    """A run in numbers."""
-
     size: np.ndarray  # ‖e‖ at every instant
     late: np.ndarray  # ‖e‖ over the last quarter
     before: np.ndarray  # ‖e‖ over the quarter before

@@ -168,7 +168,6 @@ def analyse(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=Dri
 
 
 def analysis_of(loop: LoopAtRest, Ts, reach=REACH) -> Analysis:
-    """`analyse` for a loop at rest."""
     gains, room, now = _margin(loop, Ts, reach)
     times = recommendation_of(loop, None, reach) if loop.drive.prompt else None
     return Analysis(gains=gains, times=times, margin=room, spectrum=now)
@@ -187,7 +186,6 @@ def _margin(loop, Ts, reach):
 
 
 def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
-    """`recommend` for a loop at rest."""
     law, rate, drive = loop.law, loop.rate, loop.drive
     reach = float(errors.number("reach", reach, positive=True))
     if Ts is not None:

@@ -29,8 +29,6 @@ _BEYOND = (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskSeen:
-    """One task's part of a run."""
-
     name: str  # its own, or its tip's
     words: str  # its late error, with what became of it
     settled: bool  # whether it arrived, follows its target, or has a gain of 0

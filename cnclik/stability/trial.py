@@ -66,8 +66,6 @@ class Run:
 
 @record
 class _Altered:
-    """A path that is moved, and followed at another speed."""
-
     curve: Callable
     shift: Float[AnyArray, " 3"] | None
     speed: Float[AnyArray, ""]
@@ -79,7 +77,6 @@ class _Altered:
 
 
 def changed(run: Run, change: dict) -> Run:
-    """The same run with a remedy's change."""
     law, change = run.law, dict(change)
     made = {"N": change.pop("N", run.N), "q0": np.asarray(change.pop("q0", run.q0), float)}
     made["method"] = named(change.pop("method")) if "method" in change else run.method
@@ -135,7 +132,6 @@ def _changed_path(reference, shift=None, speed=np.ones(()), period=None):
 
 
 def _slower(null, share):
-    """A null-space velocity times a share."""
     if hasattr(null, "rate"):
         return replace(null, rate=null.rate * share)
     return functools.partial(_times, null, share) if callable(null) else np.asarray(null) * share

@@ -180,7 +180,6 @@ def _confirmed(case, trials) -> Judged:
 
 
 def _longer(case, trials, N):
-    """The case of the loop run for N steps."""
     return case_of(case.law, case.reference, trials.longer(N), case.seen.dtype, *case.loop, **case.more)
 
 

@@ -49,7 +49,6 @@ def per_joint(name, value) -> bool:
 
 
 def _generated(where, value, joints):
-    """The values that a table describes."""
     if not isinstance(value, dict) or len(kinds := [k for k in KINDS if k in value]) != 1:
         raise errors.fail(where, f"be a list or a table with one of {', '.join(KINDS)}", f"is {value!r}")
     (kind,) = kinds

@@ -55,7 +55,6 @@ class _Written(NamedTuple):
         return {"Ts"} if self.own == quantities.SAMPLES and "s" in self.units else set()
 
     def value(self, known):
-        """A number or a vector."""
         found = quantities.read(self.text, self.own, *map(known, self.needs))
         return np.array(found) if len(found) > 1 else int(found[0]) if found[0].is_integer() else found[0]
 

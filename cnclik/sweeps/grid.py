@@ -221,7 +221,6 @@ class Grid:
 
 
 def grid(axes: Mapping, lanes=None) -> Grid:
-    """The grid of some named axes."""
     if not axes:
         raise errors.fail("axes", "name at least one axis, such as alpha=jnp.linspace(1, 40, 200)", "is empty")
     lanes = LANES if lanes is None else errors.integer("lanes", lanes, at_least=1)

@@ -143,7 +143,6 @@ def texts(data, digits=6) -> list:
 
 
 def write(data, folder) -> None:
-    """Write summary.csv and config.json into an output folder."""
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
     numbers, settings = FILES

@@ -73,8 +73,6 @@ def gradient_mode(count: int, mode="auto") -> str:
 
 
 class Carry(NamedTuple):
-    """The state of a descent."""
-
     u: Float[Array, " p"]
     merit: Float[Array, ""]  # augmented Lagrangian at u; inf: not yet known
     grad: Float[Array, " p"]

@@ -138,7 +138,6 @@ def terms(loss):
 
 
 def in_words(loss) -> str:
-    """A loss in the user's form, in words."""
     if isinstance(loss, str):
         return loss
     if isinstance(loss, dict):

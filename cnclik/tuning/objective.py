@@ -134,7 +134,6 @@ class LoopObjective:
 
     @property
     def moves_null_space(self) -> bool:
-        """Whether the law has a null-space velocity."""
         return callable(self.loop.law.null_velocity)
 
     @property
@@ -364,7 +363,6 @@ def steps_to(horizon, Ts) -> int:
 
 
 def _limits(chain, velocity_limit):
-    """The joints with a velocity limit, and the limits."""
     if velocity_limit is None:
         return (), None
     if isinstance(velocity_limit, str):

@@ -191,7 +191,6 @@ def even(values):
 
 
 def gain_of(law, task):
-    """The gain of one task of a stack."""
     alpha = np.asarray(law.alpha, float)
     return alpha if alpha.ndim == 0 or task is None else even(alpha[(law.task.of(task),) * alpha.ndim])
 

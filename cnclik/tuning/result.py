@@ -205,7 +205,6 @@ def with_unit(parameter) -> str:
 
 
 def kept_in_words(tuned) -> str:
-    """Whether the constraints are kept, in words."""
     if tuned.satisfied:
         return "kept"
     return f"NOT kept, that on {tuned.after.worst} exceeded by {100 * tuned.after.violation:.3g} %"
