@@ -350,20 +350,20 @@ def _monotone(slowest, alpha, Ts) -> dict:
 
 
 def _sentence(d) -> str:
-    if d.kind is Kind.QUIET:
-        return "no oscillation, and no noise"
-    if d.kind is Kind.NOISE:
-        return f"no oscillation above noise with a standard deviation of {np.max(d.noise):.3g}"
-    if d.kind is Kind.UNDECIDED:
-        return "no oscillation was found, and the motion has not come to rest"
+    still = {
+        Kind.QUIET: "no oscillation, and no noise",
+        Kind.NOISE: f"no oscillation above noise with a standard deviation of {np.max(d.noise):.3g}",
+        Kind.UNDECIDED: "no oscillation was found, and the motion has not come to rest",
+    }
+    if d.kind in still:
+        return still[d.kind]
     if d.kind is Kind.MONOTONE:
         return f"the error shrinks × {d.growth:.4g} per sample"
     if d.kind is Kind.DIVERGING and d.cause == "wrong sign":
         return f"the error grows × {d.growth:.6g} per sample"
-    if d.kind in OSCILLATING and d.z is None:
-        return f"period {in_samples(d.period, d.Ts)} at the end, amplitude × {d.growth:.4g} per sample"
-    said = f"period {in_samples(d.period, d.Ts)}, amplitude × {d.growth:.4g} per sample"
-    if d.cause == "turned frames":
+    end = " at the end" if d.z is None else ""
+    said = f"period {in_samples(d.period, d.Ts)}{end}, amplitude × {d.growth:.4g} per sample"
+    if end or d.cause == "turned frames":
         return said
     more = "at least " if d.kind is Kind.SUSTAINED else ""
     said += f", like a loop with z = {more}{d.z:.4g} and {in_samples(d.delay, d.Ts)} of dead time"

@@ -6,6 +6,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.method import named
 from cnclik.integrate.stage import chord, picard
+from cnclik.measure.dataset import about
 from cnclik.measure.files import markdown
 from cnclik.precision import of_numbers
 from cnclik.stability.linear import delay_limit, real_axis_limits, stability_region
@@ -14,6 +15,7 @@ DELAYS = 5  # 0 … 4 samples
 EXPLICIT = ("EE", "HEUN", "MIDPOINT", "RK4")
 IMPLICIT = ("IE", "CN", "TRAPEZOID")
 LIMITS = ("stable", "monotone", "dead_beat", "fastest", "rate")
+_LATE = "largest stable z, error measured late, stages exact"
 _HEADER = ("stable", "monotone", "dead-beat", "fastest", "error × per step")
 
 
@@ -37,34 +39,27 @@ def plane(methods=(*EXPLICIT, *IMPLICIT), passes=(0, 1, 2, 3, 4, 5, 10), *, poin
             raise errors.fail(name, "name at least one", "is empty")
     rows, regions = [], []
     cases = [case for method in methods for case in _cases(method, passes)]
-    for i, (method, name, stage, drawn) in enumerate(cases):
+    for i, (method, name, stage, is_drawn) in enumerate(cases):
         rows.append((method.name, name, real_axis_limits(method, stage)))
-        if drawn:
+        if is_drawn:
             regions.append((f"{method} {name}".strip(), stability_region(method, stage, points=points)))
         if progress is not None:
             progress(i + 1, len(cases))
     first = regions[0][1]
+    drawn = np.stack([region.values.astype(np.float32) for _, region in regions])
     late = [[delay_limit(d, m, chord(1)) for d in range(DELAYS)] for m in methods]
     return xr.Dataset(
         {n: ("row", np.array([getattr(found, n) for *_, found in rows]), {"units": "1"}) for n in LIMITS}
         | {
-            "region": (
-                ("region_row", "im", "re"),
-                np.stack([r.values.astype(np.float32) for _, r in regions]),
-                {"units": "1", "long_name": "|R(z)|"},
-            ),
-            "delay_limit": (
-                ("delayed", "delay"),
-                np.array(late),
-                {"units": "1", "long_name": "largest stable z, error measured late, stages exact"},
-            ),
+            "region": (("region_row", "im", "re"), drawn, about("|R(z)|", "1")),
+            "delay_limit": (("delayed", "delay"), np.array(late), about(_LATE, "1")),
         },
         coords={
             "method": ("row", [r[0] for r in rows]),
             "stage": ("row", [r[1] for r in rows]),
             "region_row": [name for name, _ in regions],
             "delayed": [m.name for m in methods],
-            "delay": ("delay", np.arange(DELAYS), {"units": "1", "long_name": "samples"}),
+            "delay": ("delay", np.arange(DELAYS), about("samples", "1")),
             "re": first.re,
             "im": first.im,
         },

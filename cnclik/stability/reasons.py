@@ -22,7 +22,7 @@ def at_limits(case) -> str:
     """A clause on the joint limits and walls that stop the arm; empty where there are none."""
     if not (keeps_positions(case.law) and case.seen.often(Status.AT_LIMIT)):
         return ""
-    names = [name for name, is_there in zip(case.law.chain.joint_names, case.seen.at_position, strict=True) if is_there]
+    names = _joints(case, case.seen.at_position)
     at = [f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} at a limit"] * bool(names)
     return ", ".join(at + case.walls)
 
@@ -31,8 +31,12 @@ def too_slow(case) -> str:
     """Which joints move at their velocity limits, in words; empty where the law keeps none, or the joints keep them."""
     if not case.held_back or not case.seen.at_velocity.any():
         return ""
-    names = [n for n, is_there in zip(case.law.chain.joint_names, case.seen.at_velocity, strict=True) if is_there]
+    names = _joints(case, case.seen.at_velocity)
     return f"{', '.join(names)} {'moves at its velocity limit' if len(names) == 1 else 'move at their velocity limits'}"
+
+
+def _joints(case, there) -> list:
+    return [name for name, is_there in zip(case.law.chain.joint_names, there, strict=True) if is_there]
 
 
 def open_ended(case) -> str:
