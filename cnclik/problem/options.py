@@ -7,19 +7,7 @@ problem is built (`build.py`).
 from typing import Any, NamedTuple
 
 from cnclik import errors
-from cnclik.problem.words import (
-    COMMANDS,
-    FEEDBACKS,
-    FRAMES,
-    INVERSES,
-    LIMITS,
-    METHODS,
-    REFERENCES,
-    ROBOTS,
-    STACKED,
-    STAGES,
-    TASKS,
-)
+from cnclik.problem import words
 from cnclik.quantities import SAMPLES, read_each
 
 NAME, NAMES, NUMBER, NUMBERS, INTEGER, TABLES = "name", "names", "number", "numbers", "integer", "tables"
@@ -41,22 +29,22 @@ def _listed(names) -> str:
 
 def _of(option: str) -> str:
     """The references that take an option, as the beginning of its help."""
-    return " and ".join(name for name, choice in REFERENCES.items() if option in choice.options)
+    return " and ".join(name for name, choice in words.REFERENCES.items() if option in choice.options)
 
 
 OPTIONS = {
-    "robot": Option(NAME, f"A URDF or MJCF file; {_listed(n for n in ROBOTS if not ROBOTS[n].needs)}; planar:1,1,1 "
-                    "(link lengths in m); or a name of robot_descriptions."),
+    "robot": Option(NAME, f"A URDF or MJCF file; {_listed(n for n, one in words.ROBOTS.items() if not one.needs)}; "
+                    "planar:1,1,1 (link lengths in m); or a name of robot_descriptions."),
     "tip": Option(NAME, "Last link of the chain. Required where the file has several (`cnclik robots FILE` lists "
                   "them)."),
     "base": Option(NAME, "First link of the chain (default: the root of the file), or a moving base: planar or free."),
     "lengths": Option(NUMBERS, "Link lengths of planar and planar-clockwise [m].", unit="m", must="at least 0"),
-    "task": Option(NAME, f"What to control: {_listed(TASKS)}, or coordinates such as xy or xyrz. Default: pose where "
-                   "the robot has enough joints for it."),
+    "task": Option(NAME, f"What to control: {_listed(words.TASKS)}, or coordinates such as xy or xyrz. Default: pose "
+                   "where the robot has enough joints for it."),
     "stack": Option(NAME, "FILE.toml with several tasks, each with its tip, gain, level and path; replaces --task, "
                     "--tip and --reference."),
-    "reference": Option(NAME, f"The target's path: {_listed(REFERENCES)}, or FILE.csv with waypoints (time, position, "
-                        "optional quaternion w x y z).", "hold"),
+    "reference": Option(NAME, f"The target's path: {_listed(words.REFERENCES)}, or FILE.csv with waypoints (time, "
+                        "position, optional quaternion w x y z).", "hold"),
     "target": Option(NUMBERS, f"{_of('target')}: the target position [m]; for a pose, optionally a quaternion "
                      "w x y z after it.", unit="x"),
     "from": Option(NUMBERS, f"{_of('from')}: first point; default: the tip's position at q0.", unit="x"),
@@ -71,19 +59,20 @@ OPTIONS = {
                      "duration of the run.", unit="s", must="other than 0"),
     "future": Option(NAME, "Whether the controller knows the path ahead (known) or only the target's position and "
                      "velocity at the start of each step (unknown).", "known"),
-    "method": Option(NAME, f"How a step is integrated: {_listed(METHODS)}. CN is the paper's method.", "EXP-MIDPOINT"),
-    "stage": Option(NAME, f"Iteration that solves an implicit step: {_listed(STAGES)}.", "picard"),
+    "method": Option(NAME, f"How a step is integrated: {_listed(words.METHODS)}. CN is the paper's method.",
+                     "EXP-MIDPOINT"),
+    "stage": Option(NAME, f"Iteration that solves an implicit step: {_listed(words.STAGES)}.", "picard"),
     "M": Option(INTEGER, "Number of iterations per implicit step.", 5, must="at least 0"),
     "alpha": Option(NUMBERS, "Gain [1/s], one number or one per task coordinate. alpha·Ts is the dimensionless gain "
                     "per step.", 5.0, "1/s", must="at least 0"),
     "Ts": Option(NUMBER, "Sampling time [s].", 0.01, "s", must="positive"),
     "N": Option(INTEGER, "Number of steps.", 1000),
-    "inverse": Option(NAME, f"Inverse of the Jacobian: {_listed(INVERSES)}. Default: pseudoinverse, or damped where "
-                      "--damping is given."),
+    "inverse": Option(NAME, f"Inverse of the Jacobian: {_listed(words.INVERSES)}. Default: pseudoinverse, or damped "
+                      "where --damping is given."),
     "damping": Option(NUMBER, "Damping λ (not λ²) of the damped inverses.", unit="J", must="positive"),
     "threshold": Option(NUMBER, "Manipulability (manipulability-damped) or least singular value (singular-damped) "
                         "below which the inverse is damped.", unit="w", must="positive"),
-    "limits": Option(NAME, f"How joint limits are respected: {_listed(LIMITS)}.", "none"),
+    "limits": Option(NAME, f"How joint limits are respected: {_listed(words.LIMITS)}.", "none"),
     "limit_rate": Option(NUMBER, "weighted-least-norm, saturation and bounded: rate at which a joint may approach its "
                          "limit [1/s]; default: 1/Ts, at most 10.", unit="1/s", must="positive"),
     "error_clamp": Option(NUMBERS, "Limits of the position [m] and orientation [rad] error that the gain multiplies. "
@@ -115,9 +104,9 @@ DRIVE = {  # what lies between a command and its measured motion: fields of `Dri
                                 "√(k_p/m) of a position servo.", unit="rad/s", must="positive"),
     "damping_ratio": Option(NUMBERS, "Damping ratio ζ of a second-order drive; k_v/(2 m ω₀) of a position servo. "
                             "Default: 1.", must="positive"),
-    "command": Option(NAME, f"Command that the drives take: {_listed(COMMANDS)}. Default: velocity."),
-    "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(FEEDBACKS)}. With rebased they are "
-                       "measured, and each position command starts from them. Default: measured."),
+    "command": Option(NAME, f"Command that the drives take: {_listed(words.COMMANDS)}. Default: velocity."),
+    "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(words.FEEDBACKS)}. With rebased they "
+                       "are measured, and each position command starts from them. Default: measured."),
     "drive_velocity": Option(NUMBERS, "Largest joint velocity that the drives reach [rad/s, m/s].", unit="q/s",
                              must="positive"),
     "drive_acceleration": Option(NUMBERS, "Largest joint acceleration that the drives reach [rad/s², m/s²].",
@@ -144,15 +133,15 @@ MEASURED = DRIVE | NOISE  # what a robot adds to a loop
 SWEPT = OPTIONS | MEASURED | PACE
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
-PATH = tuple(dict.fromkeys(option for choice in REFERENCES.values() for option in choice.options))
+PATH = tuple(dict.fromkeys(option for choice in words.REFERENCES.values() for option in choice.options))
 
 OF_TASK = {  # one task of a stack: a table in the stack's file
-    "task": Option(NAME, f"What to control: {_listed(STACKED)}, or coordinates such as xy or xyrz. Default: pose where "
-                   "the tip has enough joints for it, joints where `joints` is given."),
+    "task": Option(NAME, f"What to control: {_listed(words.STACKED)}, or coordinates such as xy or xyrz. Default: pose "
+                   "where the tip has enough joints for it, joints where `joints` is given."),
     "tip": Option(NAMES, "The tip; several names make the same task for each."),
     "relative_to": Option(NAME, "Tip in whose frame the task is expressed, and relative to which it moves; default: "
                           "the base."),
-    "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(FRAMES)}. Default: base."),
+    "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(words.FRAMES)}. Default: base."),
     "joints": Option(NAMES, "joints: names of the joints; default: all."),
     "axes": Option(NAME, "center_of_mass: letters of xyz, such as xy for balance; default: all."),
     "weights": Option(NUMBERS, "Least-squares weights: one, or one per coordinate (of each tip).", must="positive"),

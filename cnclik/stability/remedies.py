@@ -101,17 +101,15 @@ def lower(case) -> tuple:
         change = {"alpha": _gain(law, best)} | (within[0].change if within else {})
         words = f"reduce {_words(law, share, 'below')} ({_amount(law, best)} {why})"
         words += f" and {within[0].words}" if within else ""
-        made = [Remedy(change=change, words=words, mends="motion")]
-        if within:
-            return tuple(made)
-        solved = method.implicit and isinstance(stage, Picard) and drive.prompt
-        if solved:
+        made = (Remedy(change=change, words=words, mends="motion"),)
+        if within or not drive.prompt:
+            return made
+        if method.implicit and isinstance(stage, Picard):
             words = "solve the stage with chord(2)"
-            made.append(Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion"))
-        if not (method.exponential or solved or not drive.prompt or isinstance(law.inverse, Transpose)):
-            words = "use method EXP-MIDPOINT, which has no such limit"
-            made.append(Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion"))
-        return tuple(made)
+            return *made, Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion")
+        words = "use method EXP-MIDPOINT, which has no such limit"
+        other = Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion")
+        return made if method.exponential or isinstance(law.inverse, Transpose) else (*made, other)
     if leaky(law) and case.radius <= 1:  # more damping lets it pull more
         return less_null()
     return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
