@@ -265,6 +265,5 @@ def limits_of(loop: LateLoop, Ts) -> DrivenLimits:
         return driven_limits("EE", Ts=Ts, drive=loop.drive)
     d = round(loop.delay)
     most = late_monotone(d)
-    return DrivenLimits(
-        stable=late_stable(d), monotone=most, recommended=late_monotone(d + 1), fastest=most, rate=d / (d + 1)
-    )
+    calm = dict(monotone=most, recommended=late_monotone(d + 1))
+    return DrivenLimits(stable=late_stable(d), **calm, fastest=most, rate=d / (d + 1))

@@ -40,9 +40,8 @@ def sampling_time(t, Ts) -> float:
     usual = float(np.median(t[apart:] - t[:-apart])) / apart  # long intervals reduce the effect of jitter
     gap = _gap(t, step, usual)
     if gap is not None:
-        raise errors.fail(
-            "t", f"have a row every {usual:g} s", f"row {gap + 2} comes {step[gap]:.4g} s after the one before"
-        )
+        found = f"row {gap + 2} comes {step[gap]:.4g} s after the one before"
+        raise errors.fail("t", f"have a row every {usual:g} s", found)
     return mean
 
 

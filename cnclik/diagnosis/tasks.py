@@ -108,9 +108,8 @@ def _seen(name, each, gains, sizes) -> TaskDiagnosis:
     lead = max(mode, key=lambda n: sizes[n])
     if made["share"] < ALONG:
         made["along"] = lead
-        return TaskDiagnosis(
-            **made, words=f"oscillates with {lead}, with {100 * made['share']:.2g} % of its amplitude."
-        )
+        words = f"oscillates with {lead}, with {100 * made['share']:.2g} % of its amplitude."
+        return TaskDiagnosis(**made, words=words)
     made |= dict(recommended_alpha=own.recommended_alpha, factor=own.factor)
     return TaskDiagnosis(**made, words=str(own))
 

@@ -73,11 +73,9 @@ def check_limits(
     else:
         q = np.asarray(errors.array("run", run, (None, None)), float)
         Ts = float(errors.number("Ts", Ts, positive=True))
-        moved = (
-            np.diff(q, axis=0)
-            if chain is None
-            else np.asarray(apart(errors.kind("chain", chain, Chain), q[:-1], q[1:]))
-        )
+        if chain is not None:
+            errors.kind("chain", chain, Chain)
+        moved = np.diff(q, axis=0) if chain is None else np.asarray(apart(chain, q[:-1], q[1:]))
         qdot, t = moved / Ts, np.arange(len(q)) * Ts
     n = qdot.shape[1]
     if not len(qdot):

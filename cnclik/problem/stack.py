@@ -274,10 +274,8 @@ def _path(one, chain, q0, horizon, _, task):
         if "target" not in path:
             return hold_at(chain, task, q0)
         if not of_tip:
-            values = errors.array(
-                "target", path["target"], (task.m,), *[()] * (task.m == 1)
-            )  # for one joint it may be a number
-            return hold(values=values.reshape(task.m))
+            shapes = (task.m,), *[()] * (task.m == 1)  # for one joint it may be a number
+            return hold(values=errors.array("target", path["target"], *shapes).reshape(task.m))
     return reference_from(kind, chain, task, q0, horizon=horizon, **path)
 
 

@@ -138,9 +138,8 @@ def read_targets(file, task, number=None, tip=()) -> np.ndarray:
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
         if number is not None:
             if found.ndim != 4 or number >= found.shape[1]:
-                raise errors.fail(
-                    "TARGETS", "hold transforms (targets, tips, 4, 4)", f"{path.name} holds {found.shape}"
-                )
+                must = "hold transforms (targets, tips, 4, 4)"
+                raise errors.fail("TARGETS", must, f"{path.name} holds {found.shape}")
             found = found[:, number]
     if found.size == 0:
         raise errors.fail("TARGETS", "hold at least one target", f"{path.name} holds none")

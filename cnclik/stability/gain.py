@@ -66,9 +66,8 @@ def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
 def _following(steps, drive, Ts) -> tuple:
     """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]; of some modes."""
     N, r = driven.until_settled(steps, drive, Ts, KEPT), len(steps)
-    q = driven.respond(np.concatenate([steps, steps]).real, drive, Ts, N, speed=1.0, forward=np.repeat([0.0, 1.0], r))[
-        0
-    ]
+    twice, fed = np.concatenate([steps, steps]).real, np.repeat([0.0, 1.0], r)
+    q, _ = driven.respond(twice, drive, Ts, N, speed=1.0, forward=fed)
     late = Ts * np.arange(N + 1).reshape(-1, *(1,) * (q.ndim - 1)) - q
     most = np.abs(late[..., r:]).max(0)
     at_last = np.where(np.abs(late[-1, ..., r:]) < KEPT * most, 0.0, late[-1, ..., r:])

@@ -154,10 +154,9 @@ def stability_map(
     q0 = as_joint_values(law.chain, q0, "q0")
     alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
     rest = settle(law, reference, q0) if rest is None else rest
-    made = outcomes(
-        law, reference, q0, alpha=alpha, Ts=Ts[:, None], method=method, stage=stage, drive=drive, N=N, **options
-    )
-    limit = boundary(law, reference, rest, Ts=Ts, method=method, stage=stage, drive=drive)
+    how = dict(method=method, stage=stage, drive=drive)
+    made = outcomes(law, reference, q0, alpha=alpha, Ts=Ts[:, None], N=N, **how, **options)
+    limit = boundary(law, reference, rest, Ts=Ts, **how)
     return xr.Dataset(
         _variables(made, ("Ts", "alpha")) | {"limit": ("Ts", limit, {"units": "1/s", "long_name": "linear boundary"})},
         coords={

@@ -111,6 +111,8 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
     fades = rms(steps[-quarter:]) < FADING * rms(steps[:-quarter][-quarter:]) if quarter < N else False
     turned = max((_turns(one, max(ARRIVED, eps) * size.max()) for one in e.T), key=len)
     least = 8 * eps * (1 + arm_length(law.chain))  # error caused by the rounding of q
+    lower, upper = np.array(law.chain.lower), np.array(law.chain.upper)
+    gain = np.abs(np.asarray(law.alpha, float)).max()
     ratio = np.abs(qdot) / np.maximum(np.array(law.chain.velocity_limit, float), 1e-12)
     k, moved = int(np.argmax(ratio.max(1))), np.diff(np.asarray(run.x, float)[: len(e)] + e, axis=0)
     return Observed(
@@ -130,17 +132,13 @@ def observe(law, run, Ts, dtype, mean=0) -> Observed:
         fastest=law.chain.joint_names[int(np.argmax(ratio.max(0)))],
         at_velocity=np.mean(ratio[-quarter:] > 1 - ROUNDED, axis=0) >= OFTEN,
         at_position=_at_position(law.chain, q[:bad][-quarter:]),
-        by_error=bool(
-            np.max(np.abs(np.asarray(law.alpha, float))) * Ts * size[k] > np.linalg.norm(moved[min(k, len(moved) - 1)])
-        ),
+        by_error=bool(gain * Ts * size[k] > np.linalg.norm(moved[min(k, len(moved) - 1)])),
         fast_singular=bool(np.any((status & Status.OVER_VELOCITY != 0) & (status & Status.NEAR_SINGULAR != 0))),
         share=_share(*(np.asarray(v, float)[:bad][-2 * quarter :] for v in (run.x, run.e))),
         dtype=np.dtype(dtype),
         still=bool(quarter > 1 and (q[:bad][-quarter:] == q[:bad][-1]).all() and late.min() > least),
         drift=_drift(law.chain, q[:bad][-quarter:]) if quarter > 1 else 0.0,
-        outside=np.maximum(q[:bad] - np.array(law.chain.upper), np.array(law.chain.lower) - q[:bad]).max(
-            0, initial=0.0
-        ),
+        outside=np.maximum(q[:bad] - upper, lower - q[:bad]).max(0, initial=0.0),
         way=float(np.sum(np.linalg.norm(moved[:, law.task.lengths or slice(None)], axis=1))),
         bad=bad,
     )

@@ -97,9 +97,8 @@ def _relative(one, robot):
 def _posture(one, robot):
     cost = np.ravel(np.asarray(one.cost, float))
     if np.ptp(cost) > 0 and len(cost) != robot.n:
-        raise errors.fail(
-            "tasks", f"have one cost of posture, or {robot.n} for the joints of this robot", f"has {cost}"
-        )
+        must = f"have one cost of posture, or {robot.n} for the joints of this robot"
+        raise errors.fail("tasks", must, f"has {cost}")
     return "posture", joints(weights=np.broadcast_to(cost[0] if np.ptp(cost) == 0 else cost, (robot.n,)))
 
 

@@ -25,6 +25,7 @@ from cnclik.sweeps.spec import DEFAULTS, KEYS, OPTIONS, TABLES, Spec, joints_of
 
 REQUIRED = ("robot",)
 STEPS = 30  # longest chain of values that refer to each other
+OF_LIMIT = ["M", "delay", "measurement_delay"]  # what it depends on, besides method and stage, which depend on nothing
 RESERVED = (LIMIT, "progress")  # other names in a store
 FIGURES = {
     "heat": ("value", "x", "y", "boundary", "contours"),
@@ -176,9 +177,8 @@ def _check_names(fixed, axes, bundles, stack):
             if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):
                 raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
             if name == LIMIT:
-                raise errors.fail(
-                    f"{where}.{name}", "not be given: it follows from method, stage and delay", f"is {value!r}"
-                )
+                must = "not be given: it follows from method, stage and delay"
+                raise errors.fail(f"{where}.{name}", must, f"is {value!r}")
             if name in axes:
                 raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
     for name in (*axes, *bundles):
@@ -235,9 +235,7 @@ def _check_cycles(known):
         if name in seen:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
         if name not in steps:
-            value = (
-                ["M", "delay", "measurement_delay"] if name == LIMIT else known.get(name)
-            )  # method and stage depend on nothing
+            value = OF_LIMIT if name == LIMIT else known.get(name)
             needs = set() if name in NAMES or value is None else expression.names(name, value)
             if len(seen) < STEPS:
                 steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)
@@ -272,7 +270,7 @@ def _compiled_in(spec: Spec) -> dict:
     while queue:
         name = queue.pop()
         wanted.add(name)
-        needs = {"M", "delay", "measurement_delay"} if name == LIMIT else set()
+        needs = set(OF_LIMIT) if name == LIMIT else set()
         if name not in NAMES:
             tables = (*spec.tables(), spec.written)
             needs = needs.union(*(expression.names(name, t[name]) for t in tables if name in t))

@@ -31,10 +31,9 @@ def _rate_line(tuned) -> str:
     when = f"alpha [1/s], every Ts = {tuned.Ts:.6g} s"
     if law.task.tasks:
         when += f"; alpha: {_of_each(law, lambda task: pm.gain_of(law, task))}"
-        weighed = "" if law.task.weights is None else "; rows of J and what J# takes times weights: "
-        formula += weighed and weighed + _of_each(
-            law, lambda task: pm.even(np.asarray(law.task.weights)[law.task.of(task)])
-        )
+        if law.task.weights is not None:
+            each = _of_each(law, lambda task: pm.even(np.asarray(law.task.weights)[law.task.of(task)]))
+            formula += f"; rows of J and what J# takes times weights: {each}"
     if tuned.schedule is not None:
         when += f"; alpha scaled to {in_words(tuned.schedule, 6)} 1/s at {len(tuned.schedule)} even instants"
     if tuned.method.name == EE.name:
