@@ -214,5 +214,7 @@ def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
 
 def resting(law, q, method, stage, drive) -> LoopAtRest:
     """The same of a checked loop at any instant of a run, the error being what it is there; a gain of 0 is one, too."""
-    rate = largest_rate(law.alpha) if np.any(law.alpha) else 1.0
-    return LoopAtRest(*at_rest(law, None, q), as_joint_values(law.chain, q), method, stage, rate, drive, {})
+    rate, q = largest_rate(law.alpha) if np.any(law.alpha) else 1.0, as_joint_values(law.chain, q)
+    leads = callable(law.null_velocity)  # to another posture, which one that is constant does not
+    known = {} if leads else {"growing": np.zeros((len(q), len(q)))}
+    return LoopAtRest(*at_rest(law, None, q), q, method, stage, rate, drive, known)
