@@ -182,7 +182,7 @@ def diagnose(
 
 def _stepped(y, longest):
     """Which columns (k,) rest from the first motion on, to rounding: their fit would be one of roundings."""
-    _, begun, last = looked_at(y, longest)
+    _, begun, last = judge.looked_at(y, longest)
     rests = np.ptp(y[begun:last], axis=0) <= EXACT
     return rests & ~rests.all()
 
