@@ -78,14 +78,12 @@ def tune(
     own = tuple(p.start for p in parameters)
     fallbacks = _gains_over_z(objective)
     before, *judged = judge(objective, [own, *fallbacks])
-    # The gain over z that keeps the constraints best.
-    safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))
+    safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))  # keeps the constraints best
     if not np.isfinite(judged[safe].loss):
         values = _values(objective, pm.free_of(parameters, own))
         return _without_descent(objective, values, before, judge(objective, [values])[0], "non-finite", given)
     anchor, run = pm.free_of(parameters, fallbacks[safe]), judged[safe]
     objective = replace(objective, postures=run.postures, growths=run.growths)  # constrain along that run
-    # Descents begin at the law's own values and at random ones, as near to them as the constraints allow.
     others = np.random.default_rng(int(goal.conditions.seed)).uniform(-4, 4, (descent.starts - 1, len(anchor)))
     begun = [_nearest_feasible(objective, u, anchor) for u in (pm.free_of(parameters, own), *others)]
     sizes = np.array([float(c.judged.loss) for c in begun])
