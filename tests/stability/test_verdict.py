@@ -76,7 +76,7 @@ def test_what_is_prepared_is_what_will_be_asked(monkeypatch):
     maps = LoopAtRest.maps
 
     def recorded(self, *args):
-        asked.append(jax.tree.map(lambda v: (np.shape(v), np.result_type(v)), (self.law, self.held, self.q, args)))
+        asked.append(jax.tree.map(lambda v: (np.shape(v), np.asarray(v).dtype), (self.law, self.held, self.q, args)))
         return maps(self, *args)
 
     monkeypatch.setattr(LoopAtRest, "maps", recorded)
