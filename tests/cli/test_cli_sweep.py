@@ -11,8 +11,9 @@ from PIL import Image
 
 from cnclik.cli import main
 from cnclik.show import sweeps
-from cnclik.sweeps import cost, estimate, open_sweep, run_spec, store
+from cnclik.sweeps import estimate, open_sweep, run_spec, store
 from cnclik.sweeps import spec as specs
+from cnclik.sweeps import sweep as module
 from cnclik.writing import LIST
 from tests.specs import reaching
 
@@ -86,7 +87,7 @@ def test_a_sweep_leaves_data_summary_and_figures(path, folder):
 
 def test_dead_time_is_told_in_samples_and_milliseconds(path, capsys, monkeypatch):
     made = estimate(specs.read(path))
-    monkeypatch.setattr(cost, "estimate", lambda spec: made)
+    monkeypatch.setattr(module, "estimate", lambda spec: made)
     main(["sweep", str(path), "--check", "--set", "delay=2"])
     assert "2 samples (20 ms) to 2 samples (400 ms)" in capsys.readouterr().out
     main(["sweep", str(path), "--check", "--set", "delay=2", "--set", "axes.Ts=[0.01]"])
@@ -96,7 +97,7 @@ def test_dead_time_is_told_in_samples_and_milliseconds(path, capsys, monkeypatch
 def test_check_says_what_it_will_take_and_writes_nothing(path, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     made = []
-    monkeypatch.setattr(cost, "estimate", lambda spec: made.append(estimate(spec)) or made[0])
+    monkeypatch.setattr(module, "estimate", lambda spec: made.append(estimate(spec)) or made[0])
     main(["sweep", str(path), "--check", "--set", "method=EE", "--set", "lanes=20"])
     said = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines())
     said = {name.strip(): text.strip() for name, text in said.items()}
