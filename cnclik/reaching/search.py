@@ -149,7 +149,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     bounds = narrowed(phase.low, phase.high, phase.jump, near, jnp)
     number, downhill = k + jnp.arange(together, dtype=jnp.int32), phase.downhill > 0
     q, free, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
-    plain = (number < strategy.PLAIN) & ~downhill
+    plain = (number < strategy.PLAIN) & jnp.logical_not(downhill)
     most = jnp.where(downhill, phase.downhill, jnp.where(plain, strategy.STEPS, strategy.CAREFUL))
     at = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q)
     own = Try(at, jnp.zeros_like(number), most, ~plain, free, ~there, jnp.zeros_like(there))
