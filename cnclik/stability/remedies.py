@@ -97,7 +97,8 @@ def lower(case) -> tuple:
     if 0 < share < 1:
         best, why = ends[int(np.argmin(shares))].fastest_share(Ts, share), "settles soonest"
         if law.task.tasks:  # what settles soonest is what the slowest of its tasks asks for
-            best, why = 0.5 * share, "is half of that"
+            share = _share_by_task(law, ends, share, Ts)
+            best, why = np.where(share < 1, 0.5 * share, 1.0), "is half of that"
         change = {"alpha": _gain(law, best)} | (within[0].change if within else {})
         words = f"reduce {_words(law, share, 'below')} ({_amount(law, best)} {why})"
         words += f" and {within[0].words}" if within else ""
@@ -113,6 +114,21 @@ def lower(case) -> tuple:
     if leaky(law) and case.radius <= 1:  # more damping lets it pull more
         return less_null()
     return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
+
+
+def _share_by_task(law, ends, share, Ts):
+    """`share`, but 1 for tasks whose whole gain leaves the loop stable; where tasks have gains, for each coordinate."""
+    alpha = np.asarray(law.alpha, float)
+    if alpha.ndim != 1:
+        return share
+    shares = np.full(len(alpha), share)
+    for _, some in law.task.each:
+        tried = shares.copy()
+        tried[some] = 1.0
+        changed = [at._replace(law=replace(at.law, alpha=alpha * tried), known={}) for at in ends]
+        if all(at.stable_share(Ts) == 1 for at in changed):
+            shares = tried
+    return shares
 
 
 def faster(case) -> tuple:
@@ -173,7 +189,9 @@ def _amount(law, share):
     alpha = share * np.asarray(law.alpha, float)
     if alpha.ndim == 2:
         return f"{share:.2g} of what it is"
-    every = [(f" for {name}", alpha[at]) for name, at in law.task.each if alpha.ndim] or [("", np.atleast_1d(alpha))]
+    less = np.broadcast_to(share, alpha.shape) < 1
+    each = [(name, at) for name, at in law.task.each if alpha.ndim and less[at].any()]
+    every = [(f" for {name}", alpha[at]) for name, at in each] or [("", np.atleast_1d(alpha))]
     each = [(whose, [f"{v:.3g}" for v in own]) for whose, own in every if own.any()]
     return " and ".join(f"{', '.join(v[:1] if len(set(v)) == 1 else v)} 1/s{whose}" for whose, v in each)
 
