@@ -22,6 +22,7 @@ ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking erro
 INSIDE = 0.97  # of the way to the edge of what can be reached, where a target is brought to
 SMALL = 0.05  # joint step that is gentle [rad, m]
 ARRIVES = math.log(1e3)  # time constants in which an error is gone
+HARDLY = 1e-3  # share of a gain that is none
 GENTLE = 0.2  # of an error that a step takes, at a gain that hardly any loop is too late for
 
 
@@ -138,7 +139,8 @@ def faster(case) -> tuple:
     if case.law.task.tasks and share > 0.9:  # what the slowest of its tasks asks for
         share, why = 0.5 * min(at.stable_share(Ts) for at in ends), "is half of what is stable"
     words = f"reduce {_words(case.law, share, 'to about')}, which {why}"
-    return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if share < 1 else ()
+    told = HARDLY < share < 1  # below, no gain settles
+    return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if told else ()
 
 
 def raised(case) -> tuple:
