@@ -149,10 +149,13 @@ def diagnose(
     report(0, 4, "modes")
     size = np.where(moving, np.ptp(y, axis=0), 1.0)
     scaled = ((y - y[0]) / size)[:, moving]
-    stepped = _stepped(scaled, longest)
-    moving[moving] = ~stepped
-    scaled = scaled[:, ~stepped]
-    first, last, found = _found(scaled, longest)
+    seen = judge.looked_at(scaled, longest)
+    stepped = _stepped(scaled, seen)
+    if stepped.any():
+        moving[moving] = ~stepped
+        scaled = scaled[:, ~stepped]
+        seen = judge.looked_at(scaled, longest)
+    first, last, found = _found(scaled, seen, longest)
     part = _part(first, scaled[first:last], found, longest)
     if stepped.any() and part.kind is Kind.MONOTONE:  # the response to these steps, perhaps, which is no loop's
         part = part._replace(kind=Kind.UNDECIDED)
@@ -180,9 +183,9 @@ def diagnose(
     )
 
 
-def _stepped(y, longest):
+def _stepped(y, seen):
     """Which columns (k,) rest from the first motion on, to rounding: their fit would be one of roundings."""
-    _, begun, last = judge.looked_at(y, longest)
+    _, begun, last = seen
     rests = np.ptp(y[begun:last], axis=0) <= EXACT
     return rests & ~rests.all()
 
@@ -273,9 +276,12 @@ def _is_clear(part) -> bool:
     return bool(most > ALL and grown and found.score < polynomials(rows) - CLEAR)
 
 
-def _found(y, longest):
-    """(first row, last row, modes) of the rows to be judged. A growing motion is small at first, which is not rest."""
-    first, begun, last = judge.looked_at(y, longest)
+def _found(y, seen, longest):
+    """(first row, last row, modes) of the rows to be judged. A growing motion is small at first, which is not rest.
+
+    Args: seen: of `looked_at`.
+    """
+    first, begun, last = seen
     if begun > first:
         found = find_modes(y[first:last], longest)
         grown = np.abs(found.factors) ** (last - first) > 1 / judge.BEGUN

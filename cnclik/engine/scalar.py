@@ -7,7 +7,7 @@ import numpy as np
 from cnclik.engine.algebra import COMMUTES
 from cnclik.engine.graph import Cond, UnsupportedError
 from cnclik.engine.operations import BINARY, BITS, COMPARED, LIBRARY, header, number, scalar
-from cnclik.engine.sines import in_c
+from cnclik.engine.sines import filled
 from cnclik.engine.to_c import Writer
 
 
@@ -109,7 +109,7 @@ def helpers(functions, prefix="") -> str:
 
 def _sincos(N, name):
     size, f = (4, "f") if N == "float" else (8, "")
-    text = re.sub(r"LIBM\((\w+)\)", rf"\1{f}", in_c(header("sincos.h"), size))
+    text = re.sub(r"LIBM\((\w+)\)", rf"\1{f}", filled(header("sincos.h"), size))
     return re.sub("SINCOS|REAL", lambda found: name if found[0] == "SINCOS" else N, text)
 
 

@@ -46,7 +46,7 @@ TABLES = {  # {bytes of a number: table}
 }
 
 
-def in_c(text, size) -> str:
+def filled(text, size) -> str:
     """A text in C with its TURNS, MAGIC and REDUCED for numbers of `size` bytes.
 
     REDUCED makes r and z = r² of x and k, and the polynomials s = S(z) and t = C(z).

@@ -7,7 +7,7 @@ import numpy as np
 from cnclik.engine.graph import Node
 from cnclik.engine.operations import LIBRARY, TYPES, header, scalar, vector
 from cnclik.engine.row_texts import all_items
-from cnclik.engine.sines import in_c
+from cnclik.engine.sines import filled
 from cnclik.engine.to_c import Writer
 
 LONG = 20_000  # operations; longer programs are written in pieces
@@ -80,7 +80,7 @@ def _types(writer, main):
         defined |= {"SIGNED": int(dtype.kind == "i")}
         yield from (f"#define {key} {value}" for key, value in defined.items())
         yield header("numbers.h")
-        yield in_c(header("real.h"), dtype.itemsize) if real else header("whole.h")
+        yield filled(header("real.h"), dtype.itemsize) if real else header("whole.h")
         if real:
             yield from _library(writer, T)
         yield from (f"#undef {key.split('(')[0]}" for key in defined)

@@ -18,13 +18,12 @@ from cnclik.robot.model import one_off
 from cnclik.robot.posture import beyond_arm
 from cnclik.stability.driven import overshoot
 from cnclik.stability.drives import side_by_side
-from cnclik.stability.loop import LoopAtRest, resting
+from cnclik.stability.loop import UNSTABLE, LoopAtRest, resting
 from cnclik.stability.observed import OFTEN, Observed, observe, rms
 from cnclik.stability.reasons import SLOWEST
 from cnclik.stability.spectrum import leaky, of_error, spectrum_of
 from cnclik.stability.stacked import together
 
-UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
 WILD = 1e3  # [rad, m] a run with larger joint values is judged at its start
 LOOKED_AT = 9  # number of instants of the last quarter whose targets are examined
 PLENTY = 5.0  # after so many time constants an error that has not decreased is taken as permanent

@@ -14,7 +14,8 @@ import numpy as np
 from cnclik.integrate.status import Status
 from cnclik.quantities import plainly
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import LEAST, NEARLY, PLENTY, UNSTABLE
+from cnclik.stability.case import LEAST, NEARLY, PLENTY
+from cnclik.stability.loop import UNSTABLE
 from cnclik.stability.observed import VISIBLE, rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy

@@ -41,7 +41,7 @@ from cnclik.stability.spectrum import (
 
 GAINS = 256  # looked at together
 LEAST = 1e-15  # share of the gain down to which a stable one is looked for
-_NOISE = 1e-6  # of eigenvalues: one that is 1 may come out larger by less
+UNSTABLE = 1 + 1e-6  # spectral radius at rest beyond which a loop is unstable: smaller excess is rounding
 
 
 class LoopAtRest(NamedTuple):
@@ -146,7 +146,7 @@ class LoopAtRest(NamedTuple):
         count = GAINS if self.drive.prompt else looked_at(self.drive, 3)
 
         def bad(share):
-            return ~(self.share_radii(share, Ts) <= 1 + _NOISE)
+            return ~(self.share_radii(share, Ts) <= UNSTABLE)
 
         least, whole = bad(np.array([LEAST, 1.0]))
         if least and not whole:

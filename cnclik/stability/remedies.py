@@ -14,6 +14,7 @@ from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
 from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD
+from cnclik.stability.loop import UNSTABLE, resting
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.spectrum import leaky
 
@@ -98,7 +99,7 @@ def lower(case) -> tuple:
     if 0 < share < 1:
         best, why = ends[int(np.argmin(shares))].fastest_share(Ts, share), "settles soonest"
         if law.task.tasks:  # what settles soonest is what the slowest of its tasks asks for
-            share = _share_by_task(law, ends, share, Ts)
+            share = _share_by_task(case, ends, share)
             best, why = np.where(share < 1, 0.5 * share, 1.0), "is half of that"
         change = {"alpha": _gain(law, best)} | (within[0].change if within else {})
         words = f"reduce {_words(law, share, 'below')} ({_amount(law, best)} {why})"
@@ -117,17 +118,17 @@ def lower(case) -> tuple:
     return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
 
 
-def _share_by_task(law, ends, share, Ts):
+def _share_by_task(case, ends, share):
     """`share`, but 1 for tasks whose whole gain leaves the loop stable; where tasks have gains, for each coordinate."""
-    alpha = np.asarray(law.alpha, float)
+    law, alpha = case.law, np.asarray(case.law.alpha, float)
     if alpha.ndim != 1:
         return share
     shares = np.full(len(alpha), share)
     for _, some in law.task.each:
         tried = shares.copy()
         tried[some] = 1.0
-        changed = [at._replace(law=replace(at.law, alpha=alpha * tried), known={}) for at in ends]
-        if all(at.stable_share(Ts) == 1 for at in changed):
+        changed = (resting(replace(law, alpha=alpha * tried), at.q, *case.loop[1:]) for at in ends)
+        if all(case.radius_at(at) <= UNSTABLE for at in changed):
             shares = tried
     return shares
 

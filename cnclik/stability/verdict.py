@@ -20,10 +20,10 @@ from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record, replace
 from cnclik.shapes import ArrayLike, Number
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import UNSTABLE, case_of, in_words
+from cnclik.stability.case import case_of, in_words
 from cnclik.stability.judged import Behaviour, Judged, judged, restless
 from cnclik.stability.linear import checked
-from cnclik.stability.loop import resting
+from cnclik.stability.loop import UNSTABLE, resting
 from cnclik.stability.observed import FALLEN
 from cnclik.stability.replay import check_made, check_path
 from cnclik.stability.trial import Trials, only_longer, whole_trial

@@ -13,7 +13,7 @@ from cnclik.markup import escaped
 from cnclik.show.viewer import play
 from cnclik.show.viewer.look import Loop, look, loop_of, with_loop
 from cnclik.show.viewer.motion import BAD, GOOD, LEVELS, WARNING, motion_of
-from cnclik.stability.case import UNSTABLE
+from cnclik.stability.loop import UNSTABLE
 from cnclik.stability.verdict import verdict
 
 MOST_DELAY = 20  # [samples] largest delay on the slider

@@ -11,7 +11,7 @@ from cnclik.integrate.trajectory import check_run, one_lane
 from cnclik.measure.dataset import Axes, axes_of
 from cnclik.robot.chain import Chain
 from cnclik.show.viewer.body import link_poses
-from cnclik.stability.case import UNSTABLE
+from cnclik.stability.loop import UNSTABLE
 from cnclik.task.parts import AXES
 
 GOOD, WARNING, BAD = 0, 1, 2
