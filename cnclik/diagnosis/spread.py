@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cnclik.diagnosis.modes import EXACT
 from cnclik.integrate.drive import sampled
 from cnclik.record import replace
 
@@ -47,8 +48,8 @@ def _unknown(fit, gain, structured, command) -> str:
     velocity = fit.shape.start.command == "velocity"
     drives = [fit.shape.drive(values) for values in fit.values]
     quick = drives[0].delay < 1 or (fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts)
-    step = np.abs(np.diff(command, axis=0))
-    at_once = np.sum(step.min(1) > 0) >= TOGETHER * np.sum(step.max(1) > 0)
+    steps = np.abs(np.diff(command, axis=0)) > EXACT * np.ptp(command, axis=0)
+    at_once = np.sum(steps.all(1)) >= TOGETHER * np.sum(steps.any(1))
     if len(gain) == 1:
         return " from one joint: joints that move together are heavier. Record a step of all joints at once."
     if not at_once:

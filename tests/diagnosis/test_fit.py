@@ -234,6 +234,9 @@ def test_the_largest_stable_gain_is_within_its_range(cells):
         within += low <= truth <= high
         assert high < 1.6 * low
     assert within >= 0.9 * cells
+    rounded = command.copy()
+    rounded[:, 0] *= 1 + 4e-16 * rng.standard_normal(len(rounded))  # roundings are no steps of one joint
+    assert fit_drive(None, rounded, motion, TS).largest_stable_alpha == pytest.approx((low, high), rel=1e-6)
     one_by_one = command.copy()
     one_by_one[:, 1] = np.roll(one_by_one[:, 1], 90)
     one_by_one[:90, 1] = command[0, 1]
