@@ -68,6 +68,18 @@ def test_imports_run_one_way_and_touch_no_private_name():
     assert not wrong
 
 
+def test_a_room_imports_its_own_modules_at_the_top():
+    """Inside a function, only with the reason on the same line: such imports hide circles."""
+    hidden = []
+    for path in files():
+        lines = path.read_text(encoding="utf-8").splitlines()
+        tree = ast.parse("\n".join(lines))
+        top = {node.lineno for node in ast.walk(tree) if isinstance(node, ast.stmt) and node.col_offset == 0}
+        inner = {line for line, other, _ in imported(path) if other == room(path) and line not in top}
+        hidden += [f"{path.relative_to(PACKAGE)}:{line}" for line in inner if "  # " not in lines[line - 1]]
+    assert not hidden
+
+
 def test_names_are_imported_from_where_they_are_defined():
     """Or from the front door of a room."""
     wrong = []
@@ -79,6 +91,26 @@ def test_names_are_imported_from_where_they_are_defined():
             known = defined(source) if source.exists() else {alias.name for alias in node.names}
             wrong += [f"{path}:{node.lineno} {alias.name}" for alias in node.names if alias.name not in known]
     assert not wrong
+
+
+def test_attributes_of_a_module_are_defined_there():
+    passed_on = []
+    for path in files():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        modules = {
+            alias.asname or alias.name: source
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "cnclik"
+            for alias in node.names
+            if (source := PACKAGE.joinpath(*node.module.split(".")[1:], f"{alias.name}.py")).exists()
+        }
+        passed_on += [
+            f"{path.relative_to(PACKAGE)}:{node.lineno} {ast.unparse(node)}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules
+            if node.attr not in defined(modules[node.value.id])
+        ]
+    assert not passed_on
 
 
 @functools.cache

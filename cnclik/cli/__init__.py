@@ -53,7 +53,7 @@ def main(argv=None) -> None:
 
 def _run(verb, *options) -> None:
     from cnclik import errors, reading
-    from cnclik.cli import arguments, common, remarks
+    from cnclik.cli import arguments, common, remarks, timings  # not at the top: `cnclik --help` answers at once
     from cnclik.show.output import FigureError
 
     module = None
@@ -66,7 +66,8 @@ def _run(verb, *options) -> None:
         if isinstance(args, common.ComputeOptions):  # the other verbs do not need JAX
             with _nothing_collected():
                 _prepare(args.cache)
-        with remarks.listening(module.Args), reading.remembered(), _watched(args) as spans:
+        watched = timings.watch(_BEGUN) if getattr(args, "timings", False) else contextlib.nullcontext()
+        with remarks.listening(module.Args), reading.remembered(), watched as spans:
             module.run(args)
             if spans is not None:
                 print(spans)
@@ -117,15 +118,6 @@ def _nothing_collected():
         yield
     finally:
         gc.enable()
-
-
-def _watched(args):
-    """Context manager that yields the measured times where --timings asks for them, else None."""
-    if not getattr(args, "timings", False):
-        return contextlib.nullcontext()
-    from cnclik.cli import timings
-
-    return timings.watch(_BEGUN)
 
 
 def _prepare(cache: bool) -> None:

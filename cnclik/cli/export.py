@@ -68,7 +68,7 @@ def run(args: Args) -> None:
 
 def _heading(args, made, along) -> list:
     """What was asked."""
-    from cnclik.cli.heading import loop_in_words, robot_and_task, start_and_target, unless_given
+    from cnclik.problem.heading import loop_in_words, robot_and_task, start_and_target, unless_given
 
     title = f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}"
     if args.what not in ("step", "solve"):

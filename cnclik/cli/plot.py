@@ -27,9 +27,9 @@ def run(args: Args) -> None:
         print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
     tables = None
     if args.spec is not None:
-        from cnclik.sweeps import spec
+        from cnclik.sweeps import files
 
-        tables = spec.read(args.spec).figures
+        tables = files.read(args.spec).figures
     draw(data, args.folder, tables=tables, form=args.format, overwrite=args.overwrite)
 
 

@@ -11,7 +11,6 @@ from typing import Any
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
-from cnclik.quantities import in_samples
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
 
@@ -62,44 +61,11 @@ def table(args) -> dict:
 def problem(args, **others):
     """The `Problem` that a verb's options describe, some of which stand for its own. Raises: ArgumentError."""
     from cnclik.problem.build import problem_from
+    from cnclik.problem.magnitudes import remark_on
 
     given = {name: value for name, value in (table(args) | others).items() if value is not None}
     with progress.bar("start and path"):
         made = problem_from(**given)
-    look_at_units(args, given, made.law.chain, made.law.task, made.Ts)
+    told = given | ({} if getattr(args, "speed", None) is None else {"speed": args.speed})
+    remark_on(told, made.law.chain, made.law.task, made.Ts, args.written)
     return made
-
-
-def look_at_units(args, given: dict, chain, task, Ts=None) -> None:
-    """Check that the given units fit joints and task; remark on numbers that are probably in another unit."""
-    from cnclik.problem.magnitudes import check_units, remark_on
-
-    written = getattr(args, "written", {})
-    check_units(chain, task, written)
-    remark_on(given | {name: v for name in ("near", "speed") if (v := getattr(args, name, None)) is not None},
-              chain, task, Ts, written)  # fmt: skip
-
-
-def drive_words(made) -> str:
-    """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
-    import numpy as np
-
-    drive = made.drive
-    if drive is None or drive.absent:
-        return ""
-    said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
-    measured = drive.measurement_delay
-    said += [f"measured {in_samples(measured, made.Ts)} late"] * bool(measured)
-    if drive.order:
-        late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
-        said.append(
-            f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands"
-        )
-    said.append(f"feedback {drive.feedback}")
-    return ", ".join(said)
-
-
-def pace_words(made) -> str:
-    """The limits to which steps are scaled, in words; "" without any."""
-    named = [name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name, None) is not None]
-    return f"steps scaled along the path to limits of {', '.join(named)}" if named else ""

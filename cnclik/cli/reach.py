@@ -73,7 +73,7 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
 
 def run(args: Args) -> None:
     _check(args)
-    from cnclik.cli.targets import wanted_of
+    from cnclik.problem.targets import wanted_of
 
     wanted = wanted_of(args)
     asked = [wanted.title, *wanted.lines, _search(args, wanted.chain)]
@@ -87,7 +87,7 @@ def run(args: Args) -> None:
 
 def _search(args, chain) -> str:
     """A sentence about the search: its tolerance, start and limits."""
-    from cnclik.cli.heading import unless_given
+    from cnclik.problem.heading import unless_given
     from cnclik.record import in_words
 
     near = "" if args.near is None else f" from {in_words(args.near)} {', '.join(dict.fromkeys(chain.units))}"
@@ -121,10 +121,10 @@ def _options(args, *names):
 
 
 def _answers(args, wanted, asked):
-    from cnclik.measure.answers import ENDINGS, answers, save, transforms
+    from cnclik.measure.answers import ENDINGS, answers, save
     from cnclik.reaching.public import reach
     from cnclik.reaching.result import fields
-    from cnclik.reaching.targets import read
+    from cnclik.reaching.targets import read, transforms
     from cnclik.record import replace
 
     chain, task, targets = wanted.chain, wanted.task, wanted.targets

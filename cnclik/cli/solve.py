@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, drive_words, pace_words, problem, table
+from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
@@ -33,10 +33,10 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 
 
 def run(args: Args) -> None:
-    from cnclik.cli.heading import dead_time, loop_in_words, robot_and_task, start_and_target
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
+    from cnclik.problem import heading
     from cnclik.stability.verdict import prepare, verdict
 
     made = problem(args)
@@ -50,12 +50,13 @@ def run(args: Args) -> None:
     with progress.bar("verdict"):
         beside.result()
         told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
-    given = table(args)
-    title = f"{robot_and_task(made.name, made.tip, made.law.task)}, N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
+    title = heading.robot_and_task(made.name, made.tip, made.law.task)
+    title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
-    said = loop_in_words(made, args.written), along, drive_words(made) or dead_time(made), pace_words(made)
+    late = heading.drive_words(made) or heading.dead_time(made)
+    said = heading.loop_in_words(made, args.written), along, late, heading.pace_words(made)
     loop = "; ".join(filter(None, said))
-    where = start_and_target(made, given)
+    where = heading.start_and_target(made, table(args))
     facts = _summary(made, trajectory, seconds)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
     if args.json:

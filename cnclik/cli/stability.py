@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 import pathlib
 import textwrap
 import time
@@ -12,7 +11,7 @@ from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption, print_table
-from cnclik.cli.problem import DriveOptions, LoopOptions, RobotOptions, TaskOptions, drive_words, problem, table
+from cnclik.cli.problem import DriveOptions, LoopOptions, RobotOptions, TaskOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.problem.options import DRIVE
 from cnclik.show.output import draw, drawn_by, load_ahead
@@ -107,8 +106,8 @@ def _check(args):
 
 
 def _loop(args):
-    from cnclik.cli.stacked import at_targets
     from cnclik.problem.names import require_free
+    from cnclik.problem.targets import at_targets
     from cnclik.stability.loop import rest_of_stack
     from cnclik.stability.spectrum import settle
 
@@ -133,7 +132,7 @@ def _has_passes(found):
 
 
 class _Advised(NamedTuple):
-    """The problem, the posture at which it rests, and the advice."""
+    """The problem, the posture at which it rests, and the answer."""
 
     found: Any
     rest: Any
@@ -151,19 +150,19 @@ def _advice(args, found, rest):
 
 def _tell(args, advised):
     """Print what was asked, the gains, and how far the present gain is from an unsafe one."""
-    from cnclik.cli import advice
-    from cnclik.cli.heading import dead_time, start_and_target
+    from cnclik.problem.heading import dead_time, start_and_target
+    from cnclik.stability import answer
 
     if args.json:
-        print_json(advice.as_table(*advised))
+        print_json(answer.as_table(*advised))
         return
     found, rest, said = advised
-    asked = [f"{advice.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {dead_time(found)}."]
-    asked += [*start_and_target(found, table(args)), *advice.rest_of(found, rest)]
+    asked = [f"{answer.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {dead_time(found)}."]
+    asked += [*start_and_target(found, table(args)), *answer.rest_of(found, rest)]
     print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")
-    for title, columns, rows in advice.tables_of(found, said, args.written):
+    for title, columns, rows in answer.tables_of(found, said, args.written):
         print_table(rows, columns, title=title)
-    print(*advice.lines_of(found, said, args.written), sep="\n")
+    print(*answer.lines_of(found, said, args.written), sep="\n")
 
 
 # --- the plane ----------------------------------------------------------------------------------------
@@ -194,8 +193,9 @@ def _write(out, file, data, config):
 def _map(args, out, found, rest):
     import numpy as np
 
-    from cnclik.cli import advice
     from cnclik.measure.dataset import as_json
+    from cnclik.problem.heading import drive_words
+    from cnclik.stability import answer
     from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
 
@@ -216,7 +216,7 @@ def _map(args, out, found, rest):
             found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop, **driven
         )
     _write(out, "map.nc", data, config)
-    title = "\n".join(filter(None, (f"{advice.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 60))))
+    title = "\n".join(filter(None, (f"{answer.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 60))))
     drawn = drawn_by("stability", "stability_map", data, title=title, operating=(rate, found.Ts, now.margin))
     described = {"Description": as_json(config)}
     figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | described)}
@@ -239,8 +239,9 @@ def _map(args, out, found, rest):
 def _map_of_gains(args, out, found, rest):
     import numpy as np
 
-    from cnclik.cli import advice
     from cnclik.measure.dataset import as_json
+    from cnclik.problem.heading import drive_words
+    from cnclik.stability import answer
     from cnclik.stability.maps import gains_map
 
     advised = _advice(args, found, rest)
@@ -259,7 +260,7 @@ def _map_of_gains(args, out, found, rest):
     with progress.bar("gains"):
         data = gains_map(found.law, rest, alpha=alpha, **loop)
     _write(out, "map.nc", data, table(args))
-    words = f"{advice.name_of(found)}, Ts = {1e3 * found.Ts:g} ms"
+    words = f"{answer.name_of(found)}, Ts = {1e3 * found.Ts:g} ms"
     title = "\n".join(filter(None, (words, textwrap.fill(drive_words(found), 60))))
     drawn = drawn_by("stability", "gains", data, title=title, operating=now)
     about = {"Title": f"map of gains, {found.name}", "Description": as_json(table(args))}
@@ -281,23 +282,25 @@ def _report(args, figures, advised):
     if advised is None:
         args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
         return
-    from cnclik.cli import advice
+    from cnclik.show.viewer.advised import advised_runs
+    from cnclik.stability import answer
 
     found, _, said = advised
-    answer = f"Recommended: alpha = {advice.or_any(said.recommended_alpha)} 1/s: {said.reason}."
+    best = f"Recommended: alpha = {answer.or_any(said.recommended_alpha)} 1/s: {said.reason}."
     with progress.bar("runs"):
-        motions = _runs(args, *advised)
+        runs = advised_runs(*advised)
+        motions = args.motions(found.law, *((run, {"name": name, "radius": radius}) for name, run, radius in runs))
     if not figures:
         from cnclik.show.report_figures import errors_beside
 
         figures = {"errors.svg": (lambda: errors_beside(motions), {"Title": "errors"})}
     args.write_report(
-        advice.title_of(found),
-        answer,
-        tables=advice.tables_of(found, said, args.written),
+        answer.title_of(found),
+        best,
+        tables=answer.tables_of(found, said, args.written),
         lines=[
             *said.notes,
-            *(line for line in advice.lines_of(found, said, args.written) if not line.startswith("Recommended")),
+            *(line for line in answer.lines_of(found, said, args.written) if not line.startswith("Recommended")),
         ],
         figures=figures,
         captions={
@@ -307,23 +310,3 @@ def _report(args, figures, advised):
         },
         motions=lambda: motions,
     )
-
-
-def _runs(args, found, rest, said) -> list:
-    """Steps to the target with the recommended gain and with one that is too large, or with the present gain."""
-    from cnclik.cli.stacked import runs_of_stack
-    from cnclik.show.viewer.look import look, loop_of
-
-    if said.stack is not None:
-        runs = runs_of_stack(found, rest, said)
-        return args.motions(found.law, *((run, {"name": name, "radius": radius}) for name, run, radius in runs))
-    now = loop_of(found)
-    most = said.largest_stable_alpha
-    other = (now.alpha, "now") if math.isinf(most) else (1.1 * most, "a tenth beyond the largest stable")
-    settled = said.recommended.settling_time
-    N = min(max(math.ceil(2 * settled / found.Ts), 40), 400) if math.isfinite(settled) else 400
-    made, runs = dataclasses.replace(found, N=N), []
-    for alpha, name in ((said.recommended_alpha, "recommended"), other):
-        seen = look(made, now._replace(alpha=min(alpha, 1e3 * now.alpha)))
-        runs.append((seen.run, {"name": f"alpha = {alpha:.3g} 1/s ({name})", "radius": seen.radius}))
-    return args.motions(found.law, *runs)

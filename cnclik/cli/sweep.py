@@ -9,6 +9,7 @@ from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.plot import draw
 from cnclik.quantities import in_samples
 from cnclik.writing import check_free, output_folder
 
@@ -44,10 +45,9 @@ def run(args: Args) -> None:
     place = _join(args)
     from cnclik.problem import options
     from cnclik.problem.magnitudes import remark_on_times
-    from cnclik.sweeps import spec as specs
-    from cnclik.sweeps import store, summary
+    from cnclik.sweeps import files, store, summary
 
-    spec = specs.read(args.spec, args.set)
+    spec = files.read(args.spec, args.set)
     numbers = {n: v for n, v in spec.fixed.items() if n in ("Ts", "delay", "lag") and isinstance(v, (int, float))}
     remark_on_times(numbers, numbers.get("Ts", options.DEFAULTS["Ts"]))
     out = args.out or pathlib.Path(f"sweep-{spec.name}")
@@ -100,7 +100,6 @@ def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:
       export: "nc", "csv" or None.
       overwrite: also over files that cnclik did not write.
     """
-    from cnclik.cli.plot import draw
     from cnclik.sweeps import store, summary
 
     data = store.read(out)

@@ -67,7 +67,7 @@ def run(args: Args) -> None:
     made = _problem(args)
     asked = _asked(args, made)
     from cnclik import tuning
-    from cnclik.cli.heading import assumed_drives, dead_time, name_and_tip, robot_and_task, start_and_target
+    from cnclik.problem.heading import dead_time, name_and_tip, robot_and_task, start_and_target
     from cnclik.tuning.page import CAPTIONS, page_rows
 
     if args.figures:
@@ -93,7 +93,7 @@ def run(args: Args) -> None:
     heading = [
         f"{robot_and_task(made.name, made.tip, made.law.task)}, Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
         *start_and_target(made, table(args)),
-        *assumed_drives(made),
+        *_assumed(made),
     ]
     print("\n".join(heading))
     print(text.split("\n## Figures")[0].rstrip().replace(found.why, common.as_options(found.why)))
@@ -117,6 +117,16 @@ def run(args: Args) -> None:
     )
     if not found.satisfied:
         sys.exit(1)
+
+
+def _assumed(made) -> list:
+    """A sentence about the assumed drives if only their dead time was given."""
+    from cnclik.integrate.drive import Drive
+    from cnclik.stability.recommend import assumed_of
+
+    said = assumed_of(made.drive or Drive(), made.Ts)
+    measure = "A lag needs a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
+    return [f"{said} {measure} to give here."] if said else []
 
 
 def _asked(args, made) -> dict:

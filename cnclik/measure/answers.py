@@ -8,7 +8,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.dataset import about
 from cnclik.measure.files import save_csv, save_netcdf
-from cnclik.reaching.aims import WIDTH, aims
+from cnclik.reaching.aims import aims
 from cnclik.reaching.result import Reached, ReachStatus
 
 if TYPE_CHECKING:
@@ -82,11 +82,3 @@ def _rows(data):
         own = [value for error in missed for value in error[b, k].tolist()]
         found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits, *own, *poses[b]]
         yield [b, *[k] * several, name, *(v + 0.0 if isinstance(v, float) else v for v in found)]  # no −0.0
-
-
-def transforms(pose) -> np.ndarray:
-    """Transforms (B, 4, 4) from positions and rows of rotations (B, 12); (B, k, 4, 4) from those of k tips in a row."""
-    rows = np.asarray(pose).reshape(len(pose), -1, WIDTH)
-    out = np.tile(np.eye(4), (*rows.shape[:2], 1, 1))
-    out[..., :3, 3], out[..., :3, :3] = rows[..., :3], rows[..., 3:].reshape(*rows.shape[:2], 3, 3)
-    return out if rows.shape[1] > 1 else out[:, 0]

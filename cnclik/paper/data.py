@@ -83,7 +83,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
         judged = claims.judge(found.trajectories, found.passes)
         # allow_nan: a claim that rests on a NaN must not pass as JSON.
         folder.write_text("claims.json", json.dumps(judged, indent=1, allow_nan=False) + "\n")
-        from cnclik.paper import figures  # by now the data are safe from what loading matplotlib may raise
+        from cnclik.paper import figures  # here, where a broken installation of matplotlib costs no data
 
         pictures = figures.figures(*found, shown)
         captions = {name: about.get("Title", "") for name, (_, about) in pictures.items()}
@@ -172,7 +172,7 @@ def methods(found: Found) -> xr.Dataset:
         "Ts": ("sampling time", "s"),
         "time": ("time", "s"),
     }
-    return _labelled(data, norm.dtype, about, reading=str(paper.DEFAULT), M_converged=paper.CONVERGED)
+    return _labelled(data, norm.dtype, about, reading=str(DEFAULT), M_converged=paper.CONVERGED)
 
 
 def passes(found: Found) -> xr.Dataset:

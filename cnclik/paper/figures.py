@@ -9,6 +9,7 @@ import xarray as xr
 from cnclik.measure.dataset import as_json
 from cnclik.paper import claims, plots
 from cnclik.paper import readings as paper
+from cnclik.paper.choices import DEFAULT
 from cnclik.show import run as single
 
 _CASES = {"reach": "Case I, reaching a point", "track": "Case II, tracking a line"}
@@ -62,7 +63,7 @@ def fingerprint(data) -> str:
 
 def _overview_data(trajectories, methods):
     where = {"arm": "5dof", "case": "track"}
-    run = trajectories[["q", "x"]].sel({**where, "reading": str(paper.DEFAULT), "method": "CN"}, drop=True)
+    run = trajectories[["q", "x"]].sel({**where, "reading": str(DEFAULT), "method": "CN"}, drop=True)
     compared = methods[["rms_error", "evaluations", "error_norm"]].sel(where, drop=True)
     return xr.merge([run, compared], combine_attrs="override", join="exact")
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from cnclik.measure import files
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
+from cnclik.paper.choices import DEFAULT
 from cnclik.paper.readings import ARMS
 
 _SHOWN = (1e-3, 1e-4, 1e-6)  # of the tolerances in claims.json, those in the table [rad]
@@ -65,7 +66,7 @@ def method_table(methods) -> Table:
         orders = f"{order[0]:.2f} … {order[-1]:.2f}"
         rows.append([f"{ARMS[str(arm)]} {method}", str(count), *map(number, errors), orders])
     header = ["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"]
-    return Table(f"All methods at Ts = {paper.TS:g} s under {paper.DEFAULT}: errors ‖e‖ [m]", header, rows)
+    return Table(f"All methods at Ts = {paper.TS:g} s under {DEFAULT}: errors ‖e‖ [m]", header, rows)
 
 
 def picard_table(judged) -> Table:

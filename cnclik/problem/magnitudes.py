@@ -38,10 +38,11 @@ def check_units(chain, task, written: dict) -> None:
 
 
 def remark_on(given: dict, chain, task, Ts, written: dict) -> None:
-    """Remarks on options without a unit that would be plausible in another one.
+    """Check the units of options, see `check_units`, and remark on those without one that are plausible in another.
 
     Args: given: {option: value}. written: as for `check_units`.
     """
+    check_units(chain, task, written)
     bare = {name: value for name, value in given.items() if not any(written.get(name, ()))}
     remark_on_times(bare, Ts)
     if bare.get("speed", 0) > 10:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law import paths as ref
+from cnclik.law.reference import Reference
 from cnclik.problem import words
 from cnclik.problem.columns import POSITION, QUATERNION, TIME
 from cnclik.problem.magnitudes import remark_on_places
@@ -46,7 +47,7 @@ class ArmAtStart(NamedTuple):
     tips: tuple = (None, None)  # names of the tip, and of the tip that it is relative to
 
 
-def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> ref.Reference:
+def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> Reference:
     """A desired path by name.
 
     A point has a position (in the task's coordinates or as x y z), if the task has one. If the task has an

@@ -8,7 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.reference import Reference, References, aims_of
-from cnclik.reaching.aims import aims, of_tips
+from cnclik.reaching.aims import WIDTH, aims, of_tips
 from cnclik.robot import poses
 from cnclik.task.build import orientation, pose, position
 from cnclik.task.parts import places
@@ -57,6 +57,14 @@ def read(targets, task: Task, base=None):
             made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
     made = xp.concatenate(made, axis=1)
     return np.ascontiguousarray(made, float) if xp is np else made, alone
+
+
+def transforms(pose) -> np.ndarray:
+    """Transforms (B, 4, 4) from positions and rows of rotations (B, 12); (B, k, 4, 4) from those of k tips in a row."""
+    rows = np.asarray(pose).reshape(len(pose), -1, WIDTH)
+    out = np.tile(np.eye(4), (*rows.shape[:2], 1, 1))
+    out[..., :3, 3], out[..., :3, :3] = rows[..., :3], rows[..., 3:].reshape(*rows.shape[:2], 3, 3)
+    return out if rows.shape[1] > 1 else out[:, 0]
 
 
 def by_name(task: Task, each):

@@ -21,7 +21,7 @@ def read_robot(robot) -> Tree:
     Raises: ArgumentError as `load_urdf` and `load_mjcf`.
     """
     if is_mjcf(robot):
-        from cnclik.robot.mjcf import read_mjcf
+        from cnclik.robot.mjcf import read_mjcf  # not at the top: a URDF file is shown without JAX
 
         return read_mjcf(robot)
     return read_urdf(robot)

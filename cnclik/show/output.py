@@ -58,8 +58,8 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
 
     begun, failed = time.time(), {}
     try:
-        from cnclik.show import style
-    except Exception as error:  # whatever a broken installation of matplotlib raises as it is loaded
+        from cnclik.show import style  # here, where a broken installation of matplotlib costs no data
+    except Exception as error:  # whatever that raises
         raise _undrawn(dict.fromkeys(figures, error), figures, path, again) from error
     with output_folder(path, name=name, overwrite=overwrite) as folder, style.style():
         for done, (file, (make, about)) in enumerate(figures.items()):

@@ -10,7 +10,11 @@ from collections.abc import Callable
 
 from cnclik import errors
 from cnclik.markup import BLUE, GENERATOR, escaped, table
+from cnclik.measure.dataset import provenance
 from cnclik.show.output import FigureError
+from cnclik.show.report_figures import picture
+from cnclik.show.viewer import need
+from cnclik.show.viewer.page import as_page, seconds
 from cnclik.writing import output_folder
 
 MOST_ROWS, SHORT = 60, 8  # largest number of rows of a table, and of a table above the figures
@@ -81,8 +85,6 @@ def _table(caption, header, rows) -> str:
 
 
 def _figure(file, make, about, captions, failed) -> str:
-    from cnclik.show.report_figures import picture
-
     name = pathlib.Path(file).stem
     caption = escaped(captions.get(name, name.replace("_", " ")))
     try:
@@ -97,14 +99,10 @@ def _moving(report, failed) -> str:
     """The moving robot in a frame of its own, and what its colours mean."""
     if report.motions is None:
         return ""
-    from cnclik.show.viewer import need
-
     if not need.has_viser():
         return (
             f'<p class="note">The moving robot is left out, as it takes the extra viewer: {escaped(need.INSTALL)}</p>'
         )
-    from cnclik.show.viewer.page import as_page, seconds
-
     try:
         motions = list(report.motions())
         inner = as_page(motions).replace("&", "&amp;").replace('"', "&quot;")
@@ -133,8 +131,6 @@ def _pace(motions, shown) -> str:
 
 
 def _again(report) -> str:
-    from cnclik.measure.dataset import provenance
-
     about = provenance(report.dtype) | {"python": platform.python_version(), "system": platform.platform()}
     command = f"<pre>{escaped(report.command)}</pre>" if report.command else ""
     return f"<h2>To repeat it</h2>{command}{_wide(table((), about.items(), left=2))}"

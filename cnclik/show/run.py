@@ -21,7 +21,7 @@ from cnclik.show.viewer.motion import from_arrays
 
 _TIME = "time $t$ [s]"
 _PARTS = {
-    "m": ("position [m]", {"color": style.BLUE}),
+    "m": ("position [m]", {"color": markup.BLUE}),
     "rad": ("orientation [rad]", {"color": style.PURPLE, "linestyle": style.DASH}),
 }
 _BITS = [bit for bit in Status if bit]
@@ -122,14 +122,14 @@ def tip(data, chain):
 
 
 def _draw_tip(panel, axes, way, target, room, alone):
-    paths = [(way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
+    paths = [(way[:, : len(axes)], {"color": markup.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
     if target is not None:
         look = {"color": "0.6", "linewidth": 2.4, "markersize": 6, "label": "target"}
         paths.append((target[:, : len(axes)], look))
     for points, look in paths:
         marker = {"marker": "o", "markevery": [-1]}  # the end; a constant target shows nothing else
         panel.plot(*points.T, **marker, **look)
-    panel.plot(*paths[0][0][:1].T, "s", color=style.BLUE, markerfacecolor="white", label="start", zorder=4)
+    panel.plot(*paths[0][0][:1].T, "s", color=markup.BLUE, markerfacecolor="white", label="start", zorder=4)
     every = np.concatenate([points for points, _ in paths])
     low, high = every.min(axis=0), every.max(axis=0)
     for name, middle in zip(axes, (low + high) / 2, strict=True):

@@ -108,7 +108,7 @@ def gains(data, *, title="", operating=None):
     y, x = (data[name] for name in data.radius.dims)
     radii(axis, x, y, np.maximum(data.radius.values, 1e-12))
     drawn = [plt.Line2D([], [], color="black", linewidth=1.4, label="stability limit at this posture")]
-    bounds = (("stable", markup.LOST, "stability limit at any"), ("recommended", style.FINE, "recommended at any"))
+    bounds = (("stable", markup.LOST, "stability limit at any"), ("recommended", markup.FINE, "recommended at any"))
     for name, color, label in bounds:
         most = data.attrs[name]
         if np.isfinite(most):

@@ -221,7 +221,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         target=None if wanted[0] is None else wanted[0][at],
         turn=None if wanted[1] is None else wanted[1][at],
         behind=rms(np.linalg.norm(velocity, axis=1)) * Ts,
-        path=whole(reference),
+        path=reference.duration,
         period=_period(reference),
         e=weighted,
         errors=e[: seen.bad],
@@ -260,7 +260,7 @@ def brief(reference, run, Ts, pace) -> int:
     """Steps over which the joint velocities of a run at a pace are averaged to see what goes back and forth; else 0."""
     if pace is None or not np.isfinite(run.target_time[-1]):
         return 0
-    steps, path = len(run.residual) // 2, whole(reference)
+    steps, path = len(run.residual) // 2, reference.duration
     passed = float(run.target_time[-1] - run.target_time[-1 - steps]) / max(steps * Ts, 1e-300)
     around = path / (Ts * max(passed, 1e-9)) if path else steps
     return int(min(around, 8 * steps) / BRIEF)
@@ -272,17 +272,6 @@ def farthest(law, places) -> int:
         return -1
     away = np.asarray(beyond_arm(law.chain, places, (0, 1, 2) if places.shape[1] == 3 else law.task.linear), float)
     return int(np.argmax(away)) if away.max() > 0 else -1
-
-
-def whole(reference: ref.Reference | ref.References) -> float:
-    """Time that a path takes, once around or from end to end [s]; 0 of a held one, or where nobody knows; of several
-    the longest.
-    """
-    if isinstance(reference, ref.References):
-        return max(map(whole, reference.each))
-    if hasattr(reference.curve, "times"):
-        return float(reference.curve.times[-1] - reference.curve.times[0])
-    return abs(_period(reference))
 
 
 def _around(reference) -> bool:

@@ -14,10 +14,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.precision import of_numbers
 from cnclik.sweeps import store
+from cnclik.sweeps.files import read
 from cnclik.sweeps.grid import Grid, grid
 from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of, environment
 from cnclik.sweeps.program import blocks_at_once, fit, run_blocks
-from cnclik.sweeps.spec import Spec, read
+from cnclik.sweeps.spec import Spec
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -194,9 +194,9 @@ print([name for name in heavy if name in sys.modules])
 def test_parts_of_verbs_load_no_room_that_few_answers_need():
     """Reach and export without stability, and stability without what draws robots."""
     code = """
-import sys, cnclik.cli.heading, cnclik.cli.targets
+import sys, cnclik.problem.heading, cnclik.problem.targets
 print([name for name in sys.modules if name.startswith("cnclik.stability")], end=" ")
-import cnclik.cli.advice, cnclik.cli.stacked
+import cnclik.stability.answer
 print([name for name in sys.modules if name.startswith("cnclik.show.viewer")])
 """
     assert run(code) == "[] []"

@@ -11,8 +11,7 @@ from PIL import Image
 
 from cnclik.cli import main
 from cnclik.show import sweeps
-from cnclik.sweeps import estimate, open_sweep, run_spec, store
-from cnclik.sweeps import spec as specs
+from cnclik.sweeps import estimate, files, open_sweep, run_spec, store
 from cnclik.sweeps import sweep as module
 from cnclik.writing import LIST
 from tests.specs import reaching
@@ -86,7 +85,7 @@ def test_a_sweep_leaves_data_summary_and_figures(path, folder):
 
 
 def test_dead_time_is_told_in_samples_and_milliseconds(path, capsys, monkeypatch):
-    made = estimate(specs.read(path))
+    made = estimate(files.read(path))
     monkeypatch.setattr(module, "estimate", lambda spec: made)
     main(["sweep", str(path), "--check", "--set", "delay=2"])
     assert "2 samples (20 ms) to 2 samples (400 ms)" in capsys.readouterr().out

@@ -12,7 +12,7 @@ from cnclik.cli import main
 from cnclik.engine.compiler import can_build
 from cnclik.measure.files import plain
 from cnclik.problem import OF_SHAPE, OF_WALL
-from cnclik.sweeps.spec import read
+from cnclik.sweeps.files import read
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
 

@@ -9,9 +9,9 @@ import xarray as xr
 
 import cnclik as ck
 from cnclik.cli import main
-from cnclik.cli.advice import does_of_tasks
-from cnclik.cli.stacked import at_targets
+from cnclik.problem.targets import at_targets
 from cnclik.stability import tasks
+from cnclik.stability.answer import does_of_tasks
 from cnclik.stability.bounds import limit_advice
 from cnclik.stability.loop import LoopAtRest
 from cnclik.stability.rates import Rates

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from cnclik.sweeps import spec, store, summary
+from cnclik.sweeps import files, store, summary
 from tests.specs import reaching
 
 
@@ -15,7 +15,7 @@ def stored(tmp_path_factory):
     axes = dict(q0='{ samples = 6, low = "-pi", high = "pi", seed = 3 }')
     text = reaching(metrics=["final_error"], **axes).replace('q0 = [0, "-pi/2"]\n', "")
     (folder / "samples.toml").write_text(text)
-    assert store.run(spec.read(folder / "samples.toml"), folder / "out")
+    assert store.run(files.read(folder / "samples.toml"), folder / "out")
     return store.read(folder / "out")
 
 

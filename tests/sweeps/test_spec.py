@@ -11,7 +11,7 @@ import pytest
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.problem import problem_from
-from cnclik.sweeps import check, expression, grid, spec
+from cnclik.sweeps import check, expression, files, grid
 
 TEXT = """
 question = "Is it so?"
@@ -96,7 +96,7 @@ def test_cases_are_an_axis_and_samples_fit_every_arm():
 def test_changes_on_the_command_line(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text(TEXT)
-    s = spec.read(path, ["z=0.25", "axes.M=[5]", "method=RK4", "lift={linspace=[0, 1, 9]}", "tolerance=0.5"])
+    s = files.read(path, ["z=0.25", "axes.M=[5]", "method=RK4", "lift={linspace=[0, 1, 9]}", "tolerance=0.5"])
     assert list(s.axes) == ["lift", "M"] or list(s.axes) == ["M", "lift"]
     assert s.fixed["z"] == 0.25 and s.fixed["method"] == "RK4" and s.tolerance == 0.5 and len(s.axes["lift"]) == 9
     for changes, words in (
@@ -105,7 +105,7 @@ def test_changes_on_the_command_line(tmp_path):
         (["figure=[{kind='heat', x=['z'], select=3}]", "z=1"], r"`figure\[0\].x` must be a name"),
     ):
         with pytest.raises(ArgumentError, match=words):
-            spec.read(path, changes)
+            files.read(path, changes)
 
 
 def same(one, other):
@@ -194,7 +194,7 @@ def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_pa
     path.write_text(
         TEXT.replace('"line"', '"way.csv"').replace("from = [1, 1]", "").replace('to = [0, "1 + lift"]', "")
     )
-    s = spec.read(path, ["lift=0", "alpha=z/Ts + lift"])
+    s = files.read(path, ["lift=0", "alpha=z/Ts + lift"])
     np.testing.assert_allclose(s.build(method="EE", **s.first()).reference.curve(1.0)[0], [0, 1], atol=1e-12)
     before = s.data()["files"]
     (tmp_path / "way.csv").write_text("0,1,1\n1,0,1.1\n")
@@ -330,12 +330,12 @@ def test_files_that_are_no_toml(tmp_path, text):
     path = tmp_path / "a.toml"
     path.write_text(text)
     with pytest.raises(ArgumentError, match="must be a TOML file"):
-        spec.read(path)
+        files.read(path)
     with pytest.raises(ArgumentError, match="No such file"):
-        spec.read(tmp_path / "none.toml")
+        files.read(tmp_path / "none.toml")
     path.write_text(TEXT)
     with pytest.raises(ArgumentError, match="`robot` must be a URDF or MJCF file"):  # and no name is too long for it
-        spec.read(path, ["robot=" + "a" * 5000])
+        files.read(path, ["robot=" + "a" * 5000])
 
 
 def test_an_axis_may_have_any_name():
@@ -353,10 +353,10 @@ def test_nested_too_deeply(tmp_path):
     for text in ("a = " + "[" * 5000 + "]" * 5000, TEXT.replace("alpha = ", "alpha = " + "[" * 200 + "]" * 200 + " #")):
         path.write_text(text)
         with pytest.raises(ArgumentError):
-            spec.read(path)
+            files.read(path)
     path.write_text(TEXT)
     with pytest.raises(ArgumentError, match="nested less deeply"):
-        spec.read(path, ["alpha=" + "{a=" * 500 + "1" + "}" * 500])
+        files.read(path, ["alpha=" + "{a=" * 500 + "1" + "}" * 500])
 
 
 def test_no_grid_beyond_what_can_be_stored():
@@ -370,7 +370,7 @@ def test_an_integer_of_thousands_of_digits(tmp_path):
     path = tmp_path / "long.toml"
     path.write_text("question = " + "9" * 5000)
     with pytest.raises(ArgumentError, match="`SPEC` must be a TOML file"):
-        spec.read(path)
+        files.read(path)
 
 
 def test_expressions_are_arithmetic():

@@ -9,7 +9,7 @@ import pytest
 import cnclik as ck
 from cnclik import sweeps
 from cnclik.errors import ArgumentError
-from cnclik.sweeps import check, spec
+from cnclik.sweeps import check, files
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
@@ -69,7 +69,7 @@ def test_a_file_of_tasks_may_be_an_axis(tmp_path):
     (tmp_path / "two.toml").write_text(tasks.replace("50mm", "90mm"))
     axes = '[axes]\nstack = ["one.toml", "two.toml"]\nq0 = { samples = 2, low = -0.1, high = 0.1 }\n'
     (tmp_path / "spec.toml").write_text(head + axes)
-    made = spec.read(tmp_path / "spec.toml")
+    made = files.read(tmp_path / "spec.toml")
     data = sweeps.run_spec(made)
     assert data.final_error.shape == (2, 2) and len(made.data()["files"]) == 3
 
@@ -85,7 +85,7 @@ def test_numbers_of_a_files_tasks_may_be_axes(tmp_path):
     (tmp_path / "spec.toml").write_text(
         head.replace("N = 5", 'N = 5\nstack = "stack.toml"') + f"[axes.tasks]\n{axes}\n"
     )
-    data = sweeps.run_spec(spec.read(tmp_path / "spec.toml"))
+    data = sweeps.run_spec(files.read(tmp_path / "spec.toml"))
     same = sweeps.run_spec(check.parse(tomllib.loads(inside)))
     np.testing.assert_array_equal(data.final_error, same.final_error)
     assert len(np.unique(data.final_error)) == 8 and data["tasks.rest.damping"].attrs["long_name"] == "λ of rest"
@@ -143,7 +143,7 @@ def test_numbers_of_walls_may_be_axes(tmp_path):
     (tmp_path / "stack.toml").write_text(PLACE + "[walls.side]\ntask = 'x'\nabove = '1000 mm'\nmargin = 3\n")
     (tmp_path / "spec.toml").write_text(HEAD + 'stack = "stack.toml"\n[axes]\nlimit_rate = [5, 10]\n')
     sets = ["axes.walls.side.rate=[20, 30]", "axes.walls.side.margin=['50 mm']"]
-    of_file = spec.read(tmp_path / "spec.toml", sets)
+    of_file = files.read(tmp_path / "spec.toml", sets)
     assert list(of_file.axes) == ["limit_rate", "walls.side.rate", "walls.side.margin"]
     (wall,) = of_file.build(**of_file.first(last=True)).law.limits.walls
     assert (wall.rate, wall.offset) == (30.0, 1.05)
@@ -198,5 +198,5 @@ def test_what_is_refused(change, told):
 
 def test_an_option_of_a_task_is_set_from_the_command_line(tmp_path):
     (tmp_path / "spec.toml").write_text(TEXT)
-    made = spec.read(tmp_path / "spec.toml", ["tasks.rest.damping=0.5", "tasks.hands.period=3 s"])
+    made = files.read(tmp_path / "spec.toml", ["tasks.rest.damping=0.5", "tasks.hands.period=3 s"])
     assert made.tasks["rest"]["damping"] == 0.5 and made.tasks["hands"]["period"] == "3 s"

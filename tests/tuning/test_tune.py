@@ -11,6 +11,7 @@ import cnclik as ck
 from cnclik.hints import equations, quick_jit
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
+from cnclik.law.null import ScaledNullVelocity
 from cnclik.problem.build import problem_from
 from cnclik.stability.spectrum import spectrum
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
@@ -121,7 +122,7 @@ def test_null_space_gain_is_dead_beat_too():
 @pytest.mark.parametrize("wanted", [np.array([0.1, -0.2, 0.3]), lambda q: -0.3 * q], ids=["numbers", "function"])
 def test_null_gain_of_numbers_and_of_a_plain_function(wanted):
     """Scaled, and as many constraints as are announced."""
-    found = pm.ScaledNullVelocity(wanted, 2.0)(jnp.asarray(POSTURE))
+    found = ScaledNullVelocity(wanted, 2.0)(jnp.asarray(POSTURE))
     np.testing.assert_allclose(found, 2 * (wanted(POSTURE) if callable(wanted) else wanted), rtol=1e-15)
     law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, null_velocity=wanted)
     objective = loop_objective(law, LINE, POSTURE, over="null_gain", **LOOP)

@@ -2,7 +2,8 @@
 
 Modules: `body` (a robot's shapes from its chain), `meshes` (from its URDF file), `motion` (what is shown), `files`
 (motions of files), `scene`, `page` (a moving scene as one page), `play` and `live` (what a browser shows), `look` (a
-loop run anew), `swept` (loops of a sweep), `front` (the front door), `need` (whether viser is there).
+loop run anew), `advised` (with advised gains), `swept` (loops of a sweep), `front` (the front door), `need` (whether
+viser is there).
 """
 
 import lazy_loader

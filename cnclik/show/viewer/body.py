@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cnclik import markup
 from cnclik.robot.bases import BALL
 from cnclik.robot.chain import PRISMATIC, REVOLUTE
 from cnclik.robot.model import joint_frames, modelled
@@ -44,7 +45,7 @@ def radius_of(chain) -> float:
     return float(min(THICK * arm_length(chain), 0.2 * longest) if longest > 0 else THICK)
 
 
-def parts_of(chain, color=style.SKY, dark=style.BLUE) -> list:
+def parts_of(chain, color=style.SKY, dark=markup.BLUE) -> list:
     """Shapes of a chain, or of a tree: links in one colour, joints in another."""
     thick, found = radius_of(chain), []
     ends = [(parent + 1, joint.origin) for joint, parent in zip(chain.joints, chain.parents, strict=True)]

@@ -5,7 +5,9 @@ import time
 
 import numpy as np
 
-from cnclik.markup import escaped
+from cnclik import markup
+from cnclik.show import style
+from cnclik.show.viewer.body import GREY
 from cnclik.show.viewer.motion import LEVELS
 from cnclik.show.viewer.page import lasting
 
@@ -69,8 +71,8 @@ def told(motions, share) -> str:
         )
         dot = f"<span style='color:{LEVELS[motion.level[k]]};font-size:1.4em;vertical-align:-0.1em'>●</span>"
         rows.append(
-            f"<div style='padding:0.1em 1em;font-size:0.85em'>{dot} <b>{escaped(motion.name)}</b>, {now}<br>"
-            f"{escaped(motion.words[k].replace('_', ' ').replace('|', ', '))}<br>{errors}</div>"
+            f"<div style='padding:0.1em 1em;font-size:0.85em'>{dot} <b>{markup.escaped(motion.name)}</b>, {now}<br>"
+            f"{markup.escaped(motion.words[k].replace('_', ' ').replace('|', ', '))}<br>{errors}</div>"
         )
     return "".join(rows)
 
@@ -96,10 +98,7 @@ def curves(motions):
 
 
 def series(names) -> tuple:
-    from cnclik.show import style
-    from cnclik.show.viewer.body import GREY
-
-    colors = {0: (style.BLUE, style.ORANGE, *style.COLORS[1:4], *style.COLORS[5:]), 1: (GREY, "#5A6066")}
+    colors = {0: (markup.BLUE, style.ORANGE, *style.COLORS[1:4], *style.COLORS[5:]), 1: (GREY, "#5A6066")}
     looks: list[dict] = [{"label": "t [s]"}]
     for i, (k, what) in enumerate(names):
         some, i = colors[min(k, 1)], i - sum(other < k for other, _ in names)

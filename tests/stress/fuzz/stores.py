@@ -12,7 +12,8 @@ from unittest import mock
 import numpy as np
 import xarray
 
-from cnclik.sweeps import program, spec, store
+from cnclik.errors import ArgumentError
+from cnclik.sweeps import files, program, store
 from tests.specs import reaching
 from tests.stress.fuzz.nasty import any_of, chance, damaged
 
@@ -32,13 +33,13 @@ def whole():
     """(the spec, the folder of its finished run, its data, its first program's outputs)."""
     folder = pathlib.Path(_place().name)
     (folder / "a.toml").write_text(TEXT, encoding="utf-8")
-    read, folder = spec.read(folder / "a.toml"), folder / "whole"
+    read, folder = files.read(folder / "a.toml"), folder / "whole"
     assert store.run(read, folder)
     _, first = program.fit(read.study, read.grid())
     return read, folder, store.read(folder).load(), first
 
 
-def files(folder):
+def parts(folder):
     return sorted(p.relative_to(folder).as_posix() for p in (folder / store.DATA).rglob("*") if p.is_file())
 
 
@@ -49,7 +50,7 @@ def draw(rng):
 
 
 def _damage(folder, place, kind, other, seed):
-    names = files(folder)
+    names = parts(folder)
     one = folder / names[int(place * len(names))]
     two = folder / names[int(other * len(names))]
     data, rng = one.read_bytes(), np.random.default_rng(seed)
@@ -107,7 +108,7 @@ class _expected:  # noqa: N801
         return self
 
     def __exit__(self, kind, error, _):
-        if refused := isinstance(error, store.errors.ArgumentError):
+        if refused := isinstance(error, ArgumentError):
             self.refused.append(error)
         return refused
 

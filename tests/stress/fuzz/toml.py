@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from cnclik.problem.options import SWEPT
-from cnclik.sweeps import labels, spec
+from cnclik.sweeps import files, labels
 from tests.specs import reaching
 from tests.stress.fuzz.expressions import draw as expression
 from tests.stress.fuzz.nasty import TEXTS, VALUES, any_of, chance, damaged, slipped
@@ -204,7 +204,7 @@ def attempt(made, folder) -> None:
     data, changes = made
     file = folder / "a.toml"
     file.write_bytes(data)
-    found = spec.read(file, changes)
+    found = files.read(file, changes)
     of = found.grid()
     of.blocks(), labels.coordinates(of, found.all_units()), labels.fingerprint(found)
     loop = found.build(**of.programs[0], **found.first())

@@ -1,11 +1,11 @@
-"""The answer of `cnclik stability`: gains as rows of a table, their meaning in sentences."""
+"""Advice as an answer: gains as rows of a table, their meaning in sentences."""
 
 import math
 
 import numpy as np
 
-from cnclik.cli.heading import robot_and_task, unless_given
 from cnclik.measure.files import plain
+from cnclik.problem.heading import robot_and_task, unless_given
 from cnclik.quantities import aloud, in_samples
 from cnclik.record import in_words
 from cnclik.stability.settings import OWN_COMMANDS

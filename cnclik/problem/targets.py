@@ -1,19 +1,25 @@
-"""Targets of `cnclik reach`: for one tip, for several (--tip more than once), or for the tips of a stack."""
+"""Targets in plain names: for one tip, for several, or for the tips of a stack.
 
+`args` has the options of `cnclik reach`, and `written` as for `cnclik.problem.magnitudes.check_units`.
+"""
+
+import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.cli.heading import robot_and_task
-from cnclik.cli.problem import look_at_units
-from cnclik.measure.answers import transforms
-from cnclik.problem.magnitudes import remark_on_lengths, remark_on_places
+from cnclik.law.reference import of_each
+from cnclik.problem.heading import robot_and_task
+from cnclik.problem.magnitudes import remark_on, remark_on_lengths, remark_on_places
 from cnclik.problem.names import robot_and_tip, robot_name, start_from, task_from
+from cnclik.problem.reference import reference_from
+from cnclik.problem.stack import Table, ranks_of, read_stack, references_of, stack_from, tables_from, task_of, tips_of
+from cnclik.problem.tables import read_targets
 from cnclik.reaching.aims import aims, of_tips
 from cnclik.reaching.seeds import spans
-from cnclik.reaching.targets import by_name, read, wanted_at
+from cnclik.reaching.targets import by_name, read, transforms, wanted_at
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
@@ -49,7 +55,7 @@ def wanted_of(args) -> Wanted:
         if len(args.target) != len(every):
             labels = ", ".join(aim.label for aim in every)
             raise errors.fail("target", f"be given once for each tip ({labels})", f"is given {len(args.target)} times")
-        _look_at_units(args, chain, task, {"target": args.target})
+        _look_at_units(args, chain, task)
         several = len(every) > 1
         of = [
             f"{aim.label} " * several + " ".join(f"{v:.5g}" for v in v_d)
@@ -59,7 +65,7 @@ def wanted_of(args) -> Wanted:
         units = " m" * (sizes != {4}) + ", quaternion w x y z" * (max(sizes) > 3)
         lines = (f"Target {'; '.join(of)}{units}.",)
         return made._replace(targets=by_name(task, [[one] for one in args.target]), lines=lines)
-    _look_at_units(args, chain, task, {})
+    _look_at_units(args, chain, task)
     drawn = f"{args.random:,} random reachable ones, seed {args.seed}" if args.random else f"those of {args.targets}"
     return made._replace(targets=_given(args, chain, task), lines=(f"Targets: {drawn}.",))
 
@@ -72,15 +78,11 @@ def _robot(args, tips):
 
 def _of_each(args, chain):
     """The same task for each of several tips."""
-    from cnclik.problem.stack import Table, task_of
-
     return task_of(Table("", {"task": args.task, "tip": args.tip}, {}), chain)
 
 
 def _given(args, chain, task):
     """Targets from a file, or random ones, for all aims of a task."""
-    from cnclik.problem.tables import read_targets
-
     every, file = aims(task), args.targets
     if args.random:
         return _random(args, chain, task)
@@ -102,18 +104,16 @@ def _random(args, chain, task):
     return by_name(task, [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)])
 
 
-def _look_at_units(args, chain, task, given) -> None:
-    """Check units, and remark on numbers that are probably in another one. Args: points: one for each aim."""
-    look_at_units(args, {}, chain, task)
-    for aim, values in zip(aims(task), given.get("target", ()), strict=False):
+def _look_at_units(args, chain, task) -> None:
+    """Check units, and remark on numbers that are probably in another one."""
+    remark_on({} if args.near is None else {"near": args.near}, chain, task, None, args.written)
+    for aim, values in zip(aims(task), args.target, strict=False):
         if aim.to is None and not any(args.written.get("target", ())):
             remark_on_lengths({"target": values}, chain, Task(parts=aim.parts))
 
 
 def _upper_first(task, tables) -> tuple:
     """The task with weights by which the nearest pose keeps upper levels, and a line about that."""
-    from cnclik.problem.stack import ranks_of
-
     ranks = ranks_of(tables, [name for name, _ in task.tasks])
     if not any(ranks.values()):
         return task, ()
@@ -126,9 +126,6 @@ def _upper_first(task, tables) -> tuple:
 
 def _of_stack(args) -> Wanted:
     """The tips of a stack's tasks, with targets on its paths unless others are given."""
-    from cnclik.problem.stack import read_stack, references_of, stack_from, tables_from, tips_of
-    from cnclik.stability.case import whole
-
     alone = {"task": args.task, "tip": args.tip or None, "target": args.target or None}
     written = read_stack(args.stack)
     tables = tables_from(written, alone).tasks
@@ -140,13 +137,13 @@ def _of_stack(args) -> Wanted:
     left += written.walls
     lines = (f"Left out: {', '.join(left)}. Reach is of positions and orientations of tips.",) * bool(left)
     lines += first
-    _look_at_units(args, chain, task, {})
+    _look_at_units(args, chain, task)
     if args.targets is not None or args.random:
         return Wanted(chain, task, title, _given(args, chain, task), lines)
     near = None if args.near is None else errors.array("near", args.near, (chain.n,))
     q0 = start_from(chain, stack, near)
     paths = references_of(tables, chain, stack, q0, PERIOD)
-    end = whole(paths)
+    end = paths.duration
     if args.points > 1 and not end:
         raise errors.fail("points", "be left out where targets stand still", f"is {args.points}")
     times = np.linspace(0.0, end, args.points)
@@ -154,3 +151,21 @@ def _of_stack(args) -> Wanted:
     where = f"{args.points} points of the paths over {end:g} s" if args.points > 1 else "where the paths begin"
     labels = ", ".join(aim.label for aim in aims(task))
     return Wanted(chain, task, title, targets, (f"Targets of {labels}: {where}.", *lines))
+
+
+def at_targets(found, targets):
+    """The problem with new targets for its first tips, in order; the other tips keep theirs."""
+    law = found.law
+    tips = aims(of_tips(law.task))
+    if len(targets) > len(tips):
+        must = f"be given at most once for each tip ({', '.join(aim.label for aim in tips)})"
+        raise errors.fail("target", must, f"is given {len(targets)} times")
+    given = iter(targets)
+
+    def other(one, parts):
+        target = next(given, None) if hasattr(parts.parts[0], "axes") else None
+        return one if target is None else reference_from("hold", law.chain, parts, found.q0, target=target)
+
+    told = {aim.path[0]: {"target": None} for aim in tips[: len(targets)]}
+    tables = {name: table | told.get(name, {}) for name, table in found.tables.items()}
+    return dataclasses.replace(found, reference=of_each(other, found.reference, law.task), tables=tables)

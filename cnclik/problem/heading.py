@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from cnclik.integrate.drive import Drive
 from cnclik.law.paths import hold_at
 from cnclik.law.reference import aims_of
 from cnclik.problem.names import near_singular_start
@@ -43,15 +42,6 @@ def unless_given(written, *names) -> str:
     return "" if any(name in written for name in names) else " (default)"
 
 
-def assumed_drives(made) -> list:
-    """A sentence about the assumed drives if only their dead time was given."""
-    from cnclik.stability.recommend import assumed_of
-
-    said = assumed_of(made.drive or Drive(), made.Ts)
-    measure = "A lag needs a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
-    return [f"{said} {measure} to give here."] if said else []
-
-
 def dead_time(made) -> str:
     """The dead time of a problem in samples and ms, or that none was given."""
     if made.drive is None or not made.drive.lumped.delay:
@@ -61,11 +51,34 @@ def dead_time(made) -> str:
     return late + (f", and of the measurement {in_samples(measured, made.Ts)}" if measured else "")
 
 
+def drive_words(made) -> str:
+    """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
+    drive = made.drive
+    if drive is None or drive.absent:
+        return ""
+    said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
+    measured = drive.measurement_delay
+    said += [f"measured {in_samples(measured, made.Ts)} late"] * bool(measured)
+    if drive.order:
+        late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
+        said.append(
+            f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands"
+        )
+    said.append(f"feedback {drive.feedback}")
+    return ", ".join(said)
+
+
+def pace_words(made) -> str:
+    """The limits to which steps are scaled, in words; "" without any."""
+    named = [name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name, None) is not None]
+    return f"steps scaled along the path to limits of {', '.join(named)}" if named else ""
+
+
 def start_and_target(made, given: dict) -> list:
     """Sentences: the joint values at the start, the first point of the path, and the tasks of a stack; and where it is
     so, that the start is near a singularity.
 
-    Args: given: what the user gave, as `cnclik.cli.problem.table` has it.
+    Args: given: the options that the user gave, {name: value}.
     """
     units = ", ".join(dict.fromkeys(made.law.chain.units))
     named = any(given.get(name) is not None for name in PATH) or str(given.get("reference")).lower().endswith(".csv")
