@@ -56,7 +56,7 @@ def run(args: Args) -> None:
             raise errors.fail(name, f"be left out with --tasks{instead}", "is given")
     if args.Ts is not None and not any(args.written.get("Ts", ())):  # type: ignore[attr-defined]
         remark_on_times({"Ts": args.Ts}, args.Ts)
-    names, table = read_columns("LOG", args.log, gaps=True)
+    names, table = read_columns("LOG", args.log)
     if args.out is not None:
         with output_folder(args.out, overwrite=args.overwrite, files=["diagnose.png"]):
             pass  # it takes the figure
@@ -87,7 +87,6 @@ def _otherwise(t, Ts, name) -> str:
 
 def _diagnose(args, names, table, left_out, of):
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
-    from cnclik.measure.files import plain
 
     Ts, stamps = of
     if args.longest_period is not None:
@@ -102,7 +101,7 @@ def _diagnose(args, names, table, left_out, of):
     with progress.bar("parts") as report:
         found = diagnose(signal, Ts, alpha=args.alpha, longest=longest, progress=report)
     if args.json:
-        print_json(plain(_fields(found) | {"Ts_from": stamps}))
+        print_json(_fields(found) | {"Ts_from": stamps})
     else:
         print(found)
         _tell(found, [names[i] for i in chosen])
@@ -138,7 +137,6 @@ def _tasks(args, names, left_out) -> dict:
 
 def _diagnose_tasks(args, names, table, tasks, of, longest):
     from cnclik.diagnosis.tasks import diagnose_tasks
-    from cnclik.measure.files import plain
 
     Ts, stamps = of
     whole = _whole(table[:, [i for places, _ in tasks.values() for i in places]])
@@ -149,7 +147,7 @@ def _diagnose_tasks(args, names, table, tasks, of, longest):
         found = diagnose_tasks(signals, Ts, alpha=gains, longest=longest, progress=report)
     if args.json:
         each = {n: _fields(one.found) | {f: getattr(one, f) for f in _OF_TASK} for n, one in found.tasks.items()}
-        print_json(plain({"tasks": each, "change": found.change, "delay": found.delay, "Ts": Ts, "Ts_from": stamps}))
+        print_json({"tasks": each, "change": found.change, "delay": found.delay, "Ts": Ts, "Ts_from": stamps})
     else:
         print(found)
         if found.change:
@@ -199,20 +197,17 @@ def _tell(found, names):
 
 def _fields(found) -> dict:
     made = {"kind": str(found.kind)} | {name: getattr(found, name) for name in _PLAIN.split()}
-    made |= {"factors": [[float(f.real), float(f.imag)] for f in found.factors]}
-    made |= {"axis": None if found.axis is None else list(found.axis)}
-    return made | {"amplitude": list(found.amplitude), "noise": list(found.noise), "note": found.note}
+    return made | {"factors": [[float(f.real), float(f.imag)] for f in found.factors]}
 
 
 _PLAIN = """
     Ts rings period growth z delay lag phase_delay confidence pure cause angle stable monotone recommended factor alpha
-    recommended_alpha period_seconds delay_seconds
+    recommended_alpha period_seconds delay_seconds axis amplitude noise note
 """
 
 
 def _step(args, names, table, left_out, of):
     from cnclik.diagnosis.fit import fit_drive
-    from cnclik.measure.files import plain
 
     if args.alpha is not None:
         raise errors.fail("alpha", "be left out with --step", "is given")
@@ -225,17 +220,11 @@ def _step(args, names, table, left_out, of):
     fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
     if args.json:
         drive = fit.drive
-        print_json(plain({
-            "kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "Ts_from": stamps,
-            "command": drive.command,
-            "delay": drive.delay,
-            "lag": _plain(drive.lag) if drive.order == 1 else None,
-            "natural_frequency": _plain(drive.natural_frequency) if drive.order == 2 else None,
-            "damping_ratio": _plain(drive.damping_ratio) if drive.order == 2 else None,
-            "uncertainty": fit.uncertainty, "rms": list(fit.rms), "explained": fit.explained, "options": fit.options,
-            "gain": list(fit.gain), "drift": list(fit.drift), "largest_stable_alpha": fit.largest_stable_alpha,
-            "note": fit.note,
-        }))  # fmt: skip
+        told = {"kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "Ts_from": stamps}
+        told |= {"command": drive.command, "delay": drive.delay}
+        own = {"lag": 1, "natural_frequency": 2, "damping_ratio": 2}
+        told |= {name: getattr(drive, name) if order == drive.order else None for name, order in own.items()}
+        print_json(told | {name: getattr(fit, name) for name in _OF_FIT})
     else:
         print(fit.options)
         print(fit)
@@ -246,8 +235,7 @@ def _step(args, names, table, left_out, of):
         _draw(args, lambda: figure(Ts, command, motion, fit, [names[i] for i in moved]))
 
 
-def _plain(value):
-    return getattr(value, "tolist", lambda: value)()
+_OF_FIT = ("uncertainty", "rms", "explained", "options", "gain", "drift", "largest_stable_alpha", "note")
 
 
 def _chosen(columns, names):

@@ -33,5 +33,7 @@ def listening(Args):
 
 
 def print_json(table: dict) -> None:
-    """Print a verb's answer as JSON, with its `remarks`."""
-    print(json.dumps(table | {"remarks": list(_said)}, allow_nan=False))
+    """Print a verb's answer as JSON, see `plain`, with its `remarks`."""
+    from cnclik.measure.files import plain
+
+    print(json.dumps(plain(table | {"remarks": _said}), allow_nan=False))

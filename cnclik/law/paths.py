@@ -99,7 +99,7 @@ def circle(
     center = errors.array("center", center, (2,), (3,))
     radius = 1.0 * errors.number("radius", radius, at_least=0)
     phase = 1.0 * errors.number("phase", phase)
-    _nonzero("period", period)
+    _check_period(period)
     if center.shape[0] == 2:
         if normal is not None:
             raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
@@ -147,7 +147,7 @@ def lissajous(
     amplitude = errors.array("amplitude", amplitude, (d,))
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
-    _nonzero("period", period)
+    _check_period(period)
     curve = Lissajous(
         center=center,
         amplitude=amplitude,
@@ -256,10 +256,10 @@ def hold_at(
 # --- reading arguments --------------------------------------------------------------------------------
 
 
-def _nonzero(name, value):
-    errors.number(name, value)
-    if errors.concrete(value) and float(value) == 0:
-        raise errors.fail(name, "not be 0", "is 0")
+def _check_period(period):
+    errors.number("period", period)
+    if errors.concrete(period) and float(period) == 0:
+        raise errors.fail("period", "not be 0", "is 0")
 
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:

@@ -1,4 +1,4 @@
-"""Answers of `cnclik.reach` as labelled data and files, and their summary in a few numbers."""
+"""Answers of `cnclik.reach` as labelled data and files."""
 
 import pathlib
 from typing import TYPE_CHECKING, Any

@@ -13,16 +13,17 @@ from cnclik.problem.columns import POSITION, QUATERNION, TRANSFORM, meanings, of
 from cnclik.reading import read_bytes
 
 
-def read_columns(argument: str, file, *, gaps=False) -> tuple:
+def read_columns(argument: str, file) -> tuple:
     """Names of the columns ("1", "2", … without a header) and numbers (rows, columns) of a CSV file.
 
-    A header and # comments are no rows.
+    A header and # comments are no rows. Empty cells and columns of texts become NaN.
 
-    Args: gaps: whether empty cells and columns of texts are allowed; both become NaN.
     Raises: ArgumentError, naming the argument, for a file that cannot be read, or rows that do not fit.
     """
     names, rows = _cells(argument, file)
-    table = _numbers(argument, file, rows, gaps)
+    meant = {j for row in rows for j, cell in enumerate(row) if _is_meant(cell)}
+    rows = [[cell if j in meant and cell.strip() else "nan" for j, cell in enumerate(row)] for row in rows]
+    table = _numbers(argument, file, rows)
     width = table.shape[-1] if rows else len(names)
     return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
 
@@ -41,7 +42,7 @@ def read_poses(argument: str, file, by_place, tip=()) -> tuple:
     if own := of_tip(names, tip):
         names, rows = tuple(own.values()), [[row[i] for i in own if i < len(row)] for row in rows]
     found = meanings(argument, pathlib.Path(file).name, names) if names else None
-    table = _numbers(argument, file, rows, False)
+    table = _numbers(argument, file, rows)
     if found is None:
         order = by_place(table.shape[-1]) if rows else None
         if order is None:
@@ -89,10 +90,7 @@ def _is_meant(cell) -> bool:
     return bool(cell.strip()) and (quantities.number(cell) is not None or bool(quantities.hint(cell)))
 
 
-def _numbers(argument, file, rows, gaps):
-    if gaps:
-        meant = {j for row in rows for j, cell in enumerate(row) if _is_meant(cell)}
-        rows = [[cell if j in meant and cell.strip() else "nan" for j, cell in enumerate(row)] for row in rows]
+def _numbers(argument, file, rows):
     table = []
     for k, row in enumerate(rows):
         values = [quantities.number(cell) for cell in row]

@@ -30,7 +30,7 @@ def oscillation(signal, found, names):
     return _finish(figure, panels)
 
 
-def drive(Ts, command, motion, fit, names, unit="rad or m"):
+def drive(Ts, command, motion, fit, names):
     """Command, motion, and the motion of the drive that was fitted; a panel for each joint.
 
     Args:
@@ -43,9 +43,9 @@ def drive(Ts, command, motion, fit, names, unit="rad or m"):
         right.step(t, command[:, i], where="post", color=style.BLACK, linestyle=style.DOT, label="command")
         panel.plot(t, motion[:, i], "o", **_DOTS, label="recorded motion")
         panel.plot(t, fit.motion[:, i], color=markup.BLUE, label="motion of the fitted drive")
-        panel.set_ylabel(f"{names[i]} [{unit}]")
+        panel.set_ylabel(f"{names[i]} [rad or m]")
         if not positions:
-            right.set_ylabel(f"command [{unit} per s]")
+            right.set_ylabel("command [rad or m per s]")
             right.grid(False)
             right.spines["right"].set_visible(True)
             panel.plot([], [], color=style.BLACK, linestyle=style.DOT, label="command")

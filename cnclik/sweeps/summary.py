@@ -85,8 +85,8 @@ def best(data) -> list:
             continue
         place = np.unravel_index(np.argmin(np.where(fine, own, np.inf)), own.shape)
         at = {d: data[d].values[i] for d, i in zip(own.dims, place, strict=True)}
-        axes = [f"{d} {_text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]
-        axes += [f"z = {_text(at['alpha'] * at['Ts'])}"] if {"alpha", "Ts"} <= set(at) else []
+        axes = [f"{d} {text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]
+        axes += [f"z = {text(at['alpha'] * at['Ts'])}"] if {"alpha", "Ts"} <= set(at) else []
         least = f"{own.values[place]:.3g} {value.attrs.get('units', '')}".strip()
         same = int(((own == own.values[place]) & fine).sum())
         least += f", as {same - 1:,} others" * (same > 2)
@@ -102,7 +102,8 @@ def _how_many(safe, every) -> str:
     return f"{f'{safe:,}' if safe else 'none'} of {every:,} loops {'are' if safe > 1 else 'is'}"
 
 
-def _text(value) -> str:
+def text(value) -> str:
+    """A coordinate's value, four digits."""
     return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
 
 

@@ -139,7 +139,7 @@ SLIPS = ["1_0", "０．５", "1٫5", "0x10", "1e", "--1", "${len}", "1d5", "½"]
 def test_numbers_are_what_they_look_like(slip, tmp_path):
     (tmp_path / "f.csv").write_text(f"1,2,3\n{slip},2,3\n", encoding="utf-8")
     with pytest.raises(ck.ArgumentError, match="row 2 of f"):
-        read_columns("LOG", tmp_path / "f.csv")
+        read_targets(tmp_path / "f.csv", pose())
     with pytest.raises(ck.ArgumentError, match=r"`path` .* joint 'j1' of the text has origin xyz"):
         ck.load_urdf(f"""<robot name="a"><link name="a"/><link name="b"/><joint name="j1" type="continuous"><parent
         link="a"/><child link="b"/><origin xyz="0 0 {slip}"/></joint></robot>""")
@@ -152,4 +152,4 @@ def test_what_was_probably_meant_is_said(tmp_path):
                        ("x;y\n1;2\n", "separated by commas")):  # fmt: skip
         (tmp_path / "f.csv").write_text(text)
         with pytest.raises(ck.ArgumentError, match=told):
-            read_columns("LOG", tmp_path / "f.csv")
+            read_targets(tmp_path / "f.csv", pose())

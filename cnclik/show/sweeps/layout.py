@@ -8,9 +8,8 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.show import style
-from cnclik.show.sweeps.panels import text
 from cnclik.sweeps.check import ROLES
-from cnclik.sweeps.summary import HISTORY, main_value, scalars
+from cnclik.sweeps.summary import HISTORY, main_value, scalars, text
 
 LONGEST = 8  # a longer dimension gets neither panels nor separate figures
 

@@ -9,6 +9,7 @@ from matplotlib import colors, figure
 from matplotlib.artist import setp
 
 from cnclik.show import style
+from cnclik.sweeps.summary import text
 
 MOST_IN_A_ROW = 5
 LETTER = 0.06  # [in] mean width
@@ -111,11 +112,6 @@ def lines(part, dim):
 
 
 # --- words --------------------------------------------------------------------------------------------
-
-
-def text(value) -> str:
-    """A label's value, four digits."""
-    return f"{value:.4g}" if isinstance(value, (float, np.floating)) else str(value)
 
 
 def described(coordinate) -> str:

@@ -7,7 +7,8 @@ from matplotlib import colors, patches, ticker
 from matplotlib.patheffects import withStroke
 
 from cnclik.show import style
-from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, lines, norm, text
+from cnclik.show.sweeps.panels import LETTER, Panels, axis_label, lines, norm
+from cnclik.sweeps.summary import text
 
 ISOLINES = (0.1, 0.5, 1.0, 2.0)  # of z = alpha·Ts
 ISOLINE = {

@@ -178,7 +178,7 @@ def _table(path) -> dict:
     header, *rest = csv.reader(io.StringIO(text, newline="")) if text.startswith("target,") else ([],)
     if header:
         return _table_of_answers(header, rest)
-    names, rows = read_columns("FILE", path, gaps=True)
+    names, rows = read_columns("FILE", path)
     columns = {kind: [i for i, n in enumerate(names) if n.startswith(f"{kind}_")] for kind in ("q", "x", "e")}
     if not columns["q"] or not len(rows):
         raise errors.fail("FILE", "have columns q_JOINT and rows, as `solve --csv` writes", f"{path.name} has none")

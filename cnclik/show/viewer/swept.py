@@ -12,7 +12,7 @@ from cnclik.show.viewer.motion import motion_of
 from cnclik.sweeps import store
 from cnclik.sweeps.check import parse
 from cnclik.sweeps.spec import KEYS, TABLES
-from cnclik.sweeps.summary import judged
+from cnclik.sweeps.summary import judged, text
 
 
 def best_and_worst(folder) -> list:
@@ -44,7 +44,7 @@ def _motion(spec, values, place):
     made = spec.build(**chosen)
     run = jax.tree.map(np.asarray, made.run())
     shown = {d: values[d].values[i] for d, i in at.items()}
-    words = ", ".join(f"{d} = {v:.4g}" if isinstance(v, (float, np.floating)) else f"{d} {v}" for d, v in shown.items())
+    words = ", ".join(f"{d}{' = ' if isinstance(v, float) else ' '}{text(v)}" for d, v in shown.items())
     size = float(values.values[place])
     unit = values.attrs.get("units", "")
     note = f"{values.attrs.get('long_name', values.name)} {size:.4g} {unit}"
