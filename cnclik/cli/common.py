@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from cnclik.cli import progress
+from cnclik.problem.options import SWEPT
 from cnclik.show.output import FigureError
 
 
@@ -89,27 +90,21 @@ def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, 
     Console().print(shown)
 
 
-_OPTIONS = {  # words of the library's remedies, and the options for them
-    r"\bdamped\((.*?)\) in place of \w+\(\)": r"--inverse damped --damping \1",
-    r"\bdamped\((.*?)\)": r"--damping \1",
-    r"an error_clamp of \((.*?), (.*?)\)": r"--error-clamp \1 \2",
-    r"limits velocity_scaling\(\)": "--limits velocity-scaling",
-    r"the stage with chord\(2\)": "the stage with --stage chord --M 2",
-    "method EXP-MIDPOINT": "--method EXP-MIDPOINT",
-    r"\(feedforward=1\)": "(--feedforward 1)",
-    r"pseudoinverse\(\)": "--inverse pseudoinverse",
-    r"N = (\d+) steps": r"--N \1",
-    r"period = (\S+) s": r"--period \1",
-    r"limits (saturation|bounded)\(\)": r"--limits \1",
-    "feedback commanded": "--feedback commanded",
-}
+_CODE = re.compile(r'\b(\w+)=(?:"([\w-]+)"|(\w+)\((.*?)\)|\((.*?)\)|(-?\d[\d.e+-]*\d|-?\d))')
 
 
 def as_options(sentence: str) -> str:
-    """A remedy of the library with the options of the command line."""
-    for word, option in _OPTIONS.items():
-        sentence = re.sub(word, option, sentence)
-    return sentence
+    """What the library says, with options as the command line takes them: `N=400`, `stage=chord(2)`, as in Python."""
+
+    def option(found):
+        name, text, maker, given, several, number = found.groups()
+        if name not in SWEPT:
+            return found[0]
+        value = text or number or (several.replace(",", "") if several else maker.replace("_", "-"))
+        return f"--{name.replace('_', '-')} {value}" + (f" --{_NUMBERS[name]} {given}" if given else "")
+
+    return _CODE.sub(option, sentence)
 
 
+_NUMBERS = {"inverse": "damping", "stage": "M"}  # the option of the number that Python gives to such a value
 NAMES = tuple(field.name for kind in (ComputeOptions, ReportOption) for field in dataclasses.fields(kind))

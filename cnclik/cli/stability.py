@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption, print_table
+from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
 from cnclik.cli.problem import DriveOptions, LoopOptions, RobotOptions, TaskOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.problem.options import DRIVE
@@ -159,10 +159,10 @@ def _tell(args, advised):
     found, rest, said = advised
     asked = [f"{answer.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {dead_time(found)}."]
     asked += [*start_and_target(found, table(args)), *answer.rest_of(found, rest)]
-    print(*asked, *filter(None, [said.assumption]), *said.notes, sep="\n")
+    print(*asked, *map(as_options, filter(None, [said.assumption, *said.notes])), sep="\n")
     for title, columns, rows in answer.tables_of(found, said, args.written):
         print_table(rows, columns, title=title)
-    print(*answer.lines_of(found, said, args.written), sep="\n")
+    print(*map(as_options, answer.lines_of(found, said, args.written)), sep="\n")
 
 
 # --- the plane ----------------------------------------------------------------------------------------
@@ -294,14 +294,12 @@ def _report(args, figures, advised):
         from cnclik.show.report_figures import errors_beside
 
         figures = {"errors.svg": (lambda: errors_beside(motions), {"Title": "errors"})}
+    lines = (line for line in answer.lines_of(found, said, args.written) if not line.startswith("Recommended"))
     args.write_report(
         answer.title_of(found),
         best,
         tables=answer.tables_of(found, said, args.written),
-        lines=[
-            *said.notes,
-            *(line for line in answer.lines_of(found, said, args.written) if not line.startswith("Recommended")),
-        ],
+        lines=[*map(as_options, (*said.notes, *lines))],
         figures=figures,
         captions={
             "errors": "The errors of all tasks, each joint begun a little away from where the loop rests."

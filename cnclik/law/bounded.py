@@ -333,7 +333,7 @@ class Bounded:
 
 def undamped(inverse):
     """The error of an inverse without damping."""
-    return errors.fail("inverse", "be damped, such as damped(0.05), with limits bounded()", f"is {brief(inverse)}")
+    return errors.fail("inverse", "be damped with limits=bounded(), as in inverse=damped(0.05)", f"is {brief(inverse)}")
 
 
 def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:

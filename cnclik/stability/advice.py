@@ -282,8 +282,8 @@ def _moved(law, loop, now, alpha):
     if not pull / alpha < rest_tolerance(law.chain):
         yield (
             f"With this J# the null-space velocity disturbs the task by {pull:.3g} [m/s, rad/s]: an error of about "
-            f"{pull / alpha:.3g} [m, rad] remains at the recommended gain. Use pseudoinverse(), less damping or a "
-            "slower null-space velocity."
+            f"{pull / alpha:.3g} [m, rad] remains at the recommended gain. Use inverse=pseudoinverse(), less damping "
+            "or a slower null-space velocity."
         )
 
 

@@ -14,7 +14,7 @@ from cnclik.stability.drives import SPARE, each_drive
 
 INERTIA = 2.0  # largest ratio between a joint's measured inertia and that in another posture
 SHARES = np.geomspace(1 / INERTIA, INERTIA, 33)  # of that inertia
-WHERE = "Begin each command at the last one (feedback commanded), or send velocities"
+WHERE = 'Begin each command at the last one (feedback="commanded"), or send velocities'
 
 
 def critical_delay(natural_frequency, damping_ratio):

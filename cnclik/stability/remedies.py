@@ -1,7 +1,6 @@
 """Remedies: what would have made a run better, as numbers under the names of a problem's options, and in words."""
 
 import math
-import re
 
 import numpy as np
 
@@ -35,7 +34,7 @@ class Remedy:
       change: {option: value}, by the names and in the units of `cnclik.problem.OPTIONS`, as plain data; also "speed",
         the share of the path's speed, "null_gain", that of the null-space velocity, and "shift", by which the whole
         path moves [m], and "damping_share", that of the damping of each level.
-      words: the same as a sentence's part, in the words of Python.
+      words: the same as a sentence's part; options are written as Python takes them, `N=400`, `limits=saturation()`.
       mends: what gets better: "error", "motion" (shaking, swinging), "velocity" of joints, or "verdict", which a
         longer run decides, or "limits", which joints leave.
     """
@@ -54,12 +53,12 @@ def longer(case, times=1) -> tuple:
         return ()
     spans = ENOUGH if case.moving else PLENTY
     more = ", or more where limits hold the joints back," if case.law.limits is not None else ""
-    return (_steps(case, spans, "verdict", f"run for N = {{}} steps{more} to decide", times),)
+    return (_steps(case, spans, "verdict", f"run for N={{}} steps{more} to decide", times),)
 
 
 def to_the_end(case, times=1) -> tuple:
     """The run in which a shrinking error is gone."""
-    return (_steps(case, ARRIVES, "error", "run for N = {} steps", times),)
+    return (_steps(case, ARRIVES, "error", "run for N={} steps", times),)
 
 
 def _steps(case, spans, mends, words, times):
@@ -78,7 +77,7 @@ def _steps(case, spans, mends, words, times):
     N = digit * math.ceil(steps / digit)  # to two digits, from above
     if not case.period:
         return Remedy(change={"N": N}, words=words.format(N), mends=mends)
-    words = f"{words.format(N)}, with period = {case.period:.6g} s (left out, it grows with N)"
+    words = f"{words.format(N)}, with period={case.period:.6g} s (left out, it grows with N)"
     return Remedy(change={"N": N, "period": case.period}, words=words, mends=mends)
 
 
@@ -94,7 +93,7 @@ def lower(case) -> tuple:
     shares = [at.stable_share(Ts) for at in ends]
     share = min(shares, default=1.0)
     if share == 0 and drive.feedback == "rebased":
-        words = "begin each position command at the last one (feedback commanded): no smaller gain is stable"
+        words = 'begin each position command at the last one (feedback="commanded"): no smaller gain is stable'
         return (Remedy(change={"feedback": "commanded"}, words=words, mends="motion"),)
     if 0 < share < 1:
         best, why = ends[int(np.argmin(shares))].fastest_share(Ts, share), "settles soonest"
@@ -108,9 +107,9 @@ def lower(case) -> tuple:
         if within or not drive.prompt:
             return made
         if method.implicit and isinstance(stage, Picard):
-            words = "solve the stage with chord(2)"
+            words = "use stage=chord(2)"
             return *made, Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion")
-        words = "use method EXP-MIDPOINT, which has no such limit"
+        words = 'use method="EXP-MIDPOINT", which has no such limit'
         other = Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion")
         return made if method.exponential or isinstance(law.inverse, Transpose) else (*made, other)
     if leaky(law) and case.radius <= 1:  # more damping lets it pull more
@@ -170,17 +169,11 @@ def quicker(case) -> tuple:
     taken = share * rate * Ts * (0.5 if other else 1.0)  # of the slowest direction by a step
     N = math.ceil(float(f"{case.steps + case.dead + MARGIN * ARRIVES / taken:.2g}"))
     change = {"damping": weak} if other else {}
-    words = [f"use {_damped(law, weak)}"] * other
+    words = [f"use inverse=damped({weak:.2g})"] * other
     if share != 1:
         change |= {"alpha": _gain(law, share)}
         words.append(f"{'raise' if share > 1 else 'reduce'} {_words(law, share, 'to')}")
-    return (Remedy(change=change | {"N": N}, words=f"{' and '.join(words)}, and run for N = {N} steps"),)
-
-
-def _damped(law, damping):
-    """The inverse in words: in place of one that is neither damped(...) nor without a name on the command line."""
-    name = re.sub(r"\B(?=[A-Z])", "_", type(law.inverse).__name__).lower()
-    return f"damped({damping:.2g})" + f" in place of {name}()" * (name not in ("damped", "pseudoinverse"))
+    return (Remedy(change=change | {"N": N}, words=f"{' and '.join(words)}, and run for N={N} steps"),)
 
 
 def _gain(law, share):
@@ -223,7 +216,7 @@ def gentle(case, mends="error") -> tuple:
     damping = max(0.1 * size, 3 * float(np.max(np.asarray(getattr(law.inverse, "damping", 0.0)))))
     most = min(float(np.min(np.array(law.chain.velocity_limit, float))), SMALL / Ts)
     clamp = float(f"{min(0.1 * size, 1.4 * damping * most / rate if rate else np.inf):.2g}")
-    words = f"use {_damped(law, damping)} with an error_clamp of ({clamp:.2g}, {clamp:.2g})"
+    words = f"use inverse=damped({damping:.2g}) with error_clamp=({clamp:.2g}, {clamp:.2g})"
     change = {"damping": float(f"{damping:.2g}"), "error_clamp": [clamp, clamp]}
     return (Remedy(change=change, words=words, mends=mends),)
 
@@ -279,10 +272,10 @@ def slower_path(case, share, mends="error") -> tuple:
     if case.period:
         period = float(f"{case.period / share:.2g}")
         N = math.ceil(case.steps * abs(period) / case.path)  # the same part of it
-        words = f"follow a slower path: one that takes {abs(period):g} s, not {case.path:.3g} s, with N = {N} steps"
+        words = f"follow a slower path: one that takes {abs(period):g} s, not {case.path:.3g} s, with N={N} steps"
         return (Remedy(change={"period": period, "N": N}, words=words, mends=mends),)
     N = math.ceil(case.steps / share)
-    words = f"follow the path at {share:.2g} of its speed, with N = {N} steps"
+    words = f"follow the path at {share:.2g} of its speed, with N={N} steps"
     return (Remedy(change={"speed": share, "N": N}, words=words, mends=mends),)
 
 
@@ -291,7 +284,7 @@ def slower_joints(case) -> tuple:
     law, excess = case.law, case.seen.excess
     names = () if law.limits is not None else ("velocity-scaling",) * (not reasons.outside(case)) + ("saturation",)
     found = [
-        Remedy(change={"limits": name}, words=f"use limits {name.replace('-', '_')}()", mends="velocity")
+        Remedy(change={"limits": name}, words=f"use limits={name.replace('-', '_')}()", mends="velocity")
         for name in names
     ]
     within = reasons.null_excess(case)
@@ -310,7 +303,7 @@ def slower_joints(case) -> tuple:
 def freer(case) -> tuple:
     """What keeps the tasks of a stack nearer to their targets within the limits: joints that share the motion, or a
     path that asks for less."""
-    shared = Remedy(change={"limits": "saturation"}, words="use limits saturation()")
+    shared = Remedy(change={"limits": "saturation"}, words="use limits=saturation()")
     slows = not isinstance(case.law.limits, (Saturated, Bounded)) and case.seen.at_velocity.any()
     slower = slower_path(case, 0.5) if case.moving and case.path and case.seen.at_velocity.any() else ()
     return ((shared,) if slows else ()) + slower
@@ -322,7 +315,7 @@ def inside(case) -> tuple:
     began = np.all((q >= np.array(chain.lower)) & (q <= np.array(chain.upper)))
     if reasons.keeps_positions(case.law) or not (began and case.loop[-1].prompt):
         return ()
-    words = "keep the joints inside with limits saturation()"
+    words = "keep the joints inside with limits=saturation()"
     return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)
 
 
@@ -334,16 +327,16 @@ def less_damping(case) -> tuple:
     if not isinstance(inverse, Damped):
         return ()
     less = float(f"{0.1 * float(np.max(np.asarray(inverse.damping))):.2g}")
-    return (Remedy(change={"damping": less}, words=f"use damped({less:g}), {words}"),)
+    return (Remedy(change={"damping": less}, words=f"use inverse=damped({less:g}), {words}"),)
 
 
 def less_pull(case) -> tuple:
     """What ends the pull of a null-space velocity at the task."""
-    exact: tuple = (Remedy(change={"inverse": "pseudoinverse", "damping": None}, words="use pseudoinverse()"),)
+    exact: tuple = (Remedy(change={"inverse": "pseudoinverse", "damping": None}, words="use inverse=pseudoinverse()"),)
     exact = () if isinstance(case.law.limits, Bounded) else exact  # which needs damping
     slower = Remedy(change={"null_gain": 0.3}, words="slow the null-space velocity to 0.3 of what it is")
     damping = getattr(case.law.inverse, "damping", None)
     if damping is None:
         return (*exact, slower)
     less = 0.3 * float(np.max(np.asarray(damping)))
-    return (*exact, Remedy(change={"damping": less}, words=f"less damping, damped({less:.2g})"), slower)
+    return (*exact, Remedy(change={"damping": less}, words=f"less damping, inverse=damped({less:.2g})"), slower)

@@ -46,7 +46,7 @@ _TOO_FAST = (
 )
 _HELD_BACK = (
     "The gain is nearly zero: an error would not be removed within the whole path. More would break the bound on "
-    "joint velocities: give more steps or a slower path, begin nearer to it, or use limits velocity_scaling()."
+    "joint velocities: give more steps or a slower path, begin nearer to it, or use limits=velocity_scaling()."
 )
 _LITTLE_GAIN = (
     "The gain, which was not tuned, is nearly zero: an error would not be removed within the whole path. Raise alpha, "

@@ -1,5 +1,7 @@
 """What was asked stands above every answer: tip, dead time, start, target; what nobody gave is called default."""
 
+import ast
+import inspect
 import json
 import re
 import warnings
@@ -10,8 +12,11 @@ import pytest
 import cnclik as ck
 from cnclik import errors
 from cnclik.cli import main
+from cnclik.cli.common import as_options
+from cnclik.problem import words
 from cnclik.problem.build import problem_from
 from cnclik.robot import poses
+from cnclik.stability import remedies
 
 JAWED = """<robot name="hand"><link name="base"/><link name="arm"/><link name="wrist"/><link name="{jaw}"/>
 <joint name="j1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -175,3 +180,29 @@ def test_json_has_the_dead_time_in_samples_and_ms(delay, samples, ms, capsys):
     told = json.loads(capsys.readouterr().out)
     assert (told["dead_time_samples"], told["dead_time_ms"]) == (samples, pytest.approx(ms))
     assert told["tip"] == "end of the last link" and len(told["q0"]) == 2 and told["remarks"] == []
+
+
+@pytest.mark.parametrize(
+    ("python", "option"),
+    [
+        ("use inverse=damped(0.066), and run for N=500 steps", "--inverse damped --damping 0.066, and run for --N 500"),
+        ("with error_clamp=(0.1, 0.05)", "with --error-clamp 0.1 0.05"),
+        ("use stage=chord(2)", "use --stage chord --M 2"),
+        ('use method="EXP-MIDPOINT", which has', "use --method EXP-MIDPOINT, which has"),
+        ("keep the joints inside with limits=velocity_scaling().", "with --limits velocity-scaling."),
+        ("period=-12.5 s (left out, it grows with N)", "--period -12.5 s (left out, it grows with N)"),
+        (
+            "FrameTask(gain=0.5), dt=0.1, jerk=1e-4, drive=ck.Drive()",
+            "FrameTask(gain=0.5), dt=0.1, jerk=1e-4, drive=ck.D",
+        ),
+    ],
+)
+def test_options_that_the_library_writes_as_python_are_those_of_the_command_line(python, option):
+    assert option in as_options(python)
+
+
+def test_remedies_write_every_value_with_its_option():
+    """Else the command line would print Python."""
+    texts = [n.value for n in ast.walk(ast.parse(inspect.getsource(remedies))) if isinstance(n, ast.Constant)]
+    made = "|".join(name.replace("-", "_") for name in (*words.INVERSES, *words.LIMITS, *words.STAGES))
+    assert not [text for text in texts if isinstance(text, str) and re.search(rf"(?<!=)\b({made})\(", text)]

@@ -315,7 +315,7 @@ def test_the_lower_level_gives_way_first():
 
 @pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.transpose()])
 def test_an_inverse_without_damping_is_refused(inverse):
-    with pytest.raises(ck.ArgumentError, match=r"`inverse` must be damped.* with limits bounded\(\), but is "):
+    with pytest.raises(ck.ArgumentError, match=r"`inverse` must be damped with limits=bounded\(\), .*, but is "):
         ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=inverse, limits=ck.bounded())
 
 

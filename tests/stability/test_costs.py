@@ -64,7 +64,7 @@ def test_limits_that_cost_the_path_are_no_remedy():
     assert [list(one) for one in changes(told, "velocity")] == [["period", "N"]], told
     _, told = judged(law, circle(law.chain), Q + 0.2)  # off the path, and what is too fast is so by the error, too
     assert not changes(told, "velocity"), told
-    assert "tried, but with a larger error: use limits velocity_scaling(), use limits saturation()" in told.sentence
+    assert "tried, but with a larger error: use limits=velocity_scaling(), use limits=saturation()" in told.sentence
 
 
 def test_limits_of_joints_that_cost_the_target_are_no_remedy():

@@ -53,10 +53,10 @@ def test_what_nobody_can_know_is_not_said(number, loop, kind):
     ("number", "loop", "said"),
     [
         pytest.param(35, 9, "no better: reduce alpha", id="a circle that less gain leads astray, too"),
-        pytest.param(8, 7, "Use limits velocity_scaling(). Run", id="the null space is not what is too fast"),
-        pytest.param(45, 14, "Run for N = ", id="the time constants at the end are not those of the way there"),
+        pytest.param(8, 7, "Use limits=velocity_scaling(). Run", id="the null space is not what is too fast"),
+        pytest.param(45, 14, "Run for N=", id="the time constants at the end are not those of the way there"),
         pytest.param(26, 29, "no better: reduce alpha", id="joints that hardly moved move less"),
-        pytest.param(10, 38, "Run for N = 1500", id="at N = 710 it shrinks, and how long for was not known"),
+        pytest.param(10, 38, "Run for N=1500", id="at N = 710 it shrinks, and how long for was not known"),
         pytest.param(14, 33, "no better: reduce alpha", id="through a lag", marks=pytest.mark.slow),
         pytest.param(23, 26, "no better: reduce the gain", id="a null space that is late", marks=pytest.mark.slow),
         pytest.param(33, 32, "no better: reduce alpha", id="less gain lags more", marks=pytest.mark.slow),
@@ -74,7 +74,7 @@ def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
     [
         pytest.param(47, 39, 11, 0.0, "the error gets as large as", id="a circle that touches a singularity, settled"),
         pytest.param(
-            14, 36, 11, 0.17, "Run for N = 1700", id="joints that the path turns, at N = 810", marks=pytest.mark.slow
+            14, 36, 11, 0.17, "Run for N=1700", id="joints that the path turns, at N = 810", marks=pytest.mark.slow
         ),
         pytest.param(26, 4, 0, 1.0, "no better: reduce", id="calm at the end of the trial", marks=pytest.mark.slow),
         pytest.param(
@@ -85,7 +85,7 @@ def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
             id="shakes instead of ringing",
             marks=[pytest.mark.slow, pytest.mark.xfail(strict=False, reason="chaotic: trials depend on roundings")],
         ),
-        pytest.param(13, 13, 31, 0.17, "Use damped(0.024) in", id="five million steps", marks=pytest.mark.slow),
+        pytest.param(13, 13, 31, 0.17, "Use inverse=damped(0.024)", id="five million steps", marks=pytest.mark.slow),
     ],
 )
 def test_what_a_path_does_later_counts(number, loop, seed, paced, said):

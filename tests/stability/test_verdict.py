@@ -116,8 +116,8 @@ def test_a_small_decrease_towards_a_limit_cycle_is_no_convergence(N):
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (law(0.15, inverse=ck.transpose()), "use damped(0.066) in place of transpose(), and run"),
-        (law(20.0, inverse=ck.damped(60.0)), "use damped(0.066) and reduce alpha to 2 1/s at this Ts, and run"),
+        (law(0.15, inverse=ck.transpose()), "use inverse=damped(0.066), and run"),
+        (law(20.0, inverse=ck.damped(60.0)), "use inverse=damped(0.066) and reduce alpha to 2 1/s at this Ts, and run"),
         (law(5e-4), "raise alpha to 2 1/s at this Ts, and run"),
     ],
     ids=["transpose", "damped", "gain"],
@@ -131,7 +131,8 @@ def test_what_falls_too_slowly_is_told_what_is_quicker(made, said):
     assert found.kind == Behaviour.UNDECIDED and "not known" in found.sentence, found.sentence
     assert said in found.remedy and len(found.remedies) == 1, found.sentence
     (change,) = [one.change for one in found.remedies]
-    assert "transpose" not in as_options(found.remedy)
+    assert ("--inverse damped --damping 0.066" in as_options(found.remedy)) == ("damping" in change)
+    assert f"run for --N {change['N']} steps" in as_options(found.remedy)
     quick = ck.replace(made, alpha=jnp.asarray(change.get("alpha", made.alpha)))
     quick = ck.replace(quick, inverse=ck.damped(change["damping"])) if "damping" in change else quick
     assert judge(quick, target, change["N"], q).kind == Behaviour.SETTLED
@@ -207,7 +208,7 @@ def test_a_path_too_fast_for_the_velocity_limits():
     path = ck.line(TIP, TIP + 1.5 * INWARD, duration=1.0)
     found = judge(ck.Law(chain, XY, alpha=5.0, limits=ck.velocity_scaling()), path, 100, Ts=0.01)
     assert found.kind == Behaviour.AT_LIMIT and "q4 moves at its velocity limit" in found.sentence
-    assert [list(one.change) for one in found.remedies] == [["period", "N"]]  # limits saturation() would not help
+    assert [list(one.change) for one in found.remedies] == [["period", "N"]]  # limits=saturation() would not help
     slow = ck.line(TIP, TIP + 1.5 * INWARD, duration=found.remedies[0].change["period"])
     assert judge(ck.Law(chain, XY, alpha=5.0, limits=ck.velocity_scaling()), slow, 5000, Ts=0.01).kind == "settled"
 
@@ -522,7 +523,7 @@ def test_a_longer_run_follows_the_path_as_it_was(period):
     assert told.kind == "too short to tell", told.sentence
     change = told.remedies[-1].change
     assert change["N"] > 40 and change["period"] == pytest.approx(0.8 if period is None else period)
-    assert f"period = {change['period']:.6g} s" in told.sentence
+    assert f"period={change['period']:.6g} s" in told.sentence
     longer = problem_from(**table | change)
     assert float(longer.reference.curve.period) == pytest.approx(float(made.reference.curve.period))
 
@@ -653,7 +654,7 @@ def test_what_was_tried_is_said_where_nothing_mends():
     how = dict(Ts=made.Ts, method=made.method, stage=made.stage)
     found = verdict(made.law, made.reference, made.run(), **how, noise=made.noise)
     assert found.kind == Behaviour.SHAKING and not found.remedies
-    assert "tried, and no better: use damped(" in found.sentence
+    assert "tried, and no better: use inverse=damped(" in found.sentence
 
 
 @pytest.mark.slow
