@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import graphlib
 import importlib
 import inspect
 import pathlib
@@ -66,6 +67,17 @@ def test_imports_run_one_way_and_touch_no_private_name():
             elif other != own and name.startswith("_") and name != "__version__":
                 wrong.append(f"{path}:{line} imports {other}.{name}")
     assert not wrong
+
+
+def test_imports_have_no_circle():
+    """Those inside functions counted."""
+    modules = {path.relative_to(PACKAGE.parent).with_suffix("").parts: path for path in files()}
+    graph = {}
+    for name, path in modules.items():
+        nodes = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)]
+        wanted = [(*(node.module or "").split("."), alias.name) for node in nodes for alias in node.names]
+        graph[name] = {one if one in modules else one[:-1] for one in wanted if {one, one[:-1]} & {*modules}}
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError
 
 
 def test_a_room_imports_its_own_modules_at_the_top():
