@@ -65,12 +65,12 @@ def called(old: str, new: str):
 
 
 def reason(error: Exception) -> str:
-    """What an error of the file system, or of a name that is none, says."""
+    """The text of an error of the file system, or of a name that cannot be one."""
     return getattr(error, "strerror", None) or str(error)
 
 
 def in_a_line(error: Exception) -> str:
-    """What an error says, and of which kind it is."""
+    """Kind and text of an error."""
     text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
     return text if len(text) <= 200 else text[:199] + "…"
 

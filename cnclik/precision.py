@@ -1,6 +1,6 @@
 """Float64 where an answer needs it, whatever the caller's setting.
 
-JAX computes in float32 unless told otherwise, and eigenvalues that are 1 to seven digits can't tell a stable loop
+JAX computes in float32 by default, and eigenvalues that are 1 to seven digits can't tell a stable loop
 from an unstable one. What advises (stability, tuning, sweeps) therefore works in float64 by itself.
 """
 
@@ -14,7 +14,7 @@ from cnclik import errors
 
 
 def of_numbers(fn):
-    """Decorator: `fn` decides by numbers. Where an argument is traced (jit, vmap, grad) one line says which."""
+    """Decorator: `fn` decides by numbers. Where an argument is traced (jit, vmap, grad) one line names it."""
     names = inspect.signature(fn).parameters
 
     @functools.wraps(fn)

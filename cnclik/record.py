@@ -1,6 +1,6 @@
 """Records: the one kind of data in cnclik.
 
-A record is a frozen, keyword-only dataclass that JAX sees as a pytree. One rule says what is compiled
+A record is a frozen, keyword-only dataclass that JAX sees as a pytree. One rule decides what is compiled
 in and what is a parameter: **a number written as a Python float or int is literal, an array is a leaf**.
 Literals (also strings, None and functions) belong to the tree's structure: they reach the compiled
 program as constants, and geometry that is zero costs nothing. Arrays are differentiated, vmapped, swept.

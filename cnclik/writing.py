@@ -93,7 +93,7 @@ def _refused(name, folder, reason):
 
 
 def _is_own(path) -> bool:
-    """Whether cnclik wrote a file, or a sweep's store: it says so, or is as its folder's list has it."""
+    """Whether cnclik wrote a file, or a sweep's store: the file states it, or its folder's list has its checksum."""
     if os.path.isdir(path):
         return os.path.isfile(path / OWN)
     with contextlib.suppress(OSError):

@@ -38,6 +38,7 @@ extensions = [
     "evidence",
     "examples",
     "names",
+    "narrow",
     "offline",
 ]
 exclude_patterns = [

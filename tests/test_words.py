@@ -1,5 +1,6 @@
 """Pages are read at full speed: short sentences, the field's words, and no page longer than 250 lines."""
 
+import ast
 import pathlib
 import re
 
@@ -7,7 +8,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).parents[1]
 MADE = (("results",), ("gallery-pages",))  # by a build of the site
-OUTSIDE = ("README.md", "CONTRIBUTING.md", "sweeps/README.md")
+OUTSIDE = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "sweeps/README.md")
 PAGES = [*(ROOT / name for name in OUTSIDE), *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES if p.relative_to(ROOT).parts[1:2] not in MADE]
 MOST_WORDS, MOST_LINES = 40, 250
@@ -53,15 +54,40 @@ def long(text):
     return [s for s in sentences(text) if len(re.findall(r"[^\W\d_]{2,}", s)) > MOST_WORDS]
 
 
+def private(text):
+    return [
+        (s, word, plain) for s in sentences(text) for word, plain in PRIVATE.items() if re.search(rf"\b{word}\b", s)
+    ]
+
+
+def texts(source):
+    """(line, text, whether it consists of sentences) of each string of a module; its own docstring is often a list."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            parts = [part.value if isinstance(part, ast.Constant) else "NAME" for part in node.values]
+            yield node.lineno, "".join(parts), True
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value, node.lineno > 1 and "{" not in node.value
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_page_is_plain(name):
     text = (ROOT / name).read_text(encoding="utf-8")
     assert text.count("\n") <= MOST_LINES
-    assert not long(text)
-    private = [
-        (s, word, plain) for s in sentences(text) for word, plain in PRIVATE.items() if re.search(rf"\b{word}\b", s)
+    assert not long(text) and not private(text)
+
+
+@pytest.mark.parametrize("room", sorted({p.relative_to(ROOT).parts[1] for p in (ROOT / "cnclik").rglob("*.py")}))
+def test_what_the_package_shows_is_plain(room):
+    """Docstrings, help texts and messages; a name in an f-string stands for one word."""
+    found = [
+        (p.relative_to(ROOT).as_posix(), line, fault)
+        for p in ([ROOT / "cnclik" / room] if room.endswith(".py") else (ROOT / "cnclik" / room).rglob("*.py"))
+        for line, text, is_prose in texts(p.read_text(encoding="utf-8"))
+        for fault in (*private(text), *(long(text) if is_prose else ()))
     ]
-    assert not private
+    assert not found
 
 
 def test_results_are_told_in_short_sentences():

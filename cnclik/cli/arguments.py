@@ -109,7 +109,7 @@ def parse(Args, argv, *, prog, description):
 
 
 def of_options(Args, said) -> str:
-    """What an error or a remark says of an argument; of an option it has the name that options have here."""
+    """The text of an error or a remark, which names an option as it is written on the command line."""
     found = re.match("(Argument )?`([^`]+)`", text := str(said))
     name = f"--{found[2].replace('_', '-')}" if found else ""
     known = any(name == one.name for one in _options(Args))

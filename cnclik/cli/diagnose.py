@@ -82,7 +82,7 @@ def _otherwise(t, Ts, name) -> str:
         own = sampling_time(t, None)
     except errors.ArgumentError as error:
         return f", though of {name} {str(error).partition(', but ')[2].rstrip('.')}"
-    return f", though {name} says {1e3 * own:.4g} ms" if abs(own / Ts - 1) > APART else ""
+    return f", though {name} has {1e3 * own:.4g} ms" if abs(own / Ts - 1) > APART else ""
 
 
 def _diagnose(args, names, table, left_out, of):

@@ -17,8 +17,8 @@ from cnclik.writing import Refused, output_folder
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
-    """Run one loop. Writes trajectory.nc and figures, prints a summary and says in a sentence what the loop did. The
-    loop has one task, or several:
+    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did. The loop
+    has one task, or several:
 
     cnclik solve ROBOT --stack FILE.toml"""
 

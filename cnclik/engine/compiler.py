@@ -128,7 +128,7 @@ def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
     except SlowCompilerError:
         raise errors.fail("compiler", f"be done within {limit or LIMIT:g} s", f"{line[0]} is not") from None
     except CompilerError as error:
-        raise errors.fail("folder", "hold C code that compiles", f"{line[0]} says: {error}") from None
+        raise errors.fail("folder", "hold C code that compiles", f"{line[0]} reports: {error}") from None
 
 
 def build_text(text, folder, *, include=(), scheduled=True) -> tuple:

@@ -302,7 +302,7 @@ def _inside(a, j, state, f, Ts, room):
 def _kept(a, j, state, f, Ts, most):
     """(low, high, excess): the shares in [0, most] that violate a and j least, and the largest share of a limit used.
 
-    Each limit of each joint says |s g − b| ≤ 1. Intervals on a line have a common point if any two of them do (Helly),
+    Each limit of each joint is |s g − b| ≤ 1. Intervals on a line have a common point if any two of them do (Helly),
     so the least μ with all |s g − b| ≤ μ follows from pairs.
     """
     g, b = [], []

@@ -37,7 +37,7 @@ class Stepped(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """A step by the starting method, and the exponential one's `Start`."""
+    """A step by the starting method, and the `Start` of an exponential method."""
 
     moved: Moved
     to: Start | None = None

@@ -3,7 +3,7 @@
 Each metric is a pure function of a `Trajectory` and of the law and reference of its run. Sweeps tabulate metrics, and
 losses are built from them: norms have derivative 0 (not NaN) at 0, and counts have none. A value that is not finite
 counts as infinitely large, so that a diverged loop is never mistaken for a missing one. NaN means "not defined", and
-occurs only where a metric's description says so.
+occurs only where a metric's description states it.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ PICARD_READINGS = ("on-path/once/consistent", "on-path/twice/consistent")
 
 
 def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, reading: str) -> dict:
-    """{file name: (function that draws it, what the file says of itself)}, as `cnclik.show.output.draw` takes them."""
+    """{file name: (function that draws it, the description in the file)}, as `cnclik.show.output.draw` takes them."""
     found = {}
 
     def add(name, caption, data, make):
@@ -45,7 +45,7 @@ def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, r
 
 
 def about(caption: str, data: xr.Dataset) -> dict:
-    """What a PNG says of itself: its title, the configuration, and the fingerprint of what was drawn."""
+    """The description in a PNG: its title, the configuration, and the fingerprint of what was drawn."""
     labels = {n: str(v.values) for n, v in data.coords.items() if v.ndim == 0}
     config = data.attrs.get("config", as_json({}))
     return {"Title": caption, "Config": config, "Selection": as_json(labels), "Data": fingerprint(data)}

@@ -59,6 +59,9 @@ class Problem:
     tables: Mapping[str, Mapping[str, Any]] | None = None
     walls: Mapping[str, Mapping[str, Any]] | None = None
 
+    def __repr__(self) -> str:
+        return f"Problem({self.name!r}, Ts={self.Ts:g}, N={self.N}, method={str(self.method)!r})\n  {self.law!r}"
+
     @property
     def loop(self) -> tuple:
         """(law, reference, q0, Ts, N, method, stage), as `solve` takes them."""

@@ -80,7 +80,7 @@ def of_tips(task: Task) -> Task:
 
 
 def told_apart(task: Task) -> str:
-    """A text that tells tasks with different aims apart."""
+    """A text that differs for tasks with different aims."""
     return str([aim.parts for aim in aims(task)])
 
 

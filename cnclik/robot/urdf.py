@@ -12,7 +12,8 @@ from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
 from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
-_JAW = re.compile("gripper|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
+# A link named gripper may be the body that a wrist turns; a joint of that name moves a jaw. Searched: "JOINT CHILD".
+_JAW = re.compile(r"finger|jaw|claw|knuckle|thumb|gripper.* ", re.IGNORECASE)
 _NAMED = 4  # candidates for a tip that a message names
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
 

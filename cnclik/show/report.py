@@ -22,7 +22,7 @@ MOST_ROWS, SHORT = 60, 8  # largest number of rows of a table, and of a table ab
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a page says."""
+    """The content of a page."""
 
     title: str  # what was asked of which robot
     answer: str  # in a sentence

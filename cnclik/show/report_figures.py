@@ -19,7 +19,7 @@ def picture(make, name: str, about: dict) -> str:
     """A figure as an element of a page: an image in SVG, or in PNG where that is large.
 
     Args:
-      make: makes the figure; it may be called twice. about: what the file says of itself.
+      make: makes the figure; it may be called twice. about: the description in the file.
     """
     with tempfile.TemporaryDirectory() as place, style.style():
         file, kind, look = pathlib.Path(place, "figure.svg"), "svg+xml", ""

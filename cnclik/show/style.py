@@ -238,7 +238,7 @@ def save(figure, path, about: dict) -> None:
     The same figure gives the same bytes: no date goes into the file.
 
     Args:
-      about: what the file says of itself; a PDF and an SVG keep its "Title" only.
+      about: the description in the file; a PDF and an SVG keep its "Title" only.
     """
     plain = {"Software": "cnclik"} | {key: str(value) for key, value in about.items()}
     dated = {".pdf": "CreationDate", ".svg": "Date"}.get(pathlib.Path(path).suffix)

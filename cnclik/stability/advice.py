@@ -40,7 +40,7 @@ class Advice:
         stable, that has no overshoot, and that would have none if the dead time were a sample longer. The first two
         are of the drive exactly as given, or, where nothing is known, of drives that follow at once. On a robot whose
         drives lag the largest stable gain may be several times less or more: its joints' inertia is coupled, and what
-        a drive does within a sample counts. A recorded step says between which gains it lies (`fit_drive`).
+        a drive does within a sample counts. A recorded step shows between which gains it lies (`fit_drive`).
       assumed_dead_time, assumed_lag: [s] under which a gain is recommended where nothing is known of the drives; else
         None.
       assumption: what is assumed of the drives, and how to measure them, in words; "" where all is given.
@@ -182,13 +182,13 @@ def shares(delay: float, lag: float, Ts: float) -> tuple:
 
 
 def _no_gain(loop, gains, Ts):
-    """The error that says why not the smallest gain can be recommended."""
+    """The error with the reason why no gain can be recommended."""
     if loop.drive.feedback == "rebased":
         late = loop.drive.lumped.delay
         must = (
             "be commanded (begin each position at the last command), or the command be a velocity: from "
             f"{in_samples(min(bearable_delay(loop.drive, Ts), late), Ts)} of dead time on this servo may swing and "
-            "grow however small the gain is, and where damping, limits or a null space leave little of it"
+            "grow at any small gain"
         )
         return errors.fail("feedback", must, f"is rebased, with {in_samples(late, Ts)}")
     name = "law" if loop.law.null_velocity is None else "null_velocity"
@@ -259,8 +259,8 @@ def _reason(gains, chosen, drive) -> str:
         return "the largest gain that does not overshoot on the assumed drives, even with one more sample of dead time"
     if drive.feedback == "commanded":
         return (
-            "the commands do not overshoot, even if the loop uses them one sample late. The loop uses its own commands "
-            "only: dead time does not limit the gain, and the robot follows with that delay"
+            "the commands do not overshoot, even if the loop uses them one sample later. The loop uses its own "
+            "commands only: dead time does not limit the gain, and the robot follows with that delay"
         )
     if chosen == MOST_Z < gains.z_recommended:
         return f"no gain overshoots; above z = {MOST_Z:g} noise increases more than the settling time decreases"
@@ -291,7 +291,7 @@ def _notes(loop, drive, chosen, Ts):
     """Remarks on what these numbers ignore."""
     if np.abs(np.imag(loop.modes(np.array([chosen]), Ts)[0])).max(initial=0.0) > 1e-9:
         yield (
-            "The gain matrix rotates the error (complex eigenvalues), so that overshoot says little. Keep well below "
+            "The gain matrix rotates the error (complex eigenvalues), so that overshoot means little. Keep well below "
             "the largest stable gain."
         )
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):

@@ -51,7 +51,7 @@ def gains_of(found, said, written) -> list:
 
 NOT_KNOWN = (
     "The largest stable gain is not known from a lag or servo alone: joints that move together have more inertia. "
-    "Where a recorded step of all joints at once shows its range, `cnclik diagnose LOG.csv --step` says so."
+    "A recorded step of all joints at once may show its range: `cnclik diagnose LOG.csv --step` prints it."
 )
 
 

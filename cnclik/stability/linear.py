@@ -112,7 +112,7 @@ def at_rest_as(method):
 
 @in_float64
 def factors(method, stage, z, delay: int = 0):
-    """All factors λ of a loop whose error is measured `delay` samples late, complex (..., count); prompt by default.
+    """All factors λ of a loop whose error has a delay of `delay` samples, complex (..., count); prompt by default.
 
     A step is e[k+1] = Σⱼ aⱼ e[k−j] + Σⱼ Bⱼ e[k−j−d]: a = 1 and B = R(z) − 1 of a one-step method, Bⱼ = −z bⱼ of a
     multistep formula. The factors are the roots of its polynomial.
@@ -313,7 +313,7 @@ def stability_region(method, stage=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4
 
 @of_numbers
 def delayed_radius(method, stage, z, delay: int):
-    """Spectral radius of the loop whose error is measured `delay` samples late.
+    """Spectral radius of the loop whose error has a delay of `delay` samples.
 
     A step then adds its increment from the state `delay` samples ago, e[k+1] = e[k] + (R(z) − 1) e[k−d]: the
     largest root of λ^(d+1) − λ^d + 1 − R(z) = 0. See `factors` for multistep methods.
@@ -326,12 +326,12 @@ def delayed_radius(method, stage, z, delay: int):
 
 
 def late_stable(delay: float) -> float:
-    """Largest stable z of explicit Euler d samples late: 2 sin(π/(2(2d + 1))) (Levin & May 1976)."""
+    """Largest stable z of explicit Euler with d samples of dead time: 2 sin(π/(2(2d + 1))) (Levin & May 1976)."""
     return 2 * math.sin(math.pi / (4 * delay + 2))
 
 
 def late_monotone(delay: float) -> float:
-    """Largest z of explicit Euler d samples late without overshoot: d^d/(d + 1)^(d + 1).
+    """Largest z of explicit Euler without overshoot, with d samples of dead time: d^d/(d + 1)^(d + 1).
 
     Up to it an error may keep its sign, beyond it none does (Ladas, Philos & Sficas 1989).
     """
@@ -340,7 +340,7 @@ def late_monotone(delay: float) -> float:
 
 @of_numbers
 def delay_limit(delay: int, method="EE", stage=None) -> float:
-    """Largest stable z = alpha·Ts with an error measured `delay` samples late, on the real axis.
+    """Largest stable z = alpha·Ts with an error delayed by `delay` samples, on the real axis.
 
     Explicit Euler: 2 sin(π/(2(2d + 1))), that is 2, 1, 0.618, 0.445, 0.347 for d = 0 … 4 (Levin & May 1976).
     Exponential methods: where 1 − e^{−z} is that, so none for d = 0 and 1, then 0.962, 0.589, 0.427.

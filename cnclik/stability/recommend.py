@@ -271,7 +271,7 @@ def _why(loop) -> str:
     method = loop.method
     if not method.exponential:
         return "solves the stiff part"
-    late = f"an error {LATE} samples late brings one back, z < {delay_limit(LATE, method):.3g}"
+    late = f"an error delayed by {LATE} samples brings a limit back, z < {delay_limit(LATE, method):.3g}"
     return f"removes a share of an error, never more than all of it ({late})"
 
 

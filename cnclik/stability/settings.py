@@ -27,7 +27,7 @@ MOST_Z = 1.0  # a recommended gain removes no more than 63 % of an error per ste
 
 def settings(borne, drive, safe: Drive, Ts: float) -> dict:
     """The same loop by explicit Euler elsewhere: {where: what to set there}; what has no gain there is left out, or
-    says why.
+    is a sentence with the reason.
 
     Args:
       borne: borne(drive), the recommended z of explicit Euler through a drive. drive: as it was given, or None. safe:

@@ -50,7 +50,7 @@ PLACES = ("center", "start", "end")  # what a shift moves of a path
 
 @record
 class Run:
-    """A loop as `solve` is told of it, the rotation that is wanted at its end, and the noise of its measured error."""
+    """A loop as `solve` takes it, the rotation that is wanted at its end, and the noise of its measured error."""
 
     law: Law
     reference: Reference | References

@@ -1,6 +1,6 @@
 """Verdict: what a run of a loop did, in one sentence with its numbers and the remedy.
 
-`judged` says what the run did, and what might mend it. Where that is more than "settled", the loop is run on and run
+`judged` states what the run did, and what might mend it. Where that is more than "settled", the loop is run on and run
 again, see `trial`: what its later steps contradict is not said, and a remedy that does not help is not named.
 """
 
@@ -153,7 +153,7 @@ def _decided(case, trials):
 
 
 def _confirmed(case, trials) -> Judged:
-    """What is judged of a run where the loop, run on, does as it says; else that the run is too short to tell."""
+    """What is judged of a run where the loop, run on, does as it states; else that the run is too short to tell."""
     made = judged(case)
     kind, what, found, slowly = made
     N, plain = whole_trial(case.steps), case.seen.bad is not None or case.seen.still  # nothing later changes that

@@ -313,7 +313,7 @@ def _together(meet, last=False):
         meet(False, last)
         raise
     if not meet(True, last):
-        raise errors.fail("distributed", "find every process ready", "another one failed, and says why")
+        raise errors.fail("distributed", "find every process ready", "another one failed, and reports why")
 
 
 def _share(spec, of, missing, process, processes):

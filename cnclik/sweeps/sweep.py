@@ -40,7 +40,7 @@ def sweep(
 
     Axes and everything computed from them are float64; so are records built from Python numbers and lists. Only a
     jax.Array that was made in float32 before the call and is used by the study keeps its precision, and a loop that
-    starts from it runs in float32; the attribute `dtype` says so. Give such values as NumPy arrays.
+    starts from it runs in float32; the attribute `dtype` shows it. Give such values as NumPy arrays.
 
     Args:
       study: a pure function of the named values, returning a record, a dict or `Metrics` of scalars (or of arrays:

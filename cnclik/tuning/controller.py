@@ -16,8 +16,8 @@ def controller_lines(tuned) -> dict:
     """Ready-to-use lines of a `Tuned`: {"rate": for your own loop, "pink_mink": a gain per step}.
 
     pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], or 1 − exp(−alpha·Ts) for an exponential method,
-    and add damping (λ²) to JᵀJ. If they cannot run the tuned loop, the second line says "no line" and why; if the loop
-    violates its constraints, both lines do.
+    and add damping (λ²) to JᵀJ. If they cannot run the tuned loop, the second line is "no line" with the reason; so are
+    both if the loop violates its constraints.
     """
     if not tuned.satisfied:
         return dict.fromkeys(("rate", "pink_mink"), "no line: the constraints are not kept")

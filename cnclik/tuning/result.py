@@ -38,7 +38,7 @@ MORE, LEAST = 0.01, 1e-6  # growth of a task's own error that is told: relative,
 AT_LIMIT = 0.01  # of a joint's velocity limit; a run this close to it is limited by it
 _NEARLY_NO_GAIN = (
     "The gain is nearly zero: an error would not be removed within the whole path. Here the loss grows with it, as it "
-    "does where a drive is late behind a fast target. Send the target ahead by what the drive is late, or bound alpha."
+    "does where a drive lags a fast target. Send the target ahead by the drive's lag, or bound alpha."
 )
 _TOO_FAST = (
     " The path itself takes {share:.3g} % of a joint's velocity limit, with nearly no gain. Make it slower or smaller. "

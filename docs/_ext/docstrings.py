@@ -117,7 +117,20 @@ def known(app, what, name, obj, skip, options):
     return None
 
 
+def values(app, what, name, obj, options, signature, returned):
+    """`Ts=0.1` in place of `Ts=USUAL`: the values of constants that are defaults; a method by its name."""
+    constants = vars(inspect.getmodule(obj) or inspect)
+
+    def value(found):
+        constant = constants.get(found[1])
+        plain = constant if isinstance(constant, int | float | str) else getattr(constant, "name", None)
+        return f"={plain!r}" if plain is not None else found[0]
+
+    return re.sub(r"=([A-Z][A-Z_]+)(?=[,)])", value, signature or "") or signature, returned
+
+
 def setup(app):
+    app.connect("autodoc-process-signature", values)
     app.connect("autodoc-skip-member", known)
     app.connect("autodoc-process-docstring", plain, priority=100)
     app.connect("autodoc-process-docstring", short, priority=800)

@@ -30,10 +30,7 @@ def test_help_of_every_verb(verb, capsys):
         main([verb, "--help"])
     shown = capsys.readouterr().out
     assert not left.value.code and f"usage: cnclik {verb}" in shown
-    sentences = re.split(r"[.;:)]\s|\n\n|\s--", shown)
-    assert not [words for words in sentences if len(words.split()) > 40]
     assert not re.search(r"\w-\n", shown)  # a name in two lines can't be copied
-    assert not re.findall(r"\b(?:bears?|told|nears|neared|so many|what is (?:late|drawn)|sooner|takes? back)\b", shown)
 
 
 def test_unknown_verb_suggests_the_nearest(capsys):

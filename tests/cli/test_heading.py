@@ -101,6 +101,9 @@ def test_a_jaw_that_nobody_chose_as_the_tip_is_remarked_on(joint, jaw, tmp_path,
     file.write_text(JAWED.replace("wrist", "knuckle").format(joint=joint, jaw=jaw))
     with pytest.warns(errors.Remark, match="jaw that joint 'j2' moves. The tip 'arm' is the arm without the jaw"):
         ck.load_urdf(file)
+    file.write_text(JAWED.replace("wrist", "gripper").format(joint="gripper", jaw="jaw"))  # as of an SO-ARM
+    with pytest.warns(errors.Remark, match="jaw that joint 'gripper' moves. The tip 'gripper' is the arm without"):
+        ck.load_urdf(file)
     file.write_text(JAWED.format(joint=joint, jaw=jaw))
     main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
     said = capsys.readouterr()

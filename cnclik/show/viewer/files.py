@@ -1,4 +1,4 @@
-"""Files of runs and of answers, as motions: what `solve` and `reach` wrote, or arrays of one's own."""
+"""Files of runs and of answers, as motions: what `solve` and `reach` wrote, or arrays of your own."""
 
 import csv
 import dataclasses
@@ -39,7 +39,7 @@ def read_motions(path, robot=None) -> list:
         known x, e, status and axes; of a folder of `sweep` the best and the worst loop.
       robot: (chain, name, links), for files that don't say; see `robot_of`.
 
-    Raises: ArgumentError for what is none of these, or says nothing of its robot.
+    Raises: ArgumentError for what is none of these, or does not name its robot.
     """
     path = pathlib.Path(path)
     if os.path.exists(path / STORE):  # which no name is too long for
@@ -210,7 +210,7 @@ def _table_of_answers(header, rows):
 
 
 def _beside(path) -> dict:
-    """What trajectory.nc in the same folder says of the loop."""
+    """The loop's configuration in trajectory.nc of the same folder."""
     if path.name != RUN and path.stem == "trajectory" and os.path.exists(path.parent / RUN):
         return _netcdf(path.parent / RUN)["config"]
     return {}

@@ -132,8 +132,8 @@ class Live:
 
 
 def words(loop) -> str:
-    """A program, such as "CN, 2 samples late"."""
-    return loop.method + (f", {loop.delay:g} samples late" if loop.delay else "")
+    """A program, such as "CN, 2 samples of dead time"."""
+    return loop.method + (f", {loop.delay:g} samples of dead time" if loop.delay else "")
 
 
 def factors_page(seen) -> str:

@@ -15,7 +15,7 @@ def has_viser() -> bool:
 
 
 def require_viser():
-    """The module viser. Raises: ArgumentError that says how to install it."""
+    """The module viser. Raises: ArgumentError with the command that installs it."""
     try:
         import viser
     except ImportError:

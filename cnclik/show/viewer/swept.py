@@ -25,7 +25,7 @@ def best_and_worst(folder) -> list:
 
 
 def loops_of(data, spec=None) -> list:
-    """The same of a sweep's dataset, and of its spec, which the dataset tells where it is None."""
+    """The same of a sweep's dataset, and of its spec; None: the one in the dataset."""
     if spec is None:
         written = json.loads(data.attrs["spec"])
         spec = parse({key: written[key] for key in (*KEYS, *TABLES) if key in written}, written["name"])

@@ -1,0 +1,28 @@
+"""What makes a page readable on a phone: long cells of a table keep a width, wide figures scroll and open whole."""
+
+import pathlib
+import struct
+
+from docutils import nodes
+
+LONG, WIDE = 40, 1600  # letters of a cell; pixels of a figure, whose text would be too small in one column
+
+
+def width(file) -> int:
+    """Pixels of a PNG; 0 of other files."""
+    head = file.read_bytes()[:24] if file.suffix == ".png" and file.exists() else b""
+    return struct.unpack(">I", head[16:20])[0] if head[:4] == b"\x89PNG" else 0
+
+
+def mark(app, doctree):
+    for cell in doctree.findall(nodes.entry):
+        if len(cell.astext()) > LONG:
+            cell["classes"].append("long")
+    for image in doctree.findall(nodes.image):
+        if width(pathlib.Path(app.srcdir) / image["uri"]) > WIDE:
+            image["classes"].append("wide")
+
+
+def setup(app):
+    app.connect("doctree-read", mark)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
