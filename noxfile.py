@@ -4,10 +4,15 @@
 # ///
 """What there is to run, each in an environment of its own: `nox -l` lists it, `nox -s tests` runs it."""
 
+import pathlib
+
 import nox
 
 nox.needs_version = ">=2025.5"
 nox.options.default_venv_backend = "uv|virtualenv"
+LOOP = """import cnclik as ck
+law = ck.Law(ck.ur5(), ck.position(), alpha=5.0)
+print(ck.solve(law, ck.hold([0.4, 0.1, 0.4]), [0.5] * 6, Ts=0.01, N=9))"""
 WHOLE = ("-p", "xdist.plugin", "-n", "auto", "-o", "addopts=--disable-plugin-autoload --import-mode=importlib -m slow")
 
 
@@ -67,11 +72,14 @@ def bench(session):
 
 @nox.session(default=False)
 def build(session):
-    """Wheel and sdist, and the wheel by itself: it must work on jax and numpy alone."""
+    """Wheel and sdist, and a loop by the wheel with nothing but jax and numpy."""
+    folder = session.create_tmp()
     session.install("build")
-    session.run("python", "-m", "build", "--outdir", "dist")
-    session.run("python", "-m", "pip", "install", "--force-reinstall", "--find-links", "dist", "cnclik")
+    session.run("python", "-m", "build", "--outdir", folder)
+    session.install("--no-deps", *map(str, pathlib.Path(folder).glob("*.whl")))
+    session.install("jax>=0.10,<0.13", "numpy>=2.0", "lazy_loader>=0.4")
     session.run("cnclik", "--version")
+    session.run("python", "-I", "-c", LOOP)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
     """Draw figures in the project's style and save them in `path`. Call it after the data are written.
 
     Args:
-      figures: {file name: (function of no arguments that returns a Figure, what the file shall say of itself)}.
+      figures: {file name: (function of no arguments that returns a Figure, its description in the file)}.
       path: the folder. name: what the user calls it.
       again: the command that draws them again from the data, if there is one.
       progress: called as progress(done, total, note).

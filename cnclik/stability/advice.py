@@ -118,7 +118,7 @@ def advise(
     Args:
       law, reference, q: the loop at rest, as for `recommend`. Ts: sampling time [s]. method, stage: as for `solve`.
       drive: what lies between command and motion; None: unknown. The stability limits are then those of drives without
-        delay, and a gain is recommended for a dead time of ASSUMED_DELAY and a lag of ASSUMED_LAG.
+        delay, and a gain is recommended for a dead time of 30 ms and a lag of 100 ms.
       speed: of the tip [m/s], for the joint velocities.
     Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself, or with
       some servos whose commands begin at the measured joints.

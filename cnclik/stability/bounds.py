@@ -15,13 +15,13 @@ from cnclik.stability.rates import parts_of_numbers
 
 @record
 class LimitAdvice:
-    """How fast joints may near their limits, and what walls keep back: ḣ ≥ −rate·h is explicit Euler on ė = −rate·e.
+    """How fast joints may approach their limits, and tips a wall: ḣ ≥ −rate·h is explicit Euler on ė = −rate·e.
 
     Attributes:
       rate: of the law's limits and walls, the largest [1/s]. z: rate·Ts.
-      largest_stable_rate: beyond, a joint at a limit swings and grows, as far as what it is asked for lets it.
-      fastest_rate: the largest with which none passes its limit; recommended_rate: were the dead time a sample
-        longer.
+      largest_stable_rate: with a larger one a joint at its limit swings ever more, as far as the task lets it.
+      fastest_rate: the largest with which no joint passes its limit.
+      recommended_rate: the same with one more sample of dead time.
       words: what the rate of the law does.
     """
 

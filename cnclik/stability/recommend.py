@@ -125,7 +125,7 @@ def recommend(
 
     The spectral radius of the whole loop at rest (task directions, and null-space directions where a null-space
     velocity moves them) is followed from small gains up to the first gain where it exceeds 1. The result holds for
-    small errors; `certified_radius` and the measured maps say how large they may be.
+    small errors; `certified_radius` and the measured maps show how large they may be.
 
     Args:
       law: its alpha, of any shape, is what is scaled.

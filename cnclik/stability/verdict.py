@@ -1,7 +1,7 @@
 """Verdict: what a run of a loop did, in one sentence with its numbers and the remedy.
 
 `judged` states what the run did, and what might mend it. Where that is more than "settled", the loop is run on and run
-again, see `trial`: what its later steps contradict is not said, and a remedy that does not help is not named.
+again, see `trial`: a verdict that later steps contradict is not given, and a remedy that does not help is not named.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ def verdict(
 ) -> Verdict:
     """What a run did, why, and what to do about it. In float64.
 
-    Where something is wrong with it, the loop is run on, for 4096 steps or the next power of two: what that
-    contradicts is not said. And it is run again with each remedy: one that does not help is not named.
+    If something is wrong with the run, the loop goes on to 4096 steps or the next power of two, and a verdict that
+    these steps contradict is not given. Each remedy is tried in a run: one that does not help is not named.
 
     Args:
       law, reference, Ts, method, stage, drive: what was run, see `solve`.
