@@ -20,7 +20,8 @@ def title_of(found) -> str:
 def tables_of(found, said, written) -> list:
     """[(title, columns, rows)] of the advice. Args: written: names of the options that the user wrote."""
     if said.stack is None:
-        return [("Gains", COLUMNS, gains_of(found, said, written))]
+        columns = COLUMNS[: 3 if found.method.name == "EE" else 4]
+        return [("Gains", columns, [row[: len(columns)] for row in gains_of(found, said, written)])]
     prompt = "; largest stable and no overshoot as if drives had no delay" * (said.assumed_dead_time is not None)
     tables: list = [(f"Gains of the tasks [1/s]{prompt}", TASK_COLUMNS, gains_of_tasks(found, said))]
     tables.append(("With the present gains", DOES_COLUMNS, does_of_tasks(found, said)))

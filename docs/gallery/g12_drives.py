@@ -18,7 +18,7 @@ arm, q0, Ts = ck.planar_arm([1.0, 0.8]), np.array([0.4, 0.9]), 0.01
 target = ck.hold(np.asarray(ck.forward(arm, q0).position)[:2] + np.array([0.01, 0.0]))
 drives = {
     "at once": ck.Drive(),
-    "5 samples late": ck.Drive(delay=5),
+    "5 samples of dead time": ck.Drive(delay=5),
     "lag of 50 ms": ck.Drive(lag=0.05),
     "servo, 25 rad/s": ck.Drive(natural_frequency=25.0, damping_ratio=0.7, command="position"),
 }

@@ -94,7 +94,7 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     """Nanoseconds, status and text as recorders write them; what is left out is no joint."""
     main(["diagnose", log, "--Ts", "0.001", "--json"])
     said = json.loads(capsys.readouterr().out)
-    assert said["Ts"] == 0.001 and said["Ts_from"] == "--Ts, though time says 2 ms"
+    assert said["Ts"] == 0.001 and said["Ts_from"] == "--Ts, though time has 2 ms"
     rows = pathlib.Path(log).read_text().splitlines(keepends=True)
     (tmp_path / "gap.csv").write_text("".join(rows[:60] + rows[63:]))
     main(["diagnose", str(tmp_path / "gap.csv"), "--Ts", "2ms"])
