@@ -1,11 +1,14 @@
-"""What makes a page readable on a phone: long cells of a table keep a width, wide figures scroll and open whole."""
+"""What a page needs on a phone: long cells keep a width; wide figures and drawn tables scroll by themselves."""
 
 import pathlib
+import re
 import struct
 
 from docutils import nodes
 
 LONG, WIDE = 40, 1600  # letters of a cell; pixels of a figure, whose text would be too small in one column
+DRAWN = re.compile("^.*[│┃└├].*$", re.MULTILINE)  # lines of a table or a tree in a terminal
+FITS = 54  # letters of a line on a phone
 
 
 def width(file) -> int:
@@ -16,8 +19,11 @@ def width(file) -> int:
 
 def mark(app, doctree):
     for cell in doctree.findall(nodes.entry):
-        if len(cell.astext()) > LONG:
+        if cell.parent.index(cell) and len(cell.astext()) > LONG:
             cell["classes"].append("long")
+    for block in doctree.findall(nodes.literal_block):
+        if any(len(line) > FITS for line in DRAWN.findall(block.astext())):
+            block["classes"].append("drawn")
     for image in doctree.findall(nodes.image):
         if width(pathlib.Path(app.srcdir) / image["uri"]) > WIDE:
             image["classes"].append("wide")
