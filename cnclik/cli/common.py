@@ -94,7 +94,7 @@ _CODE = re.compile(r'\b(\w+)=(?:"([\w-]+)"|(\w+)\((.*?)\)|\((.*?)\)|(-?\d[\d.e+-
 
 
 def as_options(sentence: str) -> str:
-    """What the library says, with options as the command line takes them: `N=400`, `stage=chord(2)`, as in Python."""
+    """A text of the library, with options as the command line takes them: `N=400`, `stage=chord(2)`, as in Python."""
 
     def option(found):
         name, text, maker, given, several, number = found.groups()
