@@ -38,9 +38,21 @@ def room(path):
     return None if name in ("__init__", "__main__") else name
 
 
+@functools.cache
+def nodes(path):
+    """Every node of a file's syntax tree. Kept while this module's tests run: most of them walk through all files."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget_trees():
+    yield
+    nodes.cache_clear()
+
+
 def imported(path):
     """(line, room, name) of everything a file imports from the package, at its top or inside a function."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "cnclik":
             _, *inner = node.module.split(".")
             for alias in node.names:
@@ -96,7 +108,7 @@ def test_names_are_imported_from_where_they_are_defined():
     """Or from the front door of a room."""
     wrong = []
     for path in (*files(), *sorted(pathlib.Path(__file__).parent.rglob("*.py"))):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("cnclik."):
                 continue
             source = PACKAGE.joinpath(*node.module.split(".")[1:]).with_suffix(".py")
@@ -129,7 +141,7 @@ def test_attributes_of_a_module_are_defined_there():
 def defined(path):
     """Names that a file defines; what is in annotations alone is passed on by `shapes`."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             found.add(node.name)
         elif isinstance(node, ast.alias) and node.asname and path.name == "shapes.py":
@@ -141,8 +153,8 @@ def defined(path):
 
 def private_names(path):
     """(line, room, name) of every private name of the package that a file uses: `module._name`, or imported."""
-    tree, modules = ast.parse(path.read_text(encoding="utf-8")), {}
-    for node in ast.walk(tree):
+    modules = {}
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cnclik"):
             for alias in node.names:
                 where, of = (
@@ -153,7 +165,7 @@ def private_names(path):
                     modules[alias.asname or alias.name] = of[1]
                 elif re.match("_[a-zA-Z]", alias.name):
                     yield node.lineno, of[1], alias.name
-    for node in ast.walk(tree):
+    for node in nodes(path):
         of_a_name = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
         if of_a_name and node.value.id in modules and re.match("_[a-zA-Z]", node.attr):
             yield node.lineno, modules[node.value.id], node.attr
@@ -177,7 +189,7 @@ def test_no_function_is_long():
     """Lines from `def` to its end, functions inside counted and its docstring left out."""
     long = []
     for path in files():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 continue
             first = node.body[0]
@@ -210,7 +222,7 @@ def test_who_takes_any_exception_says_why():
     anything, silent = ("Exception", "BaseException"), []
     for path in files():
         text = path.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)):
+        for node in nodes(path):
             broad = again = False
             if isinstance(node, ast.ExceptHandler):
                 broad = node.type is None or ast.unparse(node.type) in anything
@@ -304,7 +316,7 @@ def test_methods_have_names_of_their_own():
 
 def test_fields_say_what_they_are():
     """Arrays by their shapes, see `cnclik.shapes`; no field is just an object."""
-    fields = [(p, n) for p in files() for n in ast.walk(ast.parse(p.read_text())) if isinstance(n, ast.AnnAssign)]
+    fields = [(p, n) for p in files() for n in nodes(p) if isinstance(n, ast.AnnAssign)]
     assert not [f"{path}:{node.lineno}" for path, node in fields if "object" in ast.unparse(node.annotation).split()]
 
 
