@@ -74,18 +74,21 @@ def test_switches_and_damage(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the folder of Linux")
-@pytest.mark.parametrize("why", ["is a file", "others may write"])
-def test_a_folder_that_is_no_good_is_no_error(tmp_path, why):
-    if why == "is a file":
-        (tmp_path / "cnclik").write_text("")
-    else:
-        (tmp_path / "cnclik").mkdir()
-        (tmp_path / "cnclik").chmod(0o777)
-    code = "import jax, cnclik as ck; print(ck.use_cache(), jax.config.jax_compilation_cache_dir)"
+def test_a_folder_that_is_no_good_is_no_error(tmp_path):
+    """A file with its name, and a folder into which others may write."""
+    file, folder = tmp_path / "file", tmp_path / "folder"
+    file.mkdir()
+    (file / "cnclik").write_text("")
+    (folder / "cnclik").mkdir(parents=True)
+    (folder / "cnclik").chmod(0o777)
+    code = (
+        "import os, sys, jax, cnclik as ck\n"
+        "for os.environ['XDG_CACHE_HOME'] in sys.argv[1:]: print(ck.use_cache(), jax.config.jax_compilation_cache_dir)"
+    )
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPILATION")}
-    environment |= {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("None None\n", "")
+    line = [sys.executable, "-c", code, str(file), str(folder)]
+    done = subprocess.run(line, env=environment | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("None None\nNone None\n", "")
 
 
 def test_where_and_the_switches(tmp_path, monkeypatch):

@@ -35,7 +35,7 @@ def test_files_hold_the_run(solved):
 
 def test_a_run_without_csv_and_figures_leaves_none_of_an_earlier_one(tmp_path, capsys, monkeypatch):
     """They would be of another result; a file of others in the way is named before the loop is run."""
-    again = ["solve", "planar:1,1", "--method", "EE", "--N", "5", "--no-figures", "--out", str(tmp_path)]
+    again = ["solve", "planar:1,1", "--method", "EE", "--N", "30", "--no-figures", "--out", str(tmp_path)]
     main([*again, "--csv"])
     (tmp_path / "notes.txt").write_text("theirs")
     main(again)
@@ -50,9 +50,9 @@ def test_a_run_without_csv_and_figures_leaves_none_of_an_earlier_one(tmp_path, c
 
 
 def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
-    main(["solve", "planar:1,1", "--method", "EE", "--N", "2", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
+    main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "planar:1,1, tip end of the last link, task x y, N = 2 steps" in shown
+    assert "planar:1,1, tip end of the last link, task x y, N = 30 steps" in shown
     assert "the gain is 0, so errors stay" in shown
 
 

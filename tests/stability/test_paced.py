@@ -46,7 +46,7 @@ def test_what_gets_farther_along_a_path_that_waits_is_better(mends):
     """The error of a loop that crawls is small, whatever it does."""
 
     def better(gain, other):
-        made = problem_from("panda", **SHAKES | dict(N=400, radius=0.2, alpha=gain))
+        made = problem_from("planar:1,1", **SHAKES | dict(N=400, radius=0.2, alpha=gain))
         case = case_of(made.law, made.reference, made.run(), np.float64, **asked(made))
         return not Trials(case).vain(Remedy(change={"alpha": other}, words="", mends=mends))
 
@@ -58,7 +58,7 @@ def test_a_trial_is_run_once(monkeypatch):
     runs, run = [], Trials._run
     kept = lambda self, made, steps: runs.append((float(made.law.alpha), steps)) or run(self, made, steps)  # noqa: E731
     monkeypatch.setattr(Trials, "_run", kept)
-    assert judge(problem_from("panda", **SHAKES | dict(N=400, radius=0.2))).remedies
+    assert judge(problem_from("planar:1,1", **SHAKES | dict(N=400, radius=0.2))).remedies
     assert len(runs) == len(set(runs)) > 1
 
 
@@ -90,11 +90,14 @@ def test_what_shakes_at_a_target_within_a_pace_does_not_diverge():
     assert told.remedies[0].change["alpha"] == pytest.approx(100.0, rel=0.02)
 
 
-@pytest.mark.parametrize("alpha", [*(pytest.param(a, marks=pytest.mark.slow) for a in (105.0, 120.0)), 150.0])
-def test_what_a_pace_bounds_does_not_diverge(alpha):
+@pytest.mark.parametrize(
+    ("robot", "alpha"),
+    [*(pytest.param("panda", a, marks=pytest.mark.slow) for a in (105.0, 120.0, 150.0)), ("planar:1,1", 150.0)],
+)
+def test_what_a_pace_bounds_does_not_diverge(robot, alpha):
     """A loop that is unstable at rest and calm so far was "diverging"; one that is restless was "settled"."""
     table = dict(reference="circle", period=3.0, method="AB2", N=600, max_acceleration=3.0, max_jerk=60.0)
-    told = judge(problem_from("panda", **table, alpha=alpha))
+    told = judge(problem_from(robot, **table, alpha=alpha))
     assert told.kind != Behaviour.DIVERGING, told.sentence
     if alpha > 105.0:
         assert told.kind == Behaviour.SHAKING, told.sentence

@@ -29,7 +29,7 @@ def law(**changes):
 
 @pytest.mark.parametrize(
     ("method", "stage"),
-    [(ck.EE, None), (ck.IE, ck.picard(3)), (ck.TRAPEZOID, ck.chord(2)), (ck.CN, ck.newton(1))],
+    [(ck.IE, ck.picard(3)), (ck.TRAPEZOID, ck.chord(2)), (ck.CN, ck.newton(1))],
     ids=str,
 )
 def test_exact_inverse_amplifies_the_task_by_R_and_the_null_space_by_one(method, stage):
@@ -114,12 +114,12 @@ def test_null_space_velocity_is_a_limit_of_its_own():
 
 def test_radius_is_differentiable_in_the_gain():
     def radius(alpha):
-        return spectral_radius(law(alpha=alpha), None, Q, Ts, ck.IE, ck.picard(5))
+        return spectral_radius(law(alpha=alpha), None, Q, Ts, ck.IE, ck.picard(2))
 
     value, slope = jax.jit(jax.value_and_grad(radius))(jnp.asarray(6.0))
-    assert value == pytest.approx(abs(linear.amplification(ck.IE, ck.picard(5), 0.6)), abs=1e-9)
-    z = 0.6  # R = Σ_{j=0}^{6} (−z)^j
-    assert slope == pytest.approx(Ts * sum(j * (-1) ** j * z ** (j - 1) for j in range(1, 7)), abs=1e-9)
+    assert value == pytest.approx(abs(linear.amplification(ck.IE, ck.picard(2), 0.6)), abs=1e-9)
+    z = 0.6  # R = Σ_{j=0}^{3} (−z)^j
+    assert slope == pytest.approx(Ts * sum(j * (-1) ** j * z ** (j - 1) for j in range(1, 4)), abs=1e-9)
 
 
 def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
@@ -132,7 +132,7 @@ def test_a_loop_that_is_not_at_rest_is_refused_and_settle_finds_rest():
         settle(law(), ck.hold([9.0, 0.0]), Q)
 
 
-@pytest.mark.parametrize("one", [1, np.int64(1), np.float32(1), 1.0])
+@pytest.mark.parametrize("one", [1, np.float32(1)])
 def test_a_sampling_time_may_be_any_number(one):
     assert spectral_radius(law(alpha=0.5), None, Q, one, "EE") == pytest.approx(0.5)
     assert spectrum(law(alpha=0.5), None, Q, one, "EE").radius == pytest.approx(0.5)
@@ -205,8 +205,7 @@ def _growth(made, q):
     return spectrum(made, None, q, Ts, "EE").null.real.max()
 
 
-@pytest.mark.parametrize("drive", [ck.Drive(), ck.Drive(delay=2)], ids=str)
-@pytest.mark.parametrize("method", ["EE", "EXP-MIDPOINT"])
+@pytest.mark.parametrize(("method", "drive"), [("EE", ck.Drive()), ("EXP-MIDPOINT", ck.Drive(delay=2))], ids=str)
 def test_no_gain_is_stable_with_a_null_space_velocity_that_is_not(method, drive):
     """1 − κ Ts = −1.5, and of two stages 1 − 2.5 + 2.5²/2: positive, and as wrong."""
     made = ck.Law(ARM, XY, alpha=6.0, null_velocity=lambda q: 25.0 * (Q - q))

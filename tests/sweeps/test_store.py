@@ -27,7 +27,7 @@ TEXT = reaching(
     metrics=["final_error", "ok", "error"],
     more="lanes = 16",
     method=["EE", "HEUN"],
-    alpha="{ linspace = [1, 20, 30] }",
+    alpha="{ linspace = [1, 20, 12] }",
     Ts="{ linspace = [0.01, 0.1, 7] }",
 )
 
@@ -85,7 +85,7 @@ def stop_at(count):
     return progress
 
 
-@pytest.mark.parametrize(("count", "wide"), [(16, True), (200, False), pytest.param(399, True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "wide"), [(16, True), (80, False), pytest.param(147, True, marks=pytest.mark.slow)])
 def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count, wide):
     with pytest.raises(Stopped):
         store.run(files.read(path), tmp_path, progress=stop_at(count))
@@ -93,7 +93,7 @@ def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tm
     seen = []
     with jax.enable_x64(wide):
         assert store.run(files.read(path), tmp_path, progress=lambda done, total: seen.append(total))
-    assert seen[0] < 420 - count + 16  # what was done was not done again
+    assert seen[0] < 168 - count + 16  # what was done was not done again
     assert_same(tmp_path, undisturbed)
 
 
@@ -104,8 +104,8 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, tmp_path):
     chunks[1].write_bytes(chunks[2].read_bytes())  # decodes, but is not what was written
     chunks[3].unlink()
     checksums = tmp_path / "copy/data.zarr/progress/checksum/c"
-    (checksums / "20").write_bytes(b"")
-    (checksums / "21").unlink()
+    (checksums / "8").write_bytes(b"")
+    (checksums / "9").unlink()
     assert store.blocks_missing(tmp_path / "copy") == 5
     seen = []
     assert store.run(files.read(path), tmp_path / "copy", progress=lambda done, total: seen.append(done))
@@ -210,8 +210,9 @@ def test_a_store_that_another_made_meanwhile_stays(path, undisturbed, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["data.zarr"]
 
 
-@pytest.mark.parametrize("name", ["alpha", "method", "Ts", "limit"])
-@pytest.mark.parametrize("damage", ["empty", "gone"])
+@pytest.mark.parametrize(
+    ("name", "damage"), [("alpha", "empty"), ("method", "gone"), ("Ts", "gone"), ("limit", "empty")]
+)
 def test_damaged_coordinates_are_named_by_a_reader_and_repaired_by_a_rerun(path, undisturbed, tmp_path, name, damage):
     shutil.copytree(undisturbed, tmp_path / "copy")
     parts = (p for p in (tmp_path / "copy/data.zarr" / name).rglob("*") if p.is_file())
@@ -259,19 +260,16 @@ def test_what_describes_the_data_is_believed_only_as_it_was_written(path, undist
     assert_same(tmp_path / "copy", undisturbed)
 
 
-@pytest.mark.parametrize("damage", ["flipped", "swapped"])
-def test_a_reader_gets_no_damaged_block(path, undisturbed, tmp_path, damage):
+def test_a_reader_gets_no_damaged_block(path, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "copy")
     chunks = sorted(p for p in (tmp_path / "copy/data.zarr/final_error/c").rglob("*") if p.is_file())
-    if damage == "swapped":
-        chunks[1].write_bytes(chunks[2].read_bytes())
-    else:
-        data = bytearray(chunks[0].read_bytes())
-        data[6] ^= 128  # of the size that the chunk has when it is unpacked
-        chunks[0].write_bytes(data)
+    data = bytearray(chunks[0].read_bytes())
+    data[6] ^= 128  # of the size that the chunk has when it is unpacked
+    chunks[0].write_bytes(data)
+    chunks[1].write_bytes(chunks[2].read_bytes())
     found, wanted = (store.read(folder).final_error.values for folder in (tmp_path / "copy", undisturbed))
     lost = np.isnan(found)
-    assert 0 < lost.sum() <= 16 and store.blocks_missing(tmp_path / "copy") == 1
+    assert 16 < lost.sum() <= 32 and store.blocks_missing(tmp_path / "copy") == 2
     np.testing.assert_array_equal(found[~lost], wanted[~lost])
     assert store.run(files.read(path), tmp_path / "copy")
     assert_same(tmp_path / "copy", undisturbed)
@@ -309,7 +307,7 @@ def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
         write(self, block, piece)
 
     monkeypatch.setattr(store.Store, "write", full)
-    with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 30 blocks; they are kept") as error:
+    with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 12 blocks; they are kept") as error:
         store.run(files.read(path), tmp_path)
     assert "\n" not in str(error.value)
     monkeypatch.undo()
@@ -320,14 +318,14 @@ def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
 def test_a_small_tmpfs(path, undisturbed, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=240k", "tmpfs", disk], capture_output=True, text=True)
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", disk], capture_output=True, text=True)
     if mounted.returncode:
         pytest.skip(f"a tmpfs can't be mounted here: {mounted.stderr.strip()}")
     try:
         with pytest.raises(ArgumentError, match="No space left on device"):
             store.run(files.read(path), disk / "out")
-        done = 30 - store.blocks_missing(disk / "out")
-        assert 0 < done < 30
+        done = 12 - store.blocks_missing(disk / "out")
+        assert 0 < done < 12
         found, wanted = store.read(disk / "out").load(), store.read(undisturbed).load()
         known = np.isfinite(found.final_error.values)
         np.testing.assert_array_equal(found.final_error.values[known], wanted.final_error.values[known])

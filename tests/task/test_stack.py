@@ -160,12 +160,14 @@ def recursion(levels, lams):
 @pytest.mark.parametrize("lams", [(1e-4, 1e-2, 0.1), (1e-2, 1e-2, 1e-2), (1e-3, 0.05, 0.2)])
 def test_levels_are_the_recursion(lams):
     """Breaks for a damping that is another level's, or squared twice."""
-    q, order = postures(HUMANOID, 1, seed=3)[0], ("torso", "feet", "hands")
-    aims, task = moving(q, 1)
-    task = ck.replace(task, weights=None)
-    law = ck.Law(HUMANOID, task, alpha=4.0, feedforward=0.0, inverse=ck.levels(*([n] for n in order), damping=lams))
-    e, j = (np.asarray(v) for v in seen(modelled(HUMANOID), law.task, q, aims))
-    wanted = recursion([(j[task.of(name)], 4.0 * e[task.of(name)]) for name in order], lams)
+    q, order = np.array([0.3, 0.5, -0.4, 0.6]), ("angle", "tip", "rest")
+    task = ck.stack(tip=ck.position("xy"), angle=ck.orientation("z"), rest=ck.joints())
+    there = ck.hold_at(PLANAR, task, q + 0.1)
+    aims = ck.hold_at(PLANAR, task, np.add(q, [0.2, -0.1, 0.1, 0.0]), tip=there["tip"], rest=ck.hold(values=-q))
+    law = ck.Law(PLANAR, task, alpha=4.0, inverse=ck.levels(*([n] for n in order), damping=lams))
+    e, j = (np.asarray(v) for v in seen(modelled(PLANAR), law.task, q, aims))
+    parts = {name: law.task.of(name) for name in order}
+    wanted = recursion([(j[rows], 4.0 * e[rows]) for rows in parts.values()], lams)
     close(step_of(law, aims, q), wanted, atol=1e-8 * np.abs(wanted).max())
 
 

@@ -153,7 +153,7 @@ def test_an_orientation_in_the_tips_own_frame_moves_the_arm_as_one_in_the_base()
     close(runs[1].e[-1], turned.T @ runs[0].e[-1], atol=1e-11)
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", ["position", "pose", "mixed", "look"])
 def test_a_measured_error_is_the_one_that_is_fed_back(name):
     """Through a target that is moved: exactly in a tip's own frame, to first order for a function and a turn's axes."""
     task, size = TASKS[name], 1e-4 if name in ("look", "mixed") else 0.1
