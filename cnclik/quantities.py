@@ -130,8 +130,10 @@ def _in_own(value, mark, known, Ts):
 
 
 def aloud(value: float, unit: str) -> str:
-    """A length or an angle as "0.5 mm" or "12 nrad"; what is below a nanometre in the unit itself."""
+    """A length or an angle as "0.5 mm" or "12 nrad"; what is below a nanometre, or has several units, as it is."""
     value = float(f"{value:.3g}")  # 0.9996 m is no 1e+03 mm
+    if value and (unit[:1] in ("", "1") or "," in unit):  # a prefix belongs to one unit
+        return f"{value:.3g} {unit}".removesuffix(" 1").strip()
     for prefix, scale in (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9)):
         if abs(value) * scale >= 1:
             return f"{value * scale:.3g} {prefix}{unit}"

@@ -16,6 +16,8 @@ from cnclik.quantities import in_samples
 from cnclik.show.output import draw
 from cnclik.writing import output_folder
 
+SAME = 5e-3  # difference between alpha·Ts and the recording's z that needs no words
+
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ComputeOptions):
@@ -190,7 +192,10 @@ def _tell(found, names):
         print("Growing: " + ", ".join(name for name, a in zip(names, found.amplitude, strict=True) if a > 0))
     if found.stable is None:
         return
-    print(f"z = alpha·Ts is now {found.z:.4g}. With {in_samples(found.delay, found.Ts)} of dead time the loop is "
+    gain = f"z = alpha·Ts is now {found.z:.4g}"
+    if found.alpha is not None and abs(found.alpha * found.Ts / found.z - 1) > SAME:
+        gain = f"alpha·Ts is {found.alpha * found.Ts:.4g}, and the recording's z is {found.z:.4g}"
+    print(f"{gain}. With {in_samples(found.delay, found.Ts)} of dead time the loop is "
           f"stable below {found.stable:.4g} and does not overshoot below {found.monotone:.4g}; recommended: "
           f"{found.recommended:.4g}. Confidence in the dead time: {found.confidence:.2f}.")  # fmt: skip
 

@@ -81,7 +81,8 @@ def run(args: Args) -> None:
         print(*asked, sep="\n")
     if args.map:
         _map(args, wanted.chain, wanted.task)
-    else:
+        return
+    with errors.called("targets", "target") if args.target else contextlib.nullcontext():
         _answers(args, wanted, asked)
 
 

@@ -174,7 +174,7 @@ def _made(fit, log, hides) -> DriveFit:
         raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
     odd = np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))
     if len(odd):
-        found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, or other units"
+        found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
     length = np.array([correlated(c) for c in left.T])  # correlated residuals carry less information
     deviations = log.deviations(fit.shape, fit.values, fit.parts, fit.own) * np.sqrt(length)[:, None]

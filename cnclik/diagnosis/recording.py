@@ -32,7 +32,7 @@ def sampling_time(t, Ts) -> float:
     step = np.diff(t)
     usual = float(np.median(step)) if len(step) else 0.0
     if usual <= 0:
-        raise errors.fail("t", "increase", f"has a median step of {usual:g} s")
+        raise errors.fail("t", "increase", f"the median step is {usual:g} s")
     mean, apart = float(t[-1] - t[0]) / len(step), max(len(t) // 4, 1)
     if np.unique(step).size < 4 and abs(usual / mean - 1) > APART:
         found = f"are {usual:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"

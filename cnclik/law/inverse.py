@@ -7,6 +7,7 @@ applies J# to any number of task velocities, and estimates of singularity.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -60,6 +61,7 @@ class Pseudoinverse:
 class ByShift:
     """What damped inverses share, Jᵀ (J Jᵀ + λ² I)⁻¹ with λ² = `shift`."""
 
+    always = True  # whether λ is at least `damping`, and not only near a singularity
     factors = True  # whether `memory` has factors, for a task with at most as many rows as joints
     shift: Callable  # of the rows: λ², and an estimate of the least singular value if λ² depends on one
 
@@ -81,6 +83,7 @@ class Damped(ByShift):
 class ManipulabilityDamped(ByShift):
     """See `manipulability_damped`."""
 
+    always = False
     damping: Number  # λ₀, never λ₀²
     threshold: Number  # w₀
 
@@ -95,6 +98,7 @@ class ManipulabilityDamped(ByShift):
 class SingularDamped(ByShift):
     """See `singular_damped`."""
 
+    always = False
     damping: Number  # λ_max, never λ_max²
     threshold: Number  # ε
 
@@ -245,7 +249,9 @@ def damped(damping: Number | dict[str, Number]) -> Damped | Levels:
       damping: λ (not λ²), in the unit of J's singular values; positive. Of a stack also one for each task, by name.
     """
     if isinstance(damping, dict):
-        return levels(*([name] for name in damping), damping=tuple(damping.values()))
+        each = {name: Damped(damping=positive("damping", one)) for name, one in damping.items()}
+        order = by_damping(each)
+        return Levels(names=tuple((name,) for name in order), damping=tuple(each[name] for name in order))
     return Damped(damping=positive("damping", damping))
 
 
@@ -270,7 +276,10 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
     Args:
       names: names of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
       damping: for each level λ (not λ²), or its own damped(...), singular_damped(...), manipulability_damped(...) or
-        error_damped(...).
+        error_damped(...). It grows from level to level, as a smaller damping is what makes a level come first.
+        singular_damped and manipulability_damped have none away from singularities: they fit the first level alone.
+
+    Raises: ArgumentError if the damping does not grow from one level to the next.
     """
     lists = all(isinstance(some, (list, tuple)) for some in names)
     if not (names and lists and all(isinstance(name, str) for some in names for name in some)):
@@ -280,7 +289,36 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
     kinds = (Damped, ManipulabilityDamped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
+    if wrong := not_growing(each):
+        raise errors.fail(f"damping[{wrong.level}]", wrong.must, wrong.found)
     return Levels(names=tuple(tuple(some) for some in names), damping=each)
+
+
+class NotGrowing(NamedTuple):
+    """A level whose damping is not larger than that of the level before."""
+
+    level: int  # from 0
+    must: str
+    found: str
+
+
+def not_growing(each: Sequence[Any]) -> NotGrowing | None:
+    """The first level, of damped inverses for each level, that does not give way to the level before it; or None."""
+    if not all(errors.concrete(one.damping) for one in each):
+        return None
+    for level, (before, one) in enumerate(itertools.pairwise(each), 1):
+        was, now = float(before.damping), float(one.damping) * one.always
+        if now <= was:
+            must = f"be larger than that of the level before, {was:g}, which has priority by its smaller damping"
+            return NotGrowing(level, must, f"is {now:g}" if one.always else "is 0 away from singularities")
+    return None
+
+
+def by_damping(each: dict[Any, Any]) -> list:
+    """The names of damped inverses by their damping away from singularities, the least first; as given if traced."""
+    if not all(errors.concrete(one.damping) for one in each.values()):
+        return list(each)
+    return sorted(each, key=lambda name: (each[name].always, float(each[name].damping)))
 
 
 def manipulability_damped(damping: Number, threshold: Number) -> ManipulabilityDamped:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 
 from cnclik import errors
-from cnclik.law.inverse import Pseudoinverse, Transpose, levels
+from cnclik.law.inverse import Levels, Pseudoinverse, Transpose, by_damping, not_growing
 from cnclik.law.paths import hold, hold_at
 from cnclik.law.reference import References, of_each, references
 from cnclik.law.walls import Wall, support_polygon, wall
@@ -203,13 +203,14 @@ def inverse_of(tables, task: Task, chain: Chain, **of_all):
             raise errors.fail(f"{one.where}.level", "be given where others have one", "is not")
         level = errors.integer(f"{one.where}.level", one.given.get("level", i + 1), at_least=1)
         groups.setdefault(level, []).append(name)
-    order = sorted(groups)
-    each = [_of_level([tables[name] for name in groups[level]], of_all) for level in order]
-    if numbered:
-        _check_order(tables, [groups[level] for level in order], each)
-    elif all(errors.concrete(one.damping) for one in each):  # by damping, which makes a level come first
-        order, each = zip(*sorted(zip(order, each, strict=True), key=lambda pair: float(pair[1].damping)), strict=True)
-    return levels(*(groups[level] for level in order), damping=each)
+    each = {level: _of_level([tables[name] for name in groups[level]], of_all) for level in sorted(groups)}
+    order = list(each) if numbered else by_damping(each)  # without numbers a smaller damping makes a level come first
+    found = Levels(names=tuple(tuple(groups[level]) for level in order), damping=tuple(each[level] for level in order))
+    if numbered and (wrong := not_growing(found.damping)):
+        names = found.names[wrong.level]
+        name = next((name for name in names if "damping" in tables[name].given), names[0])
+        raise errors.fail(f"tasks.{name}.damping", wrong.must, wrong.found)
+    return found
 
 
 def _of_level(own, of_all):
@@ -228,17 +229,6 @@ def _of_level(own, of_all):
             if one.given.get(key) not in (None, value):
                 raise errors.fail(f"{one.where}.{key}", f"be that of its level, {value!r}", f"is {one.given[key]!r}")
     return found
-
-
-def _check_order(tables, groups, each):
-    """Check that dampings grow from level to level: the least damping is what makes the first one strict."""
-    known = all(errors.concrete(one.damping) for one in each)
-    for i in range(1, len(each) if known else 0):
-        before, now = float(each[i - 1].damping), float(each[i].damping)
-        if now <= before:
-            name = next((n for n in groups[i] if "damping" in tables[n].given), groups[i][0])
-            must = f"be larger than that of the level before, {before:g}, which has priority by its smaller damping"
-            raise errors.fail(f"tasks.{name}.damping", must, f"is {now:g}")
 
 
 def ranks_of(tables, names) -> dict[str, int]:

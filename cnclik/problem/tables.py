@@ -21,6 +21,9 @@ def read_columns(argument: str, file) -> tuple:
     Raises: ArgumentError, naming the argument, for a file that cannot be read, or rows that do not fit.
     """
     names, rows = _cells(argument, file)
+    if rows and all(len(row) == 1 and ";" in row[0] for row in rows):
+        found = f"{pathlib.Path(file).name} holds {rows[0][0]!r}"
+        raise errors.fail(argument, "have columns that are separated by commas", found)
     meant = {j for row in rows for j, cell in enumerate(row) if _is_meant(cell)}
     rows = [[cell if j in meant and cell.strip() else "nan" for j, cell in enumerate(row)] for row in rows]
     table = _numbers(argument, file, rows)

@@ -55,6 +55,8 @@ def wanted_of(args) -> Wanted:
         if len(args.target) != len(every):
             labels = ", ".join(aim.label for aim in every)
             raise errors.fail("target", f"be given once for each tip ({labels})", f"is given {len(args.target)} times")
+        for values in args.target:
+            errors.array("target", values)
         _look_at_units(args, chain, task)
         several = len(every) > 1
         of = [

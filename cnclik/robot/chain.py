@@ -17,7 +17,7 @@ from cnclik.record import record
 from cnclik.robot import poses
 from cnclik.robot.bases import BALL
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
-from cnclik.robot.masses import Mass
+from cnclik.robot.masses import Masses
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import MOST
@@ -60,7 +60,7 @@ class Chain:
     lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
     upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
     velocity_limit: tuple[Number, ...]  # (n,) [rad/s or m/s], inf where unlimited
-    masses: tuple[Mass, ...] = ()  # of the base, then of each joint, with all links fixed to it; () if unknown
+    masses: Masses = ()  # of the base, then of each joint, with all links fixed to it, None where unknown; () for none
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
@@ -275,7 +275,7 @@ def assemble(
     lower: Float[ArrayLike, " n"] | None = None,
     upper: Float[ArrayLike, " n"] | None = None,
     velocity_limit: Float[ArrayLike, " n"] | None = None,
-    masses: tuple[Mass, ...] = (),
+    masses: Masses = (),
 ) -> Chain:
     """Chain from joints built one by one, with limits checked against the number of coordinates.
 

@@ -18,6 +18,9 @@ class Mass:
     center: Triple = ZERO  # [m], in the joint's frame, or in the base's for its mass
 
 
+Masses = tuple[Mass | None, ...]  # of the base, then of each joint; None where the file gives none
+
+
 def _sum(*each: tuple) -> Mass:
     """Several (mass, centre) as one."""
     whole = sum(mass for mass, _ in each)
@@ -25,7 +28,7 @@ def _sum(*each: tuple) -> Mass:
     return Mass(mass=whole, center=scale(1.0 / whole, moment)) if each else Mass()
 
 
-def lumped(inertials: dict, at: dict, count: int) -> tuple[Mass, ...]:
+def lumped(inertials: dict, at: dict, count: int) -> Masses:
     """The masses of the base and of each joint; () if there are none.
 
     Args:
@@ -41,17 +44,20 @@ def lumped(inertials: dict, at: dict, count: int) -> tuple[Mass, ...]:
     return tuple(_sum(*each) for each in found) if any(found) else ()
 
 
-def put(masses: tuple[Mass, ...], base: Offset) -> tuple[Mass, ...]:
+def put(masses: Masses, base: Offset) -> Masses:
     """The masses of a robot with its base moved."""
-    return tuple(replace(m, center=placed(base, m.center)) if i == 0 else m for i, m in enumerate(masses))
+    first = [replace(m, center=placed(base, m.center)) if m else None for m in masses[:1]]
+    return (*first, *masses[1:])
 
 
-def added(one: tuple[Mass, ...], other: tuple[Mass, ...], joint: int) -> tuple[Mass, ...]:
-    """The masses of a robot that carries another one on a joint; () if one of them has none."""
-    if not one or not other:
+def added(one, other, joint: int, base: Offset) -> Masses:
+    """The masses of a robot that carries another one on a joint, from a place there; () if both have none."""
+    if not (one.masses or other.masses):
         return ()
-    both = [(m.mass, m.center) for m in (one[joint + 1], other[0]) if m.mass]
-    return (*one[: joint + 1], _sum(*both), *one[joint + 2 :], *other[1:])
+    below, above = (robot.masses or (None,) * (1 + len(robot.joints)) for robot in (one, other))
+    both = [(m.mass, m.center) for m in (below[joint + 1], *put(above[:1], base)) if m and m.mass]
+    carrier = below[joint + 1] and _sum(*both)
+    return (*below[: joint + 1], carrier, *below[joint + 2 :], *above[1:])
 
 
 def shares(chain) -> Float[Array, "j+1 4"]:
@@ -59,8 +65,11 @@ def shares(chain) -> Float[Array, "j+1 4"]:
 
     Raises: ArgumentError for a robot without masses.
     """
-    if not chain.masses:
-        raise errors.fail("robot", "have masses, as of a URDF file with <inertial> in its links", "has none")
+    moved = zip(chain.joints, chain.masses[1:], strict=False)
+    unknown = [chain.joint_names[joint.coordinate] for joint, m in moved if m is None]
+    if unknown or not chain.masses:
+        found = f"has none on {', '.join(dict.fromkeys(unknown))}" if unknown else "has none"
+        raise errors.fail("robot", "have masses, as of a URDF file with <inertial> in its links", found)
     each: Any = [[*scale(m.mass, m.center), m.mass] for m in chain.masses]
     each = library(each).array(each, float)
     return each / each[:, 3].sum()

@@ -82,5 +82,5 @@ def join(
         if twice := sorted({name for name in several if several.count(name) > 1}):
             raise errors.fail("prefix", "tell the names of both robots apart", f"leaves {', '.join(twice)} twice")
     limits = {name: getattr(chain, name) + getattr(other, name) for name in ("lower", "upper", "velocity_limit")}
-    masses = added(chain.masses, put(other.masses, start), carrier.joint)
+    masses = added(chain, other, carrier.joint, start)
     return assemble(joints, tuple(tips), joint_names=names, **limits, masses=masses)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.record import replace
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.fixed import IDENTITY
 from cnclik.robot.model import modelled
@@ -17,6 +18,7 @@ from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
 _SINGULAR = 1e-9  # least singular values that are rounding
+_SOME = 16  # of the spread postures, by which a coordinate that no joint moves is known
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
@@ -72,6 +74,17 @@ def least_singular_values(chain: Chain, task, postures):
     j = _in_own_unit(chain, task, postures)
     apart = [own for _, own in task.each] or [slice(None)]
     return np.min([_least(j[:, own]) for own in apart], axis=0)
+
+
+def unmoved(chain: Chain, task) -> list[str]:
+    """Names of the coordinates of tips that no joint moves in any posture, such as x of a jaw that slides along y."""
+    tips = [i for i, part in enumerate(task.parts) if hasattr(part, "axes")]
+    if not tips:
+        return []
+    poses = replace(task, parts=tuple(task.parts[i] for i in tips), weights=None, tasks=())
+    largest = np.abs(_in_own_unit(chain, poses, spread_postures(chain)[:_SOME])).max(axis=(0, 2))
+    names = [name for i in tips for name in task.names[task.slices[i]]]
+    return [name for name, size in zip(names, largest, strict=True) if size < _SINGULAR]
 
 
 def _in_own_unit(chain, task, postures):

@@ -172,7 +172,7 @@ def _ends(tree, tips) -> dict:
     found = {}
     for name, end in named.items():
         link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
-        found[name] = link_of(tree, "tips", link), offset_of("tips", where, places=True)
+        found[name] = link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where, places=True)
     return found
 
 

@@ -9,6 +9,7 @@ from cnclik.problem.heading import robot_and_task, unless_given
 from cnclik.quantities import aloud, in_samples
 from cnclik.record import in_words
 from cnclik.stability.settings import OWN_COMMANDS
+from cnclik.stability.tasks import NOTHING
 
 COLUMNS = ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")
 
@@ -155,6 +156,11 @@ def lines_of_stack(found, said) -> list:
     if over:
         lines.append(f"Above the recommended gain: {', '.join(over)}.")
     lines += [_conflict(name, one, found) for name, one in stack.tasks.items() if one.yields_to]
+    lines += [
+        f"In this posture no joint motion has a part along {_along(name, one, found)}."
+        for name, one in stack.tasks.items()
+        if one.least_alone < NOTHING
+    ]
     for leak in stack.leaks:
         if leak.share > LEAKS:
             lines.append(
@@ -190,13 +196,16 @@ def walls_of(said) -> list:
 
 def _conflict(name, one, found) -> str:
     """In which direction a task yields, and to which."""
-    names = found.law.task.names[found.law.task.of(name)]
-    size = np.abs(one.direction)
-    most = [names[i] for i in np.argsort(-size)[:2] if size[i] > 0.3]
     return (
-        f"{name} yields to {one.yields_to}: along {' and '.join(most)} it gets {100 * one.least:.2g} % of the motion "
-        f"that it asks for, and would get {100 * one.least_alone:.3g} % alone."
+        f"{name} yields to {one.yields_to}: along {_along(name, one, found)} it gets {100 * one.least:.2g} % of the "
+        f"motion that it asks for, and would get {100 * one.least_alone:.3g} % alone."
     )
+
+
+def _along(name, one, found) -> str:
+    """The coordinates that make up the worst direction of a task."""
+    names, size = found.law.task.names[found.law.task.of(name)], np.abs(one.direction)
+    return " and ".join(names[i] for i in np.argsort(-size)[:2] if size[i] > 0.3)
 
 
 def _present(written) -> str:
@@ -223,7 +232,8 @@ def _margin(now, said, drive, Ts) -> str:
         )
     if own.delay_margin < math.inf:
         room.append(f"the dead time may grow by {in_samples(own.delay_margin, Ts)}")
-    stable = ": ".join(filter(None, ("is stable" + " on the assumed drives" * assumed, ", or ".join(room))))
+    on = " on the assumed drives" if assumed else "" if exact(drive) else " with drives exactly as given"
+    stable = ": ".join(filter(None, (f"is stable{on}", ", or ".join(room))))
     over = (
         f"a step overshoots by {100 * own.overshoot:.2g} % (ζ = {own.damping_ratio:.2g})"
         if own.overshoot > 1e-3
@@ -245,7 +255,10 @@ def _costs(said, found) -> list:
     within = f"settles to within 2 % in {gain.settling_time:.3g} s"
     settles = within if gain.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     more = "any gain" if gain.gain_margin == math.inf else f"{gain.gain_margin:.3g} times this gain"
-    lines = [f"A step {settles}. The loop stays stable with {late}{f', or with {more}' if exact(drive) else ''}."]
+    stays = f"The loop stays stable with {late}, or with {more}."
+    if not exact(drive):
+        stays = f"With drives exactly as given the loop stays stable with {late}."
+    lines = [f"A step {settles}. {stays}"]
     own = drive is not None and drive.feedback == "commanded"
     unit = "mm" if set(chain.units) == {"m"} else "mrad"
     noise = (

@@ -12,7 +12,6 @@ from cnclik.integrate.status import Status, rounding_of
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
 from cnclik.law.walls import names_of
-from cnclik.quantities import aloud
 from cnclik.record import replace
 from cnclik.robot.model import one_off
 from cnclik.robot.posture import beyond_arm
@@ -22,7 +21,7 @@ from cnclik.stability.loop import UNSTABLE, LoopAtRest, resting
 from cnclik.stability.observed import OFTEN, Observed, observe, rms
 from cnclik.stability.reasons import SLOWEST
 from cnclik.stability.spectrum import leaky, of_error, spectrum_of
-from cnclik.stability.stacked import together
+from cnclik.stability.stacked import largest_in_words, together
 
 WILD = 1e3  # [rad, m] a run with larger joint values is judged at its start
 LOOKED_AT = 9  # number of instants of the last quarter whose targets are examined
@@ -225,18 +224,12 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
         period=_period(reference),
         e=weighted,
         errors=e[: seen.bad],
-        size=in_words(law.task, e[: seen.bad][-len(seen.late) :]),
+        size=largest_in_words(law.task.units, e[: seen.bad][-len(seen.late) :]),
         walls=held_by(law, run, len(seen.late)),
         more=more,
         advance=advance,
         **rest | {"fold": rest["fold"] / advance},
     )
-
-
-def in_words(task, errors) -> str:
-    """The largest of errors (N, m), such as "1.2 mm and 0.3 rad"."""
-    parts = ((errors[:, task.lengths], "m"), (errors[:, task.angles], "rad"))
-    return " and ".join(aloud(float(np.linalg.norm(v, axis=1).max()), unit) for v, unit in parts if v.size)
 
 
 def held_by(law, run, late) -> list:

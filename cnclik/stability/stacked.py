@@ -79,16 +79,20 @@ def _seen(case, name, parts, some, enough) -> TaskSeen:
     settled = bool(late.max() <= max(enough, ARRIVED * size[0], 4 * case.noise) or follows or idle)
     shrinks = not case.moving and bool(late.max() < STALL_RATIO * before.max() and late.max() <= before.min())
     grows = not case.moving and bool(np.median(late) > GROWN * np.median(before))
-    units = np.array(case.law.task.units)[some]
-    each = [(unit, np.linalg.norm(e[-quarter:, units == unit], axis=1)) for unit in ("m", "rad") if unit in units]
-    each += [("", np.linalg.norm(e[-quarter:, ~np.isin(units, ("m", "rad"))], axis=1))] * (not each)
-    said = " and ".join(aloud(float(part.max()), unit) for unit, part in each)
+    said = largest_in_words(np.array(case.law.task.units)[some], e[-quarter:])
     said = said if late.max() > case.seen.floor else "no more than rounding"
     kinds = {"no gain": idle, "follows": follows, "settled": settled}
     kinds |= {"lags": moving, "shrinking": shrinks, "growing": grows}
     became = next((word for word, holds in kinds.items() if holds), "remains")
     of_tips = all(hasattr(part, "axes") for part in parts.parts)
     return TaskSeen(name=name, words=f"{name} {said} ({became})", settled=settled, shrinks=shrinks, of_tips=of_tips)
+
+
+def largest_in_words(units, errors) -> str:
+    """The largest of errors (N, m) with their units (m,), such as "1.2 mm and 0.3 rad"."""
+    units = np.array([unit if unit in ("m", "rad") else "" for unit in units])
+    each = ((errors[:, units == unit], unit) for unit in ("m", "rad", ""))
+    return " and ".join(aloud(float(np.linalg.norm(some, axis=1).max()), unit) for some, unit in each if some.size)
 
 
 # --- whether it can be done ---------------------------------------------------------------------------

@@ -27,6 +27,7 @@ REACH = 1e4  # z up to which is looked
 MOST_STEPS = 5000  # of errors that are followed
 REACHED = 1e-9  # share of an error in a direction, below which no joint makes one there
 LOST = 0.1  # share of what a task gets in its best direction, below which another is lost to it
+NOTHING = 1e-9  # share of a direction that a task does not get even alone: no joint moves it there
 CONFLICT = 0.9  # of what a task would get alone: with less in some direction it is in conflict
 
 
@@ -43,7 +44,7 @@ class TaskAdvice:
       got: number of its coordinates that it gets, in sum. alone: the same without other tasks.
       least: share that it gets in its worst direction. least_alone: the same without other tasks. direction: (m,) the
         direction.
-      yields_to: the task that takes most of this direction, or "".
+      yields_to: the task that takes most of this direction, or "", also where no joint moves the task along it.
       now, recommended: `Gain` of the task with the others at rest, in directions that are not lost; None where
         unstable, even if only with one joint's drive for all, the other gains as for `largest_stable_alpha`, or where
         its gain is 0.
@@ -303,7 +304,8 @@ def _task(here, name, at, safe, limits, gains) -> TaskAdvice:
 
 def _taker(here, name, worst, got, alone) -> str:
     """The task without which one would get most of a direction more; "" where none takes much."""
-    if got > CONFLICT * (worst @ alone @ worst):
+    by_itself = worst @ alone @ worst
+    if by_itself < NOTHING or got > CONFLICT * by_itself:
         return ""
     task, more = here.loop.law.task, {}
     for other in (one for one, _ in task.each if one != name):

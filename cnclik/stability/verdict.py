@@ -18,14 +18,16 @@ from cnclik.law.law import Law, check_loop
 from cnclik.law.reference import Reference
 from cnclik.precision import in_float64, of_numbers
 from cnclik.record import record, replace
+from cnclik.robot.posture import unmoved
 from cnclik.shapes import ArrayLike, Number
 from cnclik.stability import reasons, remedies
-from cnclik.stability.case import case_of, in_words
+from cnclik.stability.case import case_of
 from cnclik.stability.judged import Behaviour, Judged, judged, restless
 from cnclik.stability.linear import checked
 from cnclik.stability.loop import UNSTABLE, resting
 from cnclik.stability.observed import FALLEN
 from cnclik.stability.replay import check_made, check_path
+from cnclik.stability.stacked import largest_in_words
 from cnclik.stability.trial import Trials, only_longer, whole_trial
 
 _UNSTABLE_KINDS = (Behaviour.SHAKING, Behaviour.DIVERGING)  # too fast because of that
@@ -132,7 +134,9 @@ def _verdict(law, reference, run, Ts, method, stage, drive, dtype, **more):
         kind, what = Behaviour.BEYOND_LIMITS, f"{'; '.join(beyond)}. The loop is {kind}: {what}"
     else:
         what = "; ".join([what, *beyond])
-    what, words = f"{what}{left_out}", _in_words(found)
+    still = unmoved(law.chain, law.task)
+    fixed = f"; no joint motion has a part along {' or '.join(still)}, in any posture" * bool(still)
+    what, words = f"{what}{fixed}{left_out}", _in_words(found)
     return Verdict(
         kind=kind,
         sentence=f"{kind}: {what}." + (f" {words[0].upper()}{words[1:]}." if words else ""),
@@ -173,7 +177,7 @@ def _confirmed(case, trials) -> Judged:
     if later.seen.bad is not None:
         then = f"is not finite from step {later.seen.bad} on"
     elif kind in _FOLLOW:
-        then = f"gets as large as {in_words(case.law.task, later.errors[case.steps :])}"
+        then = f"gets as large as {largest_in_words(case.law.task.units, later.errors[case.steps :])}"
     else:
         then = f"is at most {later.size} at the end"
     return Judged(*restless(case, f"{what}, but {on} the error {then}", found))

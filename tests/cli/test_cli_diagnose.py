@@ -99,6 +99,13 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     (tmp_path / "gap.csv").write_text("".join(rows[:60] + rows[63:]))
     main(["diagnose", str(tmp_path / "gap.csv"), "--Ts", "2ms"])
     assert "(--Ts, though of time row 60 comes 0.008 s after the one before)" in capsys.readouterr().out
+    (tmp_path / "back.csv").write_text("".join([rows[0], *reversed(rows[1:])]))
+    main(["diagnose", str(tmp_path / "back.csv"), "--Ts", "2ms"])
+    assert "(--Ts, though of time the median step is -0.002 s)" in capsys.readouterr().out
+    (tmp_path / "semicolons.csv").write_text("".join(rows).replace(",", ";"))
+    with pytest.raises(SystemExit):
+        main(["diagnose", str(tmp_path / "semicolons.csv"), "--Ts", "2ms"])
+    assert "must have columns that are separated by commas" in capsys.readouterr().err
     rng, k = np.random.default_rng(0), np.arange(200)
     stamps = 1.7e18 + 2e6 * k + 4e5 * rng.standard_normal(200)
     q = 1 + 0.1 * loop(0.3, 4, 200)
@@ -159,3 +166,10 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, capsys
     found = json.loads(capsys.readouterr().out)
     assert found["lag"] == pytest.approx(0.02, rel=0.05) and found["explained"] > 0.999
     np.testing.assert_allclose(found["gain"], [1, 1], atol=0.01)
+
+
+def test_a_gain_that_is_not_the_recordings_z_is_not_called_so(log, capsys):
+    main(["diagnose", log, "--Ts", "2ms", "--alpha", "150"])
+    assert "z = alpha·Ts is now 0.3." in capsys.readouterr().out
+    main(["diagnose", log, "--Ts", "2ms", "--alpha", "140"])
+    assert "\nalpha·Ts is 0.28, and the recording's z is 0.3. With 4 samples" in capsys.readouterr().out

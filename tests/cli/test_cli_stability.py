@@ -75,6 +75,12 @@ def test_the_largest_stable_gain_of_a_servo_is_not_told(capsys):
     main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "3", "--lag", "0.05", "--method", "EE"])
     out = capsys.readouterr().out
     assert re.search(r"largest stable +│ +not known │", out) and "times this gain" not in out and "--step" in out
+    exactly = "With drives exactly as given the loop stays stable with "
+    assert re.search(exactly + r"[\d.]+ samples \([\d.]+ ms\) more dead time\.", out)
+    assert "is stable with drives exactly as given: the dead time may grow by" in out
+    rebased = ["--command", "position", "--feedback", "rebased"]
+    main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "3", "--lag", "0.05", "--method", "EE", *rebased])
+    assert f"{exactly}any dead time." in capsys.readouterr().out
 
 
 def test_a_servo_leaves_a_tenth_of_the_gain(capsys):

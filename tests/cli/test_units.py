@@ -256,3 +256,5 @@ def test_a_number_read_aloud_has_at_most_three_digits():
     """A wall was missed by "1e+03 mm/s"."""
     said = [quantities.aloud(v, "m") for v in (0.99996, -0.0009999, 9.996e-7, 0.0123, 3e-10, 0.0)]
     assert said == ["1 m", "-1 mm", "1 µm", "12.3 mm", "3e-10 m", "zero"]
+    said = [quantities.aloud(0.00123, unit) for unit in ("rad/s, m/s", "1", "", "1/s")]
+    assert said == ["0.00123 rad/s, m/s", "0.00123", "0.00123", "0.00123 1/s"]

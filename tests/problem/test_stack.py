@@ -148,9 +148,12 @@ def test_a_task_in_the_tips_own_frame():
 def test_a_level_has_one_damping_and_tasks_without_levels_have_their_own():
     one, two, three = ({"tip": GRIPPERS[0], "task": task} for task in ("position", "rx", "ry"))
     p = made({"b": two | {"level": 2}, "a": one | {"level": 1, "damping": 0.01},
-              "c": three | {"level": 2, "inverse": "singular-damped", "damping": 0.1, "threshold": 0.2}})  # fmt: skip
+              "c": three | {"level": 2, "damping": 0.1}})  # fmt: skip
     assert p.law.inverse.names == (("a",), ("b", "c"))
-    assert [type(one).__name__ for one in p.law.inverse.damping] == ["Damped", "SingularDamped"]
+    singular = {"inverse": "singular-damped", "damping": 0.1, "threshold": 0.2}
+    p = made({"b": two, "a": one | singular}, damping=0.05)  # no damping away from singularities is the least
+    assert p.law.inverse.names == (("a",), ("b",))
+    assert [type(one).__name__ for one in p.law.inverse.damping] == ["SingularDamped", "Damped"]
     p = made({"b": two | {"damping": 0.2}, "a": one}, damping=0.05)
     assert p.law.inverse.names == (("a",), ("b",))  # by what makes one come first
     assert [float(one.damping) for one in p.law.inverse.damping] == [0.05, 0.2]
@@ -207,6 +210,14 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
             {"hands": HAND | {"level": 1, "damping": 0.1}, "rest": REST | {"level": 2, "damping": 0.05}},
             {},
             "`tasks.rest.damping` must be larger than that of the level before, 0.1",
+        ),
+        (
+            {
+                "hands": HAND | {"level": 1, "damping": 0.01},
+                "rest": REST | {"level": 2, "damping": 0.1, "inverse": "singular-damped", "threshold": 0.2},
+            },
+            {},
+            "`tasks.rest.damping` must be larger than that of the level before, 0.01, .* is 0 away from singularities",
         ),
         (
             {"hands": HAND | {"level": 1, "damping": 0.1}, "rest": REST | {"level": 1, "damping": 0.05}},

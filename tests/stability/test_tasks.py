@@ -197,6 +197,14 @@ def test_arms_of_their_own_share_nothing_and_two_tasks_of_one_tip_share_it():
     np.testing.assert_allclose(np.abs(first.direction), [1, 0], atol=1e-6)
 
 
+def test_where_no_joint_moves_a_task_it_yields_to_none():
+    """z of a planar arm, of which no posture has more."""
+    task = ck.stack(tip=ck.position("xyz"), rest=ck.joints())
+    said = ck.advise(ck.Law(ARM, task, alpha=5.0, inverse=ck.damped(0.01)), None, Q, Ts=TS).stack.tasks["tip"]
+    assert said.yields_to == "" and said.least == said.least_alone == 0
+    np.testing.assert_allclose(np.abs(said.direction), [0, 0, 1], atol=1e-9)
+
+
 @pytest.mark.parametrize("first", [1e-2, 1e-3])
 def test_levels_leak_as_the_square_of_their_dampings(first):
     law = law_of(5.0, ck.levels(["tip"], ["angle", "rest"], damping=(first, 0.1)))

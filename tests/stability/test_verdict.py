@@ -42,6 +42,23 @@ def judge(law, reference, N, q=Q5, Ts=Ts, method=ck.EE, stage=ck.picard(5)):
     return verdict(law, reference, run, Ts=Ts, method=method, stage=stage)
 
 
+def test_a_coordinate_that_no_joint_moves_is_named():
+    """z of a planar arm: settled where the target has it, else out of reach; not a posture near a singularity."""
+    xyz = ck.Law(FIVE, ck.position("xyz"), alpha=5.0, inverse=ck.damped(0.01))
+    for z, kind in ((0.0, Behaviour.SETTLED), (0.1, Behaviour.OUT_OF_REACH)):
+        said = judge(xyz, ck.hold([*(TIP + 0.1 * INWARD), z]), 60)
+        assert said.kind == kind and "no joint motion has a part along z, in any posture" in str(said)
+    assert "no joint motion" not in str(judge(law(5.0), NEAR, 60))
+
+
+def test_errors_without_a_unit_are_told_as_they_are():
+    """They were left out, and a prefix of none made 0.005 "5 m"."""
+    bent = ck.function(lambda robot, q: q[:1] ** 2, ["bent"], ["1"])
+    own, target = ck.Law(FIVE, bent, alpha=0.5), ck.hold(values=[0.085])
+    said = str(judge(own, target, 10))
+    assert re.search(r"the errors are at most: function 0\.00\d+ \(shrinking\)", said), said
+
+
 @pytest.mark.parametrize(
     ("z", "N", "kinds"),
     [

@@ -157,7 +157,7 @@ def recursion(levels, lams):
     return q
 
 
-@pytest.mark.parametrize("lams", [(1e-4, 1e-2, 0.1), (1e-2, 1e-2, 1e-2), (1e-3, 0.05, 0.2)])
+@pytest.mark.parametrize("lams", [(1e-4, 1e-2, 0.1), (1e-2, 1.01e-2, 1.02e-2), (1e-3, 0.05, 0.2)])
 def test_levels_are_the_recursion(lams):
     """Breaks for a damping that is another level's, or squared twice."""
     q, order = np.array([0.3, 0.5, -0.4, 0.6]), ("angle", "tip", "rest")
@@ -176,6 +176,7 @@ def test_a_damping_of_each_task_is_a_level_of_its_own():
     aims, task = moving(q, 2)
     lams = {"feet": 1e-3, "hands": 0.05, "torso": 0.1}
     one = ck.Law(HUMANOID, task, alpha=4.0, inverse=ck.damped(lams))
+    assert ck.damped(dict(reversed(lams.items()))).names == one.inverse.names  # the least comes first
     other = ck.replace(one, inverse=ck.levels(["feet"], ["hands"], ["torso"], damping=(1e-3, 0.05, 0.1)))
     close(step_of(one, aims, q), step_of(other, aims, q), atol=0)
 
@@ -294,6 +295,12 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: ck.joints(0.5), "`names` must be texts, but is 0.5"),
         (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
         (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0), "`weights` must have shape"),
+        (lambda: ck.levels(["a"], ["b"], damping=(0.1, 0.01)), r"`damping\[1\]` must be larger .* 0.1, .* is 0.01"),
+        (lambda: ck.levels(["a"], ["b"], damping=(0.1, 0.1)), r"`damping\[1\]` must be larger than that of the level"),
+        (
+            lambda: ck.levels(["a"], ["b"], damping=(0.01, ck.singular_damped(0.1, 0.05))),
+            r"`damping\[1\]` must be larger than .* 0.01, .* is 0 away from singularities",
+        ),
         (lambda: ck.levels(["feet"], damping=0.1), "`damping` must hold one for each of 1 levels"),
         (lambda: ck.Law(PLANAR, ck.position("xy"), alpha={"a": 1.0}), "none: they are given names by ck.stack"),
         (
