@@ -11,8 +11,8 @@ from collections.abc import Callable
 from cnclik import errors
 from cnclik.markup import BLUE, GENERATOR, escaped, table
 from cnclik.measure.dataset import provenance
+from cnclik.show import report_figures
 from cnclik.show.output import FigureError
-from cnclik.show.report_figures import picture
 from cnclik.show.viewer import need
 from cnclik.show.viewer.page import as_page, seconds
 from cnclik.writing import output_folder
@@ -88,7 +88,7 @@ def _figure(file, make, about, captions, failed) -> str:
     name = pathlib.Path(file).stem
     caption = escaped(captions.get(name, name.replace("_", " ")))
     try:
-        drawn = picture(make, escaped(name), about)
+        drawn = report_figures.picture(make, escaped(name), about)
     except Exception as error:  # any failure of a figure leaves out that figure only
         failed[name] = errors.in_a_line(error)
         drawn = f"<p>Not drawn: {escaped(failed[name])}</p>"
