@@ -135,7 +135,7 @@ def test_a_motion_from_one_place_to_another_is_no_oscillation():
 
 
 @pytest.mark.parametrize("digits", [None, 6])
-@pytest.mark.parametrize("slope", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize("slope", [0.02, 1.0])
 @pytest.mark.parametrize(("frequency", "size", "N"), [(3, 0.01, 600), (5, 0.05, 300), (2, 0.02, 1000), (8, 0.01, 600)])
 def test_clean_waves_on_a_ramp_are_seen(frequency, size, N, slope, digits):
     """Small beside the way, and without noise or with that of a display's digits alone."""
@@ -208,7 +208,7 @@ def test_the_beginning_of_a_swing_is_no_decay_and_no_noise(d, share):
         assert "No smaller gain" not in str(found)
 
 
-@pytest.mark.parametrize(("d", "rows"), [(7, (16,)), (10, range(16, 24, 2)), (10, (19, 25)), (15, (28, 34))])
+@pytest.mark.parametrize(("d", "rows"), [(7, (16,)), (10, (16, 19, 22, 25)), (15, (28, 34))])
 @pytest.mark.parametrize("noise", [0.0, 3e-4])
 def test_the_beginning_of_a_swing_does_not_grow(d, rows, noise):
     """Few rows of a stable loop, at first at rest, were fitted by growing oscillations that are none of a loop's."""
@@ -339,7 +339,7 @@ def test_growth_in_few_rows_is_still_seen(growth):
     assert diagnose(np.outer(e, [0.1, -0.04]) + 1e-4 * rng.standard_normal((24, 2)), TS).kind is Kind.GROWING
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, *slow(2)])
 def test_what_moved_before_as_it_does_now_does_not_grow(seed):
     """Modes explain only the last rows of a long log of a stable loop that noise swings: there they may grow."""
     rng = np.random.default_rng(seed)

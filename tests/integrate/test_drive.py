@@ -127,7 +127,7 @@ def test_a_drive_that_follows_at_once_changes_nothing():
         )
 
 
-@pytest.mark.parametrize("method", ["EE", "AB3", "CN", "EXP-AB2", "IFD5"])
+@pytest.mark.parametrize("method", ["EE", "CN", "EXP-AB2"])
 def test_dead_time_only_shifts_what_a_commanded_loop_does(method):
     """It knows its own commands alone: the motion is that of the loop without drive, d samples later."""
     plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, method)
@@ -169,7 +169,7 @@ def test_limits_of_a_drive_hold():
     assert np.linalg.norm(run.e[-1]) < 1e-6
 
 
-@pytest.mark.parametrize("name", ["lag", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"])
+@pytest.mark.parametrize("name", ["lag", "drive_acceleration", "joint_noise"])
 def test_numbers_of_each_joint_may_be_a_list(name):
     drives = [Drive(delay=1.0, **{name: kind([0.01, 0.02])}) for kind in (list, np.array)]
     runs = [ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, drive=drive) for drive in drives]

@@ -241,13 +241,12 @@ def test_every_pass_costs_less():
     assert np.mean(found.passes) < 3.5  # without sweeps 4.0
 
 
-@pytest.mark.parametrize("passes", [1, 3])
-def test_a_descent_that_is_cut_short_is_no_worse_than_clipping(passes):
+def test_a_descent_that_is_cut_short_is_no_worse_than_clipping():
     """One step more, clipped, had a million times the cost."""
     drawn = draws("g1", 200, seed=10)
 
     def one(*of):
-        return act(ck.bounded(RATE, passes), levels(), *of).qdot, through(levels()(of[0]).apply, *of[:3])
+        return act(ck.bounded(RATE, 1), levels(), *of).qdot, through(levels()(of[0]).apply, *of[:3])
 
     found, asked = map(np.asarray, jax.jit(jax.vmap(one))(*drawn[:5]))
     root = 1 / np.where(np.array(levels().level) == 0, 1e-2, 0.1)
