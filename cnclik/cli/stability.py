@@ -20,6 +20,9 @@ from cnclik.writing import output_folder
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
+    """Without any option of the drives, 30 ms of dead time and a lag of 100 ms are assumed. Give --delay 0 for drives
+    that follow at once."""
+
     robot: str = option("planar-clockwise:1,1,1,1,1", positional=True)
     """A URDF or MJCF file; panda, ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions.
     planar-clockwise:1,1,1,1,1 is the paper's arm."""

@@ -65,7 +65,7 @@ OPTIONS = {
     "M": Option(INTEGER, "Number of iterations per implicit step.", 5, must="at least 0"),
     "alpha": Option(NUMBERS, "Gain [1/s], one number or one per task coordinate. alpha·Ts is the dimensionless gain "
                     "per step.", 5.0, "1/s", must="at least 0"),
-    "Ts": Option(NUMBER, "Sampling time [s].", 0.01, "s", must="positive"),
+    "Ts": Option(NUMBER, "Sampling time [s], or with a unit as in 4ms.", 0.01, "s", must="positive"),
     "N": Option(INTEGER, "Number of steps.", 1000),
     "inverse": Option(NAME, f"Inverse of the Jacobian: {_listed(words.INVERSES)}. Default: pseudoinverse, or damped "
                       "where --damping is given."),
