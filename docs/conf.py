@@ -95,7 +95,7 @@ warnings.filterwarnings("ignore", category=UserWarning, message=".*non-interacti
 
 # Looks
 html_theme = "furo"
-html_title = "cnclik"
+html_title = f"cnclik {release}"
 html_static_path = ["_static"]
 html_css_files = ["cnclik.css"]
 html_copy_source = False
