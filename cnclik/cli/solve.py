@@ -33,6 +33,7 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 
 
 def run(args: Args) -> None:
+    from cnclik.engine.plan import called_once
     from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
@@ -42,14 +43,15 @@ def run(args: Args) -> None:
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
     asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
-    beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     config |= {} if made.tables is None else {"tasks": made.tables}
     config |= {} if made.walls is None else {"walls": made.walls}
-    trajectory, seconds, data, written, refused = _kept(made, args, config)
-    with progress.bar("verdict"):
-        beside.result()
-        told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
+    with called_once(made.N):
+        beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
+        trajectory, time_per_step, data, written, refused = _kept(made, args, config)
+        with progress.bar("verdict"):
+            beside.result()
+            told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
@@ -57,7 +59,7 @@ def run(args: Args) -> None:
     said = heading.loop_in_words(made, args.written), along, late, heading.pace_words(made)
     loop = "; ".join(filter(None, said))
     where = heading.start_and_target(made, table(args))
-    facts = _summary(made, trajectory, seconds)
+    facts = _summary(made, trajectory, time_per_step)
     answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
     if args.json:
         asked_of = {"asked": [title, loop, *where], "facts": dict(facts)}
@@ -93,7 +95,7 @@ _CAPTIONS = {
 
 
 def _kept(made, args, config):
-    """(trajectory, time per step, dataset, names of the written files, the refusal of one of them or None)."""
+    """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
 
     files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
@@ -102,7 +104,7 @@ def _kept(made, args, config):
     try:
         with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
             with progress.bar("steps") as report:
-                trajectory, seconds = _march(made, report)
+                trajectory, time_per_step = _march(made, report)
             from cnclik.measure.dataset import to_dataset
 
             data = to_dataset(trajectory, made.law, config=config)
@@ -113,17 +115,18 @@ def _kept(made, args, config):
         if data is None:
             raise
         refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
-    return trajectory, seconds, data, folder.made, refused
+    return trajectory, time_per_step, data, folder.made, refused
 
 
 def _march(made, report):
-    """The whole trajectory, run in pieces that report progress, and the time per step without compiling [s].
+    """The whole trajectory, run in pieces that report progress, and the time per step without compiling, in words.
 
     Through drives or at a pace it is one piece: each piece would begin with drives at rest.
     """
     import jax
 
     from cnclik.integrate.pieces import in_pieces, joined, piece_of
+    from cnclik.integrate.solve import ran_in_c
 
     size = piece_of(made.method, made.N) if made.alone else made.N
 
@@ -136,7 +139,8 @@ def _march(made, report):
     for part in run():
         parts.append(jax.block_until_ready(part))
         report(min(len(parts) * size, made.N), made.N)
-    return joined(parts, made.N), (time.perf_counter() - begun) / (len(parts) * size)
+    each = 1e6 * (time.perf_counter() - begun) / (len(parts) * size)
+    return joined(parts, made.N), f"{plainly(each)} µs{'' if ran_in_c(size) else ' (by XLA, not C)'}"
 
 
 def _rows(data):
@@ -173,7 +177,7 @@ def _figures(data, made) -> dict:
     }
 
 
-def _summary(made, trajectory, seconds):
+def _summary(made, trajectory, time_per_step):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
@@ -196,7 +200,7 @@ def _summary(made, trajectory, seconds):
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     if made.pace is None or not made.pace.smooth:  # at a smooth pace no step reverses a velocity
         rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
-    rows.append(("time per step", f"{plainly(1e6 * seconds)} µs"))
+    rows.append(("time per step", time_per_step))
     return rows
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import functools
+import math
 
 import jax
 import numpy as np
@@ -11,7 +12,7 @@ from cnclik import cache
 from cnclik.cache import Recent
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.native import called, native
-from cnclik.engine.plan import in_c, wants_c
+from cnclik.engine.plan import in_c, most_nodes, wants_c
 from cnclik.engine.program import Program, key_of, lane_avals
 from cnclik.programs import name_of, recalled, remember
 
@@ -27,9 +28,13 @@ class Numbers:
     """
 
     def __init__(self, fn, *, lets_go, **static):
-        """fn(*known, *given, **static). lets_go: release Python's lock during calls, if they are longer than a step."""
+        """fn(*known, *given, **static). lets_go: release Python's lock during calls, if they are longer than a step.
+
+        A function of `N` rounds is no C where that would take too long to compile, see `most_nodes`.
+        """
         self.fn, self.static, self.lets_go = fn, static, lets_go
         self.native, self.ready, self.entries = native(self.source), {}, Recent()
+        self.ran_in_c = False  # the last call
 
     def source(self, known, given):
         return self.fn(*known, *given, **self.static)
@@ -39,6 +44,7 @@ class Numbers:
 
         None if it does not run as C.
         """
+        self.ran_in_c = False
         if not wants_c():
             return None
         leaves, treedef = jax.tree.flatten(given)
@@ -47,17 +53,19 @@ class Numbers:
             if isinstance(x, Tracer):
                 return None
             about += x.shape, x.dtype
-        key = (*map(id, known), treedef, jax.config.jax_enable_x64, *about)
-        call = self.ready.get(key) or self._prepared(key, known, given)
+        most = most_nodes(self.static.get("N", math.inf))
+        key = (*map(id, known), treedef, jax.config.jax_enable_x64, most, *about)
+        call = self.ready.get(key) or self._prepared(key, known, given, most)
+        self.ran_in_c = call is not None
         return call and call(leaves)
 
-    def _prepared(self, key, known, given):
+    def _prepared(self, key, known, given, most):
         function, every = self.native.of(known, given)
         if not in_c() or any(isinstance(x, Tracer) for x in every):
             return None
         avals, others = lane_avals(every, batched=False), len(jax.tree.leaves(given))
-        program, tree = self._program(function, avals, known, given)
-        if not isinstance(program, Program):
+        program, tree = self._program(function, avals, known, given, most)
+        if not isinstance(program, Program) or program.nodes > most:
             return None
         first, given = every[: len(every) - others], every[len(every) - others :]
         lasting = not any(isinstance(x, np.ndarray) and x.flags.writeable for x in first)
@@ -79,7 +87,7 @@ class Numbers:
             self.ready[key] = call
         return call
 
-    def _program(self, function, avals, known, given):
+    def _program(self, function, avals, known, given, most):
         """(the program, the tree of its results); with a cache of programs, the one an earlier process made."""
         made, trees, key = function.single, function.trees, key_of(avals)
         name = name_of((self.fn, self.static), (known, given)) if made.known(avals) is None else None
@@ -88,7 +96,7 @@ class Numbers:
                 program = made.found[key] = Program.kept(avals, *found)
                 trees[key] = jax.tree.structure(found[1])
                 return program, trees[key]
-        program = made.of(avals)
+        program = made.of(avals, most=most)
         if name and isinstance(program, Program):
             remember(name, lambda: (program.path, trees[key].unflatten(program.shapes)))
         return program, trees.get(key)

@@ -1,5 +1,7 @@
 """Plan: which engine runs which call."""
 
+import contextlib
+import math
 from contextlib import AbstractContextManager
 
 import jax
@@ -10,6 +12,13 @@ from cnclik.hints import engine as _engine
 from cnclik.hints import switched_on
 
 ENGINES = ("native", "xla", "plain")
+
+# As measured, a node of a graph takes C 0.2 ms of compiling, and XLA, which gets the source, 12 ns a round: C pays
+# from some 10,000 rounds on, or where the program is called again and again.
+MOST_NODES = 100_000  # of a run's graph, for C: half a minute of compiling
+MOST_NODES_ONCE = 15_000  # of one that is called a few times only
+MANY_ROUNDS = 8192  # of a run that is C at any size
+_only = {"once": False}  # what holds for the whole process
 
 
 def use_engine(name: str | None) -> AbstractContextManager:
@@ -44,3 +53,20 @@ def in_scalars() -> bool:
 def may_be_plain() -> bool:
     """Whether XLA may get the source itself if that answers sooner."""
     return _engine.value != "xla"
+
+
+@contextlib.contextmanager
+def called_once(rounds):
+    """Context manager: inside, in all threads, a run has so many rounds and is called a few times only."""
+    before, _only["once"] = _only["once"], rounds <= MANY_ROUNDS
+    try:
+        yield
+    finally:
+        _only["once"] = before
+
+
+def most_nodes(rounds) -> float:
+    """The nodes, at most, of the graph of a run of so many rounds that C answers in time."""
+    if _engine.value == "native" or rounds > MANY_ROUNDS:
+        return math.inf
+    return MOST_NODES_ONCE if _only["once"] else MOST_NODES

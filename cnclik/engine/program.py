@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import functools
+import math
 import pathlib
 import tempfile
 import time
@@ -24,15 +25,28 @@ HUGE = 2 << 20  # bytes of a huge page: allocating small pages takes half as lon
 CALLS = 4  # of each thread, so that slow lanes do not keep one core busy alone
 
 
+class TooLargeError(UnsupportedError):
+    """Its graph has more nodes than the caller wants to build."""
+
+    def __init__(self, nodes):
+        super().__init__(f"a graph of {nodes} nodes takes long to build")
+        self.nodes = nodes
+
+
 class Program:
     """A function of one lane's arrays, of these avals, as a C library. Raises: UnsupportedError if it has no C form."""
 
-    def __init__(self, fn, avals, *, single=False):
-        """single: for one lane only: it builds in half the time and is a little quicker."""
+    nodes = 0  # of the graph it was built from
+
+    def __init__(self, fn, avals, *, single=False, most=math.inf):
+        """single: for one lane only: it builds in half the time and is a little quicker. most: nodes of its graph."""
         if not can_build():
             raise UnsupportedError("there is no C compiler")
         with to_be_read():
             graph, given, outs, (shapes, self.tree) = read(fn, *avals)
+        self.nodes = graph.count
+        if self.nodes > most:
+            raise TooLargeError(self.nodes)
         text, self.operations = write(graph, given, outs, shapes)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
         head += "#define BYTES MAIN\n" * single
@@ -113,17 +127,24 @@ class Programs:
         """make: makes a program from (fn, avals): `Program` or `to_jax.Derived`."""
         self.fn, self.make, self.found = fn, make, Recent()
 
-    def of(self, avals):
-        """The program for flat arguments of these avals, or the reason why there is none."""
-        return self.found.made(key_of(avals), lambda _: self._made(avals))
+    def of(self, avals, **limit):
+        """The program for flat arguments of these avals, or the reason why there is none.
+
+        Args: limit: for a caller that would rather have none than a large one: `most` of a `Program`.
+        """
+        key = key_of(avals)
+        found = self.found.get(key)
+        if found is None or (isinstance(found, TooLargeError) and found.nodes <= limit.get("most", math.inf)):
+            found = self.found[key] = self._made(avals, **limit)
+        return found
 
     def known(self, avals):
         """The same if it was requested before, otherwise None."""
         return self.found.get(key_of(avals))
 
-    def _made(self, avals):
+    def _made(self, avals, **limit):
         try:
-            return self.make(self.fn, avals)
+            return self.make(self.fn, avals, **limit)
         except UnsupportedError as error:
             return error
 

@@ -217,6 +217,11 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
+def ran_in_c(N) -> bool:
+    """Whether the last run of N steps with numbers was C: XLA, with few passes, answers sooner and runs slower."""
+    return N in loops and loops[N].ran_in_c
+
+
 def whole_run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, model, noise, *, N, gained=None):
     more = dict(drive=drive, plant=plant, pace=pace, model=model, noise=noise, gained=gained)
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)

@@ -1,5 +1,6 @@
 """solve and step called with numbers: as C, what JAX gives; checked, and compiled, as before; NumPy in, NumPy out."""
 
+import contextlib
 import threading
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.engine import plan
 from cnclik.engine.compiler import can_build
 from cnclik.integrate import solve as solving
 from tests.oracles import close
@@ -123,6 +125,27 @@ def test_numbers_of_any_precision_and_order_of_bytes(dtype):
     q = np.array([1, 0, 1]).astype(dtype)
     wanted = ck.step(LAW, WAVE, np.array([1.0, 0.0, 1.0], np.float64 if q.itemsize >= 8 else np.float32), 0.0, 0.1).q
     np.testing.assert_array_equal(ck.step(LAW, WAVE, q, 0.0, 0.1).q, wanted)
+
+
+@needs_compiler
+def test_large_programs_are_c_only_where_compiling_them_pays(monkeypatch):
+    """A command calls them a few times; a user may ask for C."""
+    monkeypatch.setattr(plan, "MOST_NODES_ONCE", 100)
+    law, ways = ck.Law(ck.planar_arm([1.0, 0.4]), ck.position("xy"), alpha=2.0), {}
+    for way, around in {
+        "once": plan.called_once(6),
+        "asked": contextlib.nullcontext(),
+        "long": plan.called_once(10_000),
+        "own": plan.called_once(6),
+    }.items():
+        with around, ck.use_engine("native" if way == "own" else None):
+            run = ck.solve(law, WAVE, Q[:2], 0.1, 6, "EE")
+            ways[way] = solving.ran_in_c(6), run
+    assert [c for c, _ in ways.values()] == [False, True, True, True]
+    same(([], ways["once"][1]), ([], ways["asked"][1]), 1e-13)
+    monkeypatch.setattr(plan, "MOST_NODES", 100)
+    ck.solve(law, WAVE, Q[:2], 0.1, 6, "EE")
+    assert not solving.ran_in_c(6)
 
 
 @needs_compiler
