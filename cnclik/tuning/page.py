@@ -28,7 +28,9 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
       CAPTIONS.
     """
     method = f"{tuned.method} with {tuned.stage}" if tuned.method.implicit else str(tuned.method)
-    loop = f"{method}, task {' '.join(tuned.law.task.names)}, N = {tuned.N} steps of Ts = {1e3 * tuned.Ts:g} ms."
+    task, stack = tuned.law.task, [name for name, _ in tuned.law.task.tasks]
+    what = f"tasks {', '.join(stack)}" if stack else f"task {' '.join(task.names)}"
+    loop = f"{method}, {what}, N = {tuned.N} steps of Ts = {1e3 * tuned.Ts:g} ms."
     title = f"# {'Tuned' if tuned.satisfied else 'Not tuned'}: {name}"
     text = [title, "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
     lines = controller_lines(tuned)
