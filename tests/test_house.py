@@ -86,8 +86,8 @@ def test_imports_have_no_circle():
     modules = {path.relative_to(PACKAGE.parent).with_suffix("").parts: path for path in files()}
     graph = {}
     for name, path in modules.items():
-        nodes = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)]
-        wanted = [(*(node.module or "").split("."), alias.name) for node in nodes for alias in node.names]
+        every = [node for node in nodes(path) if isinstance(node, ast.ImportFrom)]
+        wanted = [(*(node.module or "").split("."), alias.name) for node in every for alias in node.names]
         graph[name] = {one if one in modules else one[:-1] for one in wanted if {one, one[:-1]} & {*modules}}
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError
 
@@ -97,8 +97,7 @@ def test_a_room_imports_its_own_modules_at_the_top():
     hidden = []
     for path in files():
         lines = path.read_text(encoding="utf-8").splitlines()
-        tree = ast.parse("\n".join(lines))
-        top = {node.lineno for node in ast.walk(tree) if isinstance(node, ast.stmt) and node.col_offset == 0}
+        top = {node.lineno for node in nodes(path) if isinstance(node, ast.stmt) and node.col_offset == 0}
         inner = {line for line, other, _ in imported(path) if other == room(path) and line not in top}
         hidden += [f"{path.relative_to(PACKAGE)}:{line}" for line in inner if "  # " not in lines[line - 1]]
     assert not hidden
@@ -120,17 +119,16 @@ def test_names_are_imported_from_where_they_are_defined():
 def test_attributes_of_a_module_are_defined_there():
     passed_on = []
     for path in files():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
         modules = {
             alias.asname or alias.name: source
-            for node in ast.walk(tree)
+            for node in nodes(path)
             if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "cnclik"
             for alias in node.names
             if (source := PACKAGE.joinpath(*node.module.split(".")[1:], f"{alias.name}.py")).exists()
         }
         passed_on += [
             f"{path.relative_to(PACKAGE)}:{node.lineno} {ast.unparse(node)}"
-            for node in ast.walk(tree)
+            for node in nodes(path)
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules
             if node.attr not in defined(modules[node.value.id])
         ]
