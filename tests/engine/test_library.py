@@ -83,7 +83,7 @@ SLOPES = {
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
 }
 # For most, XLA takes seconds to compile the derived form: by default that of "long" and "J#" alone.
-QUICK = [("long", True), ("J#", True), ("CN implicit", False), ("AB2", False), ("drive", False)]
+QUICK = [("long", True), ("J#", True), ("CN implicit", False), ("drive", False)]
 
 
 @pytest.mark.parametrize(

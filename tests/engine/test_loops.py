@@ -1,6 +1,6 @@
 """Loops of the library as C and derived for JAX, held against jax.vmap: laws, limits, methods, stages.
 
-A quarter of a spread by default; the spread, in which every name occurs, and every pair of names with `pytest -m slow`.
+An eighth of a spread by default; the spread, in which every name occurs, and every pair of names with `pytest -m slow`.
 """
 
 import itertools
@@ -67,7 +67,7 @@ def held(combination, loose=1.0, derived_too=True):
         check(run, *lanes_of(law, combination.dtype), ulps=loose * 3e3, scalar_too=False, derived_too=derived_too)
 
 
-@pytest.mark.parametrize("combination", spread()[::4], ids=str)
+@pytest.mark.parametrize("combination", spread()[::8], ids=str)
 def test_loops(combination):
     held(combination, derived_too=combination.limits != "bounded")  # XLA takes seconds for such a one
 

@@ -65,8 +65,11 @@ def at_the_counter(q, path):
     return lax.scan(one, q, jnp.arange(len(path)))
 
 
-@pytest.mark.parametrize("length", [9, 70])
-@pytest.mark.parametrize("fn", [track, smooth, nested, at_the_counter], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    ("fn", "length"),
+    [(track, 9), (track, 70), (smooth, 9), (nested, 70), (at_the_counter, 9)],
+    ids=lambda f: getattr(f, "__name__", f),
+)
 def test_loops_along_a_path(fn, length):
     check(fn, batch(3), batch(length, 3, seed=1), ulps=50)
 
@@ -151,7 +154,7 @@ def test_moves_along_time():
 
 
 @NEEDS_C
-@pytest.mark.parametrize("dtype", ["float32", "float64", "int32", "uint8"])
+@pytest.mark.parametrize("dtype", ["float32", "float64", "uint8"])
 def test_results_that_are_rounds_of_a_loop_are_stored_as_they_are_made(dtype):
     def fn(x):
         def one(x, k):
@@ -253,8 +256,7 @@ def test_odd_arguments_and_results():
 
 
 @NEEDS_C
-@pytest.mark.parametrize("size", [1, 2, 15, 16, 17, 130])
-@pytest.mark.parametrize("cores", [1, 3])
+@pytest.mark.parametrize(("size", "cores"), [(1, 1), (2, 3), (15, 1), (16, 3), (17, 3), (130, 1), (130, 3)])
 def test_any_number_of_lanes_on_any_number_of_cores(size, cores):
     rng = np.random.default_rng(size)
     given = rng.normal(size=(size, 3)), rng.normal(size=(size, 9, 3))

@@ -45,7 +45,7 @@ METHODS = {
     "EXP-AB2": ("EXP-AB2", ck.picard(5)),
 }
 QUICK = {("weights", "EE"), ("saturation", "IE picard"), ("weights", "EXP-AB2"), ("saturation", "EXP-MIDPOINT")}
-QUICK |= {("scaling", "EXTREME"), ("weights", "ZNN4"), ("bounded", "EE"), ("bounded", "CN chord")}
+QUICK |= {("scaling", "EXTREME"), ("bounded", "CN chord")}
 
 
 def law_of(limits, lower, upper, speed, arm=ARM, **more):
@@ -111,7 +111,7 @@ PACES = {"velocity": (), "acceleration": (1.0,), "jerk": (1.0, 10.0), "little je
 @pytest.mark.parametrize(
     ("limits", "smooth", "dtype"),
     [
-        ("weights", "velocity", np.float64),
+        pytest.param("weights", "velocity", np.float64, marks=pytest.mark.slow),
         ("weights", "jerk", np.float64),
         ("saturation", "jerk", np.float32),
         pytest.param("bounded", "jerk", np.float64, marks=pytest.mark.slow),
@@ -159,7 +159,7 @@ URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link 
 <joint name="tip" type="fixed"><parent link="d"/><child link="e"/><origin xyz="0.5 0 0"/></joint></robot>"""
 
 
-@pytest.mark.parametrize("limits", ["weights", "saturation", "bounded"])
+@pytest.mark.parametrize("limits", ["weights", "bounded"])
 def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
     """One-sided, and a joint of one value: with the first passed, joint 1 went to −1.796."""
     (tmp_path / "arm.urdf").write_text(URDF)
@@ -175,7 +175,7 @@ def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
     assert q[:, 0].min() >= 0.0 and np.abs(q[:, 1]).max() <= 2.0 and np.all(q[:, 2] == 0.5)
 
 
-@pytest.mark.parametrize("limits", ["weights", "saturation", "bounded"])
+@pytest.mark.parametrize("limits", ["saturation", "bounded"])
 def test_a_joint_of_one_value_is_no_joint(limits):
     """The arm moves as one whose second joint is welded, and is not at a limit all the time."""
     bend = 0.9
@@ -197,19 +197,24 @@ def mirrored(i):
     return ck.from_screws([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.9, 0.0, 0.0]], axes, [1.2, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("method", ["EE", pytest.param("EXP-AB2", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("limits", ["weights", "saturation", "bounded"])
-def test_a_mirrored_axis_gives_a_mirrored_run(limits, method):
+@pytest.mark.parametrize(
+    ("limits", "i", "method"),
+    [
+        ("weights", 0, "EE"),
+        ("saturation", 1, "EE"),
+        *(pytest.param(*of, "EXP-AB2", marks=pytest.mark.slow) for of in (("weights", 1), ("bounded", 0))),
+    ],
+)
+def test_a_mirrored_axis_gives_a_mirrored_run(limits, i, method):
     def run(arm, low, high, speed, q0, target):
         return ck.solve(law_of(limits, low, high, speed, arm), ck.hold(target), q0, TS, N, method).q
 
     low, high, speed, q0, target = cases(np.float64)
     plain = jax.jit(jax.vmap(functools.partial(run, mirrored(None))))(low, high, speed, q0, target)
-    for i in range(2):
-        sign = np.where(np.arange(3) == i, -1.0, 1.0)
-        low2, high2 = np.where(sign[:2] > 0, low, -high), np.where(sign[:2] > 0, high, -low)
-        other = jax.jit(jax.vmap(functools.partial(run, mirrored(i))))(low2, high2, speed, q0 * sign, target)
-        np.testing.assert_allclose(other * sign, plain, atol=1e-12)
+    sign = np.where(np.arange(3) == i, -1.0, 1.0)
+    low2, high2 = np.where(sign[:2] > 0, low, -high), np.where(sign[:2] > 0, high, -low)
+    other = jax.jit(jax.vmap(functools.partial(run, mirrored(i))))(low2, high2, speed, q0 * sign, target)
+    np.testing.assert_allclose(other * sign, plain, atol=1e-12)
 
 
 @pytest.mark.parametrize(
