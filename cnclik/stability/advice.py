@@ -21,7 +21,7 @@ from cnclik.stability.driven import POINTS, driven_limits
 from cnclik.stability.drives import SPARE, longer
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
-from cnclik.stability.loop import loop_at_rest
+from cnclik.stability.loop import UNSTABLE, loop_at_rest
 from cnclik.stability.rebased import WHERE, bearable_delay
 from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, recommendation_of, without_overshoot
 from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
@@ -147,6 +147,14 @@ def advise(
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
+    if drive is None:
+        if (factor := _null_factor(loop, safe, chosen, Ts)) > UNSTABLE:
+            drives = (
+                f"drives with {_ms(safe.delay * Ts)} of dead time and a lag of {_ms(ASSUMED_LAG)}, which are assumed"
+            )
+            must = f"be stable on {drives}: less of it, or give the drives"
+            raise errors.fail("null_velocity", must, f"multiplies a motion by {factor:.4g} each step")
+        by_euler = by_euler if _null_factor(by, safe, by_euler, Ts) <= UNSTABLE else 0.0
     return Advice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
@@ -215,8 +223,13 @@ def removing(loop, share: float, Ts: float) -> float:
 
 def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
     """What a gain of z does in a loop at rest, see `loop_at_rest`. Args: z_largest: the largest stable one."""
-    steps = loop.prompt.modes(np.array([z]), Ts)[0][0]  # of a square arm each joint is one
-    return gain_of(steps, loop.drive, Ts, z, z_largest)
+    (steps,), (null,) = loop.prompt.modes(np.array([z]), Ts)  # of a square arm each joint is one
+    return gain_of(steps, loop.drive, Ts, z, z_largest, null if callable(loop.law.null_velocity) else ())
+
+
+def _null_factor(loop, drive, z: float, Ts: float) -> float:
+    """By what a step multiplies a motion in the null space through a drive; 0 where nothing leads to a posture."""
+    return float(loop._replace(drive=drive).radii(np.array([z]), Ts)[1][0])
 
 
 def _joint_speed(loop, Ts, speed) -> float:
@@ -237,12 +250,16 @@ _MEASURE = (
 )
 
 
+def _ms(seconds) -> str:
+    return f"{1e3 * seconds:.3g} ms"
+
+
 def _assumption(loop, drive, safe, chosen, Ts) -> str:
     if drive is None:
         return (
-            f"Assumed, as nothing is known of your drives: {1e3 * safe.delay * Ts:.3g} ms of dead time and a lag of "
-            f"{1e3 * ASSUMED_LAG:.3g} ms, as many position servos have. {_MEASURE} For drives without delay, as in a "
-            "purely kinematic simulation, give a dead time of 0 (--delay 0, in Python drive=ck.Drive())."
+            f"Assumed, as nothing is known of your drives: {_ms(safe.delay * Ts)} of dead time and a lag of "
+            f"{_ms(ASSUMED_LAG)}, as many position servos have. {_MEASURE} For drives without delay, as in a purely "
+            " kinematic simulation, give a dead time of 0 (--delay 0, in Python drive=ck.Drive())."
         )
     said, late = assumed_of(drive, Ts), drive.lumped.delay
     if not (said and late):

@@ -103,7 +103,8 @@ def lines_of(found, said, written) -> list:
         at_once = " and drives without delay" * (said.assumed_dead_time is not None)
         lines.append(f"With this gain{at_once} the loop is stable for {some}.")
     count = len(eigen.null)
-    null = f"{count} direction{'s' * (count != 1)}, |λ| = {eigen.null_radius:.4g}" if count else "none"
+    without = " without dead time and lag" * (found.drive is None or not found.drive.prompt)
+    null = f"{count} direction{'s' * (count != 1)}, |λ| = {eigen.null_radius:.4g}{without}" if count else "none"
     lines.append(f"Jacobians per step: {said.analysis.gains.evaluations}. Null space: {null}.")
     lines += ["The same loop elsewhere, by explicit Euler:"] * bool(said.settings)
     return lines + [f"  {where}: {what}" for where, what in said.settings.items()]

@@ -19,8 +19,8 @@ class Gain:
       alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
       damping_ratio: of the slowest pair of factors; 1 where it is real and positive.
       overshoot: of a step, as a share of it. settling_time: until the response stays within 2 % of a step [s].
-      gain_margin: factor by which alpha may still grow. delay_margin: additional dead time that the loop tolerates
-        [samples].
+      gain_margin: factor by which alpha may still grow. delay_margin: additional dead time that the loop tolerates,
+        with what a null-space velocity moves [samples].
       noise_gain: standard deviation of the motion per unit of white measurement noise. velocity_noise_gain: of the
         commanded velocity per unit of it [1/s].
       lag: delay behind a target at constant speed without feed-forward [s].
@@ -42,8 +42,8 @@ class Gain:
     start_error: float
 
 
-def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
-    """Of modes (r, p), see `modes_of`. Args: z_largest: the largest stable z."""
+def gain_of(steps, drive, Ts, z, z_largest, null=()) -> Gain:
+    """Of modes (r, p), see `modes_of`. Args: z_largest: the largest stable z. null: modes of the null space."""
     several = side_by_side(drive)
     motion, speed = driven.noise_gain(steps, several, Ts)
     behind, forward, start = _following(driven.outermost(steps), several, Ts)
@@ -54,7 +54,7 @@ def gain_of(steps, drive, Ts, z, z_largest) -> Gain:
         overshoot=driven.overshoot(steps, several, Ts),
         settling_time=driven.settling(steps, several, Ts),
         gain_margin=z_largest / z,
-        delay_margin=min(driven.delay_margin(steps, one, Ts) for one in each_drive(drive)),
+        delay_margin=min(driven.delay_margin(m, one, Ts) for m in (steps, null) if len(m) for one in each_drive(drive)),
         noise_gain=motion,
         velocity_noise_gain=speed,
         lag=behind,

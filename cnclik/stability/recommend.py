@@ -18,7 +18,7 @@ from cnclik.stability import rebased
 from cnclik.stability.driven import SLACK, looked_at, monotone_limit, radius
 from cnclik.stability.drives import longer, side_by_side
 from cnclik.stability.linear import delay_limit, first_above, least_on
-from cnclik.stability.loop import LoopAtRest, loop_at_rest
+from cnclik.stability.loop import UNSTABLE, LoopAtRest, loop_at_rest
 from cnclik.stability.spectrum import MEETING, Spectrum, spectrum_of
 
 REACH = 1e4  # largest z that is considered
@@ -230,7 +230,7 @@ def recommendation_of(loop: LoopAtRest, Ts, reach=REACH) -> Recommendation:
         z_monotone=z_monotone,
         z_recommended=z_recommended,
         radius=least,
-        limit=_what_limits(loop, beyond, z_largest, astray),
+        limit=_what_limits(loop, beyond, z_largest, astray, Ts),
         direction=beyond.direction,
         evaluations=int(evaluations_per_step(loop.method, loop.stage, law.chain.n)),
     )
@@ -279,15 +279,18 @@ def _how(loop):
     return str(loop.method) + (f" with {loop.stage}" if loop.method.implicit else "")
 
 
-def _what_limits(loop, beyond, z_largest, astray) -> str:
+def _what_limits(loop, beyond, z_largest, astray, Ts) -> str:
     """A clause on what becomes unstable first beyond the largest stable value."""
     if astray:
         return astray
     if not np.isfinite(z_largest):
         return f"no limit from stability: {_how(loop)} {_why(loop)}"
     if z_largest == 0 and loop.law.null_velocity is not None:
-        factor, what = max((beyond.null_radius, "a motion"), (beyond.radius, "an error, through this J#,"))
-        return f"none is stable: the null-space velocity multiplies {what} by {factor:.4g} each step"
+        through, radii = "", (beyond.radius, beyond.null_radius)
+        if max(radii) <= UNSTABLE:
+            through, radii = "through dead time and drive ", (v[0] for v in loop.radii(np.array([1e-9]), Ts))
+        (factor, what) = max(zip(radii, ("an error, through this J#,", "a motion"), strict=True))
+        return f"none is stable: {through}the null-space velocity multiplies {what} by {factor:.4g} each step"
     if callable(loop.law.null_velocity) and beyond.null_radius > max(beyond.radius, 1.0):
         return "limited by the null-space velocity"
     if not loop.drive.prompt and loop.drive.feedback != "commanded":

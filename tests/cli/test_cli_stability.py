@@ -25,6 +25,7 @@ def test_advice_on_the_terminal(capsys):
 def test_a_posture_drawn_to_too_fast_for_explicit_euler(capsys):
     """1 − κ Ts = −2, or so, by explicit Euler; e^(−κ Ts) by the exponential step, which is then advised alone."""
     fast = ["stability", "planar:1,1,1", "--posture", "0.1", "0.4", "0.6", "--posture-rate", "30", "--Ts", "0.1"]
+    fast += ["--delay", "0"]
     main(fast)
     out = capsys.readouterr().out
     assert len(re.findall(r"│ +none │\n", out)) == 3 and "elsewhere" not in out

@@ -205,6 +205,31 @@ def _growth(made, q):
     return spectrum(made, None, q, Ts, "EE").null.real.max()
 
 
+def test_dead_time_that_is_tolerated_is_that_of_the_null_space_too():
+    """κ Ts = 2 sin(π/(2(2d + 1))) at the largest d; a run with a sample more than that leaves its posture."""
+    pulled = ck.Law(ARM, XY, alpha=6.0, null_velocity=ck.posture(Q, 2.0))
+    said = advise(pulled, None, Q, Ts=Ts, method="EE", drive=ck.Drive(delay=5))
+    most = np.pi / (4 * np.arcsin(2.0 * Ts / 2)) - 0.5 - 5
+    assert said.recommended.delay_margin == pytest.approx(most, rel=1e-2)
+    calm = advise(ck.replace(pulled, null_velocity=None), None, Q, Ts=Ts, method="EE", drive=ck.Drive(delay=5))
+    assert calm.recommended.delay_margin > 5 * most
+
+
+def test_no_gain_is_advised_for_a_null_space_that_assumed_drives_make_unstable():
+    """It was advised, and the arm swung away; known drives of the same kind were refused, by "1 each step"."""
+    drives = ck.Drive(delay=0.03 / 0.01, lag=0.1)
+    pulled = ck.Law(ARM, XY, alpha=6.0, null_velocity=ck.posture(Q, 60.0))
+    with pytest.raises(
+        ck.ArgumentError, match=r"`null_velocity` must be stable on drives with 30 ms .* by 1\.0\d+ each"
+    ):
+        advise(pulled, None, Q, Ts=0.01, method="EE")
+    with pytest.raises(
+        ck.ArgumentError, match=r"through dead time and drive the null-space .* a motion by 1\.0\d+ each"
+    ):
+        advise(pulled, None, Q, Ts=0.01, method="EE", drive=drives)
+    assert advise(pulled, None, Q, Ts=0.01, method="EE", drive=ck.Drive()).recommended_alpha == pytest.approx(25)
+
+
 @pytest.mark.parametrize(("method", "drive"), [("EE", ck.Drive()), ("EXP-MIDPOINT", ck.Drive(delay=2))], ids=str)
 def test_no_gain_is_stable_with_a_null_space_velocity_that_is_not(method, drive):
     """1 − κ Ts = −1.5, and of two stages 1 − 2.5 + 2.5²/2: positive, and as wrong."""
