@@ -132,14 +132,14 @@ def advise(
     assert gains.z_monotone is not None and gains.z_recommended is not None  # as Ts is given
     assert euler.z_monotone is not None and euler.z_recommended is not None
     safe, chosen, by_euler, z_largest = known, gains.z_recommended, euler.z_recommended, gains.z_largest
-    recommended = None
+    recommended = at_any = None
     if drive is None:
         safe = Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
         stable, recommended = shares(safe.delay, ASSUMED_LAG, Ts)
         chosen = min(chosen, removing(loop, recommended, Ts))
-        by_euler = min(by_euler, removing(by, recommended, Ts))
+        _require_null(loop, safe, chosen, Ts)
+        by_euler = min(by_euler, removing(by, recommended, Ts)) * (not _null_growth(by, safe, by_euler, Ts))
         z_largest = min(z_largest, removing(loop, stable, Ts))
-    at_any = None
     if bounded_rates(law):  # elsewhere tasks may get more of what they ask for than here
         at_any = at_any_posture(loop, Ts, recommended)
         euler_at_any = at_any if euler is gains else at_any_posture(by, Ts, recommended)
@@ -147,14 +147,6 @@ def advise(
     chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
     if chosen == 0:
         raise _no_gain(loop, gains, Ts)
-    if drive is None:
-        if (factor := _null_factor(loop, safe, chosen, Ts)) > UNSTABLE:
-            drives = (
-                f"drives with {_ms(safe.delay * Ts)} of dead time and a lag of {_ms(ASSUMED_LAG)}, which are assumed"
-            )
-            must = f"be stable on {drives}: less of it, or give the drives"
-            raise errors.fail("null_velocity", must, f"multiplies a motion by {factor:.4g} each step")
-        by_euler = by_euler if _null_factor(by, safe, by_euler, Ts) <= UNSTABLE else 0.0
     return Advice(
         largest_stable_alpha=gains.z_largest / Ts,
         fastest_monotone_alpha=gains.z_monotone / Ts,
@@ -227,9 +219,18 @@ def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
     return gain_of(steps, loop.drive, Ts, z, z_largest, null if callable(loop.law.null_velocity) else ())
 
 
-def _null_factor(loop, drive, z: float, Ts: float) -> float:
-    """By what a step multiplies a motion in the null space through a drive; 0 where nothing leads to a posture."""
-    return float(loop._replace(drive=drive).radii(np.array([z]), Ts)[1][0])
+def _null_growth(loop, drive, z: float, Ts: float) -> float:
+    """By what a step multiplies a motion in the null space through a drive, where that grows; else 0."""
+    factor = float(loop._replace(drive=drive).radii(np.array([max(z, 1e-9)]), Ts)[1][0])
+    return factor if factor > UNSTABLE else 0.0
+
+
+def _require_null(loop, assumed, z: float, Ts: float) -> None:
+    """Raise ArgumentError where a motion in the null space grows through assumed drives."""
+    if factor := _null_growth(loop, assumed, z, Ts):
+        drives = f"drives with {_ms(assumed.delay * Ts)} of dead time and a lag of {_ms(ASSUMED_LAG)}"
+        must = f"be stable on {drives}, which are assumed: less of it, or give the drives"
+        raise errors.fail("null_velocity", must, f"multiplies a motion by {factor:.4g} each step")
 
 
 def _joint_speed(loop, Ts, speed) -> float:

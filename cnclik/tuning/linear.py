@@ -122,6 +122,13 @@ def measured_radius(matrices):
     return np.where(finite, np.abs(values).max((-1, -2)), np.inf)
 
 
+def null_steps(across, m):
+    """Eigenvalues (..., n − m) of S − I over the null space, of maps S (..., n, n) there that are 0 along m others."""
+    values = np.linalg.eigvals(np.where(np.isfinite(across), across, 0.0))
+    order = np.argsort(np.abs(values), axis=-1)[..., min(m, values.shape[-1]) :]
+    return np.take_along_axis(values, order, -1) - 1.0
+
+
 def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
     """Spectral radius (a, b) of the loop at rest at q for many gains and sampling times.
 

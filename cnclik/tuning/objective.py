@@ -89,6 +89,7 @@ class Judged(NamedTuple):
     radius: Float[np.ndarray, ""]
     null_radius: Float[np.ndarray, ""]
     correction: Float[np.ndarray, ""]
+    null_share: Float[np.ndarray, ""]  # largest share of a motion in the null space that a step removes
     speed: Float[np.ndarray, ""]
     excess: Float[np.ndarray, " 4"]  # relative excess of each of CONSTRAINTS; −inf: it is not set
     postures: Float[np.ndarray, "BK n"]  # where the radii were computed
@@ -142,17 +143,19 @@ class LoopObjective:
         kinds = 1 + self.contracts * len(each_drive(self.drive)) + self.moves_null_space
         return kinds * len(self.postures) + len(self.joints)
 
-    def costs(self, correction: float) -> dict:
-        """Noise gain and delay margin of a loop that removes this share of an error, by linear theory."""
+    def costs(self, correction: float, null_share: float) -> dict:
+        """Noise gain and delay margin of a loop that removes these shares of an error and of a motion in the null
+        space, by linear theory."""
         unknown = dict(noise_gain=np.inf, delay_margin=0.0)
         if not 0 < correction < np.inf:
             return unknown
-        steps, drives, Ts = np.array([[-correction]]), each_drive(self.drive), float(self.loop.Ts)
-        if max(radius(steps[None], drive, Ts)[0] for drive in drives) >= 1:
+        modes = [np.array([[-share]]) for share in (correction, null_share) if share > 0]
+        drives, Ts = each_drive(self.drive), float(self.loop.Ts)
+        if max(radius(steps[None], drive, Ts)[0] for steps in modes for drive in drives) >= 1:
             return unknown
         return dict(
-            noise_gain=max(noise_gain(steps, drive, Ts)[0] for drive in drives),
-            delay_margin=min(delay_margin(steps, drive, Ts) for drive in drives),
+            noise_gain=max(noise_gain(modes[0], drive, Ts)[0] for drive in drives),
+            delay_margin=min(delay_margin(steps, drive, Ts) for steps in modes for drive in drives),
         )
 
     def _runs(self, loop):
@@ -261,14 +264,19 @@ class LoopObjective:
             growths = np.reshape([*map(growing, flows, rows)], across.shape)
             across = staying(across, growths)
         driven = [linear.driven_map(maps, drive, float(self.loop.Ts)) for drive in each_drive(self.drive)]
-        radius = known(np.max([*map(linear.measured_radius, driven)], axis=0))
+        task_radius = known(np.max([*map(linear.measured_radius, driven)], axis=0))
         null_radius, correction = (known(linear.measured_radius(v)) for v in (across, seen["taken"]))
+        null, drives = linear.null_steps(across, maps.shape[-1])[..., None], each_drive(self.drive)
+        if self.moves_null_space and not self.drive.prompt:
+            through = [radius(null, drive, float(self.loop.Ts)).max(-1) for drive in drives]
+            null_radius = known(np.max(through, axis=0))
+        null_share = self.moves_null_space * np.max(-null.real, axis=(-3, -2, -1), initial=0.0)
         speed = known(seen["speed"])
         with np.errstate(divide="ignore", invalid="ignore"):  # an unstable loop has no allowed correction
-            ratios = (radius / self.margin, correction / self.largest_correction, null_radius, speed)
+            ratios = (task_radius / self.margin, correction / self.largest_correction, null_radius, speed)
         is_set = [True, float(self.largest_correction) < np.inf, self.moves_null_space, bool(self.joints)]
         excess = np.where(is_set, np.stack(ratios, -1) - 1.0, -np.inf)
-        size = known(seen["loss"]), radius, null_radius, correction, speed
+        size = known(seen["loss"]), task_radius, null_radius, correction, null_share, speed
         return Judged(*size, excess, seen["postures"], growths, seen["errors"], seen["run"])
 
 

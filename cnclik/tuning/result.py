@@ -65,7 +65,7 @@ class Performance:
         leaves one posture for another, 0 without a null space.
       correction: share of a small error that one step removes, |1 − λ|: z for explicit Euler and exact J#.
       noise_gain: standard deviation of the motion per unit of white measurement noise, by linear theory.
-      delay_margin: additional dead time that the loop tolerates [samples]; inf for any.
+      delay_margin: additional dead time that the loop tolerates, its null space included [samples]; inf for any.
       speed: |q̇| over its limit; 0 without limits.
       violation: relative amount by which the worst constraint is exceeded; at most 0 if all are kept.
       worst: name of this constraint.
@@ -272,7 +272,7 @@ def _copied(tree):
 def _performance(objective, loop, judged) -> Performance:
     return Performance(
         **{name: float(getattr(judged, name)) for name in ("loss", "radius", "null_radius", "correction", "speed")},
-        **objective.costs(float(judged.correction)),
+        **objective.costs(float(judged.correction), float(judged.null_share)),
         violation=judged.violation,
         worst=CONSTRAINTS[int(np.argmax(judged.excess))],
         z=pm.gain_per_step(loop),

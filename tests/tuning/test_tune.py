@@ -105,6 +105,21 @@ def null_distance(view):
 POSTURE = np.array([0.4, 0.8, -0.5])
 
 
+def test_the_null_space_is_judged_through_dead_time():
+    """With 5 samples it is stable to κ Ts = 2 sin(π/22) = 0.285; without any it would be to 2."""
+    arm = ck.planar_arm([1.0, 0.8, 0.6])
+    place = np.asarray(ck.forward(arm, POSTURE).position)[:2]
+    still, late = ck.line(place, place, duration=3.0), Conditions(drive=ck.Drive(delay=5))
+    for share, kept in ((0.25, True), (0.3, False)):
+        law = ck.Law(arm, ck.position("xy"), alpha=0.5, null_velocity=ck.posture(POSTURE, rate=share / 0.1))
+        made = loop_objective(law, still, POSTURE, Ts=0.1, N=2, method="EE", conditions=late)
+        (judged,) = judge(made, [(np.asarray(0.5),)])
+        assert judged.feasible == kept == bool(judged.null_radius < 1)
+        most = np.pi / (4 * np.arcsin(share / 2)) - 0.5 - 5
+        told = made.costs(float(judged.correction), float(judged.null_share))["delay_margin"]
+        assert told == pytest.approx(most if kept else 0, abs=2e-2)
+
+
 @pytest.mark.slow
 def test_null_space_gain_is_dead_beat_too():
     """At rest a step takes 1 − gain·k·Ts of the way to a posture that lies in the null space: gain 1/(k Ts) = 4."""
