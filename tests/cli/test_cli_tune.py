@@ -137,7 +137,7 @@ def test_a_drive_for_each_joint_as_a_fit_prints_it(tmp_path):
         ("--margin 1.5", "`--margin` must be at most 1"),
         ("--alpha-bounds 5 1", "must increase"),
         ("--over gian", "must be one of alpha"),
-        ("--over damping", "a law that has --damping"),
+        ("--over damping", "a law that has damped(...) alone"),
         ("--over", "must be given values, but has no value"),
         ("--shape square", "shape"),
         ("--steps 0", "steps"),
