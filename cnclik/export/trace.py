@@ -126,8 +126,7 @@ def targets(task) -> list:
     every = task.targets
     if len(every) == 1 and not task.tasks:
         return [("", every[0][1])]
-    shared = [path[:-1] for path, _ in every]
-    words = ["_".join(path if shared.count(path[:-1]) > 1 or not path[:-1] else path[:-1]) for path, _ in every]
+    words = ["_".join(path) for path in task.target_names]
     return [(f"{word}_", parts) for word, (_, parts) in zip(_identifiers(words), every, strict=True)]
 
 

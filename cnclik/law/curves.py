@@ -127,6 +127,9 @@ class Path:
         if isinstance(target, Pose):
             target, rotation = target.position, jnp.asarray(target.rotation, dtype)
         if isinstance(target, (tuple, list)):
+            if any(map(jnp.ndim, target)):
+                must = "give a position, or a pose as ck.Pose(position=..., rotation=...)"
+                raise errors.fail("fn", must, f"gives a {type(target).__name__} of arrays")
             target = jnp.stack([jnp.asarray(v, dtype) for v in target])
         return jnp.asarray(target, dtype), rotation
 

@@ -207,9 +207,10 @@ def motion(reference, task: Task, t):
 
 def check(reference, task: Task) -> None:
     """Raise ArgumentError if the reference's targets do not fit the task."""
-    for one, parts in by_target(reference, task):
+    for path, (one, parts) in zip(task.target_names, by_target(reference, task), strict=True):
         target = jax.eval_shape(one.curve, 0.0)
-        for part in parts.parts:
-            part.check(*target)
+        with errors.called("reference", ".".join(("reference", *path))):
+            for part in parts.parts:
+                part.check(*target)
         if one.feedforward is not None:
             errors.array("feedforward", one.feedforward, (parts.width,))

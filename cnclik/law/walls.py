@@ -107,8 +107,11 @@ def wall(
     task = errors.kind("task", task, Task)
     if any(part.turns or part.tied for part in task.parts):
         raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
+    if any(getattr(part, "on_one_link", False) for part in task.parts):
+        raise errors.fail("task", "be of shapes on two links", "is of a distance that never changes")
     if (above is None) == (below is None):
-        raise errors.fail("above", "be given, or `below`, one of them", "is not" if above is None else "is, too")
+        found = "neither is" if above is None else "both are"
+        raise errors.fail("above", "be given, or `below`, but not both", found)
     if normal is None and task.m != 1:
         raise errors.fail("normal", f"be given for {task.m} coordinates", "is not")
     normal = errors.array("normal", np.ones(1) if normal is None else normal, (task.m,))
@@ -154,12 +157,23 @@ def support_polygon(
     if len(hull) < 3:
         raise errors.fail("corners", "be three or more that are not on one line", f"are {points.tolist()}")
     task, margin = center_of_mass("xy", relative_to=relative_to), errors.number("margin", margin)
+    along = np.roll(hull, -1, axis=0) - hull
+    normals = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    if errors.concrete(margin) and margin >= (most := _inradius(normals, hull)):
+        raise errors.fail("margin", f"be below {most:.4g}, or it leaves nothing of the polygon", f"is {margin:g}")
     found = []
-    for i, (a, b) in enumerate(zip(hull, np.roll(hull, -1, axis=0), strict=True)):
-        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
+    for i, (normal, a) in enumerate(zip(normals, hull, strict=True)):
         edge = f"{name}_{i + 1}" if name else ""
         found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, level=level, name=edge))
     return tuple(found)
+
+
+def _inradius(normals, hull):
+    """The largest r with normal·(x − corner) ≥ r at some x, for each edge."""
+    from scipy.optimize import linprog
+
+    rows = np.column_stack([-normals, np.ones(len(hull))])
+    return linprog([0, 0, -1], rows, -np.sum(normals * hull, axis=1), bounds=(None, None)).x[2]
 
 
 def _hull(points):

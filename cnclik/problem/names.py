@@ -113,9 +113,9 @@ def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
     elif str(text) not in words.ROBOTS:
         name = str(text)
         tree, links = read_robot(_file_of(name)), fitting("robot", name, words.URDF, given)
-        if tips:
-            links["tips"] = [urdf.link_of(tree, argument, link) for link, argument in tips.items()]
-            return urdf.chain(tree, **links), ", ".join(tips)
+        if tips is not None:
+            links["tips"] = urdf.tips_of(tree, base, tips)
+            return urdf.chain(tree, **links), ", ".join(links["tips"])
         return urdf.chain(tree, **links), urdf.tip_of(tree, **links)
     robot = words.ROBOTS[name]
     if given.pop("tip") not in (None, robot.tip):

@@ -218,12 +218,14 @@ def _of_level(own, of_all):
     first = next((one for one in own if set(_DAMPING) & set(one.given)), own[0])
     given = {key: first.given.get(key) for key in _DAMPING}
     with errors.within(first.where):
+        if given["inverse"] is not None:
+            errors.one_of("inverse", given["inverse"], [n for n, kind in words.INVERSES.items() if kind.needs])
         if first.given.get("damping", of_all["damping"]) is None:
             must = "be given, for its level or for all tasks, such as 0.001 for the first level and 0.05 for the next"
             raise errors.fail("damping", must, "is not")
         found = inverse_from(*(of_all[key] if value is None else value for key, value in given.items()))
         if isinstance(found, (Pseudoinverse, Transpose)):
-            raise errors.fail("inverse", "be one with a damping, in a stack with levels", f"is {given['inverse']!r}")
+            raise errors.fail("inverse", "be one with a damping, in a stack with levels", f"is {of_all['inverse']!r}")
     for one in own:
         for key, value in given.items():
             if one.given.get(key) not in (None, value):
@@ -309,10 +311,13 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
             shapes = sorted(map(_shape, given["distance"]), key=lambda shape: not hasattr(shape, "ends"))
         task, sides = distance(*shapes), sides or {"above": 0.0}
     else:
+        if not {"task", "joints"} & set(given):
+            raise errors.fail("task", "be given, or `joints`, `distance` or `corners`", "is not")
         task = task_of(one, chain)
     check_units(chain, task.on(chain), one.written)
     sides = {side: value + margin * (1 if side == "above" else -1) for side, value in sides.items()}
-    return (wall(task, normal=given.get("normal"), name=name, **kept, **sides),)
+    with errors.called("task", "distance" if "distance" in given else "task"):
+        return (wall(task, normal=given.get("normal"), name=name, **kept, **sides),)
 
 
 def _shape(table):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.integrate.status import Status
+from cnclik.law.inverse import Levels
 from cnclik.quantities import plainly
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import LEAST, NEARLY, PLENTY
@@ -19,7 +20,7 @@ from cnclik.stability.loop import UNSTABLE
 from cnclik.stability.observed import VISIBLE, rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
-from cnclik.stability.stacked import SHARED, TOGETHER, UNKNOWN, each_task
+from cnclik.stability.stacked import COMPROMISE, SHARED, TOGETHER, UNKNOWN, each_task
 
 AROUND = 3  # times around a path that tell, however slow a direction of the loop is
 # Share of the joint speed off its mean, from which on what is unstable at rest shakes at a pace. A sine has
@@ -225,7 +226,8 @@ def _stack(case, error):
     held = f"; {at}" if at else ""
     why = "" if not of_tips else f"; {TOGETHER if known else UNKNOWN}"
     found = (*remedies.less_damping(case), *(() if case.moving else remedies.elsewhere(case))) if known else ()
-    return kind, f"{said}{held}; {SHARED}{why}; {_radius(case)}", found
+    shared = SHARED if isinstance(case.law.inverse, Levels) else COMPROMISE
+    return kind, f"{said}{held}; {shared}{why}; {_radius(case)}", found
 
 
 def _held_by(case):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import operator
 import re
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,22 +17,26 @@ from cnclik import errors
 from cnclik.law.bounded import bounded
 from cnclik.law.inverse import Levels, damped
 from cnclik.law.law import Law
+from cnclik.task.balance import center_of_mass
 from cnclik.task.build import joints, orientation, position, stack
 from cnclik.task.task import Task
 
 LEAST = 1e-6  # λ, where they have none
+_PLANAR = ("base_x", "base_y", "base_yaw")  # of a base that `load_urdf` adds
 
 
 def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> Law:
     """The law of a pink or mink script, of their own task objects: a stack, one task for each.
 
     Frames are controlled along their own axes; alpha = gain/dt, weights are costs, λ² = damping + Σ cost² of damping
-    tasks. `lm_damping` depends on the error, is 0 at rest, and left out. Of limits, a `ConfigurationLimit` becomes
+    tasks. A damping task that leaves out a base, or whose costs differ, is a task of joints with a gain of 0.
+    `lm_damping` depends on the error, is 0 at rest, and left out. Of limits, a `ConfigurationLimit` becomes
     bounded(rate = gain/dt); velocity limits are the robot's own. Others are left out, with a remark.
 
     Args:
       robot: with the frames of the tasks as tips, load_urdf(file, tips=[...]).
-      tasks: FrameTask, RelativeFrameTask, PostureTask, DampingTask. A posture is of all joints of this robot.
+      tasks: FrameTask, RelativeFrameTask, ComTask, PostureTask, DampingTask. The last two are of all joints of this
+        robot, without a base that moves. Under a fixed base the first link counts in the centre of mass, not in theirs.
       dt: of their solve_ik [s]. limits: those given to it. damping: the one given to it.
     Raises: ArgumentError for other tasks, and for what the robot has not.
     """
@@ -40,15 +45,16 @@ def from_pink(robot, tasks, dt: float, *, limits=(), damping: float = 0.0) -> La
     alpha, shift = {}, float(errors.number("damping", damping, at_least=0))
     for one in tasks:
         kind = type(one).__name__
-        if kind == "DampingTask":
-            shift += float(np.max(one.cost)) ** 2
-            continue
         if kind not in _KINDS:
-            raise errors.fail("tasks", f"be {', '.join(_KINDS)} or DampingTask", f"hold a {kind}")
+            raise errors.fail("tasks", f"be {', '.join(_KINDS)}", f"hold a {kind}")
         name, task = _KINDS[kind](one, robot)
+        cost = task.weight_of_each
+        if kind == "DampingTask" and len(cost) == robot.n and np.ptp(cost) == 0:
+            shift += float(cost[0]) ** 2
+            continue
         name = re.sub(r"\W", "_", name)
         name = next(n for n in (name, *(f"{name}_{i}" for i in range(2, 2 + len(made)))) if n not in made)
-        made[name], alpha[name] = task, float(one.gain) / dt
+        made[name], alpha[name] = task, 0.0 if kind == "DampingTask" else float(one.gain) / dt
     kinds = {type(one).__name__ for one in limits} - {"ConfigurationLimit", "VelocityLimit"}
     for kind in sorted(kinds):
         walls = "; collisions are walls here, bounded(walls=[wall(distance(...), above=..., rate=gain/dt)])"
@@ -94,12 +100,28 @@ def _relative(one, robot):
     return _frame(one, robot, relative_to=getattr(one, "root", None) or one.root_name)
 
 
-def _posture(one, robot):
+def _com(one, robot):
+    cost = np.broadcast_to(np.asarray(one.cost, float), (3,))
+    axes = "".join(axis for axis, c in zip("xyz", cost, strict=True) if c > 0)
+    return "com", center_of_mass(axes, weights=cost[cost > 0])
+
+
+def _posture(one, robot, name="posture"):
+    """Of the joints with a cost, without a base that moves, as theirs."""
     cost = np.ravel(np.asarray(one.cost, float))
     if np.ptp(cost) > 0 and len(cost) != robot.n:
-        must = f"have one cost of posture, or {robot.n} for the joints of this robot"
+        must = f"have one cost of {name}, or {robot.n} for the joints of this robot"
         raise errors.fail("tasks", must, f"has {cost}")
-    return "posture", joints(weights=np.broadcast_to(cost[0] if np.ptp(cost) == 0 else cost, (robot.n,)))
+    every = np.broadcast_to(cost[0] if np.ptp(cost) == 0 else cost, (robot.n,))
+    costs = dict(zip(robot.joint_names, every, strict=True))
+    own = [joint for joint in joints().on(robot).names if joint not in _PLANAR and costs[joint] > 0]
+    return name, joints(own, weights=np.array([costs[joint] for joint in own]))
 
 
-_KINDS = {"FrameTask": _frame, "RelativeFrameTask": _relative, "PostureTask": _posture}
+_KINDS: dict[str, Callable] = {
+    "FrameTask": _frame,
+    "RelativeFrameTask": _relative,
+    "ComTask": _com,
+    "PostureTask": _posture,
+    "DampingTask": functools.partial(_posture, name="damping"),
+}

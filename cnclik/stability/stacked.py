@@ -20,6 +20,7 @@ from cnclik.record import replace
 from cnclik.stability.observed import ARRIVED, GROWN, rms
 from cnclik.task.task import Task
 
+COMPROMISE = "tasks compromise by their weights"
 SHARED = "tasks of one level compromise, and each level yields to those before it"
 UNKNOWN = "whether all targets can be reached together is not known"
 TOGETHER = "all targets can be reached together, so other tasks, damping or the start posture keep the tips away"

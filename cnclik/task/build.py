@@ -76,6 +76,8 @@ def pose(
 
 def _part(kinds, name, axes, tip, to, frame):
     kind = kinds[errors.one_of("frame", frame, kinds)]
+    if to is not None and to == tip:
+        raise errors.fail("relative_to", "be another tip than `tip`", f"is {to!r}, too")
     return kind(axes=letters_of(name, axes), tip=tip, to=to)
 
 

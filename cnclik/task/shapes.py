@@ -63,6 +63,11 @@ class Distance(Vector):
     names, units = ("distance",), ("m",)
     tip, to = "distance", None
 
+    @property
+    def on_one_link(self):
+        """Whether the distance never changes."""
+        return self.one.tip == self.other.tip
+
     def on(self, chain):
         for shape in (self.one, self.other):
             if shape.tip is not None:

@@ -77,14 +77,17 @@ class Task:
         return tuple(found)
 
     @property
+    def target_names(self) -> list[tuple[str, ...]]:
+        """Of each target: its task and its tip, without a tip that is the only one."""
+        paths = [path for path, _ in self.targets]
+        before = [path[:-1] for path in paths]
+        return [path if before.count(path[:-1]) > 1 else path[:-1] for path in paths]
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates: x, y, z, rx, ry, rz; of several tasks or tips after theirs, as hands.x."""
-        every, found = self.targets, []
-        for path, one in every:
-            alone = sum(other[:-1] == path[:-1] for other, _ in every) == 1
-            before = path[:-1] if alone else path
-            found += [".".join([*before, coordinate]) for part in one.parts for coordinate in part.names]
-        return tuple(found)
+        every = zip(self.target_names, (parts for _, parts in self.targets), strict=True)
+        return tuple(".".join([*path, name]) for path, one in every for part in one.parts for name in part.names)
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -326,6 +326,7 @@ BAD = [
     (lambda: ck.resampled([0, 1], rotations=np.zeros((2, 4))), "`rotations` must hold unit quaternions .* norm 0"),
     (lambda: ck.resampled([0, 1], rotations=[np.diag([1, 1, -1])] * 2), "`rotations` must hold rotations, .* mirrored"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
+    (lambda: ck.path(lambda t: (np.zeros(3), np.eye(3))).curve(0.0), "`fn` must give a position, or a pose as ck.Pose"),
     (lambda: ck.with_feedforward(ck.hold([1, 2]), 1.0), r"`velocity` must have shape \(n,\), but has shape \(\)"),
 ]
 

@@ -15,6 +15,7 @@ from cnclik.law.reference import aims_of
 from cnclik.problem import OF_TASK
 from cnclik.problem.names import near_singular_start
 from cnclik.robot.posture import spread_postures
+from cnclik.robot.tree import read_urdf
 from tests.oracles import close, robots
 from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS, ROBOTS
 
@@ -102,10 +103,14 @@ def test_one_tip_needs_no_name():
     p = made({"place": {"task": "position"}, "rest": {"task": "joints", "target": "0 -45 0 -90 0 90 45 deg"}}, "panda",
              damping=0.1)  # fmt: skip
     close(aims_of(p.reference, p.law.task, 0.0)[1], np.deg2rad([0, -45, 0, -90, 0, 90, 45]), atol=1e-12)
-    with pytest.raises(
-        ck.ArgumentError, match=r"`tasks.place.tip` must be given for .*baxter.urdf|`tip` must be given"
-    ):
+    with pytest.raises(ck.ArgumentError, match=r"`tasks.place.tip` must be given for .*; the tips are "):
         made({"place": {"task": "position"}}, BAXTER)
+
+
+def test_a_stack_that_names_no_tip_moves_all_joints():
+    """A posture and a balance alone: which tips the robot has decides only which joints it has."""
+    p = made({"rest": {"task": "joints"}, "stand": {"task": "center_of_mass", "axes": "xy"}}, BAXTER, damping=0.1)
+    assert p.law.chain.n == ck.load_urdf(BAXTER, tips=list(read_urdf(BAXTER).tips())).n > 14
 
 
 def test_the_target_of_one_joint_is_a_number():
@@ -224,7 +229,8 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
             {},
             "`tasks.rest.damping` must be that of its level, 0.1, but is 0.05",
         ),
-        ({"hands": HAND | {"inverse": "transpose"}}, {"damping": 0.1}, "`tasks.hands.damping` must be left out"),
+        ({"hands": HAND | {"inverse": "transpose"}}, {"damping": 0.1}, "`tasks.hands.inverse` must be one of damped,"),
+        ({"hands": HAND | {"relative_to": "base"}}, {}, r"`tasks.hands.relative_to` must be moved by .*\(leave it out"),
         ({"a b": HAND}, {}, "`tasks` must have names of letters, digits and _, but has 'a b'"),
         ({"hands": 1}, {}, "`tasks.hands` must be a table of options, but is 1"),
         ({}, {}, r"`tasks` must be tables of tasks, \[tasks.NAME\], but are none"),

@@ -8,7 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik.errors import Remark
 from cnclik.stability.peers import from_pink, to_pink
-from tests.oracles import robot_file
+from tests.oracles import robot_file, robots
 
 pin = pytest.importorskip("pinocchio")
 pink = pytest.importorskip("pink")
@@ -60,6 +60,29 @@ class Robot:
         return np.array(sizes)
 
 
+@pytest.mark.parametrize(("base", "root"), [("free", "JointModelFreeFlyer"), ("planar", "JointModelPlanar")])
+def test_a_script_on_a_base_that_moves_steps_as_its_law_here(base, root):
+    """Its posture and its damping leave out the base, its centre of mass does not."""
+    file = robots() / "hyq_description/robots/hyq_no_sensors.urdf"
+    ours = ck.load_urdf(file, tips=["lf_foot", "rf_foot", "lh_foot", "rh_foot"], base=base)
+    model = pin.buildModelFromUrdf(str(file), getattr(pin, root)())
+    q = np.clip(np.linspace(0.2, 0.9, ours.n), np.add(ours.lower, 0.1), np.subtract(ours.upper, 0.1))
+    theirs = ck.to_pinocchio_q(ours, model, q)
+    at = pink.Configuration(model, model.createData(), theirs)
+    tasks = [pink.FrameTask("lf_foot", 1.0, 0.0, gain=0.3), pink.tasks.ComTask(np.array([0.5, 0.4, 0.3]), gain=0.2)]
+    tasks += [pink.PostureTask(0.1, gain=0.4), pink.tasks.DampingTask(0.2)]
+    for task in tasks[:3]:
+        task.set_target_from_configuration(at)
+    tasks[1].target_com += [1e-6, -2e-6, 3e-6]  # where its error and ours differ in second order alone
+    law = from_pink(ours, tasks, DT, damping=1e-6)
+    paths = ck.hold_at(ours, law.task, q, com=ck.hold(values=tasks[1].target_com))
+    step = ck.step(law, paths, q, 0.0, DT, "EE")
+    wanted = pink.solve_ik(at, tasks, DT, solver="daqp", limits=[], damping=1e-6)
+    np.testing.assert_allclose(
+        ck.to_pinocchio_q(ours, model, q, step.qdot)[1], wanted, atol=1e-5 * np.abs(wanted).max()
+    )
+
+
 @pytest.mark.parametrize("name", TIPS)
 def test_a_pink_script_steps_as_its_law_here(name):
     robot = Robot(name)
@@ -99,8 +122,8 @@ def test_limits_and_damping_tasks_and_what_is_not_known():
         robot.law(limits=[limit, type("CollisionAvoidanceLimit", (), {"gain": 0.85})()])
     damped = from_pink(robot.ours, [*robot.tasks, pink.tasks.DampingTask(cost=0.3)], DT)
     assert float(damped.inverse.damping) == pytest.approx(0.3)
-    with pytest.raises(ck.ArgumentError, match="hold a ComTask"):
-        from_pink(robot.ours, [pink.tasks.ComTask(cost=1.0)], DT)
+    with pytest.raises(ck.ArgumentError, match="hold a RollingTask"):
+        from_pink(robot.ours, [type("RollingTask", (), {})()], DT)
     uneven = pink.FrameTask("panda_hand", position_cost=[1.0, 0.0, 2.0], orientation_cost=0.0)
     task = from_pink(robot.ours, [uneven], DT).task
     assert (task.m, list(task.weights)) == (2, [1.0, 2.0])

@@ -694,3 +694,17 @@ def test_a_circle_on_which_the_arm_is_lost_later():
     found = judge(made, goal, 200, np.array([0.3, 1.2, 0.9]), 0.01, ck.EXP_MIDPOINT)
     assert found.kind == Behaviour.UNDECIDED and "it follows" in found.sentence, found.sentence
     assert re.search(r"run on, for 4096 steps in all, the error is not finite from step \d+ on", found.sentence)
+
+
+@pytest.mark.parametrize(
+    ("inverse", "why"),
+    [
+        (ck.damped(0.02), "compromise by their weights"),
+        (ck.levels(["hand"], ["rest"], damping=(0.01, 0.1)), "level yields"),
+    ],
+)
+def test_a_stack_without_levels_speaks_of_weights(inverse, why):
+    tasks = ck.stack(hand=XY, rest=ck.joints(weights=0.1))
+    stack = ck.Law(FIVE, tasks, alpha=5.0, inverse=inverse)
+    said = judge(stack, ck.hold_at(FIVE, tasks, Q5, hand=NEAR), 400, Ts=0.05)
+    assert said.kind == "settled in part" and why in said.sentence

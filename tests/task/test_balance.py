@@ -169,6 +169,7 @@ def test_a_humanoid_that_reaches_ahead_stays_over_its_feet():
         (lambda: ck.center_of_mass("yx"), "`axes` must be letters"),
         (lambda: ck.center_of_mass(relative_to="foot").on(ck.load_urdf(G1, tip=ARMS[0])), "`tip` must be one of"),
         (lambda: ck.support_polygon([[0, 0], [1, 1], [2, 2]]), "`corners` must be three or more"),
+        (lambda: ck.support_polygon([[0, 0], [0, 2], [1, 0], [1, 2]], margin=0.51), "`margin` must be below 0.5, or"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, says):

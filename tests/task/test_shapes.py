@@ -121,6 +121,8 @@ def test_a_distance_is_controlled():
         (lambda: ck.capsule("hand", 0.1, (0, 0, 0), (0, 0, 0)), "`end` must be another point"),
         (lambda: ck.distance(ck.half_space((0, 0, 1)), ck.sphere("hand", 0.1)), r"`one` must be ck.sphere"),
         (lambda: ck.distance(ck.sphere("hand", 0.1), ck.half_space((0, 0, 1))).on(FRANKA), "`tip` must"),
+        (lambda: ck.wall(ck.distance(*[ck.sphere("a", 0.1)] * 2), above=0), "`task` must be of shapes on two links"),
+        (lambda: ck.wall(ck.distance(ck.sphere(None, 1), ck.half_space((0, 0, 1))), above=0), "`task` must be of sha"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, says):

@@ -293,6 +293,7 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),
         (lambda: ck.levels([{}], damping=(0.1,)), "`names` must be a list of names for each level"),
         (lambda: ck.joints(0.5), "`names` must be texts, but is 0.5"),
+        (lambda: ck.pose(tip="a", relative_to="a"), "`relative_to` must be another tip than `tip`, but is 'a'"),
         (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
         (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0), "`weights` must have shape"),
         (lambda: ck.levels(["a"], ["b"], damping=(0.1, 0.01)), r"`damping\[1\]` must be larger .* 0.1, .* is 0.01"),
@@ -311,6 +312,10 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (
             lambda: run(ck.hold_at(HUMANOID, STACK, np.zeros(29), hands=ck.hold([0.0] * 3))),
             r"`reference` must give a target for each, by ck.references\(left_rubber_hand=..., right_rubber_hand=...\)",
+        ),
+        (
+            lambda: run(ck.hold_at(HUMANOID, STACK, np.zeros(29), torso=ck.hold([0.0] * 3))),
+            "`reference.torso` must give",
         ),
         (lambda: ck.hold_at(HUMANOID, STACK, np.zeros(29), arms=ck.hold([0.0] * 3)), "`others` must be one of feet"),
         (lambda: ck.function(abs, ["a"], []), "`units` must be as many as `names`, 1, but are 0"),
