@@ -51,6 +51,10 @@ _ABOUT = {
     "rate": "[1/s]",
     "rest": "joint values to draw towards [rad, m]",
     "weights": "of the task coordinates",
+    "bodies": "of each body s (c, 1), with its share s of the mass and its centre c in its frame [m]",
+    "ends": "ends of a wall's shape, in its link's frame [m]",
+    "radius": "[m]",
+    "walls": "of a wall, which keeps normal . x above offset [m, rad]",
 }
 
 

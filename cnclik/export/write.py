@@ -154,7 +154,7 @@ def configuration(request: Request) -> list:
     lines.append(f"limits: {brief(law.limits)}; null space: {brief(law.null_velocity)}")
     target = "an argument: position, rotation, velocity" if request.reference is None else brief(request.reference)
     lines.append(f"target: {target}")
-    return [line.replace("−", "-").encode("ascii", "replace").decode() for line in lines]
+    return [line.replace("−", "-").replace("…", "...").encode("ascii", "replace").decode() for line in lines]
 
 
 def _evaluations(request) -> list:

@@ -7,7 +7,11 @@ import pytest
 
 import cnclik as ck
 from cnclik.export.example import BUILD
+from cnclik.export.fields import parameters
+from cnclik.export.trace import Request
+from cnclik.export.write import configuration
 from tests.oracles import close
+from tests.robot.test_trees import BAXTER, GRIPPERS
 from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
 LEFT, RIGHT = TIPS
@@ -77,3 +81,16 @@ def test_a_target_in_the_tips_own_frame_is_given_as_in_the_base():
     made = ck.step(law, ck.references(drill=moving, rest=held["rest"]), Q + 0.1, 0.0, 0.01, "EXP-EE")
     close(native.qdot, made.qdot, atol=1e-9)
     close(native.e, made.e, atol=1e-12)
+
+
+def test_walls_and_balance_are_described():
+    """Each parameter has a meaning, and the configuration is whole: a mark that is no ASCII became a "?"."""
+    robot, (left, right) = ck.load_urdf(BAXTER, tips=GRIPPERS), GRIPPERS
+    pair = ck.distance(ck.sphere(left, 0.05), ck.capsule(right, 0.05, (0, 0, 0), (0, 0, 0.1)))
+    walls = [ck.wall(pair, above=0.02, rate=5.0), ck.wall(ck.position("z", tip=left), above=0.1)]
+    tasks = ck.stack(hands=ck.pose(tip=left) & ck.pose(tip=right), stand=ck.center_of_mass("xy"))
+    levels = ck.levels(["hands"], ["stand"], damping=(0.01, 0.1))
+    law = ck.Law(robot, tasks, alpha=5.0, inverse=levels, limits=ck.bounded(walls=walls))
+    assert [field.name for field in parameters(law, None)[0] if not field.about] == []
+    request = Request(law, None, ck.EE, ck.picard(5), np.dtype(float), "step", None)
+    assert "?" not in "".join(configuration(request)) and "..." in "".join(configuration(request))
