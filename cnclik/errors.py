@@ -210,13 +210,13 @@ def _gather(value):
     return found.astype(float)
 
 
-def one_of(name: str, value, names):
-    """A name from a list; the nearest one is suggested."""
+def one_of(name: str, value, names, which=""):
+    """A name from a list; the nearest one is suggested. which: words on what the list holds."""
     if not isinstance(value, str) or value not in names:
         names = [str(n) for n in names]
         listed, near = ", ".join(names), nearest(value, names)
         listed = f"{len(names)} names" if near and len(listed) > _LISTED else listed
-        raise fail(name, f"be one of {listed}", f"is {value!r}{near}")
+        raise fail(name, f"be one of {listed}{which}", f"is {value!r}{near}")
     return value
 
 

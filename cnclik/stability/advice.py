@@ -94,7 +94,7 @@ class Advice:
         own = f"{self.explicit_euler['recommended_alpha']:.4g} 1/s recommended"
         settings[:0] = [f"The same loop elsewhere, by explicit Euler ({own}):"] * bool(settings)
         assumed = [self.assumption] * bool(self.assumption)
-        return "\n".join([*assumed, *gains, f"Recommended: {self.reason}.", *settings])
+        return "\n".join([*assumed, *gains, f"Recommended: {self.reason}.", *self.notes, *settings])
 
 
 def _up_to(what, limit) -> str:

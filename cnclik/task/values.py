@@ -38,7 +38,8 @@ class Joints(Vector):
         if wanted is None:  # all joints but floating ones
             bodies = {name[:-2] + name[-1] for name in (chain.joint_names[i] for i in turned)}
             wanted = tuple(name for i, name in enumerate(chain.joint_names) if i not in turned and name not in bodies)
-        which = tuple(chain.joint_names.index(errors.one_of("joints", name, chain.joint_names)) for name in wanted)
+        names, what = chain.joint_names, ", the joints that move a tip"
+        which = tuple(names.index(errors.one_of("joints", name, names, what)) for name in wanted)
         if turned.intersection(which):
             name = wanted[[i in turned for i in which].index(True)]
             must = "leave out rotations, which ck.orientation(tip=...) of the link that turns is for"

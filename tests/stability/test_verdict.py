@@ -399,8 +399,9 @@ def test_a_null_space_velocity_that_pulls_at_the_task_is_named():
         assert judge(ck.replace(made, **changes), place, 400, start, Ts=0.05).kind == Behaviour.SETTLED
     for less in ({"inverse": ck.damped(0.02)}, {"null_velocity": ck.posture(start + 0.5, 3.0)}):
         assert judge(ck.replace(made, **less), place, 400, start, Ts=0.05).error < 0.5 * found.error
-    said = advise(made, None, start, Ts=0.05, method="EE").notes
-    assert any("the null-space velocity disturbs the task" in note for note in said)
+    said = advise(made, None, start, Ts=0.05, method="EE")
+    assert any("the null-space velocity disturbs the task" in note for note in said.notes)
+    assert all(note in str(said) for note in said.notes)
 
 
 def test_a_null_space_velocity_too_fast_for_the_joints_is_named():

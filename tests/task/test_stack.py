@@ -285,6 +285,7 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: ck.stack(a=LEFT) & RIGHT, "`task` must be joined before it has names"),
         (lambda: ck.Law(HUMANOID, ck.pose(), alpha=1.0), "`tip` must be given for a robot with several, but is not"),
         (lambda: ck.Law(HUMANOID, ck.pose(tip="nose"), alpha=1.0), "`tip` must be one of left_rubber_hand"),
+        (lambda: ck.Law(HUMANOID, ck.joints(["head"]), alpha=1.0), "`joints` must be .*, the joints that move a tip"),
         (lambda: law(alpha={"feet": 1.0}), "`alpha` must have a gain for each task; they are feet, hands, torso"),
         (lambda: law(alpha={"feet": -1.0, "hands": 1.0, "torso": 1.0}), "`alpha` must not be negative"),
         (lambda: law(alpha=np.ones((23, 23)) + 30 * np.eye(23)), "`alpha` must be symmetric in the task hands"),
