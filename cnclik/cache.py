@@ -8,13 +8,13 @@ import weakref
 
 import jax
 
-# Programs that a cache keeps. Of `Recent` the least recently used one goes, of `bounded_jit` all of one function.
+# Programs that a cache keeps. Of `LRU` the least recently used one goes, of `bounded_jit` all of one function.
 KEPT_PROGRAMS = 128
 MOST_PROGRAMS = 64  # of all `bounded_jit` together, at some 6 MiB and 200 mappings of memory each
 KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
 
 
-class Recent(collections.OrderedDict):
+class LRU(collections.OrderedDict):
     """A dict of at most KEPT_PROGRAMS entries: what was asked for longest ago makes room."""
 
     def get(self, key, default=None):

@@ -23,7 +23,7 @@ import types
 import jax
 import numpy as np
 
-from cnclik.cache import Recent
+from cnclik.cache import LRU
 from cnclik.compilation import machine
 from cnclik.reading import read_bytes
 
@@ -38,7 +38,7 @@ _KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax"
 _SWITCHES = ("CC", "CFLAGS", "CNCLIK_", "JAX_", "XLA_")
 ENDING = "-cache"  # of files' names, as JAX's own
 place = None  # where programs are kept; None: nowhere
-loaded = Recent()  # by this process
+loaded = LRU()  # by this process
 _needed = contextvars.ContextVar("what the program that is being made needs", default=None)
 
 

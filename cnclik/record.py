@@ -162,7 +162,7 @@ def _hashed(self):
         leaves, treedef = jax.tree.flatten(self)
         return hash((treedef, *(getattr(v, "shape", None) for v in leaves)))
 
-    return kept(self, "_hash", make)
+    return memoized(self, "_hash", make)
 
 
 def _own(array):
@@ -208,7 +208,7 @@ def replace(rec: T, **changes: Any) -> T:
     return dataclasses.replace(rec, **changes)  # type: ignore[type-var]
 
 
-def placed(rec):
+def on_device(rec):
     """The record with its arrays on JAX's device, or None where it holds traced ones.
 
     Made once for a record: a call with NumPy arrays copies each of them anew.
@@ -237,7 +237,7 @@ def cast(tree, dtype):
     return jax.tree.map(one, tree)
 
 
-def kept(rec, name, make):
+def memoized(rec, name, make):
     """make(rec), made once for a record of numbers: a record never changes."""
     made = rec.__dict__.get(name)
     if made is None:

@@ -128,7 +128,7 @@ def test_what_may_have_wide_vectors_is_right_with_them(dtype):
 
 def test_lanes_keep_a_bounded_number_of_signatures(monkeypatch):
     monkeypatch.setattr(cache, "KEPT_PROGRAMS", 3)
-    recent = cache.Recent()
+    recent = cache.LRU()
     for i in range(5):
         recent[i] = str(i)
         recent.get(0)  # in use all the time: it stays

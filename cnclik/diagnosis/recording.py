@@ -7,7 +7,7 @@ from cnclik.problem.columns import SECONDS, clock_of, words_of
 
 LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
 MISSING = 0.6  # of a step; where a row is missing, stamps fall behind permanently by at least this
-AROUND = 12  # rows compared on either side
+ROWS_BESIDE = 12  # rows compared on either side
 APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 _STATUS = ("status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index")
 _STATUS += ("enabled", "fault", "valid", "running", "row", "iteration", "safety")
@@ -50,7 +50,7 @@ def _gap(t, step, usual):
     late = t - t[0] - usual * np.arange(len(t))
     found = {}
     for k in np.flatnonzero(step > (1 + MISSING) * usual):
-        before, after = late[max(k + 1 - AROUND, 0) : k + 1], late[k + 1 : k + 1 + AROUND]
+        before, after = late[max(k + 1 - ROWS_BESIDE, 0) : k + 1], late[k + 1 : k + 1 + ROWS_BESIDE]
         found[int(k)] = float(np.median(after) - np.median(before)) / usual
     worst = max(found, key=found.get, default=None)
     return worst if worst is not None and found[worst] > MISSING else None

@@ -10,7 +10,7 @@ DRAWN = 40  # drives to be drawn
 WIDE = 2.0  # range of the draws, in standard deviations
 GAIN_SPREAD = 0.05  # relative error of such a gain even for a perfect fit
 TASK = 6  # coordinates of a pose
-TOGETHER = 0.5  # share of their motion that commands must share to move the joints together
+SHARED_MOTION = 0.5  # share of their motion that commands must share to move the joints together
 POINTS = 4000  # frequencies to be tried
 
 
@@ -49,7 +49,7 @@ def _unknown(fit, gain, structured, command) -> str:
     drives = [fit.shape.drive(values) for values in fit.values]
     quick = drives[0].delay < 1 or (fit.shape.order == 1 and min(d.lag for d in drives) < fit.shape.Ts)
     steps = np.abs(np.diff(command, axis=0)) > EXACT * np.ptp(command, axis=0)
-    at_once = np.sum(steps.all(1)) >= TOGETHER * np.sum(steps.any(1))
+    at_once = np.sum(steps.all(1)) >= SHARED_MOTION * np.sum(steps.any(1))
     if len(gain) == 1:
         return " from one joint: joints that move together are heavier. Record a step of all joints at once."
     if not at_once:

@@ -14,7 +14,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir, partial_eval
 
 from cnclik import errors
-from cnclik.cache import Recent, bounded_jit
+from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.plan import in_c, in_scalars
 from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
@@ -42,7 +42,7 @@ def native(fn: Callable) -> Callable:
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of arrays", f"is {fn!r}")
-    made = Recent()
+    made = LRU()
 
     def of(*args, **named):
         """(function of flat arrays, arrays) of some arguments."""

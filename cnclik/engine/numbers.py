@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from cnclik import cache
-from cnclik.cache import Recent
+from cnclik.cache import LRU
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.native import called, native
 from cnclik.engine.plan import in_c, most_nodes, wants_c
@@ -33,7 +33,7 @@ class Numbers:
         A function of `N` rounds is no C where that would take too long to compile, see `most_nodes`.
         """
         self.fn, self.static, self.lets_go = fn, static, lets_go
-        self.native, self.ready, self.entries = native(self.source), {}, Recent()
+        self.native, self.ready, self.entries = native(self.source), {}, LRU()
         self.ran_in_c = False  # the last call
 
     def source(self, known, given):

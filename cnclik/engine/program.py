@@ -11,7 +11,7 @@ import time
 import jax
 import numpy as np
 
-from cnclik.cache import Recent
+from cnclik.cache import LRU
 from cnclik.engine.compiler import CompilerError, build_text, built, can_build, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.reader import read
@@ -125,7 +125,7 @@ class Programs:
 
     def __init__(self, fn, make=Program):
         """make: makes a program from (fn, avals): `Program` or `to_jax.Derived`."""
-        self.fn, self.make, self.found = fn, make, Recent()
+        self.fn, self.make, self.found = fn, make, LRU()
 
     def of(self, avals, **limit):
         """The program for flat arguments of these avals, or the reason why there is none.

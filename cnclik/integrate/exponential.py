@@ -66,19 +66,19 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
     quadrature = velocity(task, at.robot, at.aims, combine(method.b, [known[c][1] for c in method.c]))
     held = closure(law, to.mean, quadrature, 1.0 if low else 0.0)
     if low:
-        asked = [to.feedback + held] * len(method.c)
+        feedback = [to.feedback + held] * len(method.c)
     else:
         none = (None,) * len(task.parts)
         turns = [ahead(law, reference, at, t, c * Ts).turns if c else none for c in method.c]
-        asked = [w + held for w in feedback_within(law, at.e, method.c, turns, Ts)]
-    stages = [(known[c][0] if task.tied else None, known[c][1], w) for c, w in zip(method.c, asked, strict=True)]
+        feedback = [w + held for w in feedback_within(law, at.e, method.c, turns, Ts)]
+    stages = [(known[c][0] if task.tied else None, known[c][1], w) for c, w in zip(method.c, feedback, strict=True)]
 
     def field(stage, q):
-        aims, motion, asked = stage
+        aims, motion, correction = stage
         null = to.null if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
         there = rows_at(law, q, aims)._replace(e=at.e)
-        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + asked, null)
+        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, null)
 
-    first = resolve(law, q, at, to.velocity + asked[0], to.null)
+    first = resolve(law, q, at, to.velocity + feedback[0], to.null)
     field, y = charted(law.chain, q, field), centre(law.chain, q)
     return march(field, y, Ts, method, stage, first, at=stages, looped=looped), to

@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.cache import Recent
+from cnclik.cache import LRU
 from cnclik.engine.native import native, scalars
 from cnclik.engine.plan import in_c, in_scalars
 from cnclik.engine.program import Program, key_of, lane_avals
@@ -27,7 +27,7 @@ from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
-BLOCK = 1 << 15  # lanes per call of a compiled program: few enough for memory, enough to feed the cores
+LANES_PER_CALL = 1 << 15  # lanes per call of a compiled program: few enough for memory, enough to feed the cores
 DEVICE_BLOCK = 1 << 18  # the same on a GPU, to fit its cache: up to twice as fast as 2**20
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
@@ -54,7 +54,7 @@ def lanes(
     """
     on_cpu = jax.default_backend() == "cpu"
     tile = errors.integer("tile", TILE if tile is None else tile, at_least=1)
-    default = max(BLOCK if on_cpu else DEVICE_BLOCK, tile)
+    default = max(LANES_PER_CALL if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = available() if cores is None else errors.integer("cores", cores, at_least=1, at_most=1 << 16)
     quick = errors.truth("quick", quick)
@@ -68,7 +68,7 @@ def lanes(
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
-    ready, as_c = Recent(), native(fn)
+    ready, as_c = LRU(), native(fn)
     one = scalars(as_c)
 
     @functools.wraps(fn)
@@ -103,7 +103,7 @@ def options(traced, quick=False) -> dict:
 
 def _hinted(fn):
     """The function compiled with its program's options."""
-    plain, found = jax.jit(fn), Recent()
+    plain, found = jax.jit(fn), LRU()
     hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
 
     def call(*args):

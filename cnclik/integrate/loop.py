@@ -138,8 +138,8 @@ def one(loop: Loop, starting, state: State, k):
         made, pacing, path = _paced(loop, made, pacing, t, seen)
         length, moved = Ts, chart.moved(law.chain, q, Ts * made.qdot)
     if loop.model is not None and drives is not None:
-        asked = chart.between(law.chain, seen, made.q) if loop.pace is None else Ts * made.qdot
-        drives = driven(law.chain, loop.drive, loop.model, drives, seen, asked, Ts)
+        requested = chart.between(law.chain, seen, made.q) if loop.pace is None else Ts * made.qdot
+        drives = driven(law.chain, loop.drive, loop.model, drives, seen, requested, Ts)
         moved, drives = reached(law.chain, q, drives)
     elif lost is not None:
         moved, lost = summed(law.chain, q, length * made.qdot, lost, law if loop.pace is None else None)

@@ -80,7 +80,7 @@ class Pacing:
 
     Attributes:
       velocity, acceleration: (n,) paced velocity and acceleration of the last sample [rad/s, rad/s²; m].
-      asked: (n,) velocity requested by the loop. turn, bend: (n,) its derivatives f′, f″ along the path.
+      requested: (n,) velocity requested by the loop. turn, bend: (n,) its derivatives f′, f″ along the path.
       share: s of the last step; a path that waits has advanced by share·Ts. Off the path: the share of the requested
         motion that the joints made.
       excess: largest share of an acceleration or jerk limit that the step needs with the best s. It is above 1 where no
@@ -90,7 +90,7 @@ class Pacing:
 
     velocity: Float[Array, " n"]
     acceleration: Float[Array, " n"]
-    asked: Float[Array, " n"]
+    requested: Float[Array, " n"]
     turn: Float[Array, " n"]
     bend: Float[Array, " n"]
     share: Float[Array, ""]
@@ -112,7 +112,7 @@ def pace_at_rest(q: Float[ArrayLike, " n"]) -> Pacing:
     """State of a paced loop that rests at joint values q (n,)."""
     zeros = jnp.zeros_like(_vector("q", q))
     one = jnp.ones((), zeros.dtype)
-    state = dict.fromkeys(("velocity", "acceleration", "asked", "turn", "bend"), zeros)
+    state = dict.fromkeys(("velocity", "acceleration", "requested", "turn", "bend"), zeros)
     return Pacing(**state, share=one, excess=0 * one, begun=jnp.zeros((), bool))
 
 
@@ -206,8 +206,8 @@ def share(pace, state, f, Ts, stop, sharpness, room=None):
     v = None if v is None else jnp.maximum(v, 1e-12)  # a velocity limit may be 0
     # Smoothed over a sample of path time, to avoid divisions by a share of nearly 0.
     passed = jnp.where(state.begun, Ts * state.share, 0.0)
-    asked = jnp.where(state.begun, state.asked, f)
-    turn = (state.turn * Ts + (f - asked)) / (passed + Ts)
+    requested = jnp.where(state.begun, state.requested, f)
+    turn = (state.turn * Ts + (f - requested)) / (passed + Ts)
     bend = (state.bend * Ts + (turn - state.turn)) / (passed + Ts)
 
     most = jnp.ones((), dtype) if v is None else 1 / jnp.maximum(1.0, _largest(f / v))
@@ -230,7 +230,7 @@ def share(pace, state, f, Ts, stop, sharpness, room=None):
     return s, Pacing(
         velocity=velocity,
         acceleration=(velocity - state.velocity) / Ts,
-        asked=f,
+        requested=f,
         turn=turn,
         bend=bend,
         share=s,
@@ -383,7 +383,7 @@ def _stopping(a, j, v, grows, Ts):
 def _steepness(state, f, Ts):
     """The decrease of f per unit of motion [1/s] if the last step was off the path: α, for f′ = −α f."""
     moved = Ts * safe_sqrt(jnp.sum(state.velocity**2))
-    found = safe_sqrt(jnp.sum((f - state.asked) ** 2)) / jnp.where(moved > 0, moved, 1.0)
+    found = safe_sqrt(jnp.sum((f - state.requested) ** 2)) / jnp.where(moved > 0, moved, 1.0)
     return jnp.where(state.over & (moved > 0), found, 0.0)
 
 

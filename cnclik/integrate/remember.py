@@ -132,8 +132,8 @@ def _another(now, past, velocity, before, held):
     False if the target's own velocity changed by half of the requested velocity, as J# is not the cause then.
     """
     apart, most = now - past, jnp.maximum(now @ now, past @ past)
-    change, asked = velocity - before, before + held
-    return (apart @ apart > TURNED * most) & (4 * (change @ change) < asked @ asked)
+    change, requested = velocity - before, before + held
+    return (apart @ apart > TURNED * most) & (4 * (change @ change) < requested @ requested)
 
 
 def _applied(entry: Entry, velocity):

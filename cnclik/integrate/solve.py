@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.cache import Recent
+from cnclik.cache import LRU
 from cnclik.engine.numbers import Numbers
 from cnclik.engine.plan import may_be_plain, unless_chosen
 from cnclik.engine.tracing import is_read
@@ -29,7 +29,7 @@ from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
-from cnclik.record import cast, placed
+from cnclik.record import cast, on_device
 from cnclik.robot.model import modelled
 from cnclik.shapes import ArrayLike, Float, Number
 
@@ -161,7 +161,7 @@ def _computed(fn, known, given, soon, is_soon=lambda: True):
         return found
     *records, method = known
     if may_be_plain() and all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
-        found = soon(*(r and placed(modelled(r)) for r in records), method, *given, **fn.static)
+        found = soon(*(r and on_device(modelled(r)) for r in records), method, *given, **fn.static)
     else:
         found = fn.native(known, given)
     return jax.tree.map(_as_numpy, found) if isinstance(given[0], np.ndarray) else found
@@ -236,7 +236,7 @@ def end(law, reference, q0, Ts, N, method, stage):
     return q, e
 
 
-solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), Recent()
+solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), LRU()
 
 
 def one_step(law, reference, stage, method, q, t, Ts, history):

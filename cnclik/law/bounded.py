@@ -277,16 +277,17 @@ class Bounded:
         plain = inverse(rows)
         if plain.shift is None:
             raise undamped(inverse)
-        asked = through(plain.apply, rows, velocity, null)
+        unlimited = through(plain.apply, rows, velocity, null)
         if not (chain.bounded or chain.slowed or self.walls):
-            return Limited(qdot=asked, apply=plain.apply, least=plain.least, limited=False)
+            return Limited(qdot=unlimited, apply=plain.apply, least=plain.least, limited=False)
         low, high = bounds(self.rate, chain, q)
         walls = rows_at(self.walls, self.rate, chain, q) if self.walls else None
         still = None if walls is None else jnp.zeros_like(walls.floor)
 
         def scaled():
             """Equal weights of the rows, and the problem; made where it is needed, as most steps are within bounds."""
-            (even, shift), rest = plain.even, jnp.zeros_like(asked) if null is None else null + jnp.zeros_like(asked)
+            (even, shift), zero = plain.even, jnp.zeros_like(unlimited)
+            rest = zero if null is None else null + zero
             b = (even * rows.T).T
             least = jnp.maximum(shift, LEAST * lax.stop_gradient(jnp.trace(b.T @ b)))
             return even, Problem(b, even * velocity, rest, low, high, least)
@@ -296,7 +297,7 @@ class Bounded:
 
         def least():
             _, of = scaled()
-            known, others, found = lax.stop_gradient((of, walls, asked))
+            known, others, found = lax.stop_gradient((of, walls, unlimited))
             found = kept(known, others, found, self.passes)
             push = found.push
             shut = known.shut(found.qdot, pushed(found.slope, push, others))
@@ -305,7 +306,7 @@ class Bounded:
             qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(of, shut, push)
             step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot), face.missing(qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
-            return of.clip(qdot + step), shut.astype(asked.dtype), ~found.settled, push
+            return of.clip(qdot + step), shut.astype(unlimited.dtype), ~found.settled, push
 
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
@@ -315,10 +316,10 @@ class Bounded:
             missing = None if walls is None else -walls.rows @ first
             return first + step((even * t - of.b @ first) @ of.b - of.shift * first, missing)[0]
 
-        fits = jnp.all((low <= asked) & (asked <= high))
+        fits = jnp.all((low <= unlimited) & (unlimited <= high))
         if walls is not None:
-            fits &= jnp.all(walls.rows @ asked >= walls.floor)
-        free = asked, jnp.zeros_like(asked), jnp.bool_(False), still
+            fits &= jnp.all(walls.rows @ unlimited >= walls.floor)
+        free = unlimited, jnp.zeros_like(unlimited), jnp.bool_(False), still
         qdot, shut, cut, push = lax.cond(fits, lambda: free, least)
         limited = jnp.any((shut > 0) & (low < high))
         return Limited(

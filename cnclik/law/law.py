@@ -195,8 +195,8 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
     """f at q, from an observation there."""
-    asked = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
-    return resolve(law, q, at, asked, null_velocity(law, q))
+    task_velocity = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
+    return resolve(law, q, at, task_velocity, null_velocity(law, q))
 
 
 @precise

@@ -82,8 +82,8 @@ class Weighted:
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         plain = inverse(rows)
-        asked = through(plain.apply, rows, velocity, null)
-        roots = roots_of(chain, q, asked)
+        unlimited = through(plain.apply, rows, velocity, null)
+        roots = roots_of(chain, q, unlimited)
         made = inverse(rows * roots)
         factored = Factored(lambda t: roots * made.apply(t), plain.least)
         back = self.rate * (jnp.clip(q, chain.lower, chain.upper) - q) if chain.bounded else None
@@ -208,7 +208,7 @@ def _free(rows, locked):
 
 def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
     """The largest share of `velocity` (m,) that fits, minus what is already there (m,), if anything."""
-    asked = safe_norm(velocity)
+    size = safe_norm(velocity)
     # A joint whose limits are equal is locked from the first pass on.
     fixed = jnp.where(low < high, zero, zero + 1.0)
 
@@ -221,7 +221,7 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
         # Can the remaining joints still reach the task? By geometry alone: what a damped
         # inverse holds back next to a singularity is no reason to stand still.
         beyond = _beyond_reach(left, velocity)
-        lost = beyond > (1 + NOISE) * at.reached + 0.01 * asked
+        lost = beyond > (1 + NOISE) * at.reached + 0.01 * size
         along, rest = (v + zero for v in (along, rest))
         s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
         s = jnp.where(lost, -1.0, s)

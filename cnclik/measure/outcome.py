@@ -90,7 +90,7 @@ class Outcome:
     stage_not_converged: Bool[Array, ""]
 
 
-class _Seen(NamedTuple):
+class _Observation(NamedTuple):
     """What `outcome` remembers of a loop while it runs."""
 
     scale: jax.Array  # the error to compare with
@@ -137,7 +137,7 @@ def outcome(
     # One step too many is made for the last error: a second function for errors alone would take longer to compile.
     k = jnp.arange(N + 1).astype(q0.dtype)
     zero, never = jnp.zeros((), q0.dtype), jnp.zeros((), bool)
-    before = _Seen(
+    before = _Observation(
         scale=zero if given is None else given,
         last_above=zero - 1,
         least_before=zero + jnp.inf,
@@ -162,7 +162,7 @@ def outcome(
     )
 
 
-def _after(seen: _Seen, k, made, N, tolerance, *, first) -> _Seen:
+def _after(seen: _Observation, k, made, N, tolerance, *, first) -> _Observation:
     """What is remembered after step k, whose result is `made`. Args: first: whether the first error is the scale."""
     size = safe_norm(made.e)
     scale = seen.scale
@@ -174,7 +174,7 @@ def _after(seen: _Seen, k, made, N, tolerance, *, first) -> _Seen:
     status = jnp.where(k < N, made.status.astype(jnp.int32), 0)
     last = k >= N - N // 4
     third = (k >= N - 2 * (N // 4)) & ~last
-    return _Seen(
+    return _Observation(
         scale=scale,
         last_above=jnp.where(size <= tolerance * scale, seen.last_above, k),
         least_before=jnp.where(third, jnp.minimum(seen.least_before, size), seen.least_before),

@@ -16,7 +16,7 @@ from cnclik.measure.files import save_netcdf
 from cnclik.paper import choices, claims, tables
 from cnclik.paper import readings as paper
 from cnclik.paper.choices import DEFAULT, READINGS
-from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, Found, Lane
+from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, Lane, Readings
 from cnclik.precision import in_float64
 from cnclik.show.output import draw
 from cnclik.threads import side_by_side
@@ -47,7 +47,7 @@ class Results(NamedTuple):
 @in_float64
 def everything(progress=None) -> Results:
     """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    found = Found({}, {})
+    found = Readings({}, {})
     with side_by_side() as pool:  # most of it is compiling, on one core each
         each = pool.map(as_here(lambda one: paper.run_method(*one)), paper.METHOD_RUNS)
         for done, (_, name) in enumerate(paper.METHOD_RUNS):
@@ -92,7 +92,7 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     return found
 
 
-def trajectories(found: Found) -> xr.Dataset:
+def trajectories(found: Readings) -> xr.Dataset:
     """The paper's methods on both arms and cases under all readings: dims arm, reading, case, method, time, joint.
 
     Beside what `to_dataset` gives: error_norm ‖e[k]‖, mean_error (over k = 0 … N), final_error ‖e[N]‖, and
@@ -124,13 +124,13 @@ def trajectories(found: Found) -> xr.Dataset:
 
 
 def key(arm: str, reading: str, case: str, method: str) -> tuple:
-    """Where `Found` keeps a run: readings that do the same share one."""
+    """Where `Readings` keeps a run: readings that do the same share one."""
     r = READINGS[reading]
     feedforward = "consistent" if case == "reach" else r.feedforward
     return arm, "once" if not METHODS[method].implicit else r.Ts, method, Lane(r.rotation, case, feedforward)
 
 
-def methods(found: Found) -> xr.Dataset:
+def methods(found: Readings) -> xr.Dataset:
     """All methods under the reading on-path/once/consistent: error against evaluations, and observed orders.
 
     Dims arm, case, method, Ts. Errors are taken at the instants the paper samples, 0.1 s apart, whatever Ts:
@@ -175,7 +175,7 @@ def methods(found: Found) -> xr.Dataset:
     return _labelled(data, norm.dtype, about, reading=str(DEFAULT), M_converged=paper.CONVERGED)
 
 
-def passes(found: Found) -> xr.Dataset:
+def passes(found: Readings) -> xr.Dataset:
     """The Picard iteration followed from the states of the runs of IE and CN.
 
     Dims arm, reading, case, method, pass, step. `residual` is the change of the joint increment in the last

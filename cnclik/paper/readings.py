@@ -182,7 +182,7 @@ def _program(laws, references, q0, Ts, M, *, method, h, N_max):
     return run, jnp.moveaxis(found, 0, -1)
 
 
-class Found(NamedTuple):
+class Readings(NamedTuple):
     """What one program gave, or all of them, by (arm, Ts, method, lane), Ts being "once" or "twice"."""
 
     runs: dict  # of `Trajectory`s
@@ -191,7 +191,7 @@ class Found(NamedTuple):
     residuals: dict
 
 
-def run_method(Ts: str, name: str) -> Found:
+def run_method(Ts: str, name: str) -> Readings:
     """All runs of one method on both arms, by one compiled program; `Ts` is "once" or "twice"."""
     todo = [(arm, lane) for arm in ARMS for lane in LANES]
     followed = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
@@ -206,7 +206,7 @@ def run_method(Ts: str, name: str) -> Found:
         N_max=max(lane.N for lane in LANES),
     )
     run, residuals = jax.device_get((run, residuals))
-    found = Found({}, {})
+    found = Readings({}, {})
     for i, (arm, lane) in enumerate(todo):
         found.runs[arm, Ts, name, lane] = _cut(jax.tree.map(lambda a, i=i: a[i], run), ARMS[arm].n, name, lane)
         if followed is not None and lane in _PAPER_LANES:

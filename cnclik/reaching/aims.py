@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import kept, record
+from cnclik.record import memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.task.parts import places
 from cnclik.task.task import Part, Task
@@ -43,7 +43,7 @@ class Aim:
 
 def aims(task: Task) -> tuple[Aim, ...]:
     """The aims of a task. Raises: ArgumentError for coordinates that are no tip's, and for a tip that has two aims."""
-    return kept(task, "_aims", _aims)
+    return memoized(task, "_aims", _aims)
 
 
 def _aims(task):

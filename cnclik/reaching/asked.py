@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnclik import errors
-from cnclik.cache import Recent
+from cnclik.cache import LRU
 from cnclik.precision import as_numbers
 from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
@@ -12,7 +12,7 @@ from cnclik.reaching.step import STATIONARY
 from cnclik.reaching.strategy import LONGER, SURE
 from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import in_units, of_joints
-from cnclik.record import kept, leaf, record
+from cnclik.record import leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
 from cnclik.shapes import AnyArray, Float, Number
@@ -150,7 +150,7 @@ def asked_of(chain, *rest) -> Asked:
         lasting = False
     if not lasting:
         return _asked(chain, *rest)
-    return kept(chain, "_asked", lambda _: Recent()).made(key, lambda _: _asked(chain, *rest))
+    return memoized(chain, "_asked", lambda _: LRU()).made(key, lambda _: _asked(chain, *rest))
 
 
 def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:

@@ -8,7 +8,7 @@ from cnclik.reaching.result import PER_TARGET, Reached, ReachStatus, fields
 from cnclik.reaching.seeds import seeds, turned
 from cnclik.reaching.single import Programs
 from cnclik.reaching.strategy import PLAIN, narrowed
-from cnclik.record import kept, replace
+from cnclik.record import memoized, replace
 
 POOL = 1 << 18  # largest number of targets in one search
 MANY, ALONE = 2000, 2  # after so many targets, or calls for one target, compiling C pays
@@ -38,12 +38,12 @@ def path(asked: Asked, pose, progress=None) -> Reached:
 
 def _engine(asked, soon):
     """The engine for the search: C where it is available, else JAX."""
-    return native_for(asked, soon) or kept(asked, f"_programs_{soon}", lambda asked: Programs(asked, soon))
+    return native_for(asked, soon) or memoized(asked, f"_programs_{soon}", lambda asked: Programs(asked, soon))
 
 
 def often(chain, targets) -> bool:
     """Whether compiling C for a chain pays, after so many more `targets`. It counts them."""
-    asked_of = kept(chain, "_asked_of", lambda chain: [0, 0])
+    asked_of = memoized(chain, "_asked_of", lambda chain: [0, 0])
     alone = targets == 1
     asked_of[0 if alone else 1] += targets
     return asked_of[0] > ALONE if alone else asked_of[1] > MANY

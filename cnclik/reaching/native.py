@@ -23,13 +23,13 @@ from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, nothing
 from cnclik.reaching.seeds import compared, seeds
 from cnclik.reaching.strategy import CAREFUL, FAR, IN_C, SoFar, alone, phases, wanted
-from cnclik.record import kept, replace
+from cnclik.record import memoized, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
 AT_ONCE = 16  # so many chains of a process get native code at their first call
 LONGEST = 60.0  # [s] time limit of the compiler; it needs about 1 s
-BLOCK, SMALLEST = 4096, 256  # number of targets per task of a core
+MOST_PER_TASK, SMALLEST = 4096, 256  # number of targets per task of a core
 _POINTERS = (
     *("low", "high", "lower", "upper", "jump", "periods", "turns"),
     *("postures", "middle", "width", "features", "factors", "roots"),
@@ -63,8 +63,8 @@ def native_for(asked: Asked, soon: bool):
         if not (soon or Native.libraries < AT_ONCE or name in asked.chain.__dict__):
             return None
         with _building:
-            library = kept(asked.chain, name, lambda _: _built(asked))
-        made = kept(asked, "_native", lambda asked: library and Native(asked, library))
+            library = memoized(asked.chain, name, lambda _: _built(asked))
+        made = memoized(asked, "_native", lambda asked: library and Native(asked, library))
     return made or None
 
 
@@ -131,9 +131,9 @@ class Native:
         if asked.jump is None:
             found = self.reached(pose[:1], at)
         else:
-            free = kept(asked, "_free_to_jump", lambda asked: Native(replace(asked, jump=FAR), self.library))
+            free = memoized(asked, "_free_to_jump", lambda asked: Native(replace(asked, jump=FAR), self.library))
             found = free.reached(pose[:1], at)
-        made = np.empty(min(len(pose), BLOCK), self.empty.dtype)
+        made = np.empty(min(len(pose), MOST_PER_TASK), self.empty.dtype)
         while True:
             if found is not None:
                 rows[k] = as_rows(fields(found))[0]
@@ -212,7 +212,7 @@ class Native:
         if B <= SMALLEST:
             self.library.search(ctypes.byref(call), 0, B)
             return
-        size = max(min(BLOCK, -(-B // (4 * cores()))), SMALLEST)
+        size = max(min(MOST_PER_TASK, -(-B // (4 * cores()))), SMALLEST)
 
         def block(first):
             self.library.search(ctypes.byref(call), first, min(first + size, B))

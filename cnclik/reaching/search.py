@@ -25,7 +25,7 @@ from cnclik.reaching.strategy import Phase, SoFar, narrowed, phases, wanted
 from cnclik.record import replace
 from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 
-TOGETHER = 8  # tries side by side
+SIDE_BY_SIDE = 8  # tries side by side
 SCATTER = np.uint32(0x7F4A7C15)  # by which a try's number becomes that of any seed; its upper bits are even (Knuth)
 
 
@@ -191,7 +191,7 @@ def search(of: Given, phase: Phase, made: Found, pose, near, wanted) -> Found:
 
     def once(carry):
         k, made = carry
-        return k + TOGETHER, tries(of, phase, made, pose, near, k, TOGETHER)
+        return k + SIDE_BY_SIDE, tries(of, phase, made, pose, near, k, SIDE_BY_SIDE)
 
     return lax.while_loop(goes_on, once, (phase.done, made))[1]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cnclik.precision import precise
 from cnclik.reaching.aims import aims, told_apart
-from cnclik.record import kept, record
+from cnclik.record import memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length, evenly
@@ -35,7 +35,7 @@ class Seeds:
 
 def seeds(chain: Chain) -> Seeds:
     """The seeds of a chain, made once for it."""
-    return kept(chain, "_seeds", _made)
+    return memoized(chain, "_seeds", _made)
 
 
 def spans(chain: Chain):
@@ -102,7 +102,7 @@ class Compared:
 
 def compared(chain: Chain, task) -> Compared:
     """The `Compared` of a chain and a task, cached."""
-    return kept(chain, f"_compared_{told_apart(task)}", lambda chain: _compared(chain, task))
+    return memoized(chain, f"_compared_{told_apart(task)}", lambda chain: _compared(chain, task))
 
 
 def _compared(chain, task):

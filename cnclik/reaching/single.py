@@ -19,14 +19,14 @@ from cnclik.reaching.search import Found, concluded, given, nothing, tries
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest, seeds, spans
 from cnclik.reaching.step import in_parts, look
 from cnclik.reaching.strategy import CAREFUL, FAR, PLAIN, alone, narrowed, phases
-from cnclik.record import cast, kept, placed, replace
+from cnclik.record import cast, memoized, on_device, replace
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import evenly, start_posture
 from cnclik.task.parts import At
 from cnclik.task.task import rows
 from cnclik.threads import cores, side_by_side
 
-BLOCK = 32  # number of targets per call, one after the other
+PER_CALL = 32  # number of targets per call, one after the other
 HARD = 200  # targets without an answer after sixteen tries, from which on further ones have a quick program, too
 ONE_BY_ONE = 2000, 128  # targets, at most, that are sooner searched for so; and of a chain that is asked of often
 CAPACITY, TILE = 1024, 64  # targets of a call that makes their first tries side by side
@@ -140,8 +140,8 @@ class Programs:
         self.asked, self.soon, self.first, self.hard = asked, soon, phases(asked)[0], 0
         with jax.enable_x64(True):
             self.shared = (
-                placed(asked),
-                *kept(chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(chain, task)))),
+                on_device(asked),
+                *memoized(chain, name, lambda chain: jax.device_put((seeds(chain).postures, compared(chain, task)))),
             )
 
     def reached(self, pose, near, progress=None) -> Reached:
@@ -150,9 +150,9 @@ class Programs:
         made, left, rows, done = nothing((B,), n), np.arange(B), np.empty((B, width(n))), 0
 
         def search(ids):
-            own = None if near is None else filled(near[ids], BLOCK)
-            some = Found(*(filled(v[ids], BLOCK) for v in made))
-            given = filled(pose[ids], BLOCK), own, some, np.int32(done), np.int32(len(ids))
+            own = None if near is None else filled(near[ids], PER_CALL)
+            some = Found(*(filled(v[ids], PER_CALL) for v in made))
+            given = filled(pose[ids], PER_CALL), own, some, np.int32(done), np.int32(len(ids))
             by = scalars if self.hard > HARD else None
             rows[ids] = np.asarray(_some(*self.shared, *given, by=by)[1])[: len(ids)]
 
@@ -169,18 +169,26 @@ class Programs:
             rows[:] = as_rows(fields(asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)))
             left = np.flatnonzero(found == 0)
             self.hard += len(left)
-        _on_all_cores(search, left, BLOCK, progress and (lambda count: progress(B - len(left) + count, B)))
+        _on_all_cores(search, left, PER_CALL, progress and (lambda count: progress(B - len(left) + count, B)))
         return from_rows(asked.chain, asked.task, rows)
 
     def along(self, pose, progress=None) -> Reached:
         """Answers for the targets of a path, each from the last answer before it."""
         chain, task = self.asked.chain, self.asked.task
         rows, at = np.empty((len(pose), width(chain.n))), start_posture(chain, task)
-        made, done = nothing((BLOCK,), chain.n), np.int32(0)
+        made, done = nothing((PER_CALL,), chain.n), np.int32(0)
         with jax.enable_x64(True):
-            for k in range(0, len(pose), BLOCK):
-                count = len(pose[k : k + BLOCK])
-                given = filled(pose[k : k + BLOCK], BLOCK), None, made, done, np.int32(count), at, np.bool_(k == 0)
+            for k in range(0, len(pose), PER_CALL):
+                count = len(pose[k : k + PER_CALL])
+                given = (
+                    filled(pose[k : k + PER_CALL], PER_CALL),
+                    None,
+                    made,
+                    done,
+                    np.int32(count),
+                    at,
+                    np.bool_(k == 0),
+                )
                 at, found = _some(*self.shared, *given)
                 rows[k : k + count] = found[:count]
                 if progress is not None:
@@ -216,7 +224,7 @@ class Programs:
             for whole, part in zip(made, found, strict=True):
                 whole[some] = np.asarray(part)[: len(some)]
 
-        size = min(CAPACITY, max(-(-len(ids) // cores()), BLOCK))
+        size = min(CAPACITY, max(-(-len(ids) // cores()), PER_CALL))
         _on_all_cores(one_try, ids, size)
 
 

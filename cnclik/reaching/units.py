@@ -13,7 +13,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
-from cnclik.record import kept, replace
+from cnclik.record import memoized, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, Chain
 from cnclik.robot.posture import arm_length
@@ -25,7 +25,7 @@ FAR = 1e4  # [units] beyond it the nearest pose no longer changes, and squares w
 
 def in_units(chain: Chain):
     """The chain in a unit of its own, and that unit [m]; in metres where its geometry is traced."""
-    return kept(chain, "_in_units", _in_units)
+    return memoized(chain, "_in_units", _in_units)
 
 
 def _in_units(chain):

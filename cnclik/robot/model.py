@@ -16,7 +16,7 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.constants import of_the_model
 from cnclik.hints import QUICK_COMPILE, quick_jit
-from cnclik.record import kept, mapped, record, replace
+from cnclik.record import mapped, memoized, record, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
 from cnclik.robot.rotations import library, product, quaternion, rotation_from_quaternion
@@ -182,7 +182,9 @@ def modelled(tree):
         return tree
     if not hasattr(tree, "__dataclass_fields__"):
         return mapped(tree, Chain, modelled)
-    return kept(tree, "_modelled", _model if isinstance(tree, Chain) else lambda tree: mapped(tree, Chain, modelled))
+    return memoized(
+        tree, "_modelled", _model if isinstance(tree, Chain) else lambda tree: mapped(tree, Chain, modelled)
+    )
 
 
 def _model(chain: Chain) -> Model:

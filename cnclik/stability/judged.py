@@ -20,9 +20,9 @@ from cnclik.stability.loop import UNSTABLE
 from cnclik.stability.observed import VISIBLE, rms
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.remedies import ENOUGH, Remedy
-from cnclik.stability.stacked import COMPROMISE, SHARED, TOGETHER, UNKNOWN, each_task
+from cnclik.stability.stacked import ALL_REACHABLE, COMPROMISE, SHARED, UNKNOWN, each_task
 
-AROUND = 3  # times around a path that tell, however slow a direction of the loop is
+TIMES_AROUND = 3  # times around a path that tell, however slow a direction of the loop is
 # Share of the joint speed off its mean, from which on what is unstable at rest shakes at a pace. A sine has
 # 1 − sin(π/16)/(π/16) = 0.006 of itself off its mean, its second harmonic 0.026. Measured on circles of 2 to 6 s
 # (Panda, UR5; EE, AB2; 3 rad/s², 60 rad/s³): 0.007 to 0.025 in calm loops, 0.04 to 0.75 in those that shake. A path
@@ -173,7 +173,7 @@ def _moving(case, error):
         return Behaviour.AT_LIMIT, what, (*(remedies.gentle(case) if near else ()), *slower)
     if not follows and (reasons.beyond(case) > 0 or reasons.too_many(case)):
         return _out_of_reach(case, error)
-    if case.covered < 1 or (case.spans < ENOUGH and case.covered < AROUND):
+    if case.covered < 1 or (case.spans < ENOUGH and case.covered < TIMES_AROUND):
         return undecided(case, f"{'it follows so far; ' if follows else ''}{error}")
     if follows:
         return Behaviour.SETTLED, f"it follows; {error}; {_radius(case)}", ()
@@ -224,7 +224,7 @@ def _stack(case, error):
     kind = all_left if len(left) == len(each) else Behaviour.PARTLY
     known = of_tips and case.reached is not None and case.reached.solved
     held = f"; {at}" if at else ""
-    why = "" if not of_tips else f"; {TOGETHER if known else UNKNOWN}"
+    why = "" if not of_tips else f"; {ALL_REACHABLE if known else UNKNOWN}"
     found = (*remedies.less_damping(case), *(() if case.moving else remedies.elsewhere(case))) if known else ()
     shared = SHARED if isinstance(case.law.inverse, Levels) else COMPROMISE
     return kind, f"{said}{held}; {shared}{why}; {_radius(case)}", found

@@ -26,7 +26,7 @@ from cnclik.stability.spectrum import largest_rate, settle
 from cnclik.stability.tasks import bounded_rates, shares_of
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-BLOCK = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
+LOOPS_PER_CALL = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
 @in_float64
@@ -91,7 +91,7 @@ def outcomes(
         return outcome(gained, reference, q0, Ts, N, method, own, **through, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    run = one_off(jax.vmap(one)) if answers_soon(evaluations, law) else lanes(one, block=BLOCK)
+    run = one_off(jax.vmap(one)) if answers_soon(evaluations, law) else lanes(one, block=LOOPS_PER_CALL)
     done = []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023

@@ -23,7 +23,7 @@ from cnclik.task.task import Task
 COMPROMISE = "tasks compromise by their weights"
 SHARED = "tasks of one level compromise, and each level yields to those before it"
 UNKNOWN = "whether all targets can be reached together is not known"
-TOGETHER = "all targets can be reached together, so other tasks, damping or the start posture keep the tips away"
+ALL_REACHABLE = "all targets can be reached together, so other tasks, damping or the start posture keep the tips away"
 TOLERANCE = (1e-4, 1e-4)  # [m], [rad] of targets that count as reached
 _BEYOND = (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT)
 

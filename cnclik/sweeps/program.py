@@ -37,7 +37,7 @@ class Output(NamedTuple):
     about: dict  # attributes: units, and long_name if there is one
 
 
-class Program(NamedTuple):
+class StudyProgram(NamedTuple):
     """A study compiled for one combination of the outer axes and one block shape."""
 
     run: Callable  # {name: values per lane} -> {name: results per lane}
@@ -51,7 +51,7 @@ _DIMS = {name: METRICS[name].dims for name in ("t", "q", "x", "e", "qdot", "stat
 _DIMS |= dict.fromkeys(("residual", "contraction"), ("step",))
 
 
-def compile_program(study, fixed: dict, of: Grid) -> Program:
+def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
     """Trace and compile the study once, for blocks of the grid."""
     found = {}
 
@@ -81,7 +81,7 @@ def compile_program(study, fixed: dict, of: Grid) -> Program:
         with jax.enable_x64(True):
             return compiled({name: jnp.asarray(v) for name, v in values.items()})
 
-    return Program(run, found["outputs"], memory, shares_threads(traced.jaxpr))
+    return StudyProgram(run, found["outputs"], memory, shares_threads(traced.jaxpr))
 
 
 def _named(result) -> dict:
@@ -113,7 +113,7 @@ def fit(study, of: Grid, memory=MEMORY):
     return of, program
 
 
-def run_blocks(study, of: Grid, blocks, first: Program | None = None):
+def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
     """Compute blocks: yields (block, {name: piece of the grid}) in their order.
 
     Each core runs its own block. The next ones already run while the caller handles one, so writing takes no extra

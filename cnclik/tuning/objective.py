@@ -33,7 +33,7 @@ from cnclik.tuning.conditions import Conditions, Scenario, rollout, scenarios
 from cnclik.tuning.losses import View, terms
 
 INTERVALS = 8  # along each path, at whose ends the spectral radius is computed
-TOGETHER = 16  # values judged at once, so that one program serves all
+AT_ONCE = 16  # values judged at once, so that one program serves all
 CONSTRAINT_TOLERANCE = 2**22 * np.finfo(float).eps  # relative excess of a constraint that counts as rounding
 CONSTRAINTS = ("spectral radius", "overshoot", "null space", "joint velocity")
 
@@ -290,7 +290,7 @@ def _observed(objective, values):
 
 
 @in_float64
-def judge(objective, many, *, together: int = TOGETHER) -> list:
+def judge(objective, many, *, together: int = AT_ONCE) -> list:
     """`Judged` for each of many values (tuples, one entry per parameter), with NumPy arrays. In float64.
 
     Args: together: how many are judged at once; fewer are padded, so that one program serves all.

@@ -23,7 +23,7 @@ from cnclik.record import replace
 from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, History, descend
-from cnclik.tuning.objective import TOGETHER, Goal, Judged, judge, loop_objective
+from cnclik.tuning.objective import AT_ONCE, Goal, Judged, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
 FRONT = 5.0  # largest factor between the gains of the front and the tuned gain
@@ -157,7 +157,7 @@ def _gains_over_z(objective):
 def _front(objective, values) -> list:
     """(values, `Judged`) of smaller and larger gains than the tuned one."""
     gains, tuned = _gains(objective), {p.name: v for p, v in zip(objective.parameters, values, strict=True)}
-    sizes = np.geomspace(1 / FRONT, FRONT, TOGETHER) if gains else ()
+    sizes = np.geomspace(1 / FRONT, FRONT, AT_ONCE) if gains else ()
     made = [tuple((tuned | {p.name: _bounded(p, s * tuned[p.name]) for p in gains}).values()) for s in sizes]
     return list(zip(made, judge(objective, made), strict=True))
 
@@ -176,7 +176,7 @@ def _least_bad(candidates):
 
 def _nearest_feasible(objective, u, anchor) -> Candidate:
     """The point nearest to u on the line to the anchor that keeps the constraints, or the least bad one."""
-    line = _between(objective, u, anchor, np.linspace(0, 1, TOGETHER))
+    line = _between(objective, u, anchor, np.linspace(0, 1, AT_ONCE))
     return next((c for c in line if c.judged.feasible), _least_bad(line))
 
 
@@ -200,7 +200,7 @@ def _boundary(objective, far, near) -> Candidate:
     """The last point on the line from `near` (which keeps the constraints) towards `far` that keeps them."""
     low, high, last = 0.0, 1.0, near  # shares towards `near`
     for _ in range(3):
-        shares = np.linspace(low, high, TOGETHER)
+        shares = np.linspace(low, high, AT_ONCE)
         line = _between(objective, far.u, near.u, shares)
         i = next((i for i, c in enumerate(line) if c.judged.feasible), None)
         last = last if i is None else line[i]

@@ -23,7 +23,7 @@ from cnclik.integrate.method import EE
 from cnclik.integrate.solve import step as jax_step
 from cnclik.integrate.stage import picard
 from cnclik.law.paths import hold
-from cnclik.record import placed
+from cnclik.record import on_device
 from tests.bench import cases
 
 CALLS = 1_000_000
@@ -123,7 +123,7 @@ def steps(folder, dtype="float64", rounds=ROUNDS, others=None) -> dict:
     with one_core(), jax.enable_x64(dtype == "float64"):
         native, fixed = Native(folder, dtype), Native(folder / "fixed", dtype, fixed=True)
         q, position, rotation = (jax.numpy.asarray(v) for v in native.given)
-        law, reference, stage = placed(native.law), placed(hold(position, rotation)), picard(5)
+        law, reference, stage = on_device(native.law), on_device(hold(position, rotation)), picard(5)
 
         def by_jax():
             return jax_step(law, reference, q, 0.0, cases.TS, EE, stage).q.block_until_ready()

@@ -176,7 +176,7 @@ class OneRun(dict):
 
 
 def test_a_run_that_ends_in_nan_has_no_mean():
-    data = paper_data.trajectories(readings.Found(OneRun(), {}))
+    data = paper_data.trajectories(readings.Readings(OneRun(), {}))
     for name in ("mean_error", "final_error"):
         assert np.isnan(data[name]).all()
     assert np.isnan(data.error_norm).sum() == data.mean_error.size

@@ -306,7 +306,7 @@ def test_a_loop_that_went_astray_has_factors_too(problem):
 def test_colours_say_what_words_say(problem, run, radius):
     """A radius of 1.001 was "not stable" beside a green OK, and what is bad was orange: its red had a hue of 26°."""
     made = motion.motion_of(run, problem.law, radius=radius)
-    said = live.factors_page(look.Seen(look.loop_of(problem), run, np.array([radius + 0j]), radius))
+    said = live.factors_page(look.Observation(look.loop_of(problem), run, np.array([radius + 0j]), radius))
     assert ("not stable" in said) == (set(made.level) == {motion.BAD}) == (radius > 1 + 1e-6)
     assert ("stable" in said and "stable nor" not in said and "not stable" not in said) == (radius < 1)
     color = re.search(r"color:(#\w+)", said)[1]

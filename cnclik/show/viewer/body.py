@@ -16,7 +16,7 @@ from cnclik.robot.posture import arm_length
 from cnclik.show import style
 
 THICK = 0.028  # radius of a link [arm lengths]
-AROUND = 20  # corners of a round shape
+CORNERS = 20  # corners of a round shape
 GREY = "#8A8F94"  # for fixed parts, and for the second run
 
 
@@ -81,10 +81,10 @@ def capsule(start, end, radius) -> tuple[np.ndarray, np.ndarray]:
     length = np.linalg.norm(np.subtract(end, start))
     below = np.c_[np.sin(angle), -np.cos(angle)] * radius
     above = np.c_[np.cos(angle), np.sin(angle)] * radius + [0.0, length]
-    return _turned(np.concatenate([below, above]), start, end, AROUND)
+    return _turned(np.concatenate([below, above]), start, end, CORNERS)
 
 
-def rod(start, end, radius, around=AROUND) -> tuple[np.ndarray, np.ndarray]:
+def rod(start, end, radius, around=CORNERS) -> tuple[np.ndarray, np.ndarray]:
     """(vertices, faces) of a cylinder, or of a prism with fewer corners."""
     length = np.linalg.norm(np.subtract(end, start))
     profile = [(0, 0), (radius, 0), (radius, 0), (radius, length), (radius, length), (0, length)]  # edges stay sharp

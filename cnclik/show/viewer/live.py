@@ -11,7 +11,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import METHODS
 from cnclik.markup import escaped
 from cnclik.show.viewer import play
-from cnclik.show.viewer.look import Loop, look, loop_of, with_loop
+from cnclik.show.viewer.look import Sliders, look, loop_of, with_loop
 from cnclik.show.viewer.motion import BAD, GOOD, LEVELS, WARNING, motion_of
 from cnclik.stability.loop import UNSTABLE
 from cnclik.stability.verdict import verdict
@@ -89,7 +89,7 @@ class Live:
     def ask(self) -> None:
         """Run with the present slider values; of several pending changes only the last counts."""
         with self.wake:
-            self.waiting = Loop(self.alpha.value, 1e-3 * self.Ts.value, self.method.value, float(self.delay.value))
+            self.waiting = Sliders(self.alpha.value, 1e-3 * self.Ts.value, self.method.value, float(self.delay.value))
             self.wake.notify()
 
     def _serve(self):

@@ -22,7 +22,7 @@ from cnclik.stability.loop import resting
 from cnclik.stability.spectrum import directions, largest_rate, spectrum_of
 
 
-class Loop(NamedTuple):
+class Sliders(NamedTuple):
     """The numbers that sliders set: the gain's largest |eigenvalue| [1/s], [s], a method's name, and [samples]."""
 
     alpha: float
@@ -36,22 +36,22 @@ class Loop(NamedTuple):
         return self.method, self.delay
 
 
-class Seen(NamedTuple):
+class Observation(NamedTuple):
     """A run, and the factors by which its loop multiplies small errors where it ended."""
 
-    loop: Loop
+    loop: Sliders
     run: Trajectory
     factors: np.ndarray | None  # complex; None where joints have drives of their own
     radius: float  # their largest absolute value; below 1 is stable
 
 
-def loop_of(problem) -> Loop:
+def loop_of(problem) -> Sliders:
     """The numbers that a problem has."""
     delay = 0.0 if problem.drive is None else float(problem.drive.delay)
-    return Loop(largest_rate(problem.law.alpha), float(problem.Ts), str(problem.method), delay)
+    return Sliders(largest_rate(problem.law.alpha), float(problem.Ts), str(problem.method), delay)
 
 
-def with_loop(problem, loop: Loop):
+def with_loop(problem, loop: Sliders):
     """The problem with other numbers; a gain per axis, or a matrix, keeps its ratios."""
     alpha = np.asarray(problem.law.alpha, float)
     drive = problem.drive
@@ -61,11 +61,11 @@ def with_loop(problem, loop: Loop):
     return dataclasses.replace(problem, law=law, Ts=float(loop.Ts), method=named(loop.method), drive=drive)
 
 
-def look(problem, loop: Loop) -> Seen:
+def look(problem, loop: Sliders) -> Observation:
     """Run the loop with these numbers."""
     made = with_loop(problem, loop)
     run = jax.tree.map(np.asarray, made.run())
-    return Seen(loop, run, *factors_of(made, run.q))
+    return Observation(loop, run, *factors_of(made, run.q))
 
 
 @in_float64
