@@ -290,7 +290,7 @@ def test_a_process_that_cannot_begin_tells_the_others(path, tmp_path):
         return False
 
     (tmp_path / "file").write_text("")
-    for process, words in ((0, "folder that can be written"), (1, "another one failed, and says why")):
+    for process, words in ((0, "folder that can be written"), (1, "another one failed, and reports why")):
         with pytest.raises(ArgumentError, match=words):
             store.run(files.read(path), tmp_path / "file", process=process, processes=2, meet=meet)
     assert said == [(False, False), (True, False)]
