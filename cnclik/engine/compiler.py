@@ -177,7 +177,7 @@ def _compiled(line, sources, folder, name, limit):
     try:
         code, said = _run([*line, "-o", str(part), *map(str, sources), "-lm"], limit)
         if code:
-            raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80]))
+            raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80] or "nothing"))
         library = folder / f"{name}-{_digest(part)}.so"
         part.replace(library)
     finally:
