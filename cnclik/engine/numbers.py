@@ -13,7 +13,7 @@ from cnclik.cache import LRU
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.native import called, native
 from cnclik.engine.plan import in_c, most_nodes, wants_c
-from cnclik.engine.program import Program, key_of, lane_avals
+from cnclik.engine.program import Program, TooLargeError, key_of, lane_avals
 from cnclik.programs import name_of, recalled, remember
 
 MOST_BYTES = 1 << 20  # of the results, at most, to lie in one block of memory
@@ -91,7 +91,11 @@ class Numbers:
         """(the program, the tree of its results); with a cache of programs, the one an earlier process made."""
         made, trees, key = function.single, function.trees, key_of(avals)
         name = name_of((self.fn, self.static), (known, given)) if made.known(avals) is None else None
-        if name and (found := recalled(name)):
+        found = recalled(name) if name else None
+        if isinstance(found, int):  # too many nodes for the process that read it
+            if found > most:
+                return TooLargeError(found), None
+        elif found:
             with contextlib.suppress(UnsupportedError):  # its library no longer exists
                 program = made.found[key] = Program.kept(avals, *found)
                 trees[key] = jax.tree.structure(found[1])
@@ -99,6 +103,8 @@ class Numbers:
         program = made.of(avals, most=most)
         if name and isinstance(program, Program):
             remember(name, lambda: (program.path, trees[key].unflatten(program.shapes)))
+        elif name and isinstance(program, TooLargeError):
+            remember(name, lambda: program.nodes)
         return program, trees.get(key)
 
 
