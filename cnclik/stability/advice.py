@@ -260,7 +260,7 @@ def _assumption(loop, drive, safe, chosen, Ts) -> str:
         return (
             f"Assumed, as nothing is known of your drives: {_ms(safe.delay * Ts)} of dead time and a lag of "
             f"{_ms(ASSUMED_LAG)}, as many position servos have. {_MEASURE} For drives without delay, as in a purely "
-            " kinematic simulation, give a dead time of 0 (--delay 0, in Python drive=ck.Drive())."
+            "kinematic simulation, give a dead time of 0 (--delay 0, in Python drive=ck.Drive())."
         )
     said, late = assumed_of(drive, Ts), drive.lumped.delay
     if not (said and late):
