@@ -135,6 +135,12 @@ class Graph:
             found = self.root.table[key] = self.new("const", (), None, (), dtype, value, self.root, exact=exact)
         return found
 
+    def length(self, length, dtype) -> Node:
+        """A length as a number: a constant, or computed from the rounds if it depends on them."""
+        if isinstance(length, int):
+            return self.const(length, dtype)
+        return self.shared("length", (), length, (), dtype)
+
     def array(self, value) -> Node:
         """A known array as one node."""
         return self.new("array", (), None, value.shape, value.dtype, value, self.root)

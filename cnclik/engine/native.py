@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir, partial_eval
 
@@ -18,6 +19,7 @@ from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.plan import in_c, in_scalars
 from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
+from cnclik.engine.rounds import RoundsError
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import to_be_read
 from cnclik.programs import needs
@@ -42,12 +44,20 @@ def native(fn: Callable) -> Callable:
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of arrays", f"is {fn!r}")
+    return of_rounds(fn)
+
+
+def of_rounds(fn, whole=None, rounds=0):
+    """`native` of a function of so many rounds. Args: whole: the same function of any number of rounds, as `native`."""
     made = LRU()
+
+    def function_of(treedef, args, named):
+        return Function(_flattened(fn, treedef), whole=whole and whole.of(*args, **named)[0], rounds=rounds)
 
     def of(*args, **named):
         """(function of flat arrays, arrays) of some arguments."""
         leaves, treedef = jax.tree.flatten((args, named))
-        return made.made(treedef, lambda treedef: Function(_flattened(fn, treedef))), leaves
+        return made.made(treedef, lambda treedef: function_of(treedef, args, named)), leaves
 
     @functools.wraps(fn)
     def call(*args, **named):
@@ -76,23 +86,36 @@ class Function:
     """A function of flat arrays with its programs and the functions of its derivatives.
 
     `linear` counts the last arguments in which it is linear. For a derivative, `of` is (the function, the arguments it
-    is differentiated by, which of its results are real).
+    is differentiated by, which of its results are real). `whole` is the function of any number of rounds, of which this
+    has `rounds`: one program serves all numbers.
     """
 
-    def __init__(self, fn, linear=0, of=None):
-        self.fn, self.linear, self.of = fn, linear, of
+    def __init__(self, fn, linear=0, of=None, whole=None, rounds=0):
+        self.fn, self.linear, self.of, self.whole, self.rounds = fn, linear, of, whole, rounds
         self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived)
         self.single = Programs(self._flat, functools.partial(Program, single=True))  # for a single lane
         self.derivatives, self.shapes, self.trees, self.itself = {}, {}, {}, False
+        self.lanes_of_whole = {}  # its program for a single lane, of our number of rounds
 
     def _flat(self, *leaves):
         results, self.trees[key_of(map(jax.typeof, leaves))] = jax.tree.flatten(self.fn(*leaves))
         return results
 
+    def one_lane(self, avals, *, known=False):
+        """The program for a single lane, or the reason why there is none. Args: known: None if it is not yet made."""
+        found = self.whole and (self.whole.single.known(avals) if known else self.whole.single.of(avals))
+        if found is None or isinstance(found, RoundsError):
+            return self.single.known(avals) if known else self.single.of(avals)
+        key = key_of(avals)
+        if isinstance(found, Program) and key not in self.lanes_of_whole:
+            self.trees[key] = self.whole.trees[key]
+            self.lanes_of_whole[key] = found.of_rounds(self.rounds)
+        return self.lanes_of_whole.get(key, found)
+
     def out(self, avals) -> tuple:
         """(avals of the results, leaf by leaf, their tree)"""
         key = key_of(avals)
-        for program in (self.programs.known(avals), self.single.known(avals)):
+        for program in (self.programs.known(avals), self.one_lane(avals, known=True)):
             if isinstance(program, Program):  # it is already traced
                 return program.shapes, self.trees[key]
         if key not in self.shapes:
@@ -192,7 +215,9 @@ def _plain(*args, function, batched):
 
 def _called(*args, function, batched):
     lane, size = _lanes([jax.typeof(x) for x in args], batched)
-    program = (function.single if size is None else function.programs).of(lane) if in_c() else None
+    program = None
+    if in_c():
+        program = function.one_lane(lane) if size is None else function.programs.of(lane)
     if not isinstance(program, Program) or size == 0:
         return _plain(*args, function=function, batched=batched)
     if program.path not in _registered:
@@ -200,7 +225,7 @@ def _called(*args, function, batched):
     needs(_ready, program.path)
     shape = () if size is None else (size,)
     outs = [jax.ShapeDtypeStruct((*shape, *s.shape), s.dtype) for s in program.shapes]
-    return jax.ffi.ffi_call(program.path, outs)(*args)
+    return jax.ffi.ffi_call(program.path, outs)(*args, *[np.int32(program.rounds)] * (program.rounds > 0))
 
 
 def _register(program):

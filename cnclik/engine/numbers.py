@@ -11,13 +11,20 @@ import numpy as np
 from cnclik import cache
 from cnclik.cache import LRU
 from cnclik.engine.graph import UnsupportedError
-from cnclik.engine.native import called, native
+from cnclik.engine.native import called, native, of_rounds
 from cnclik.engine.plan import in_c, most_nodes, wants_c
 from cnclik.engine.program import Program, TooLargeError, key_of, lane_avals
+from cnclik.engine.rounds import LEAST, RoundsError, any_rounds
 from cnclik.programs import name_of, recalled, remember
 
 MOST_BYTES = 1 << 20  # of the results, at most, to lie in one block of memory
 Tracer = jax.core.Tracer
+
+
+@functools.cache
+def whole_of(fn):
+    """A function of two tuples of trees, known and given, and of any number of rounds, its `N`."""
+    return native(lambda known, given: fn(*known, *given, N=any_rounds()))
 
 
 class Numbers:
@@ -30,10 +37,13 @@ class Numbers:
     def __init__(self, fn, *, lets_go, **static):
         """fn(*known, *given, **static). lets_go: release Python's lock during calls, if they are longer than a step.
 
-        A function of `N` rounds is no C where that would take too long to compile, see `most_nodes`.
+        A function of `N` rounds shares its program with those of other numbers, where there is such a program. It is no
+        C where that would take too long to compile, see `most_nodes`.
         """
         self.fn, self.static, self.lets_go = fn, static, lets_go
-        self.native, self.ready, self.entries = native(self.source), {}, LRU()
+        N = static.get("N", 0)
+        self.native = of_rounds(self.source, whole_of(fn) if N >= LEAST else None, N)
+        self.ready, self.entries = {}, LRU()
         self.ran_in_c = False  # the last call
 
     def source(self, known, given):
@@ -88,9 +98,19 @@ class Numbers:
         return call
 
     def _program(self, function, avals, known, given, most):
-        """(the program, the tree of its results); with a cache of programs, the one an earlier process made."""
+        """(the program, the tree of its results)"""
+        if function.whole is not None:
+            found, tree = self._made(function.whole, "any", avals, known, given, most)
+            if isinstance(found, Program):
+                return function.one_lane(avals), tree
+            if not isinstance(found, RoundsError):
+                return found, None
+        return self._made(function, self.static, avals, known, given, most)
+
+    def _made(self, function, about, avals, known, given, most):
+        """The same of one function; with a cache of programs, what an earlier process made."""
         made, trees, key = function.single, function.trees, key_of(avals)
-        name = name_of((self.fn, self.static), (known, given)) if made.known(avals) is None else None
+        name = name_of((self.fn, about), (known, given)) if made.known(avals) is None else None
         found = recalled(name) if name else None
         if isinstance(found, int):  # too many nodes for the process that read it
             if found > most:
@@ -102,7 +122,7 @@ class Numbers:
                 return program, trees[key]
         program = made.of(avals, most=most)
         if name and isinstance(program, Program):
-            remember(name, lambda: (program.path, trees[key].unflatten(program.shapes)))
+            remember(name, lambda: (program.path, trees[key].unflatten(program.shapes), program.grows))
         elif name and isinstance(program, TooLargeError):
             remember(name, lambda: program.nodes)
         return program, trees.get(key)
@@ -120,7 +140,7 @@ class _Entry:
     def __init__(self, program, count, tree, lets_go):
         self.program, self.count, self.unflatten = program, count, tree.unflatten
         library = (ctypes.CDLL if lets_go else ctypes.PyDLL)(None, handle=program.library._handle)
-        self.run, self.run.argtypes = library.of_numbers, (ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
+        self.run, self.run.argtypes = library.of_numbers, (ctypes.c_int64, *[ctypes.c_void_p] * 2, ctypes.c_int32)
         given = program.avals[count:]
         self.first, self.block = _layout(program.avals[:count]), _layout([*given, *program.shapes])
         self.takes, self.gives = self.block.names[: len(given)], self.block.names[len(given) :]
@@ -139,7 +159,7 @@ class _Entry:
         block = np.ndarray((), self.block, memory)
         for name, x in zip(self.takes, leaves, strict=True):
             block[name] = x
-        if self.run(self.count, filled[1], memory):
+        if self.run(self.count, filled[1], memory, self.program.rounds):
             raise MemoryError
         block.setflags(write=False)
         return self.unflatten([block[name] for name in self.gives])

@@ -176,7 +176,7 @@ def reduced(g, x, axes, name, dtype):
 
     def still(node):  # constant over the rounds
         if name == "add":
-            return g.op("mul", g.const(x.length, dtype), node)
+            return g.op("mul", g.length(x.length, dtype), node)
         if name == "mul":
             return g.apply("integer_pow", (node,), dtype, x.length)
         return node

@@ -43,7 +43,7 @@ def in_pieces(writer, items, ending):
             _keep(writer, n, unused)
         if k in own:
             writer.leave()
-            name, body = f"piece{len(writer.parts)}", "\n".join(writer.lines)
+            name, body = f"piece{len(writer.parts)}", "\n".join([*writer.head, *writer.lines])
             writer.parts.append((name, f"static void __attribute__((noinline)) {name}{_ARGUMENTS}\n{{\n{body}\n}}\n"))
             writer.lines, writer.names = lines, names
             writer.line(f"{name}(in, stride, first, n, work);")

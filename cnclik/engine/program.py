@@ -1,6 +1,7 @@
 """Program: a function of one lane, built as a C library and called for a batch."""
 
 import contextlib
+import copy
 import ctypes
 import functools
 import math
@@ -15,6 +16,7 @@ from cnclik.cache import LRU
 from cnclik.engine.compiler import CompilerError, build_text, built, can_build, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.reader import read
+from cnclik.engine.rounds import known_rounds, settled
 from cnclik.engine.source import write
 from cnclik.engine.tracing import to_be_read
 from cnclik.threads import side_by_side
@@ -36,34 +38,54 @@ class TooLargeError(UnsupportedError):
 class Program:
     """A function of one lane's arrays, of these avals, as a C library. Raises: UnsupportedError if it has no C form."""
 
-    nodes = 0  # of the graph it was built from
+    nodes = rounds = 0  # of the graph it was built from; those that a program of any number of rounds is asked for
 
     def __init__(self, fn, avals, *, single=False, most=math.inf):
-        """single: for one lane only: it builds in half the time and is a little quicker. most: nodes of its graph."""
+        """Args:
+        single: for one lane only: it builds in half the time and is a little quicker.
+        most: nodes of its graph.
+        """
         if not can_build():
             raise UnsupportedError("there is no C compiler")
-        with to_be_read():
-            graph, given, outs, (shapes, self.tree) = read(fn, *avals)
-        self.nodes = graph.count
-        if self.nodes > most:
-            raise TooLargeError(self.nodes)
-        text, self.operations = write(graph, given, outs, shapes)
+        with known_rounds():
+            with to_be_read():
+                graph, given, outs, (shapes, self.tree) = read(fn, *avals)
+            self.nodes = graph.count
+            if self.nodes > most:
+                raise TooLargeError(self.nodes)
+            shapes, grows = settled(shapes)
+            text, self.operations = write(graph, given, outs, shapes, grows)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
         head += "#define BYTES MAIN\n" * single
         build = functools.partial(build_text, head + text, include=[jax.ffi.include_dir()], scheduled=not single)
-        self._have(avals, shapes, build)
+        self._have(avals, shapes, grows, build)
 
     @classmethod
-    def kept(cls, avals, path, shapes):
+    def kept(cls, avals, path, shapes, grows=()):
         """The program whose library another process has built. Raises: UnsupportedError if it no longer exists."""
         made = cls.__new__(cls)
-        made._have(avals, jax.tree.leaves(shapes), lambda folder: (built(folder, path), True))
+        made._have(avals, jax.tree.leaves(shapes), grows, lambda folder: (built(folder, path), True))
         return made
 
-    def _have(self, avals, shapes, find):
-        self.avals, self.shapes = avals, shapes
+    def _have(self, avals, shapes, grows, find):
+        self.avals, self.shapes, self.grows = avals, shapes, grows
         self.library, self.path = _opened(find)
-        self.lanes, self.work = self.library.width(), self.library.work_bytes()
+        self.lanes = self.library.width()
+        self._find_work()
+
+    def of_rounds(self, rounds):
+        """The program of so many rounds, or the reason why there is none: they need too much memory."""
+        found = copy.copy(self)
+        found.rounds, pairs = rounds, zip(self.shapes, self.grows, strict=True)
+        found.shapes = [s.update(shape=(s.shape[0] + rounds, *s.shape[1:])) if more else s for s, more in pairs]
+        try:
+            found._find_work()
+        except UnsupportedError as error:
+            return error
+        return found
+
+    def _find_work(self):
+        self.work = self.library.work_bytes(self.rounds)
         if self.work > MOST_WORK:
             raise UnsupportedError(f"a tile needs {self.work >> 20} MiB of memory")
 
@@ -75,7 +97,8 @@ class Program:
         leaves = [np.asarray(x, a.dtype, order="C") for x, a in zip(leaves, self.avals, strict=True)]
         strides = [a.size if x.ndim > len(a.shape) else 0 for x, a in zip(leaves, self.avals, strict=True)]
         made = [_empty((size, *s.shape), s.dtype) for s in self.shapes]
-        ins = (ctypes.c_void_p * len(leaves))(*[x.ctypes.data for x in leaves])
+        rounds = ctypes.c_int32(self.rounds)
+        ins = (ctypes.c_void_p * (len(leaves) + 1))(*[x.ctypes.data for x in leaves], ctypes.addressof(rounds))
         stride = (ctypes.c_int64 * len(leaves))(*strides)
         out = (ctypes.c_void_p * len(made))(*[x.ctypes.data for x in made])
 
@@ -115,6 +138,7 @@ def _opened(find):
         jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
     library.width.restype = library.work_bytes.restype = ctypes.c_int64
+    library.work_bytes.argtypes = (ctypes.c_int64,)
     library.run.restype = None
     library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
     return library, path.name

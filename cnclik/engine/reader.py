@@ -73,8 +73,10 @@ class Reader:
             return list(inputs)
         if name == model_p.name:
             return [self._of_the_model(*inputs)]
+        if name == "dim_as_value":
+            return [array_of([self.g.length(eqn.params["dim"], eqn.outvars[0].aval.dtype)], ())]
         if name == "iota":
-            return [self.constant(_counted(eqn))]
+            return [self._counted(eqn)]
         if name in REGIONS:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
@@ -96,6 +98,13 @@ class Reader:
         if sum(v.aval.size for v in eqn.outvars) > LIMIT:
             raise UnsupportedError(f"`{name}` makes an array of {eqn.outvars[0].aval.size} entries")
         return self._of_cells(name, eqn, cells)
+
+    def _counted(self, eqn):
+        (out,) = (v.aval for v in eqn.outvars)
+        if out.ndim == 1 and not isinstance(out.shape[0], int):
+            return Rows(array_of([self.g.shared("iota", (), None, out.shape, out.dtype)], ()), out.shape[0])
+        indices = np.indices(out.shape, out.dtype, sparse=True)[eqn.params["dimension"]]
+        return self.constant(np.broadcast_to(indices, out.shape))
 
     def _of_the_model(self, x):
         """The same value, with known numbers marked as constants of the model."""
@@ -157,7 +166,7 @@ class Reader:
     def _repeated(self, eqn, inputs):
         """Cells broadcast along a long new axis 0, as constant rows."""
         out = eqn.outvars[0].aval
-        if eqn.primitive.name != "broadcast_in_dim" or not out.ndim or out.shape[0] < stacks.MANY:
+        if eqn.primitive.name != "broadcast_in_dim" or not out.ndim or not stacks.is_many(out.shape[0]):
             return None
         x, where = inputs[0], eqn.params["broadcast_dimensions"]
         if 0 in where or eqn.invars[0].aval.size > LIMIT:
@@ -170,11 +179,6 @@ def _keeps(eqn) -> bool:
     """Whether a `reduce_precision` changes no number."""
     about = jnp.finfo(eqn.invars[0].aval.dtype)
     return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
-
-
-def _counted(eqn):
-    (out,) = (v.aval for v in eqn.outvars)
-    return np.broadcast_to(np.indices(out.shape, out.dtype, sparse=True)[eqn.params["dimension"]], out.shape)
 
 
 def closes_over_traced(closed) -> bool:

@@ -46,7 +46,7 @@ def _scan(reader, eqn, *inputs):
     carried, stacked = [v.aval for v in eqn.outvars[:nk]], [v.aval for v in jaxpr.jaxpr.outvars[nk:]]
     scanned = [v.aval for v in jaxpr.jaxpr.invars[nc + nk :]]
     _small([*carried, *stacked, *scanned], "a round of a scan", [*stacked, *scanned])
-    if not length:
+    if length == 0:
         return [*first, *(array_of([], (0, *a.shape)) for a in stacked)]
     if length > 1 and (length == params["unroll"] or any(map(_is_mask, xs, scanned))):
         return _unrolled(reader, params, consts, first, [reader.cells(x) for x in xs], stacked)

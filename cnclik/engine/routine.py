@@ -56,15 +56,15 @@ def _stored(entry, at, *several):
     return " ".join(f"{entry(f'{at} + {i}' if i else at)} = {words};" for i, words in enumerate(several))
 
 
-def read(fn, groups, told, *, dtype, fixed=()) -> Routine:
+def read(fn, groups, outputs, *, dtype, fixed=()) -> Routine:
     """The routine of a function of flat arrays, field by field.
 
-    Args: told: its results in groups. fixed: names of `parameters` that are compiled in.
+    Args: outputs: its results in groups. fixed: names of `parameters` that are compiled in.
     """
     types = {REAL: np.dtype(dtype), INT: np.dtype(np.int32)}
     every = [(g, f, types[f.kind]) for g, some in groups.items() for f in some]
     known = {i: np.asarray(f.value, t) for i, (g, f, t) in enumerate(every) if g == "parameters" and f.name in fixed}
-    wanted = [types[f.kind] for some in told.values() for f in some]
+    wanted = [types[f.kind] for some in outputs.values() for f in some]
 
     def typed(*flat):
         return [jnp.asarray(x, t) for x, t in zip(jax.tree.leaves(fn(*flat)), wanted, strict=True)]
@@ -73,4 +73,4 @@ def read(fn, groups, told, *, dtype, fixed=()) -> Routine:
         closed = jax.make_jaxpr(typed)(*(jax.ShapeDtypeStruct(f.shape, t) for _, f, t in every))
     graph, given, outs = read_jaxpr(closed, known)
     kept = {g: [f for f in some if not (g == "parameters" and f.name in fixed)] for g, some in groups.items()}
-    return Routine(kept, told, graph, [n for i, n in enumerate(given) if i not in known], outs, typed, known)
+    return Routine(kept, outputs, graph, [n for i, n in enumerate(given) if i not in known], outs, typed, known)

@@ -1,12 +1,14 @@
 """Rows in C: the text of a row's entry at round k; operations on rows are written where they are read."""
 
+import itertools
+
 import numpy as np
 
 from cnclik.engine.graph import Node, Scan, UnsupportedError
 from cnclik.engine.operations import is_operation, number, scalar
 from cnclik.engine.stacks import Rows
 
-_PLACED = ("stacked", "array")  # rows with random access
+_PLACED = ("stacked", "array", "iota")  # rows with random access
 
 
 def all_items(*blocks):
@@ -102,7 +104,7 @@ class RowTexts:
         return self.names[key]
 
     def materialise(self, n):
-        k, array = self.new("k"), self.room(n.dtype, n.shape[0])
+        k, array = self.new("k"), self.room(n.dtype, 1, n.shape[0])
         self.dtypes.add(n.dtype)
         self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
         self.scopes.append([])
@@ -124,6 +126,8 @@ class RowTexts:
             return self.where[c.number](k)
         if c.op == "array":
             return self.table(c.value, k)
+        if c.op == "iota":
+            return self.splat(c.dtype, f"({scalar(c.dtype)})({k})")
         if c.op == "column":
             (whole,) = c.args
             size = int(np.prod(whole.shape[1:]))
@@ -151,10 +155,10 @@ class RowTexts:
         return name
 
     def _joined(self, c, k):
-        made, ends = None, np.cumsum(c.params).tolist()
+        made, ends = None, list(itertools.accumulate(c.params))
         for a, end, length in reversed(list(zip(c.args, ends, c.params, strict=True))):
-            piece = self.row(a, f"(({k}) - {end - length})", {})
-            made = piece if made is None else f"(({k}) < {end} ? {piece} : {made})"
+            piece = self.row(a, f"(({k}) - ({end - length}))", {})
+            made = piece if made is None else f"(({k}) < ({end}) ? {piece} : {made})"
         return made
 
     def argument_at(self, cells, which):

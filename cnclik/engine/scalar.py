@@ -34,9 +34,9 @@ class ScalarWriter(Writer):
             return str(int(node.value))
         return super().of(node)
 
-    def room(self, dtype, entries) -> str:
+    def room(self, dtype, entries, length=1) -> str:
         name = self.new("r")
-        self.line(f"{_type(dtype)} {name}[{entries}];")
+        self.line(f"{_type(dtype)} {name}[{entries * length}];")
         return name
 
     def applied(self, node, of) -> str:

@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 
-from cnclik.engine.graph import Node
+from cnclik.engine.graph import Node, Scan
 from cnclik.engine.operations import LIBRARY, TYPES, header, scalar, vector
+from cnclik.engine.rounds import beyond
 from cnclik.engine.row_texts import all_items
 from cnclik.engine.sines import filled
 from cnclik.engine.to_c import Writer
@@ -24,26 +25,45 @@ def main_type(graph, given, shapes) -> np.dtype:
     return np.dtype(np.float64 if wide > narrow else np.float32)
 
 
-def write(graph, given, outs, shapes) -> tuple:
-    """(C text, number of operations) of a graph; `shapes` are the results' avals."""
-    main = main_type(graph, given, shapes)
-    writer = _written(graph, given, outs, shapes, main, 0)
+def write(graph, given, outs, shapes, grows=()) -> tuple:
+    """(C text, number of operations) of a graph; `shapes` are the results' avals.
+
+    Args: grows: which results grow with the number of rounds, which is then one more argument; `shapes` are for 0 then.
+    """
+    main, sizes = main_type(graph, given, shapes), list(map(_size, shapes, grows or [False] * len(shapes)))
+    head = [f"const int64_t rounds = *(const int32_t *)in[{len(given)}];"] * _of_any_rounds(graph)
+    writer = _written(graph, given, outs, shapes, sizes, main, 0, head)
     if writer.operations > LONG:
-        writer = _written(graph, given, outs, shapes, main, PIECE)
-    text = [vectors(writer, main), f"#define WORK ((int64_t){writer.work} / 64 * BYTES)", *writer.tables]
-    text += [*(body for _, body in writer.parts), f"static void tile({_TILE})"]
-    text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes)]
+        writer = _written(graph, given, outs, shapes, sizes, main, PIECE, head)
+    work, each = writer.work
+    text = [vectors(writer, main), f"#define WORK(rounds) ((int64_t)({work} + {each} * (rounds)) / 64 * BYTES)"]
+    text += [*writer.tables, *(body for _, body in writer.parts), f"static void tile({_TILE})"]
+    text += ["{", *head, *writer.lines, "}", header("tiles.h"), *_call(given, shapes, sizes)]
     text += [header("numbers_call.h"), header("handler.h")]
     return "\n".join(text) + "\n", writer.operations
 
 
-def _written(graph, given, outs, shapes, main, piece):
+def _of_any_rounds(graph) -> bool:
+    """Whether a graph gets its number of rounds when it is called."""
+    return any(
+        i.op in ("iota", "length") if isinstance(i, Node) else isinstance(i, Scan) and beyond(i.length) is not None
+        for i in all_items(graph.root)
+    )
+
+
+def _size(shape, grows):
+    """The number of a result's entries, as text."""
+    inner = int(np.prod(shape.shape[grows:]))
+    return f"(({shape.shape[0]} + rounds) * {inner})" if grows else str(inner)
+
+
+def _written(graph, given, outs, shapes, sizes, main, piece, head):
     reads = [lane(n.dtype, f"(const {scalar(n.dtype)} *)in[{i}]", f"stride[{i}]") for i, n in enumerate(given)]
     writes = [
-        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", int(np.prod(s.shape)))
-        for o, s in enumerate(shapes)
+        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", size)
+        for o, (s, size) in enumerate(zip(shapes, sizes, strict=True))
     ]
-    writer = Writer(graph, given, outs, main, reads, writes, piece=piece)
+    writer = Writer(graph, given, outs, main, reads, writes, piece=piece, head=head)
     writer.statements()
     return writer
 
@@ -98,17 +118,17 @@ def _library(writer, T):
         yield f"{each}({name}, LIBM({name})({of}))"
 
 
-def _call(given, shapes):
+def _call(given, shapes, sizes):
     """Tables that the entries for numbers and for XLA read."""
     ins = [(len(n.shape), int(np.prod(n.shape))) for n in given]
-    outs = [(s.ndim, int(np.prod(s.shape))) for s in shapes]
 
     def table(name, values):
         return f"static const int64_t {name}[] = {{{', '.join(map(str, values)) or '0'}}};"
 
-    yield f"#define ARGUMENTS {len(ins)}\n#define RESULTS {len(outs)}"
+    yield f"#define ARGUMENTS {len(ins)}\n#define RESULTS {len(shapes)}"
     yield table("argument_rank", [r for r, _ in ins])
     yield table("argument_size", [s for _, s in ins])
-    yield table("result_rank", [r for r, _ in outs])
+    yield table("result_rank", [s.ndim for s in shapes])
     yield table("argument_bytes", [n.dtype.itemsize * size for n, (_, size) in zip(given, ins, strict=True)])
-    yield table("result_bytes", [s.dtype.itemsize * size for s, (_, size) in zip(shapes, outs, strict=True)])
+    bytes_of = [f"{s.dtype.itemsize} * {size}" for s, size in zip(shapes, sizes, strict=True)]
+    yield f"#define RESULT_BYTES(rounds) {', '.join(bytes_of) or '0'}"

@@ -8,8 +8,9 @@ one scan stacks, each round stores its part directly.
 import numpy as np
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
-from cnclik.engine.operations import COST, is_operation, number, text, vector
+from cnclik.engine.operations import COST, is_operation, number, scalar, text, vector
 from cnclik.engine.pieces import in_pieces, read_for
+from cnclik.engine.rounds import RoundsError, beyond
 from cnclik.engine.row_texts import RowTexts, cells_of, needed_rows, places_needed, whole_results
 from cnclik.engine.stacks import Rows
 
@@ -29,7 +30,7 @@ class Writer(RowTexts):
     prefix = ""
     beside = 4  # entries stored at once
 
-    def __init__(self, graph, given, outs, main, reads, writes, *, piece=0, shared=()):
+    def __init__(self, graph, given, outs, main, reads, writes, *, piece=0, shared=(), head=()):
         """Args:
         given: input nodes. outs: results: cells, rows or nodes.
         main: the type that sets the number of lanes of a vector.
@@ -37,13 +38,15 @@ class Writer(RowTexts):
           returns the statement storing texts at an index.
         piece: statements of one function; 0: all in one.
         shared: inputs that are the same in all lanes.
+        head: lines at the head of each function.
         """
         self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
-        self.reads, self.writes, self.shared = reads, writes, shared
+        self.reads, self.writes, self.shared, self.head = reads, writes, shared, head
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
         self.kept: dict = {}  # {number of a node: its place in the work memory, for all pieces}
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
-        self.where, self.work, self.counted, self.operations = {}, 0, 0, 0
+        self.where, self.counted, self.operations = {}, 0, 0
+        self.work = 0, 0  # bytes of the work memory, and bytes more for each round
         ends = [node for out in outs for node in cells_of(out)]
         self.needed = live(ends)
         self.direct = whole_results(outs)
@@ -92,12 +95,13 @@ class Writer(RowTexts):
         self.line(f"{self.type(node)} {name} = {words};")
         return name
 
-    def room(self, dtype, entries) -> str:
-        """An array of `entries` vectors in the work memory."""
-        size = self.vector_bytes(dtype)
-        place = -(-self.work // size) * size
-        self.work = place + entries * size
-        return f"AT({vector(dtype)}, {place})"
+    def room(self, dtype, entries, length=1) -> str:
+        """An array of `entries` · length vectors in the work memory."""
+        size, more = self.vector_bytes(dtype), beyond(length)
+        place, each = (-(-bytes // size) * size for bytes in self.work)
+        grows = entries * size * (more is not None)
+        self.work = place + entries * size * (length if more is None else more), each + grows
+        return f"AT({vector(dtype)}, {place}{f' + {each} * rounds' * (each > 0)})"
 
     def vector_bytes(self, dtype) -> int:
         """Bytes of a vector with as many lanes as AVX-512 has, the largest."""
@@ -161,6 +165,8 @@ class Writer(RowTexts):
                 self.operations += 1
             else:
                 self.declare(n, words)
+        elif n.op == "length":
+            self.declare(n, self.splat(n.dtype, f"({scalar(n.dtype)})({n.params})"))
         elif n.op in ("index", "pick", "take"):
             getattr(self, n.op)(n)
 
@@ -226,7 +232,7 @@ class Writer(RowTexts):
             words = list(map(self.of, ys))
             if length < r.length:
                 self.line(f"if ({k} >= {start} && {k} < {start + length}) {{")
-            self.store(o, words, f"({k} - {start}) * {len(ys)} + ")
+            self.store(o, words, f"({k} - ({start})) * {len(ys)} + ")
             if length < r.length:
                 self.line("}")
         self.move_on(r, names)
@@ -240,9 +246,10 @@ class Writer(RowTexts):
         stores, groups = [], {}
         for y, node in stacked:
             if len(node.shape) == 2 and node.number in self.stored:  # an inner loop stores into it
-                size = node.shape[1]
+                if beyond(size := node.shape[1]) is not None:
+                    raise RoundsError("an inner scan of any number of rounds has no C form")
                 self.dtypes.add(node.dtype)
-                array = self.room(node.dtype, node.shape[0] * size)
+                array = self.room(node.dtype, size, node.shape[0])
                 self.where[node.number] = lambda o, i, a=array, s=size: f"{a}[({o}) * {s} + ({i})]"
                 self.where[y.number] = lambda i, node=node: self.where[node.number](k, i)
             elif node.number in self.where:
@@ -250,7 +257,7 @@ class Writer(RowTexts):
             elif node.number in self.stored:
                 groups.setdefault(node.dtype, []).append((y, node))
         for dtype, some in groups.items():
-            array = self.room(dtype, len(some) * r.length)
+            array = self.room(dtype, len(some), r.length)
             for i, (y, node) in enumerate(some):
                 self.where[node.number] = lambda k, a=array, m=len(some), i=i: f"{a}[({k}) * {m} + {i}]"
                 stores.append((y, node))

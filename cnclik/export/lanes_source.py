@@ -53,9 +53,9 @@ def batch_source(program, names: Names) -> str:
     writes = [_kept(names, f, "status" if f.kind == INT else f"found[{numbers.index(f)}]") for f in results]
     writer = Writer(program.graph, program.given, program.outs, names.dtype, reads, writes, shared=program.given[-1:])
     lines = [f"  {line}" for line in (*writer.statements(), *(f"(void){word};" for word in ("status", "found")))]
-    if writer.work:
+    if writer.work[0]:
         lines[:0] = [
-            f"  char memory[{writer.work + 256}], *work = (char *)(((uintptr_t)memory + 255) & ~(uintptr_t)255);"
+            f"  char memory[{writer.work[0] + 256}], *work = (char *)(((uintptr_t)memory + 255) & ~(uintptr_t)255);"
         ]
     lines[:0] = [f"  {table}" for table in writer.tables]
     return f"""/* Written by cnclik {__version__}; see {names.name}_batch.h. Vectors of lanes: GCC or Clang. */

@@ -130,8 +130,8 @@ def one(loop: Loop, starting, state: State, k):
     part = jnp.clip(state.pacing.share, jnp.finfo(q.dtype).eps ** (1 / 3), 1.0) if loop.waits and state.pacing else 1
     length = jnp.where(k < loop.N, part * Ts, 0.0)
     now = law if loop.gained is None else loop.gained(law, t)
-    seen, told, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
-    made = advance(now, told, seen, t, length, loop.method, loop.stage, state.history, starting=starting)
+    seen, aimed, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
+    made = advance(now, aimed, seen, t, length, loop.method, loop.stage, state.history, starting=starting)
     lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
     moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
     if loop.pace is not None:
@@ -212,9 +212,9 @@ def run(loop: Loop, q0, *, end=False):
         return (after, (found[0].q, found[0].x, found[0].e)), found
 
     if early:
-        state, begun = jax.lax.scan(functools.partial(step, True), state, k[:early])
+        state, begun = jax.lax.scan(functools.partial(step, True), state, jax.lax.slice_in_dim(k, 0, early))
     none, empty = jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
-    (_, last), found = jax.lax.scan(with_last, (state, (none, empty, empty)), k[early:])
+    (_, last), found = jax.lax.scan(with_last, (state, (none, empty, empty)), jax.lax.slice_in_dim(k, early, None))
     if end:
         return last
     if early:

@@ -123,8 +123,8 @@ def _iterate(stage, improve, start, h) -> Solved:
     change, before = lax.stop_gradient((change, before))
     # Two changes of rounding size, of the slope or of the joints, mean convergence: the contraction is 0.
     rounding = 8 * jnp.finfo(zero.dtype).eps
-    told = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
-    ratio = jnp.where(told, change / jnp.where(told, before, 1.0), 0.0)
+    known = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
+    ratio = jnp.where(known, change / jnp.where(known, before, 1.0), 0.0)
     return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
 
 

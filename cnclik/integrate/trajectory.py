@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors, markup
 from cnclik.integrate.status import OWN, counted, level
@@ -130,15 +131,15 @@ def assemble(t, steps, path, last, evaluations, tasks=()) -> Trajectory:
       last: (q, x, e) at the last instant.
       tasks: as in `Trajectory`.
     """
-    N = len(t) - 1
+    N = t.shape[0] - 1
 
-    def whole(name, end):
-        return jnp.append(getattr(steps, name)[:N], end[None], 0)
+    def first(name):
+        return lax.slice_in_dim(getattr(steps, name), 0, N)
 
     return Trajectory(
         t=t,
-        **{name: whole(name, end) for name, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: getattr(steps, name)[:N] for name in steps_of(steps)},
+        **{k: jnp.concatenate([first(k), end[None]]) for k, end in zip(("q", "x", "e"), last, strict=True)},
+        **{name: first(name) for name in steps_of(steps)},
         evaluations=jnp.asarray(evaluations),
         path_time=path,
         tasks=tasks,

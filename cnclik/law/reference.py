@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from cnclik import errors
 from cnclik.engine.constants import of_the_model
@@ -45,8 +46,8 @@ class Reference:
         return abs(float(getattr(self.curve, "period", getattr(self.curve, "duration", 0.0))))
 
     def __repr__(self):
-        told = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
-        return f"Reference: {brief(self.curve)}{told}{'' if self.known else ', future unknown'}"
+        words = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
+        return f"Reference: {brief(self.curve)}{words}{'' if self.known else ', future unknown'}"
 
 
 @record
@@ -173,11 +174,11 @@ def tangent(reference, task: Task, t):
         aims, rates = _moving(reference, task, t)
         position = velocity = rotation = turning = None
         for part, where, aim, rate in zip(task.parts, task.motions, aims, rates, strict=True):
-            told = None if reference.feedforward is None else reference.feedforward[where]
+            given = None if reference.feedforward is None else reference.feedforward[where]
             if part.turns:
-                rotation, turning = aim, spin(aim, rate) if told is None else part.spread(told)
+                rotation, turning = aim, spin(aim, rate) if given is None else part.spread(given)
             else:
-                position, velocity = aim, rate if told is None else told
+                position, velocity = aim, rate if given is None else given
         curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning)
         return replace(reference, curve=curve)
 
@@ -197,12 +198,17 @@ def motion(reference, task: Task, t):
         aims = aims_of(reference, task, t)
         return jnp.concatenate([part.chart(a) for part, a in zip(task.parts, aims, strict=True)]).astype(t.dtype)
 
-    found = of_each_instant(chart, t, reference, task)
-    moved = safe_sqrt(jnp.sum((found[1:] - found[:-1]) ** 2, axis=1))
+    (before, after), (begin, end) = neighbours(of_each_instant(chart, t, reference, task)), neighbours(t)
+    moved = safe_sqrt(jnp.sum((after - before) ** 2, axis=1))
     for one, _ in by_target(reference, task):
         if one.feedforward is not None:
-            moved = moved + (t[1:] - t[:-1]) * safe_norm(one.feedforward)
+            moved = moved + (end - begin) * safe_norm(one.feedforward)
     return moved
+
+
+def neighbours(x):
+    """(x[:-1], x[1:]) of x (N + 1, ...), as slices that JAX makes for any N, see `cnclik.engine.rounds`."""
+    return lax.slice_in_dim(x, 0, x.shape[0] - 1), lax.slice_in_dim(x, 1, None)
 
 
 def check(reference, task: Task) -> None:

@@ -292,7 +292,7 @@ def test_pieces_pass_numbers_on_in_memory_that_does_not_grow_with_their_number(m
             return x
 
         graph, given, outs, (shapes, _) = read(fn, jax.ShapeDtypeStruct((3,), np.float32))
-        return int(re.search(r"define WORK .*\)(\d+)", write(graph, given, outs, shapes)[0])[1])
+        return int(re.search(r"define WORK.*\((\d+) \+", write(graph, given, outs, shapes)[0])[1])
 
     monkeypatch.setattr(source, "LONG", 50)
     monkeypatch.setattr(source, "PIECE", 20)

@@ -37,7 +37,7 @@ static void run_parts(Batch *batch, void *memory) /* called and left with the lo
 static void help(void *data)
 {
   Batch *batch = data;
-  void *memory = malloc(work_bytes());
+  void *memory = malloc(work_bytes(0));
   pthread_mutex_lock(&batch->lock);
   if (memory) run_parts(batch, memory);
   leave(batch);
@@ -83,7 +83,7 @@ XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
 {
   const void *in[ARGUMENTS + 1];
   void *out[RESULTS + 1], *memory;
-  int64_t stride[ARGUMENTS + 1], all = 1;
+  int64_t stride[ARGUMENTS + 1], all = 1, rounds = 0;
   if (frame->extension_start && frame->extension_start->type == XLA_FFI_Extension_Metadata) {
     XLA_FFI_Metadata *about = ((XLA_FFI_Metadata_Extension *)frame->extension_start)->metadata;
     about->api_version.struct_size = XLA_FFI_Api_Version_STRUCT_SIZE;
@@ -103,7 +103,11 @@ XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
     out[i] = one->data;
     if (one->rank > result_rank[i]) all = one->dims[0];
   }
-  memory = malloc(work_bytes());
+  if (frame->args.size > ARGUMENTS) {
+    in[ARGUMENTS] = ((const XLA_FFI_Buffer *)frame->args.args[ARGUMENTS])->data;
+    rounds = *(const int32_t *)in[ARGUMENTS];
+  }
+  memory = malloc(work_bytes(rounds));
   if (!memory) {
     XLA_FFI_Error_Create_Args failed = {XLA_FFI_Error_Create_Args_STRUCT_SIZE, NULL, "no memory for a tile",
                                         XLA_FFI_Error_Code_RESOURCE_EXHAUSTED};
