@@ -225,11 +225,11 @@ def _step(args, names, table, left_out, of):
     fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
     if args.json:
         drive = fit.drive
-        told = {"kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "Ts_from": stamps}
-        told |= {"command": drive.command, "delay": drive.delay}
+        about = {"kind": ("delay", "lag", "second-order")[drive.order], "Ts": Ts, "Ts_from": stamps}
+        about |= {"command": drive.command, "delay": drive.delay}
         own = {"lag": 1, "natural_frequency": 2, "damping_ratio": 2}
-        told |= {name: getattr(drive, name) if order == drive.order else None for name, order in own.items()}
-        print_json(told | {name: getattr(fit, name) for name in _OF_FIT})
+        about |= {name: getattr(drive, name) if order == drive.order else None for name, order in own.items()}
+        print_json(about | {name: getattr(fit, name) for name in _OF_FIT})
     else:
         print(fit.options)
         print(fit)

@@ -61,9 +61,9 @@ def run(args: Args) -> None:
             **{name: getattr(args, name) for name in ("out", "what", "dtype", "name", "batch", "seeds", "overwrite")},
         )
     print(*_heading(args, made, along), sep="\n")
-    told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    print(f"Wrote {', '.join(sorted([*told['files'], MANIFEST]))} to {folder}/.")
-    print(f"Build and test: {BUILD.format(sources=told['name'] + '.c example.c')} && ./example")
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    print(f"Wrote {', '.join(sorted([*manifest['files'], MANIFEST]))} to {folder}/.")
+    print(f"Build and test: {BUILD.format(sources=manifest['name'] + '.c example.c')} && ./example")
 
 
 def _heading(args, made, along) -> list:

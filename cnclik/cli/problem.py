@@ -66,6 +66,6 @@ def problem(args, **others):
     given = {name: value for name, value in (table(args) | others).items() if value is not None}
     with progress.bar("start and path"):
         made = problem_from(**given)
-    told = given | ({} if getattr(args, "speed", None) is None else {"speed": args.speed})
-    remark_on(told, made.law.chain, made.law.task, made.Ts, args.written)
+    named = given | ({} if getattr(args, "speed", None) is None else {"speed": args.speed})
+    remark_on(named, made.law.chain, made.law.task, made.Ts, args.written)
     return made

@@ -51,7 +51,7 @@ def run(args: Args) -> None:
         trajectory, time_per_step, data, written, refused = _kept(made, args, config)
         with progress.bar("verdict"):
             beside.result()
-            told = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
+            judged = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
@@ -60,10 +60,10 @@ def run(args: Args) -> None:
     loop = "; ".join(filter(None, said))
     where = heading.start_and_target(made, table(args))
     facts = _summary(made, trajectory, time_per_step)
-    answer = as_options(f"{told.sentence[0].upper()}{told.sentence[1:]}")
+    answer = as_options(f"{judged.sentence[0].upper()}{judged.sentence[1:]}")
     if args.json:
         asked_of = {"asked": [title, loop, *where], "facts": dict(facts)}
-        print_json(asked_of | {"verdict": plain(told) | {"sentence": answer}, "out": str(args.out)})
+        print_json(asked_of | {"verdict": plain(judged) | {"sentence": answer}, "out": str(args.out)})
     else:
         print("\n".join([title, loop, *where, answer]))
         print_table(facts, box=None, padding=(0, 2, 0, 0))
@@ -80,7 +80,7 @@ def run(args: Args) -> None:
         facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
         figures=figures,
         captions=_CAPTIONS,
-        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": told.radius})),
+        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": judged.radius})),
         dtype=str(trajectory.q.dtype),
     )
 

@@ -166,8 +166,8 @@ def _confidence(loops, whole) -> float:
 def _alike(likely, best, whole, known, decides, Ts) -> list:
     """Other loops that the recording may belong to, and what decides between them beside a recorded step."""
     if known is not None and whole:
-        told = "Dead time and lag follow from alpha and the oscillation; a recorded step shows more (--step)."
-        return [told] if best.lag else []
+        note = "Dead time and lag follow from alpha and the oscillation; a recorded step shows more (--step)."
+        return [note] if best.lag else []
     late, slow = max(likely, key=lambda loop: loop.delay), min(likely, key=lambda loop: loop.delay)
     if late.delay - slow.delay <= max(0.5, CLOSE * late.delay):
         return []

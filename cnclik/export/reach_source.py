@@ -59,7 +59,7 @@ def trace_reach(request: Request, count: int) -> Reaching:
         given += [Field(f"{word}position", (p,), about=about)] * bool(p)
         turn = Field(f"{word}rotation", (3, 3), about=f"the target's{of}, row by row", value=np.eye(3))
         given += [turn] * bool(aim.angular)
-    told = [
+    results = [
         Field("q", (n,), about=f"joint values of the answer, else of the nearest pose found [{units}]"),
         Field("position_error", (), about="[m]"),
         Field("orientation_error", (), about="[rad]"),
@@ -69,7 +69,7 @@ def trace_reach(request: Request, count: int) -> Reaching:
     return Reaching(
         asked=search,
         look=look_of(chain, task, request.dtype),
-        call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": told}),
+        call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": results}),
         postures=seeds(chain).postures[:count],
         features=features.reshape(len(every), sets, -1, 13).transpose(0, 1, 3, 2),
         before=before,
@@ -91,10 +91,10 @@ def reach_source(reaching: Reaching, names: Names) -> tuple:
     """The text of all functions, and the `functions` for `helpers`."""
     of, (_, sets, _, size) = reaching.asked, reaching.features.shape
     lines, used = statements(reaching.look, names, lambda _, f: f"s->{f.name}")
-    told = {"W": 1, "LANE(v, i)": "(*(&(v) + (i)))", "SPLAT(x)": "(x)", "ENTRY": "static"}
-    told["LIBM(name)"] = f"name##{names.suffix}" if names.suffix else "name"
+    defined = {"W": 1, "LANE(v, i)": "(*(&(v) + (i)))", "SPLAT(x)": "(x)", "ENTRY": "static"}
+    defined["LIBM(name)"] = f"name##{names.suffix}" if names.suffix else "name"
     look = "\n".join(["static void look(Lanes *s)", "{", *lines, "}", ""])
-    search = search_source(of.chain, of.task, names.real, sets, size, 1, told)
+    search = search_source(of.chain, of.task, names.real, sets, size, 1, defined)
     return "\n".join([lanes_of(reaching.look, names.real, "int32_t"), look, search, _call(reaching, names)]), used
 
 

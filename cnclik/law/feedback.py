@@ -139,8 +139,8 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     turns: list = []
     every, motions = law.task, law.task.motions
     for one, task in by_target(reference, law.task):
-        told = one.feedforward is not None
-        foreseen = None if told or one.still or isinstance(one.curve, Tangent) else aims_of(one, task, t + Ts)
+        given = one.feedforward is not None
+        foreseen = None if given or one.still or isinstance(one.curve, Tangent) else aims_of(one, task, t + Ts)
         for k, part in enumerate(task.parts):
             i = len(means)
             xdot, turn = at.motion[motions[i]], None
@@ -148,7 +148,7 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                 went, turn = part.mean(foreseen[k], at.aims[i])
                 means.append(jnp.where(still, xdot, went / safe))
             else:
-                if part.turns and part.whole and (told or not one.still):
+                if part.turns and part.whole and (given or not one.still):
                     turn = exp_so3(Ts * xdot)
                 means.append(xdot)
             turns.append(turn)

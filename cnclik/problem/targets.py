@@ -168,6 +168,6 @@ def at_targets(found, targets):
         target = next(given, None) if hasattr(parts.parts[0], "axes") else None
         return one if target is None else reference_from("hold", law.chain, parts, found.q0, target=target)
 
-    told = {aim.path[0]: {"target": None} for aim in tips[: len(targets)]}
-    tables = {name: table | told.get(name, {}) for name, table in found.tables.items()}
+    named = {aim.path[0]: {"target": None} for aim in tips[: len(targets)]}
+    tables = {name: table | named.get(name, {}) for name, table in found.tables.items()}
     return dataclasses.replace(found, reference=of_each(other, found.reference, law.task), tables=tables)

@@ -107,8 +107,8 @@ class Asked:
         rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
         status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
         certain = (self.chain.n <= FEW) | (self.seeds < SURE) | (squares.sum(axis=-1) >= DOUBT**2)
-        told = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1) & certain
-        status = xp.where(told & sure & missed, why, status)
+        explained = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1) & certain
+        status = xp.where(explained & sure & missed, why, status)
         if self.accept is not None:
             near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])
             status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)

@@ -25,8 +25,8 @@ def many(asked: Asked, pose, near, progress=None) -> Reached:
     if B > POOL:  # a search needs several times the memory of its answers
         parts = []
         for i in range(0, B, POOL):
-            told = progress and (lambda done, total, i=i: progress(i + done, B))
-            parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], told))
+            report = progress and (lambda done, total, i=i: progress(i + done, B))
+            parts.append(many(asked, pose[i : i + POOL], None if near is None else near[i : i + POOL], report))
         return replace(parts[0], **{name: np.concatenate([fields(p)[name] for p in parts]) for name in PER_TARGET})
     return _engine(asked, often(asked.chain, B)).reached(pose, near, progress)
 
@@ -110,8 +110,8 @@ def _drawn(asked, engine, pose, near, numbers) -> dict:
                 whole[edge] = part
         made.found[beyond > 0] = 0
     q, squares, _, steep, looks, found, *_ = made
-    told = asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)
-    return {name: v.reshape(B, K, *v.shape[1:]) for name, v in fields(told).items()}
+    answer = asked.reached(pose, near, q, squares, steep, looks, found != 0, np.False_, 0)
+    return {name: v.reshape(B, K, *v.shape[1:]) for name, v in fields(answer).items()}
 
 
 def _nearest(asked, of: dict, near, most):

@@ -99,7 +99,7 @@ class Native:
         given |= {"features": to.features, "factors": to.factors}
         self.asked, self.library, self.given = asked, library, given  # the latter: what pointers point to
         self.shared = _Call(tolerance=tuple(asked.tolerance), seed=int(asked.seed))
-        _put(self.shared, **given, **_told(self.first))
+        _put(self.shared, **given, **_numbers(self.first))
         empty = nothing((), asked.chain.n)
         self.empty = np.empty((), [(name, float, v.shape) for name, v in zip(Found._fields, empty, strict=True)])
         self.empty[()] = tuple(empty)
@@ -115,8 +115,8 @@ class Native:
         if not made["found"].all():
             left = np.flatnonzero(made["found"] == 0)
             report = progress and (lambda found: progress(B - len(left) + found, B))
-            told = self._told(made[left], pose[left], None if near is None else near[left], report)
-            rows[left] = as_rows(fields(told))
+            answer = self._answered(made[left], pose[left], None if near is None else near[left], report)
+            rows[left] = as_rows(fields(answer))
         if progress is not None:
             progress(B, B)
         return from_rows(self.asked.chain, self.asked.task, rows)
@@ -150,7 +150,7 @@ class Native:
             done = self.library.along(ctypes.byref(call), near.ctypes.data, count)
             k, at, found = k + done, near[done : done + 1], None
             if done < count:
-                found = self._told(made[done : done + 1], pose[k : k + 1], at)
+                found = self._answered(made[done : done + 1], pose[k : k + 1], at)
 
     def tried(self, pose, near, number, wide=False) -> Found:
         """The result of one try, of number (B,), for each of (B, t) targets. `wide`: without bounds."""
@@ -174,7 +174,7 @@ class Native:
         made[ids] = part
         return ids
 
-    def _told(self, made, pose, near, report=None):
+    def _answered(self, made, pose, near, report=None):
         """The record of targets that the first tries did not solve."""
         asked, far, B = self.asked, self.asked.too_far(pose), len(pose)
         known, there = asked.finite(pose, near), made.copy()
@@ -186,7 +186,7 @@ class Native:
                 so_far.sure[:] = asked.sure(made["looks"]) & ~far
                 count = np.count_nonzero(made["found"])
                 # Few of the further tries succeed.
-                report = report and (lambda _, told=report, count=count: told(count))
+                report = report and (lambda _, before=report, count=count: before(count))
             if phase.status:
                 so_far.why[ids] = asked.meaning(phase.status, there["found"] != 0, there["squares"])[ids]
         q, squares, _, steep, looks, found, *_ = so_far.made
@@ -201,7 +201,7 @@ class Native:
         It keeps the arrays alive, because threads may still write to them after an exception.
         """
         call = _Call.from_buffer_copy(self.shared)
-        others |= {"made": made, "pose": np.ascontiguousarray(pose, float)} | ({} if phase is None else _told(phase))
+        others |= {"made": made, "pose": np.ascontiguousarray(pose, float)} | ({} if phase is None else _numbers(phase))
         call.held = others | {"near": None if near is None else np.ascontiguousarray(near, float)}
         _put(call, **call.held)
         return call
@@ -230,7 +230,7 @@ def _put(call, **values):
             setattr(call, name, value.ctypes.data if isinstance(value, np.ndarray) else value)
 
 
-def _told(phase) -> dict:
+def _numbers(phase) -> dict:
     return {name: getattr(phase, name) for name in IN_C}
 
 

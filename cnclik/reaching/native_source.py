@@ -28,9 +28,9 @@ def native_source(chain, task) -> str:
     program, real = look_of(chain, task, np.float64), np.dtype(np.float64)
     writer = Writer(program.graph, program.given, program.outs, real, *program.places(lambda _, f: f"s->{f.name}"))
     look = ["static void look(Lanes *s)", "{", *writer.statements(), "}"]
-    told = {"LANE(v, i)": "(v)[i]", "SPLAT": "splat_F64", "LIBM(name)": "name", "ENTRY": "", "VECTORS": ""}
+    defined = {"LANE(v, i)": "(v)[i]", "SPLAT": "splat_F64", "LIBM(name)": "name", "ENTRY": "", "VECTORS": ""}
     parts = [vectors(writer, real), *writer.tables, lanes_of(program, "F64", "S32"), *look]
-    return "\n".join([*parts, search_source(chain, task, "double", SETS, SIZE, strategy.PLAIN, told)])
+    return "\n".join([*parts, search_source(chain, task, "double", SETS, SIZE, strategy.PLAIN, defined)])
 
 
 def lanes_of(program, real, whole) -> str:
@@ -41,12 +41,12 @@ def lanes_of(program, real, whole) -> str:
     return "\n".join(["typedef struct {", *fields, "} Lanes;"])
 
 
-def search_source(chain, task, real, sets, size, by_near, told) -> str:
+def search_source(chain, task, real, sets, size, by_near, defined) -> str:
     """The search around `look`, with its numbers.
 
-    Args: real: type of numbers. sets, size: of the seeds. by_near: tries about `near`. told: what else is defined.
+    Args: real: type of numbers. sets, size: of the seeds. by_near: tries about `near`. defined: what else is defined.
     """
-    numbers = told | {"N": chain.n, "M": task.m, "SETS": sets, "SIZE": size, "SCATTER": SCATTER, "BY_NEAR": by_near}
+    numbers = defined | {"N": chain.n, "M": task.m, "SETS": sets, "SIZE": size, "SCATTER": SCATTER, "BY_NEAR": by_near}
     numbers |= {"AIMS": len(aims(task)), "OWNERS": ", ".join(map(str, owners(task, chain)))}
     numbers |= {"STRETCHES": len(STRETCHES), "STRETCHED": ", ".join(map(str, STRETCHES))}
     numbers |= {"TOUCHING": TOUCHING, "JUMP": int(ReachStatus.JUMP)}

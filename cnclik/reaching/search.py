@@ -170,8 +170,8 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
     cost = jnp.where(there & counted & ~own.free & jnp.isfinite(at.cost), at.cost, jnp.inf)
     best = jnp.where(won < together, won, jnp.argmin(cost))
     taken = (won < together) | downhill & (cost[best] < made.cost)
-    told = (jnp.where(taken, v[best], old) for v, old in zip((at.best, *at[2:5]), made[:4], strict=True))
-    posture, squares, least, steep = told
+    newest = (jnp.where(taken, v[best], old) for v, old in zip((at.best, *at[2:5]), made[:4], strict=True))
+    posture, squares, least, steep = newest
     looks = made.looks + jnp.sum(jnp.where(counted & there, at.looks, 0.0))
     costs = jnp.concatenate([made.costs, jnp.where(own.found | downhill, jnp.inf, cost)])
     kept = jnp.argsort(costs)[: strategy.PLACES]

@@ -316,8 +316,8 @@ def _edge(file, joint) -> Edge:
             mimic = joint.mimic
             if not all(abs(x) <= MOST for x in mimic[1:]):
                 raise bad(f"has a mimic multiplier or offset that is not finite, or not within ±{MOST:g}")
-    told = {name: getattr(joint, name) for name in ("name", "type", "parent", "child")}
-    return Edge(**told, origin=origin, axis=axis, lower=lower, upper=upper, velocity=velocity, mimic=mimic)
+    about = {name: getattr(joint, name) for name in ("name", "type", "parent", "child")}
+    return Edge(**about, origin=origin, axis=axis, lower=lower, upper=upper, velocity=velocity, mimic=mimic)
 
 
 def snapped(values):

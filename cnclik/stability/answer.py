@@ -60,9 +60,9 @@ NOT_KNOWN = (
 _OF_LARGEST = ("largest_stable_alpha", "gain_margin")
 
 
-def without_largest(told: dict) -> dict:
+def without_largest(fields: dict) -> dict:
     """The advice as plain numbers, without those that depend on the largest stable gain."""
-    kept = {name: v for name, v in told.items() if name not in _OF_LARGEST}
+    kept = {name: v for name, v in fields.items() if name not in _OF_LARGEST}
     return {name: without_largest(v) if isinstance(v, dict) else v for name, v in kept.items()}
 
 
@@ -74,9 +74,9 @@ def as_table(found, rest, said) -> dict:
     about |= dict(method=str(found.method), Ts=found.Ts, dead_time_samples=late)
     about |= dict(dead_time_ms=None if late is None else 1e3 * late * found.Ts)
     about |= dict(stage=str(found.stage) if found.method.implicit else None, alpha=found.law.alpha, drive=found.drive)
-    told = plain(about | plain(said))
-    told = told if exact(found.drive) else without_largest(told) | {"not_known": NOT_KNOWN}
-    return told | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.analysis.gains.evaluations}
+    fields = plain(about | plain(said))
+    fields = fields if exact(found.drive) else without_largest(fields) | {"not_known": NOT_KNOWN}
+    return fields | {"stable": margin.margin > 1, "limit": margin.limit, "evaluations": said.analysis.gains.evaluations}
 
 
 def exact(drive) -> bool:

@@ -139,8 +139,8 @@ def faster(case) -> tuple:
     if case.law.task.tasks and share > 0.9:  # what the slowest of its tasks asks for
         share, why = 0.5 * min(at.stable_share(Ts) for at in ends), "is half of what is stable"
     words = f"reduce {_words(case.law, share, 'to about')}, which {why}"
-    told = HARDLY < share < 1  # below, no gain settles
-    return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if told else ()
+    helps = HARDLY < share < 1  # below, no gain settles
+    return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if helps else ()
 
 
 def raised(case) -> tuple:

@@ -119,8 +119,8 @@ def _changed_path(reference, shift=None, speed=np.ones(()), period=None):
         return reference
     fields = [name for name in PLACES if getattr(curve, name, None) is not None]
     if speed != 1 or (shifted and not fields):
-        told = reference.feedforward
-        reference = replace(reference, feedforward=None if told is None else told * speed)
+        feedforward = reference.feedforward
+        reference = replace(reference, feedforward=None if feedforward is None else feedforward * speed)
         curve = _Altered(curve=curve, shift=shift, speed=speed)
     elif shifted:
         moved = {name: np.asarray(getattr(curve, name), float) for name in fields}

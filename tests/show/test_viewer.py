@@ -177,7 +177,7 @@ def test_a_motion_of_several_tips_has_a_way_and_a_target_of_each(two):
     assert list(made.error) == [
         "grip position error [m]", "grip orientation error [rad]", "box position error [m]", "rest joint error [rad]"
     ]  # fmt: skip
-    assert "rest joint error" in play.told([made], 0.5)
+    assert "rest joint error" in play.caption([made], 0.5)
     strokes = [one["stroke"] for one in play.series(play.curves([made])[1])[1:]]
     assert len(set(strokes)) == 4  # a colour each
 
@@ -335,7 +335,7 @@ def test_a_page_leaves_out_an_even_number_of_instants(problem, run):
 
 def test_what_is_told_of_an_instant(problem, run):
     made = motion.motion_of(run, problem.law, name="<arm>")
-    assert "&lt;arm&gt;" in play.told([made], 0.5) and "t = 0.750 s" in play.told([made], 0.5)
+    assert "&lt;arm&gt;" in play.caption([made], 0.5) and "t = 0.750 s" in play.caption([made], 0.5)
     data, names = play.curves([made, dataclasses.replace(made, t=2 * made.t)])
     assert len({len(v) for v in data}) == 1 and len(names) == 2 == len(play.series(names)) - 1
 
@@ -478,7 +478,7 @@ def test_a_name_that_is_too_long_is_refused_in_a_line(capsys):
 def test_any_number_in_the_box_of_the_time_is_a_time(problem, run, typed, shown):
     player, shares = object.__new__(play.Player), []
     made = motion.motion_of(run, problem.law, name="arm")
-    player._busy, player.told = threading.Lock(), types.SimpleNamespace(content="")
+    player._busy, player.caption = threading.Lock(), types.SimpleNamespace(content="")
     player.scene = types.SimpleNamespace(motions=[made], show=shares.append)
     player._show(typed)
-    assert shares == [shown] and "arm" in player.told.content
+    assert shares == [shown] and "arm" in player.caption.content

@@ -77,7 +77,7 @@ class Live:
         keep, drop, judge = "Keep beside", "Drop", "Verdict"
         pressed = gui.add_button_group("this run", (keep, drop, judge))
         self.status = gui.add_html("")
-        self.told = gui.add_html("")
+        self.caption = gui.add_html("")
         self.chart = play.add_error_chart(gui, self.motions())
         for control in (self.alpha, self.Ts, self.method, self.delay):
             control.on_update(lambda _: self.ask())
@@ -111,7 +111,7 @@ class Live:
         self.player.put(motions)
         data, names = play.curves(motions)
         self.chart.data, self.chart.series = data, play.series(names)
-        self.told.content = factors_page(self.seen)
+        self.caption.content = factors_page(self.seen)
 
     def _keep(self, motion):
         self.kept = motion

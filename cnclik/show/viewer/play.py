@@ -22,7 +22,7 @@ class Player:
     def __init__(self, server, scene):
         self.server, self.scene, self._busy, self._ended = server, scene, threading.Lock(), threading.Event()
         gui = server.gui
-        self.told = gui.add_html("")
+        self.caption = gui.add_html("")
         self.slider = gui.add_slider("time", 0.0, 1.0, 0.001, 0.0, hint="Share of the run's time")
         self.playing = gui.add_checkbox("play", True)
         self.speed = gui.add_dropdown("speed", [f"{s:g} ×" for s in SPEEDS], initial_value="1 ×")
@@ -45,7 +45,7 @@ class Player:
         share = min(max(share, 0.0), 1.0)  # the browser accepts any number
         with self._busy:
             self.scene.show(share)
-            self.told.content = told(self.scene.motions, share)
+            self.caption.content = caption(self.scene.motions, share)
 
     def _run(self):
         last = time.perf_counter()
@@ -60,7 +60,7 @@ class Player:
             last = now
 
 
-def told(motions, share) -> str:
+def caption(motions, share) -> str:
     """What is shown now, as HTML: name, time, errors, status in its colour."""
     rows = []
     for motion in motions:
