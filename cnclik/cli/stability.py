@@ -249,11 +249,12 @@ def _map_of_gains(args, out, found, rest):
 
     advised = _advice(args, found, rest)
     _tell(args, advised)
-    known = [name for name, _ in found.law.task.tasks]
+    some = advised.said.stack.tasks if advised.said.stack else {}
+    known = [name for name, one in some.items() if one.alpha]  # a map scales gains
     names = args.gains or tuple(known[:2])
-    if len(set(names)) != 2 or advised.said.stack is None:
+    if len(set(names)) != 2 or not some:
         raise errors.fail("gains", "name two tasks of a stack that has rates", f"is {' '.join(names)}")
-    tasks = {name: advised.said.stack.tasks[errors.one_of("gains", name, known)] for name in names}
+    tasks = {name: some[errors.one_of("gains", name, known, " (tasks with a gain)")] for name in names}
     now = [one.alpha for one in tasks.values()]
     far = [2 * max(min(one.largest_stable_alpha, 10 / found.Ts), one.alpha) for one in tasks.values()]
     ranges = [args.alpha_range or (min(alpha, top / 20) / 3, top) for alpha, top in zip(now, far, strict=True)]

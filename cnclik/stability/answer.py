@@ -123,8 +123,9 @@ def gains_of_tasks(found, said) -> list:
     known, rows = exact(found.drive), []
     for name, one in said.stack.tasks.items():
         gains = one.largest_stable_alpha, one.fastest_monotone_alpha, one.recommended_alpha
-        largest, *others = map(or_any, gains)
-        rows.append((name, f"{one.alpha:.4g}", f"{one.z:.4g}", largest if known else "not known", *others))
+        largest, monotone, recommended = map(or_any, gains)
+        largest, recommended = largest if known else "not known", recommended if one.alpha else "0"
+        rows.append((name, f"{one.alpha:.4g}", f"{one.z:.4g}", largest, monotone, recommended))
     return rows
 
 
@@ -148,6 +149,8 @@ def lines_of_stack(found, said) -> list:
     known, on = exact(found.drive), " on the assumed drives" * (said.assumed_dead_time is not None)
     lines = [f"UNSTABLE{on}: {_unstable(stack.unstable, known)}"] if stack.unstable else []
     lines.append(f"Recommended for each task: {said.reason}, at any posture and for any motion of the other tasks.")
+    if idle := [name for name, one in stack.tasks.items() if not one.alpha]:
+        lines.append(f"A gain of 0 stays 0, and its task asks for no motion: {', '.join(idle)}.")
     now = stack.tasks[stack.least_room].now
     if now is not None and now.gain_margin < math.inf and known:
         room = f"with the other gains unchanged, its gain may grow by a factor of {now.gain_margin:.3g}"

@@ -38,9 +38,10 @@ class TaskAdvice:
     Attributes:
       alpha: [1/s], its largest gain. z: alpha·Ts.
       largest_stable_alpha: at this posture, with the other gains unchanged, but those that are `unstable` lowered to
-        the recommended ones.
+        the recommended ones. Of a task whose gain is 0: one gain for all its coordinates.
       fastest_monotone_alpha, recommended_alpha: the largest without overshoot, and without overshoot with one more
         sample of dead time, for any posture and any motion of the other tasks, if none of them is above it.
+        For a task whose gain is 0, which asks for no motion and holds the others back, 0 is recommended.
       got: number of its coordinates that it gets, in sum. alone: the same without other tasks.
       least: share that it gets in its worst direction. least_alone: the same without other tasks. direction: (m,) the
         direction.
@@ -136,6 +137,12 @@ class Shares(NamedTuple):
     def z(self, name) -> float:
         """alpha·Ts of a task, of its largest gain."""
         return float(np.max(self.rates.alpha[self.loop.law.task.of(name)])) * self.Ts
+
+    def with_gain(self, at):
+        """With z = 1 for rows whose gain is 0."""
+        alpha = np.array(self.rates.alpha)
+        alpha[at] = 1 / self.Ts
+        return self._replace(rates=self.rates._replace(alpha=alpha))
 
     def fastest(self, scale):
         """Sensitivities (m,) of the largest rate to the gains, d ln(rate)/d ln(gain): the squares of its vector."""
@@ -263,18 +270,19 @@ def _to_lower(here, drive, recommended) -> dict:
 def _task(here, name, at, safe, limits, gains) -> TaskAdvice:
     Ts, loop = here.Ts, here.loop
     alpha, others = here.z(name) / here.Ts, here.lowered(gains, but=name)
+    unit = here if alpha else here.with_gain(at)
 
     def scale(z):
         changed = np.tile(others, (len(z), 1))
-        changed[:, at] = (z / (alpha * Ts))[:, None]
+        changed[:, at] = (z / unit.z(name))[:, None]
         return changed
 
     def largest(drive):
         points = loop._replace(drive=drive).points
-        return first_above(lambda z: here.radius(scale(z), drive), 1 + SLACK, REACH, points) if alpha else np.inf
+        return first_above(lambda z: unit.radius(scale(z), drive), 1 + SLACK, REACH, points)
 
     def does(z):
-        steps = here.own(at, scale(np.array([z]))[0]) if alpha and z else ()
+        steps = here.own(at, scale(np.array([z]))[0]) if z else ()
         stable = len(steps) and all(np.all(radius(steps, one, Ts) <= 1 + SLACK) for one in each_drive(safe))
         return gain_of(steps, safe, Ts, z, borne) if stable else None
 
@@ -284,7 +292,7 @@ def _task(here, name, at, safe, limits, gains) -> TaskAdvice:
     least, vectors = np.linalg.eigh(share)
     worst = vectors[:, 0]
     direction = here.rates.turned[at, at] @ worst * here.root[at] / here.weights[at]
-    monotone, recommended = limits
+    monotone, recommended = limits if alpha else (limits[0], 0.0)
     return TaskAdvice(
         alpha=alpha,
         z=alpha * Ts,

@@ -317,11 +317,13 @@ def postures(law) -> list:
 
 
 def _of_stack(law) -> dict:
-    """{name: the names of tasks' parameters it stands for}, one per task, or the first of each level; no `postures`."""
+    """{name: the names of tasks' parameters it stands for}, one per task, or the first of each level; no `postures`,
+    and no gains that are 0."""
     kept = postures(law)
     tasks = [name for name, _ in law.task.tasks if name not in kept]
     levels = isinstance(law.inverse, inverses.Levels)
-    found = {what: [f"{task}.{what}" for task in tasks] for what in ("alpha", "weights") if tasks}
+    acts = [task for task in tasks if np.any(gain_of(law, task))] or tasks
+    found = {what: [f"{task}.{what}" for task in some] for what, some in (("alpha", acts), ("weights", tasks)) if some}
     first = ([n for n in names if n not in kept][:1] for names in law.inverse.names) if levels else ()
     each = [f"{name}.damping" for found in first for name in found]
     return found | ({"damping": each} if levels else {})
@@ -366,7 +368,7 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
 def chosen(over, loop: Adjustable, bounds) -> tuple:
     """The tuned parameters, given as names and `Parameter`s with bounds {name: (lower, upper)}.
 
-    For a stack, "alpha", "damping" and "weights" stand for those of all its tasks but `postures`.
+    For a stack, "alpha", "damping" and "weights" stand for those of all its tasks but `postures`; a gain of 0 stays.
     """
     over = tuple(over) if isinstance(over, (tuple, list)) else (over,)
     if not over:

@@ -1,6 +1,7 @@
 """What each task of a stack bears, against loops that are run; what it gets of what it asks for; how levels leak."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -309,10 +310,26 @@ def test_a_stack_at_the_command_line(tmp_path, capsys):
     assert "`--target` must be given at most once for each tip (left.left_gripper, right" in capsys.readouterr().err
 
 
-def test_a_task_without_a_gain_is_not_called_unstable():
-    law = law_of({"tip": 20.0, "angle": 0.0, "rest": 5.0}, ck.damped(0.3))
-    said = ck.advise(law, None, Q, Ts=TS, method="EE")
-    assert [row[3] for row in does_of_tasks(SimpleNamespace(Ts=TS), said)][1] == "no gain"
+def test_a_task_without_a_gain_keeps_it_and_is_not_called_unstable():
+    """Its largest gain is that of the same stack in which it has one."""
+    tiny, none = (law_of({"tip": 20.0, "angle": alpha, "rest": 5.0}, ck.damped(0.3)) for alpha in (1e-7, 0.0))
+    said, other = (ck.advise(law, None, Q, Ts=TS, method="EE", drive=ck.Drive()).stack for law in (none, tiny))
+    assert [row[3] for row in does_of_tasks(SimpleNamespace(Ts=TS), SimpleNamespace(stack=said))][1] == "no gain"
+    angle, given = said.tasks["angle"], other.tasks["angle"]
+    assert angle.recommended_alpha == 0 and angle.recommended is None
+    assert angle.largest_stable_alpha == pytest.approx(given.largest_stable_alpha, rel=1e-6) and given.recommended
+
+
+def test_a_gain_of_zero_stays_on_the_command_line(tmp_path, capsys):
+    file = tmp_path / "stack.toml"
+    file.write_text('[tasks.tip]\ntask = "xy"\n[tasks.off]\ntask = "z"\nalpha = 0\n[tasks.rest]\ntask = "joints"\n')
+    loop = ["planar:1,0.8,0.6", "--stack", file, "--damping", "0.2", "--Ts", "0.1", "--method", "EE", "--delay", "0"]
+    main(["stability", *map(str, loop)])
+    said = capsys.readouterr().out
+    assert re.search(r"off +\S+ +0 +\S+ +0 .* 0 \S*\n", said) and "A gain of 0 stays 0, and its task" in said
+    with pytest.raises(SystemExit):
+        main(["stability", *map(str, loop), "--map", "--gains", "tip", "off"])
+    assert "`--gains` must be one of tip, rest (tasks with a gain), but is 'off'" in capsys.readouterr().err
 
 
 def test_tips_without_a_target_keep_that_of_the_file():
@@ -351,7 +368,7 @@ def test_a_map_of_two_gains_on_the_command_line(tmp_path, capsys):
     assert (out / "map.png").exists() and "turn" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["stability", *map(str, loop), "--gains", "turn", "rset"])
-    assert "`--gains` must be one of tip, turn, rest, but is 'rset'" in capsys.readouterr().err
+    assert "`--gains` must be one of tip, turn, rest (tasks with a gain), but is 'rset'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("alpha", [40.0, 60.0, 80.0])

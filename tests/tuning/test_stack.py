@@ -46,6 +46,8 @@ def test_every_name_goes_to_its_task():
         p = pm.named(name, loop)
         made = pm.put(loop, (p,), (jnp.asarray(1.1 * p.start),)).law
         np.testing.assert_allclose(of(made), 1.1 * of(LAW))
+    idle = ck.replace(loop, law=ck.replace(LAW, alpha={"hand": 8.0, "turn": 0.0, "rest": 1.0}))
+    assert [p.name for p in pm.chosen("alpha", idle, {})] == ["hand.alpha"]  # a gain of 0 stays
     mixed = ck.replace(LAW, alpha={"hand": [[8.0, 1.0], [1.0, 6.0]], "turn": 4.0, "rest": [1.0, 2.0, 3.0, 4.0]})
     loop = ck.replace(loop, law=mixed)
     each = pm.chosen(("alpha", "rest.alpha"), loop, {})
