@@ -98,6 +98,8 @@ _NO_NUMBERS = (str, bytes, list, tuple, type(None))
 
 def number(name: str, value, *, positive=False, at_least=None) -> "float | Array":
     """A finite real number (or a traced scalar); returned as it came."""
+    if type(value) is float and math.isfinite(value) and value > 0 and at_least is None:  # what most are
+        return value
     import numpy as np
 
     if type(value) is not float and (isinstance(value, _NO_NUMBERS) or np.ndim(value) != 0):

@@ -25,12 +25,13 @@ def is_literal(value) -> bool:
 class Literals:
     """The literal part of a flattened tree, hashed once: it is a key of JAX's compilation caches."""
 
-    __slots__ = ("_hash", "all_arrays", "treedef", "values")
+    __slots__ = ("_hash", "all_arrays", "flat", "treedef", "values")
 
     def __init__(self, treedef, values):
         self.treedef, self.values = treedef, values
-        # A tuple of arrays and nothing else: what most results are, put together and taken apart without ceremony.
-        self.all_arrays = all(v is HOLE for v in values) and treedef == jax.tree.structure((0,) * len(values))
+        # A tuple of arrays and literals, or of arrays alone: what most results are, put together without ceremony.
+        self.flat = treedef == jax.tree.structure((0,) * len(values))
+        self.all_arrays = self.flat and all(v is HOLE for v in values)
         self._hash = hash((treedef, values))
 
     def __hash__(self):
@@ -65,10 +66,10 @@ def partition(tree):
 
 
 def combine(arrays, literals: Literals):
-    """Inverse of `partition`."""
+    """Inverse of `partition`; a tuple that holds no other tree comes back as a list."""
     arrays = iter(arrays)
     leaves = [next(arrays) if v is HOLE else v for v in literals.values]
-    return jax.tree.unflatten(literals.treedef, leaves)
+    return leaves if literals.flat else jax.tree.unflatten(literals.treedef, leaves)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)

@@ -41,7 +41,7 @@ class Numbers:
         C where that would take too long to compile, see `most_nodes`.
         """
         self.fn, self.static, self.lets_go = fn, static, lets_go
-        N = static.get("N", 0)
+        N = self.rounds = static.get("N", 0)
         self.native = of_rounds(self.source, whole_of(fn) if N >= LEAST else None, N)
         self.ready, self.entries = {}, LRU()
         self.ran_in_c = False  # the last call
@@ -63,7 +63,7 @@ class Numbers:
             if isinstance(x, Tracer):
                 return None
             about += x.shape, x.dtype
-        most = most_nodes(self.static.get("N", math.inf))
+        most = most_nodes(self.rounds) if self.rounds else math.inf
         key = (*map(id, known), treedef, jax.config.jax_enable_x64, most, *about)
         call = self.ready.get(key) or self._prepared(key, known, given, most)
         self.ran_in_c = call is not None
