@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 
 from cnclik import errors
-from cnclik.law.inverse import Levels, Pseudoinverse, Transpose, by_damping, not_growing
+from cnclik.law.inverse import Levels, Pseudoinverse, by_damping, not_growing
 from cnclik.law.paths import hold, hold_at
 from cnclik.law.reference import References, of_each, references
 from cnclik.law.walls import Wall, support_polygon, wall
@@ -217,15 +217,16 @@ def _of_level(own, of_all):
     """The damping of one level: what one of its tasks gives, or the loop's."""
     first = next((one for one in own if set(_DAMPING) & set(one.given)), own[0])
     given = {key: first.given.get(key) for key in _DAMPING}
+    damped, inverse = [name for name, kind in words.INVERSES.items() if kind.needs], of_all["inverse"]
+    if given["inverse"] is None and inverse is not None:
+        errors.one_of("inverse", inverse, damped, " for a stack whose tasks have levels or dampings")
     with errors.within(first.where):
         if given["inverse"] is not None:
-            errors.one_of("inverse", given["inverse"], [n for n, kind in words.INVERSES.items() if kind.needs])
+            errors.one_of("inverse", given["inverse"], damped)
         if first.given.get("damping", of_all["damping"]) is None:
             must = "be given, for its level or for all tasks, such as 0.001 for the first level and 0.05 for the next"
             raise errors.fail("damping", must, "is not")
         found = inverse_from(*(of_all[key] if value is None else value for key, value in given.items()))
-        if isinstance(found, (Pseudoinverse, Transpose)):
-            raise errors.fail("inverse", "be one with a damping, in a stack with levels", f"is {of_all['inverse']!r}")
     for one in own:
         for key, value in given.items():
             if one.given.get(key) not in (None, value):

@@ -210,6 +210,12 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND, "rest": REST}, {}, "`damping` must be given for 17 coordinates of tasks and 14 joints"),
         ({"hands": HAND | {"level": 1}, "rest": REST}, {}, "`tasks.rest.level` must be given where others"),
         ({"hands": HAND | {"level": 1}}, {}, "`tasks.hands.damping` must be given, for its level or for all tasks"),
+        (
+            {"hands": HAND | {"level": 1}},
+            {"inverse": "transpose", "damping": 0.1},
+            "`inverse` must be one of damped, .* for a stack whose tasks have levels or dampings, but is 'transpose'",
+        ),
+        ({"hands": HAND | {"damping": 0.1}}, {"inverse": "pseudoinverse"}, "`inverse` must be one of damped"),
         ({"hands": HAND | {"level": 0, "damping": 1}}, {}, "`tasks.hands.level` must be at least 1"),
         (
             {"hands": HAND | {"level": 1, "damping": 0.1}, "rest": REST | {"level": 2, "damping": 0.05}},
