@@ -24,7 +24,7 @@ from cnclik.stability.linear import first_above
 from cnclik.stability.loop import UNSTABLE, loop_at_rest
 from cnclik.stability.rebased import WHERE, bearable_delay
 from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, recommendation_of, without_overshoot
-from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, settings
+from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, around_formula, settings
 from cnclik.stability.spectrum import drift_of_numbers, rest_tolerance
 from cnclik.stability.tasks import StackAdvice, at_any_posture, bounded_rates, stack_advice
 
@@ -314,6 +314,8 @@ def _notes(loop, drive, chosen, Ts):
         )
     if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
         yield "This linear answer ignores limits, noise and resolution of the drives; `cnclik solve` simulates them."
+    if own := around_formula(loop.law, Ts):
+        yield f"The settings for other libraries are gains only. There, set what this law has as well: {own}."
     if drive is not None and drive.feedback == "rebased":
         begins = "Each position command starts at the measured joints"
         yield f"{begins}: {REBASED}, and steady errors of the drives add up. {WHERE}."

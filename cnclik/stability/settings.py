@@ -6,6 +6,7 @@ Run in pink, mink and Placo, and in copies of the loops of Isaac Lab, MoveIt Ser
 import numpy as np
 
 from cnclik.integrate.drive import MOST, Drive
+from cnclik.law.walls import names_of
 from cnclik.record import replace
 from cnclik.stability.driven import settling
 from cnclik.stability.drives import SPARE
@@ -77,6 +78,15 @@ def settings(borne, drive, safe: Drive, Ts: float) -> dict:
             "is accounted for"
         )
     return made
+
+
+def around_formula(law, Ts: float) -> str:
+    """What a law does to q̇ = J#(ẋ_d + K e) + (I − J#J) q̇₀, such as "joint limits (rate·Ts = 0.1), walls a and b";
+    "" where it does nothing."""
+    rate, walls = getattr(law.limits, "rate", None), names_of(getattr(law.limits, "walls", ()))
+    said = [f"joint limits{'' if rate is None else f' (rate·Ts = {float(rate) * Ts:.4g})'}"] * (law.limits is not None)
+    said += [f"wall{'s' * (len(walls) > 1)} {' and '.join(walls)}"] * bool(walls)
+    return ", ".join([*said, *["error clamp"] * (law.error_clamp is not None)])
 
 
 def _of_servoj(drive, Ts) -> Drive:

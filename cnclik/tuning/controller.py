@@ -7,6 +7,7 @@ from cnclik.law import inverse as inverses
 from cnclik.record import in_words
 from cnclik.stability.linear import amplification, share_per_step
 from cnclik.stability.peers import to_pink
+from cnclik.stability.settings import around_formula
 from cnclik.tuning import parameters as pm
 
 DAMPED_EXCESS = 1e-3  # excess of z over 1 that is printed as 1, as damping shortens a step
@@ -17,11 +18,17 @@ def controller_lines(tuned) -> dict:
 
     pink and mink step by J Δq = gain·e with gain = alpha·Ts in [0, 1], or 1 − exp(−alpha·Ts) for an exponential method,
     and add damping (λ²) to JᵀJ. If they cannot run the tuned loop, the second line is "no line" with the reason; so are
-    both if the loop violates its constraints.
+    both if the loop violates its constraints. A line ends with what it leaves out of the law, such as limits and walls.
     """
     if not tuned.satisfied:
         return dict.fromkeys(("rate", "pink_mink"), "no line: the constraints are not kept")
-    return {"rate": _rate_line(tuned), "pink_mink": _pink_mink_line(tuned)}
+    own = around_formula(tuned.law, tuned.Ts)
+    rate, line = _rate_line(tuned), _pink_mink_line(tuned)
+    null = ", ".join(filter(None, [own, "null-space velocity" * (tuned.law.null_velocity is not None)]))
+    return {
+        "rate": rate + f"; not in this line: {own}" * bool(own and tuned.method.name == EE.name),  # a step has all
+        "pink_mink": line + f"; not in this line: {null}" * bool(null and not line.startswith("no line")),
+    }
 
 
 def _rate_line(tuned) -> str:

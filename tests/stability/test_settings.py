@@ -56,6 +56,12 @@ def test_the_gain_of_settings_is_the_recommended_one_whatever_the_present_gains(
         assert told.setdefault(law.task.tasks, said.settings) == said.settings
 
 
+def test_what_else_a_law_has_is_named_beside_the_settings():
+    law = ck.Law(ck.planar_arm([0.5, 0.4]), ck.position("xy"), alpha=10.0, limits=ck.saturation(5.0))
+    (note,) = ck.advise(law, None, [0.4, 0.8], Ts=0.01, method="EE", drive=ck.Drive()).notes
+    assert note.startswith("The settings") and note.endswith(": joint limits (rate·Ts = 0.05).")
+
+
 def test_servoj_adds_to_its_last_command_and_has_its_lag_in_alpha():
     """By the gain of a loop without that lag it overshoots; from the measured joints it does not arrive."""
     found = rows("UR servoj", "5 samples")
