@@ -9,6 +9,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.engine.routine import INT, REAL, Field
+from cnclik.law.walls import Wall, names_of
 from cnclik.record import is_literal
 
 _OWN = "own_"  # prefix of fields in a user's records, whose names may be C keywords
@@ -21,6 +22,11 @@ def leaves(tree, path=()):
         for field in dataclasses.fields(tree):
             word = field.name if ours else _OWN + re.sub(r"[^A-Za-z0-9]", "_", field.name)
             yield from leaves(getattr(tree, field.name), (*path, word))
+    elif isinstance(tree, tuple) and tree and all(isinstance(one, Wall) for one in tree):
+        for wall, word in zip(tree, identifiers([f"wall_{name}" for name in names_of(tree)]), strict=True):
+            for own, value in leaves(wall):
+                alone = own[:3] == ("task", "parts", "0") and len(wall.task.parts) == 1
+                yield (*path, word, *own[3 * alone :]), value
     elif isinstance(tree, (tuple, list)):
         for i, item in enumerate(tree):
             yield from leaves(item, (*path, str(i)))
@@ -29,16 +35,25 @@ def leaves(tree, path=()):
 
 
 def names(paths) -> list:
-    """A short name for each path: as many of its last words as distinguish it."""
+    """A short name for each path: as many of its last words as distinguish it, those of a wall with its name."""
     found = []
     for path in paths:
-        for count in range(1, len(path) + 1):
+        least = len(path) - path.index("walls") - 1 if "walls" in path else 1
+        for count in range(least, len(path) + 1):
             short = path[-count:]
             if not short[0].isdigit() and sum(p[-count:] == short for p in paths) == 1:
                 break
         name = "_".join(short)
         found.append(f"{name}_{len(found)}" if name in found else name)
     return found
+
+
+def identifiers(names, kind="task") -> list:
+    """Names as C identifiers; a name that starts with a digit gets its kind as a prefix."""
+    words = [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names]
+    for i, word in enumerate(words):  # names that are equal in C
+        words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"{kind}_{word}"
+    return words
 
 
 _ABOUT = {

@@ -1,7 +1,6 @@
 """Trace: an export as a graph with named arguments and results: a step, a loop for many lanes, or geometry alone."""
 
 import functools
-import re
 from typing import NamedTuple
 
 import jax
@@ -127,15 +126,7 @@ def targets(task) -> list:
     if len(every) == 1 and not task.tasks:
         return [("", every[0][1])]
     words = ["_".join(path) for path in task.target_names]
-    return [(f"{word}_", parts) for word, (_, parts) in zip(_identifiers(words), every, strict=True)]
-
-
-def _identifiers(names, kind="task") -> list:
-    """Names as C identifiers; a name that starts with a digit gets its kind as a prefix."""
-    words = [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names]
-    for i, word in enumerate(words):  # names that are equal in C
-        words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"{kind}_{word}"
-    return words
+    return [(f"{word}_", parts) for word, (_, parts) in zip(fields.identifiers(words), every, strict=True)]
 
 
 def _of_target(before, parts):
@@ -232,7 +223,7 @@ def _of_chain(request) -> Routine:
     chain, poses = request.law.chain, request.what == "fk"
     parameters, put = fields.parameters(chain, request.runtime)
     names = [tip.name for tip in chain.tips]
-    before = [f"{word}_" for word in _identifiers(names, "tip")] if len(names) > 1 else [""]
+    before = [f"{word}_" for word in fields.identifiers(names, "tip")] if len(names) > 1 else [""]
 
     def fn(*flat):
         *values, q = flat

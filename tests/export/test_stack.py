@@ -91,6 +91,13 @@ def test_walls_and_balance_are_described():
     tasks = ck.stack(hands=ck.pose(tip=left) & ck.pose(tip=right), stand=ck.center_of_mass("xy"))
     levels = ck.levels(["hands"], ["stand"], damping=(0.01, 0.1))
     law = ck.Law(robot, tasks, alpha=5.0, inverse=levels, limits=ck.bounded(walls=walls))
-    assert [field.name for field in parameters(law, None)[0] if not field.about] == []
+    found = parameters(law, None)[0]
+    assert [field.name for field in found if not field.about] == []
+    shapes = [f"wall_1_{which}_{what}" for which in ("one", "other") for what in ("ends", "radius")]
+    own = {field.name for field in found if field.name.startswith("wall_")}
+    assert own == {*shapes, "wall_1_normal", "wall_1_offset", "wall_1_rate", "wall_2_normal", "wall_2_offset"}
+    named = ck.bounded(walls=[ck.wall(pair, above=0.02, name="left arm")])
+    found = parameters(ck.replace(law, limits=named), None)[0]
+    assert {"wall_left_arm_one_ends", "wall_left_arm_other_radius", "wall_left_arm_offset"} <= {f.name for f in found}
     request = Request(law, None, ck.EE, ck.picard(5), np.dtype(float), "step", None)
     assert "?" not in "".join(configuration(request)) and "..." in "".join(configuration(request))
