@@ -25,10 +25,11 @@ SQUARINGS = 10  # of a matrix to bound its radius: the power p = 1024
 
 
 def maps_at_rest(law, q, Ts, method, stage):
-    """How one step multiplies a small error (m, m) and a small motion in the null space of J (n, n); and the share it
-    removes of an error (m, m). Pure.
+    """How one step multiplies a small error (m, m) and a small motion in the null space of J (n, n); and the shares it
+    removes of an error (m, m) and of such a motion (n, n). Pure.
 
-    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J), whose eigenvalues along the task are 0. A stack
+    With S = ∂q[k+1]/∂q[k]: `of_error`, and (I − J# J) S (I − J# J), whose eigenvalues along the task are 0; those of
+    the share removed are 0 there, too. A stack
     removes most where all its tasks are fulfilled; errors that no joint can affect count as removed in the same way.
     """
     (law, held), method = at_rest(law, None, q), _forgetful(method)
@@ -37,17 +38,18 @@ def maps_at_rest(law, q, Ts, method, stage):
         inverse = jnp.linalg.pinv(rows)  # computed once: LAPACK's threads may deadlock in two simultaneous batches
         across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
         found = of_error(moved, rows, inverse=inverse)
-        return found, across @ moved @ across, _taken(found)
+        return found, across @ moved @ across, _taken(found), across @ _taken(moved) @ across
     rows, columns, _ = parts_at_rest(law, held, q)
     gain = jnp.asarray(weighted_gain(law), q.dtype)
     found = stepped(method, stage, rows @ columns, gain, Ts)
     inverse = jnp.linalg.pinv(after(rows, found))
     across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows
+    still = jnp.zeros_like(across)
     if not bounded_rates(law):
-        return found, across, _taken(found)
+        return found, across, _taken(found), still
     eye, moved = jnp.eye(len(gain), dtype=q.dtype), rows @ inverse
     most = stepped(method, stage, eye, gain, Ts)
-    return found @ moved + (eye - moved) @ most @ (eye - moved), across, _taken(most)
+    return found @ moved + (eye - moved) @ most @ (eye - moved), across, _taken(most), still
 
 
 def _taken(found):
@@ -80,6 +82,11 @@ def largest_share(drive, Ts, delay_margin: float, noise_gain: float) -> float:
         late = replace(joints, delay=joints.delay + delay_margin)
         found += [driven_limits("EE", Ts=Ts, drive=late).monotone, noise_limit(noise_gain, joints, Ts)]
     return min(found)
+
+
+def largest_null_share(drive, Ts: float) -> float:
+    """Largest share of a motion in the null space that a step may remove and be stable, through each joint's drive."""
+    return min(driven_limits("EE", Ts=Ts, drive=joints).stable for joints in each_drive(looked_at_drive(drive)))
 
 
 # --- size ---------------------------------------------------------------------------------------------

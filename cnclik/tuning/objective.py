@@ -121,6 +121,7 @@ class LoopObjective:
     losses: tuple[tuple[Callable, AnyArray], ...]  # (function, weight) pairs
     margin: Float[AnyArray, ""]
     largest_correction: Float[AnyArray, ""]  # largest share of an error that a step may remove; inf: any
+    largest_null_share: Float[AnyArray, ""]  # the same of a motion in the null space, to be stable through the drive
     limits: Float[AnyArray, " j"] | None  # joint velocity limits of the joints that have one
     joints: tuple[int, ...]
     horizon: Float[AnyArray, ""]
@@ -140,7 +141,8 @@ class LoopObjective:
     @property
     def constraints(self) -> int:
         """The number of constraints, known without tracing."""
-        kinds = 1 + self.contracts * len(each_drive(self.drive)) + self.moves_null_space
+        null = self.moves_null_space * (1 + (not self.drive.prompt))
+        kinds = 1 + self.contracts * len(each_drive(self.drive)) + null
         return kinds * len(self.postures) + len(self.joints)
 
     def costs(self, correction: float, null_share: float) -> dict:
@@ -169,7 +171,7 @@ class LoopObjective:
         return jax.vmap(lambda q, moment: of(pm.scheduled(loop, moment), q))(postures, self.moments)
 
     def _maps(self, loop, postures):
-        """One-step maps at rest, see `maps_at_rest`: (B·K, m, m), (B·K, n, n), (B·K, m, m)."""
+        """See `maps_at_rest`: (B·K, m, m), (B·K, n, n), (B·K, m, m), (B·K, n, n)."""
         return self._along(lambda law, q: linear.maps_at_rest(law, q, loop.Ts, self.method, self.stage), loop, postures)
 
     @property
@@ -211,7 +213,7 @@ class LoopObjective:
         """(loss, constraints (c,)), smooth: relative excess of each constraint at each posture, or for each joint."""
         loop = pm.put(self.loop, self.parameters, values)
         runs = self._runs(loop)
-        maps, across, taken = self._maps(loop, after(jnp.asarray(self.postures), runs.q))
+        maps, across, taken, null_taken = self._maps(loop, after(jnp.asarray(self.postures), runs.q))
         correction = jax.vmap(linear.radius_estimate)(taken)
         constraints = [correction / self.largest_correction - 1.0]
         if self.contracts:
@@ -219,7 +221,11 @@ class LoopObjective:
                 radius = jax.vmap(linear.radius_bound)(linear.driven_map(maps, drive, self.loop.Ts))
                 constraints.append(radius / self.margin - 1.0)
         if self.moves_null_space:
-            constraints.append(jax.vmap(linear.radius_estimate)(staying(across, jnp.asarray(self.growths))) - 1.0)
+            growths = jnp.asarray(self.growths)
+            constraints.append(jax.vmap(linear.radius_estimate)(staying(across, growths)) - 1.0)
+            if not self.drive.prompt:  # motions that do not oscillate by themselves, to a thousandth; `judged` has all
+                removed = jax.vmap(linear.radius_bound)(null_taken - growths @ null_taken @ growths)
+                constraints.append(removed / self.largest_null_share - 1.0)
         if self.joints:
             constraints.append(self._speed(runs) - 1.0)
         return self._loss(loop, runs, maps), jnp.concatenate(constraints)
@@ -231,7 +237,7 @@ class LoopObjective:
         moments = jnp.linspace(0, 1, INTERVALS + 1)
         k = jnp.clip(jnp.round(moments * self.horizon / loop.Ts).astype(int), 0, self.N)
         postures = runs.q[:, k].reshape(-1, runs.q.shape[-1])
-        maps, across, taken = self._maps(loop, postures)
+        maps, across, taken, _ = self._maps(loop, postures)
         squares = self._shares(loop, runs) @ jnp.mean(runs.e[:, 1:] ** 2, 0)
         return {
             "loss": self._loss(loop, runs, maps),
@@ -340,6 +346,7 @@ def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5)
         losses=tuple((fn, np.asarray(w)) for fn, w in terms(goal.loss)),
         margin=np.asarray(float(goal.margin)),
         largest_correction=np.asarray(most),
+        largest_null_share=np.asarray(max(linear.largest_null_share(drive, float(Ts)), 1e-9)),
         limits=limits,
         joints=joints,
         horizon=np.asarray(horizon),

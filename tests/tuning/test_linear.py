@@ -66,7 +66,7 @@ def test_late_loops_over_gains_are_those_of_the_theory():
 def test_maps_tell_the_task_from_the_null_space():
     arm, q = ck.planar_arm([1.0, 0.8, 0.6, 0.5]), jnp.array([0.4, 0.8, -0.5, 0.3])
     law = ck.Law(arm, ck.position("xy"), alpha=3.0)
-    task, across, _ = jax.jit(lambda q: maps_at_rest(law, q, 0.1, ck.EE, ck.picard(5)))(q)
+    task, across, *_ = jax.jit(lambda q: maps_at_rest(law, q, 0.1, ck.EE, ck.picard(5)))(q)
     np.testing.assert_allclose(task, 0.7 * np.eye(2), atol=1e-12)
     np.testing.assert_allclose(np.sort(np.abs(np.linalg.eigvals(across))), [0, 0, 1, 1], atol=1e-12)
     # Nothing acts in its null space: the upper bound is 2^(1/2p) there, which no bound of 1 can ask for.

@@ -93,7 +93,7 @@ def test_maps_of_rates_are_those_of_the_step(law, method):
     """Without a derivative of the step: its eigenvalues, and of a stack those of its gains where no joint can help."""
     law, method, stage = LAWS[law], ck.METHODS[method], ck.chord(2)
     with jax.enable_x64(True):
-        found, _, taken = map(np.asarray, maps_at_rest(law, jnp.asarray(Q), 0.05, method, stage))
+        found, _, taken, _ = map(np.asarray, maps_at_rest(law, jnp.asarray(Q), 0.05, method, stage))
         moved, rows = step_map(*at_rest(law, None, Q), Q, 0.05, method, stage)
         gain = np.asarray(weighted_gain(law))
     there = rows @ np.linalg.pinv(rows)

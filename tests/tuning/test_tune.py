@@ -115,6 +115,8 @@ def test_the_null_space_is_judged_through_dead_time():
         made = loop_objective(law, still, POSTURE, Ts=0.1, N=2, method="EE", conditions=late)
         (judged,) = judge(made, [(np.asarray(0.5),)])
         assert judged.feasible == kept == bool(judged.null_radius < 1)
+        _, constraints = quick_jit(lambda objective, values: objective(values))(made, (np.asarray(0.5),))
+        assert len(constraints) == made.constraints and bool(np.max(constraints) <= 0) == kept
         most = np.pi / (4 * np.arcsin(share / 2)) - 0.5 - 5
         told = made.costs(float(judged.correction), float(judged.null_share))["delay_margin"]
         assert told == pytest.approx(most if kept else 0, abs=2e-2)
