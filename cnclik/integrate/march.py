@@ -39,7 +39,7 @@ def march(field, q, Ts, method: Method, stage, first=None, *, at=None, looped=Fa
     """One step of the method over `field`.
 
     field(c, q) is the right-hand side at time t + c·Ts: anything with `qdot` (n,) and, for stages that
-    use it, `correct`. A law's field is an `Evaluation`; the stability function steps over a linear one.
+    use it, `newton`. A law's field is an `Evaluation`; the stability function steps over a linear one.
 
     Args:
       first: field(0, q), if known.

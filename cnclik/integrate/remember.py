@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from cnclik.integrate.exponential import CLOSED, Start, closure, start
 from cnclik.integrate.history import Entry, History, fields_of, holds_posture, mark, remember, valid, weights
@@ -55,7 +56,6 @@ def over_history(law, reference, q, at, now, t, Ts, method, history: History, be
     first, slope, entry, turned = make(law, reference, q, at, t, Ts, method, history, count, begun)
     left = count
     if turned is not None:
-        slope = jnp.where(turned, first.qdot, slope)
         left = jnp.where(turned, 0, count)
     if law.limits is not None:
         alone = first.limited | broken(law, slope, q, Ts)
@@ -123,7 +123,11 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
     slope = combine(betas, [parts[0], *(_carried(law, q, *one) for one in zip(entries[1:], parts[1:], strict=True))])
     if null is not None and not holds_posture(law) and "null" not in kept:
         slope = slope + null
-    return first, slope, entry, turned
+
+    def own():  # where nothing else needs it, it is computed only if it is used
+        return first.qdot if law.limits is not None else resolve(law, q, at, alone, to.null).qdot
+
+    return first, lax.cond(turned, own, lambda: slope), entry, turned
 
 
 def _another(now, past, velocity, before, held):

@@ -84,8 +84,7 @@ class Chord(_FromPrediction):
     """See `chord`."""
 
     def improved(self, g, h, k):
-        at = g(k)
-        return k + at.correct(h, at.qdot - k)
+        return g(k).newton(h, k)
 
 
 @record
@@ -131,10 +130,10 @@ def _iterate(stage, improve, start, h) -> Solved:
 def _predict(first, h, ahead):
     """The slope of the law linearised at the step's start, D = J#KJ there: k = f(q) − D (h·ahead + h·k).
 
-    (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead, so one application is enough; from base = q
+    (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead: the Newton step from the slope −s. From base = q
     (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
     """
-    return first.correct(h, first.qdot + ahead) - ahead
+    return first.newton(h, -ahead)
 
 
 def _matrix(linear, like):
@@ -177,7 +176,7 @@ def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, impl
     """Chord (simplified Newton) iteration k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, converging at any z.
 
     −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; the law knows
-    it, see `cnclik.law.law.correct`), so what contracts is the curvature, whatever alpha·Ts is. With exact J# and
+    it, see `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. With exact J# and
     scalar gain, (I + h J#KJ)⁻¹ r = r − (a z/(1 + a z)) J#(J r). It starts from the law linearised at q, and costs
     M evaluations of f and as many products with J and J#. Gain matrices, damping, weights and null-space
     velocities that depend on q are in it.

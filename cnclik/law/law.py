@@ -180,7 +180,7 @@ class Evaluation(NamedTuple):
     rows: Float[Array, "m n"]  # of the task Jacobian, weighted
     apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
     least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
-    correct: Callable  # (h, r) to (I + h J#KJ)⁻¹ r, see `correct`
+    newton: Callable  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `newton`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
     cut: bool | Bool[Array, ""] = False  # whether the search within limits was cut short
     task_velocity: Float[Array, " m"] | None = None  # weighted task velocity
@@ -219,7 +219,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         rows=rows,
         apply=made.apply,
         least=made.least if not task.tasks else least_of_tasks(task, at.rows),
-        correct=lambda h, r: correct(law, q, rows, made, h, r),
+        newton=lambda h, k: newton(law, q, rows, made, velocity, null, qdot, h, k),
         limited=getattr(made, "limited", False),
         cut=getattr(made, "cut", False),
         task_velocity=velocity,
@@ -280,27 +280,26 @@ def rows_at(law: Law, q, aims=None) -> Observation:
     return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
-def correct(law: Law, q, rows, made, h, r):
-    """(I − h ∂f/∂q)⁻¹ r without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
+def newton(law: Law, q, rows, made, v, null, f, h, k):
+    """k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
 
     With the weighted rows B = WJ, A = B# and C = WKW⁻¹ the derivative is −A C B, and by the push-through identity
-    (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. For exact J# and scalar gain, A B is a projection
-    and this is I − (h alpha/(1 + h alpha)) A B. With scalar gain and A = Bᵀ (B Bᵀ + λ² I)⁻¹ it is the same with λ²
-    divided by 1 + h alpha in A. A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and the system
-    is n×n.
+    (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. With scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹
+    the whole is Bᵀ (B Bᵀ + s λ² I)⁻¹ (s v + (1 − s) B k), s = 1/(1 + h alpha): one factor and one solve. For exact J#
+    it is A (s v + (1 − s) B k). A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and the system is n×n.
+
+    Args: v: weighted task velocity (m,). null: q̇₀ (n,) or None. f: joint velocities (n,).
     """
-    apply = made.apply
+    apply, exact = made.apply, isinstance(law.inverse, Pseudoinverse)
     if callable(law.null_velocity):
-        return jnp.linalg.solve(_whole(law, q, rows, apply, h), r)
-    task = rows @ r
-    exact = isinstance(law.inverse, Pseudoinverse)
+        return k + jnp.linalg.solve(_whole(law, q, rows, apply, h), f - k)
     if np.ndim(law.alpha) == 0 and law.limits is None and (exact or made.shift is not None):
-        hz = h * law.alpha
-        again = apply if exact else damped_apply(rows, made.shift / (1.0 + hz))[0]
-        return r - hz / (1.0 + hz) * again(task)
-    c = weighted_gain(law)
+        s = 1.0 / (1.0 + h * law.alpha)
+        again = apply if exact else damped_apply(rows, s * made.shift)[0]
+        return through(again, rows, s * v + (1.0 - s) * (rows @ k), null)
+    c, task = weighted_gain(law), rows @ (f - k)
     inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(task), dtype=task.dtype))
-    return r - h * apply(jnp.linalg.solve(dense.shifted(h * c @ rows @ inverse, 1.0), c @ task))
+    return f - h * apply(jnp.linalg.solve(dense.shifted(h * c @ rows @ inverse, 1.0), c @ task))
 
 
 def _whole(law, q, rows, apply, h):

@@ -40,7 +40,7 @@ class _Linear(NamedTuple):
     """The field q̇ = −w q."""
 
     qdot: Float[Array, " m"]
-    correct: Callable
+    newton: Callable
 
 
 def stepped(method, stage, through, gain, Ts):
@@ -54,7 +54,8 @@ def stepped(method, stage, through, gain, Ts):
     w = through @ gain
 
     def field(_, q):
-        return _Linear(-w @ q, lambda h, r: jnp.linalg.solve(eye + h * w, r))
+        f = -w @ q
+        return _Linear(f, lambda h, k: k + jnp.linalg.solve(eye + h * w, f - k))
 
     return jax.vmap(lambda start: march(field, start, Ts, method, stage).q, out_axes=1)(eye)
 

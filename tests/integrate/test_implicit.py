@@ -107,11 +107,21 @@ def test_correction_inverts_the_linearised_law_at_rest(kind):
 
     @jax.jit
     def both(q, r):
-        corrected = evaluate(modelled(one), REST, jnp.zeros(()), q).correct(h, r)
-        return jax.jacfwd(lambda q: _slope(one, REST, q))(q), corrected
+        at = evaluate(modelled(one), REST, jnp.zeros(()), q)
+        return jax.jacfwd(lambda q: _slope(one, REST, q))(q), at.newton(h, r), at.qdot
 
-    derivative, corrected = map(np.asarray, both(Q, r))
-    np.testing.assert_allclose(corrected, np.linalg.solve(np.eye(3) - h * derivative, r), atol=1e-9)
+    derivative, found, f = map(np.asarray, both(Q, r))
+    np.testing.assert_allclose(found, r + np.linalg.solve(np.eye(3) - h * derivative, f - r), atol=1e-9)
+
+
+@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.4)])
+def test_a_constant_null_space_velocity_passes_a_newton_step(inverse):
+    """Away from rest, by the matrix (n, n) that the formula avoids."""
+    one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=np.array([0.3, -0.2, 0.5]))
+    at = evaluate(modelled(one), TARGET, jnp.zeros(()), jnp.asarray(Q))
+    h, k, f = 0.3, np.array([0.7, -0.2, 1.1]), np.asarray(at.qdot)
+    D = 15.0 * np.stack([at.apply(unit) for unit in np.eye(2)], axis=1) @ np.asarray(at.rows)
+    np.testing.assert_allclose(at.newton(h, k), k + np.linalg.solve(np.eye(3) + h * D, f - k), atol=1e-12)
 
 
 def test_masked_passes_equal_compiled_ones():
