@@ -87,11 +87,9 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
             "other: move the target along one axis at a small gain and see whether another axis moves first."
         )
     notes += _changed(known, z)
-    other = alpha is not None and _apart(alpha * Ts, z, APART_Z)
-    if other or (made["confidence"] < SURE and not (whole or len(likely) > 1)):
-        why = f"alpha·Ts is {alpha * Ts:.4g}, far from this z, so " if other else ""
-        note = f"No gain can be given: {why}this may be the motion of a path, or of another loop."
-        return made | {"z": z, "note": f"{note} Record the loop at rest: push it and wait until it rests again."}
+    unsure = made["confidence"] < SURE and not (whole or len(likely) > 1)
+    if note := _other(alpha, z, Ts, unsure):
+        return made | {"z": z, "note": note}
     return made | _gains(z, limits, share, alpha) | {"note": " ".join([*notes, UNLESS])}
 
 
@@ -106,6 +104,8 @@ def advice_excited(loops, alpha, Ts) -> dict:
     if made["period"] > SLOW:
         made["confidence"] = min(made["confidence"], OTHER)
         notes.append(PATH)
+    if note := _other(alpha, best.z, Ts):
+        return made | {"z": best.z, "note": note}
     share, apart = _careful(loops, Ts)
     if alpha is None and apart > AGREED:
         wide = f"No gain can be given: gains for the loops that explain it differ by a factor of {apart:.2g}."
@@ -131,6 +131,14 @@ def _gains(z, limits, share, alpha) -> dict:
 def _apart(known, z, by=NEAR) -> bool:
     """Whether a known gain and z differ by more than a factor."""
     return not 1 / by < z / known < by
+
+
+def _other(alpha, z, Ts, unsure=False) -> str:
+    """Why the recording may not be of the loop with this gain; "" if it may."""
+    far = alpha is not None and _apart(alpha * Ts, z, APART_Z)
+    why = f"alpha·Ts is {alpha * Ts:.4g}, far from this z, so " if far else ""
+    note = f"No gain can be given: {why}this may be the motion of a path, or of another loop."
+    return f"{note} Record the loop at rest: push it and wait until it rests again." if far or unsure else ""
 
 
 def _changed(known, z) -> list:

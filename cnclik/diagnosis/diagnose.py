@@ -246,8 +246,8 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
                 f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
                 "not of a loop: no gain is named."
             )
-        if noisy or stays or periods or driven.get("confidence", 0) > made.get("confidence", 0):
-            made |= driven
+        if driven and (noisy or stays or periods or driven["confidence"] > made.get("confidence", 0)):
+            made = driven  # all of it: a gain of the first answer does not stop another loop
     if kind is Kind.DIVERGING:
         made |= growth_without_end(part.factor, shape, _is_clear(part), alpha, Ts)
     elif kind is Kind.UNDECIDED:

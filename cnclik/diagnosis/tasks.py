@@ -2,7 +2,8 @@
 
 A stack's loop at rest is e[k+1] = e[k] − Ts J J# K e[k−d], with one dead time for all. With K^½ J J# K^½ u = z u
 (weighted, symmetric), a mode's z depends on the gain k of a task by ∂ log z/∂ log k, the task's part of ‖u‖², and thus
-of K e². The task with the largest part causes the mode; the others oscillate with it.
+of K e². The task with the largest part causes the mode; the others oscillate with it. As z ≤ Ts max(K), gains below
+the limit of one task suffice, whatever the units, weights and levels by which errors compare.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from cnclik.record import record, replace
 
 ALIKE = 0.1  # relative difference, at most, between the periods of one mode
 ALONG = 0.1  # part of a mode below which a task only oscillates with another one
+UNKNOWN = 1e-3  # the same where a gain is unknown: errors in rad and in m, or of two levels, compare badly
 
 
 @record
@@ -27,7 +29,8 @@ class TaskDiagnosis:
 
     Attributes:
       found: `Diagnosis` of them alone. share: its share of the mode in which it oscillates; 1 if no other task does.
-        z changes by this many per cent for one per cent of its gain, for tasks in one unit and with equal weights.
+        z changes by this many per cent for one per cent of its gain, for tasks of one level, in one unit and with
+        equal weights.
       along: the task with which it oscillates, whose gain should be changed, or "".
       alpha, recommended_alpha: present gain, if given, and recommended one [1/s]. factor: their ratio. None where the
         gain may be kept or nothing is known.
@@ -48,8 +51,8 @@ class StackDiagnosis:
     """The result for a recording of several tasks.
 
     Attributes:
-      tasks: {name: `TaskDiagnosis`}. change: names of the tasks whose gain should be changed, most important first.
-      delay: dead time of the largest oscillation [samples], or None.
+      tasks: {name: `TaskDiagnosis`}. change: tasks whose gain should be changed, the smallest factor first.
+      delay: dead time of the surest oscillation [samples], or None.
     """
 
     tasks: dict
@@ -80,21 +83,26 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
             each[name] = diagnose(signal, Ts, alpha=gains[name], longest=longest)
         if progress is not None:
             progress(i + 1, len(signals), name)
-    sizes = {name: (gains[name] or 1.0) * float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
-    if None in gains.values():  # gains compare only if all are known
-        sizes = {name: float(np.sum(np.square(one.amplitude))) for name, one in each.items()}
+    known = None not in gains.values()  # otherwise gains do not compare
+    sizes = {n: (gains[n] if known else 1.0) * float(np.sum(np.square(one.amplitude))) for n, one in each.items()}
     seen = {name: _seen(name, each, gains, sizes) for name in each}
-    makers = [name for name, one in seen.items() if one.factor is not None]
-    makers.sort(key=lambda name: -(each[name].growth ** each[name].period))  # share left after a period
-    lead = each[makers[0]] if makers else None
-    for name in set(seen) - set(makers[:1]) if lead is not None and lead.recommended is not None else ():
-        seen[name] = _borne(seen[name], lead)
-    change = [*makers, *(name for name in seen if name not in makers)]
+    lead = max((one for one in each.values() if one.rings and one.recommended is not None), key=_surest, default=None)
+    if lead is not None:
+        most = lead.recommended / lead.Ts
+        if known:  # z ≤ Ts max(alpha), unless measurement or drive change the gain
+            most /= max(1.0, lead.z / (lead.Ts * max(gains.values())))
+        seen = {name: _borne(one, most, one.found is lead) for name, one in seen.items()}
+    factors = {name: one.factor for name, one in seen.items() if one.factor is not None}
     return StackDiagnosis(
         tasks=seen,
-        change=tuple(name for name in change if seen[name].factor is not None),
+        change=tuple(sorted(factors, key=lambda name: factors[name])),
         delay=None if lead is None else lead.delay,
     )
+
+
+def _surest(one):
+    """The order in which the dead time of all tasks is read: by confidence, and then the slowest to end."""
+    return round(one.confidence, 1), one.growth**one.period
 
 
 def _seen(name, each, gains, sizes) -> TaskDiagnosis:
@@ -106,24 +114,31 @@ def _seen(name, each, gains, sizes) -> TaskDiagnosis:
     mode = [n for n, one in each.items() if one.rings and abs(one.period - own.period) <= ALIKE * own.period]
     made["share"] = sizes[name] / max(sum(sizes[n] for n in mode), np.finfo(float).tiny)
     lead = max(mode, key=lambda n: sizes[n])
-    if made["share"] < ALONG:
+    known = None not in gains.values()
+    if made["share"] < (ALONG if known else UNKNOWN):
         made["along"] = lead
-        words = f"oscillates with {lead}, with {100 * made['share']:.2g} % of its amplitude."
+        words = f"oscillates with {lead}, and has {100 * made['share']:.2g} % of the swing."
+        words += "" if gains[name] is not None else " With the gains of all tasks the answer is surer."
         return TaskDiagnosis(**made, words=words)
     made |= dict(recommended_alpha=own.recommended_alpha, factor=own.factor)
     return TaskDiagnosis(**made, words=str(own))
 
 
-def _borne(one, lead) -> TaskDiagnosis:
-    """Compares a task with the limit for the dead time of the largest oscillation, which all tasks share."""
+def _borne(one, most, leads) -> TaskDiagnosis:
+    """Compares a task's gain with the largest [1/s] at the dead time of the surest oscillation, which all tasks share.
+
+    Gains up to it suffice, whatever the units, weights and levels of the tasks.
+    """
     if one.alpha is None:
         return one
-    most, now = lead.recommended, one.alpha * lead.Ts
-    if now > most * NEAR:
-        much = f"At this dead time any task overshoots above {most / lead.Ts:.4g} 1/s."
-        words = one.words if one.factor is not None else f"{one.words} {much}"
-        return replace(one, recommended_alpha=most / lead.Ts, factor=most / now, words=words)
-    words = f"{one.words} Keep its gain." if one.along else one.words
-    if one.factor is not None:
-        words = f"{one.found.kind}, but its gain of {one.alpha:g} 1/s does not overshoot at this dead time. Keep it."
-    return replace(one, recommended_alpha=None, factor=None, words=words)
+    if one.alpha <= most * NEAR:
+        words = f"{one.words} Keep its gain." if one.along else one.words
+        if one.factor is not None:
+            words = (
+                f"{one.found.kind}, but its gain of {one.alpha:g} 1/s does not overshoot at this dead time. Keep it."
+            )
+        return replace(one, recommended_alpha=None, factor=None, words=words)
+    if leads and one.factor is not None:
+        return one
+    much = f"At this dead time any task overshoots above {most:.4g} 1/s."
+    return replace(one, recommended_alpha=most, factor=most / one.alpha, words=f"{one.words} {much}")

@@ -237,3 +237,15 @@ def test_a_gain_far_from_the_one_that_rings_is_said_to_be_why_none_is_named(alph
     """As of a slip in alpha's unit: the recording says z = 0.3, and alpha·Ts is not near it."""
     found = diagnose(loop(0.3, 4, 150), TS, alpha=alpha)
     assert found.factor is None and f"alpha·Ts is {alpha * TS:.4g}, far from this z" in found.note, found
+
+
+def test_a_gain_is_named_or_it_is_said_that_none_can_be():
+    """Noise moves this loop; the oscillation that is seen at first is another one."""
+    rng = np.random.default_rng(13)
+    d, z, count = int(rng.integers(1, 4)), 0.38 * rng.uniform(0.8, 1.1), int(rng.choice([120, 200]))
+    k = int(rng.integers(1, 4))
+    e, size = [rng.normal(size=k)] * (d + 1), rng.uniform(0.01, 0.1)
+    while len(e) < count:
+        e.append(e[-1] - z * (e[-1 - d] + size * rng.normal(size=k)))
+    found = diagnose(np.array(e) + size * rng.normal(size=(count, k)), TS)
+    assert ("No gain can be given" in found.note) == (found.factor is None)
