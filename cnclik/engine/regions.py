@@ -58,15 +58,16 @@ def _scan(reader, eqn, *inputs):
         here = _unflat([still.get(i, c) for i, c in enumerate(r.carries)], carried)
         g.block = r.block
         made = reader.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *here, *rows])
-        g.block, r.then = outside, _flat(reader, made[:nk])
+        r.then = _flat(reader, made[:nk])
+        deep = [type(v) is Rows and all(not c.shape or (c.op == "stacked" and c.block is r.block) for c in v.cells.flat)
+                for v in made[nk:]]  # fmt: skip
+        r.ys = [c for v, is_deep in zip(made[nk:], deep, strict=True)
+                for c in (v.cells if is_deep else reader.cells(v)).flat]  # fmt: skip
+        g.block = outside
         stays = {i: a for i, (a, *those) in enumerate(zip(first, r.carries, r.then, strict=True)) if _stays(a, *those)}
         if stays.keys() <= still.keys():
             break
         still |= stays  # read again: more is now known or loop-invariant
-    deep = [type(v) is Rows and all(not c.shape or (c.op == "stacked" and c.block is r.block) for c in v.cells.flat)
-            for v in made[nk:]]  # fmt: skip
-    for v, is_deep in zip(made[nk:], deep, strict=True):
-        r.ys += list(v.cells.flat) if is_deep else list(reader.cells(v).flat)
     outside.items.append(r)
     r.outs = g.nodes(r, "end", _shapes(carried), outside)
     ends = [t if t.block.depth <= outside.depth else end for t, end in zip(r.then, r.outs, strict=True)]

@@ -125,6 +125,17 @@ def test_the_gradient_of_joined_rows_stays_a_loop():
     assert Program(jax.grad(fn), lane_avals((q, path))).operations < 300
 
 
+def test_what_the_innermost_of_three_loops_stacks():
+    """Read entry by entry, within the outermost loop."""
+
+    def fn(x):
+        inner = lambda c, _: (jnp.cos(1.3 * c) + 0.1 * c, c * c)  # noqa: E731
+        middle = lambda c, _: lax.scan(inner, c, None, length=3)  # noqa: E731
+        return lax.scan(lambda c, k: lax.scan(middle, c + 0.1 * k, None, length=2), x, jnp.arange(3.0))
+
+    check(fn, batch(), ulps=64)
+
+
 def test_moves_along_time():
     def fn(x, q):
         y = jnp.cumsum(jnp.sin(x), 0)
