@@ -100,6 +100,8 @@ class Drive:
             value = getattr(self, name)
             if name == "damping_ratio" and self.natural_frequency is None:
                 continue
+            if value is None and name in _ABSENT:
+                raise errors.fail(name, "be a number, 0 for none", "is None")
             if value is not None and not (_none(value) and name in _ABSENT):
                 known = _check(name, value, zero=name in ("joint_noise", "resolution"))
                 object.__setattr__(self, name, known if np.ndim(known) else leaf(value))

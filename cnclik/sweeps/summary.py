@@ -17,6 +17,7 @@ _WRONG = {  # counts of steps that are 0 for a safe loop, and the word for it
     "within velocity limits": ("over_velocity",),
 }
 _APART = ("case", "robot")  # axes along which errors are not compared
+_CHOSEN = ("alpha", "weights")  # axes of vectors that are a choice, as numbers are; others are starts and targets
 
 
 def scalars(data) -> list:
@@ -67,12 +68,12 @@ def _z(data):
 def best(data) -> list:
     """Sentences that name the safe loop with the least error for each case and robot; empty without an error.
 
-    Starts and seeds count by their worst value.
+    Starts, targets and seeds count by their worst value.
     """
     if (found := judged(data)) is None:
         return []
     value, safe, words = found
-    drawn = [d for d in value.dims if d == "seed" or f"{d}_value" in data.coords]
+    drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and not d.endswith(_CHOSEN))]
     value, safe = value.max(drawn, keep_attrs=True), safe.all(drawn)
     apart, said = [d for d in _APART if d in value.dims], []
     for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
@@ -84,7 +85,7 @@ def best(data) -> list:
             said.append(f"{count}.")
             continue
         place = np.unravel_index(np.argmin(np.where(fine, own, np.inf)), own.shape)
-        at = {d: data[d].values[i] for d, i in zip(own.dims, place, strict=True)}
+        at = {d: data.get(f"{d}_value", data[d]).values[i] for d, i in zip(own.dims, place, strict=True)}
         axes = [f"{d} {text(v)} {data[d].attrs.get('units', '')}".removesuffix(" 1").strip() for d, v in at.items()]
         axes += [f"z = {text(at['alpha'] * at['Ts'])}"] if {"alpha", "Ts"} <= set(at) else []
         least = f"{own.values[place]:.3g} {value.attrs.get('units', '')}".strip()
@@ -104,6 +105,8 @@ def _how_many(safe, every) -> str:
 
 def text(value) -> str:
     """A coordinate's value, four digits."""
+    if isinstance(value, np.ndarray):
+        return f"[{', '.join(f'{v:.4g}' for v in value.ravel())}]"
     return f"{value:.4g}" if isinstance(value, float | np.floating) else str(value)
 
 

@@ -228,6 +228,7 @@ def test_float32_runs_in_float32():
         ({"delay": jnp.nan}, "`delay` must be finite"),
         ({"lag": -0.1}, "`lag` must be positive, but is -0.1"),
         ({"lag": 0.1, "natural_frequency": 3.0}, "`natural_frequency` must be left out where there is a lag"),
+        ({"lag": None}, "`lag` must be a number, 0 for none, but is None"),
         ({"natural_frequency": 0.0}, "`natural_frequency` must be positive"),
         ({"damping_ratio": 0.0, "natural_frequency": 3.0}, "`damping_ratio` must be positive"),
         ({"damping_ratio": 0.7}, "`damping_ratio` must come with a natural_frequency"),
