@@ -26,8 +26,6 @@ from cnclik.law.limits import within
 from cnclik.robot.chart import between, centre, into, rates
 from cnclik.shapes import Array, Bool
 
-TURNED = 1.0  # squared difference of two joint velocities, over the larger square, that means another J#
-
 
 class Stepped(NamedTuple):
     """A step and its new memory."""
@@ -131,13 +129,14 @@ def _exponential(law, reference, q, at, t, Ts, method, history, count, begun):
 
 
 def _another(now, past, velocity, before, held):
-    """Whether J# has changed by more than the past can predict, judged by the joint velocities of two instants.
+    """Whether J# has changed by more than the past can predict, judged by the joint velocities a, b of two instants.
 
+    It has if their distance exceeds the longer one: |a − b|² > max(|a|², |b|²), which is 2 a·b < min(|a|², |b|²).
     False if the target's own velocity changed by half of the requested velocity, as J# is not the cause then.
     """
-    apart, most = now - past, jnp.maximum(now @ now, past @ past)
     change, requested = velocity - before, before + held
-    return (apart @ apart > TURNED * most) & (4 * (change @ change) < requested @ requested)
+    far = 2 * (now @ past) < jnp.minimum(now @ now, past @ past)
+    return far & (4 * (change @ change) < requested @ requested)
 
 
 def _applied(entry: Entry, velocity):
