@@ -26,7 +26,8 @@ LIKELY = 0.02  # share of the likeliest loop's probability, at least, for anothe
 CAREFUL = 0.25  # share of the loops' probability for which a gain may be too large
 TAIL = 0.1  # share of it, on either side, that does not count as to how far gains for these loops are apart
 AGREED = 2.5  # and that factor, beyond which a gain that is safe for most may be far too low for the loop
-CLOSE = 0.15  # share of the total delay within which dead times count as equal
+CLOSE = 0.15  # share of the total delay within which dead times are about equal, and gains, too
+ONE = 0.5  # [samples] within which they are one
 OTHER = 0.6  # confidence, at most, in a sustained oscillation's loop: a path may oscillate, too
 HALF_TURN = 3.5  # [rad] of an oscillation that must be visible to rule out a path
 FOLDS = 3.0  # factors of e over which growth or decay is visible
@@ -62,7 +63,11 @@ def advice(kind, factor, shape, y, noise, alpha, Ts) -> dict:
     made |= _cause(best)
     limits, notes, z = limits_of(best, Ts), [], best.z
     likely = [loop for loop in loops if loop.share > LIKELY * best.share or not whole]
-    share = _careful(likely, Ts)[0] if known is None or not whole else limits.recommended / z
+    if known is None or not whole:
+        alike = [loop.calm(Ts) / loop.z for loop in _about(likely)]  # all of these, as they cost a few per cent
+        share = min(_careful(likely, Ts)[0], *alike)
+    else:
+        share = limits.recommended / z
     may_be_path = _turns_less(HALF_TURN, factor)  # a path may bend as much
     if kind is Kind.SUSTAINED and whole and z < BELOW * limits.stable:
         made["kind"] = Kind.RINGING
@@ -164,11 +169,13 @@ def _careful(likely, Ts) -> tuple[float, float]:
 
 def _confidence(loops, whole) -> float:
     """The probability of the first loop's dead time among all loops that were tried."""
-    best = loops[0]
-    if not whole:
-        return best.share
-    near = max(0.5, CLOSE * max(loop.delay for loop in loops))
-    return float(sum(loop.share for loop in loops if abs(loop.delay - best.delay) <= near))
+    return float(sum(loop.share for loop in _about(loops))) if whole else loops[0].share
+
+
+def _about(loops) -> list:
+    """The loops whose dead time is about that of the first."""
+    near = max(ONE, CLOSE * max(loop.delay for loop in loops))
+    return [loop for loop in loops if abs(loop.delay - loops[0].delay) <= near]
 
 
 def _alike(likely, best, whole, known, decides, Ts) -> list:
@@ -177,14 +184,15 @@ def _alike(likely, best, whole, known, decides, Ts) -> list:
         note = "Dead time and lag follow from alpha and the oscillation; a recorded step shows more (--step)."
         return [note] if best.lag else []
     late, slow = max(likely, key=lambda loop: loop.delay), min(likely, key=lambda loop: loop.delay)
-    if late.delay - slow.delay <= max(0.5, CLOSE * late.delay):
+    if late.delay - slow.delay <= ONE:
         return []
+    suits = "is low enough for all" if late.delay - slow.delay <= CLOSE * late.delay else "suits most"
     ends = [
         f"{loop.delay:.3g} samples " + (f"with a lag of {1e3 * loop.lag:.3g} ms" if loop.lag else "alone")
         for loop in (late, slow)
     ]
     return [
-        f"A dead time of {ends[0]}, one of {ends[1]} and anything in between are possible. The gain suits most of "
+        f"A dead time of {ends[0]}, one of {ends[1]} and anything in between are possible. The gain {suits} of "
         f"them; {decides}a recorded step (--step) decides."
     ]
 

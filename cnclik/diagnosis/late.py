@@ -21,6 +21,7 @@ PERIODS = 12  # periods of a recording, at most
 SHORT = 150  # rows; in a shorter recording more dead times are tried if none of these explains it:
 WIDE = 12  # up to this, and up to twice the phase's
 LAGS = 8  # dead times with a lag to be tried
+COARSE = 0.5  # likelihood of the second, relative to the likeliest, below which those half way to its neighbours follow
 NO_LAG = 0.2  # samples; a shorter lag counts as none
 TEMPER = 0.25  # instead of 1/2, as no real loop is exactly one of these
 SIMPLE = 0.03  # share of the likeliest loop's probability above which dead time alone is reported
@@ -135,7 +136,7 @@ def loops_of(factor, y, basis, noise, Ts, z=None) -> tuple:
         simple = [loop for loop in found if not loop.lag and (loop.share > SIMPLE * found[0].share or hardly)]
         return [*simple[:1], *(loop for loop in found if not simple or loop is not simple[0])], True
     alone = LateLoop(round(phase), 0.0, gain_of(factor, round(phase)), share=1.0 - 2.0 * abs(phase - round(phase)))
-    lagging = _family(factor, phase, Ts)
+    lagging = _family(factor, phase, np.arange(LAGS) / LAGS, Ts)
     return [alone, *(loop._replace(share=loop.as_known(z) * loop.usual / len(lagging)) for loop in lagging)], False
 
 
@@ -191,7 +192,8 @@ def _with_lags(fit, factor, phase) -> list:
     """Loops with a lag for a factor, which is then refitted with the best of them."""
     from scipy.optimize import minimize
 
-    tried = [fit.scored(loop) for loop in _family(factor, phase, fit.Ts) if fit.has_room(loop.delay + 1)]
+    shares = np.arange(LAGS) / LAGS
+    tried = [fit.scored(loop) for loop in _family(factor, phase, shares, fit.Ts) if fit.has_room(loop.delay + 1)]
     if not tried:
         return []
     best = min(tried, key=lambda loop: loop.score)
@@ -209,20 +211,25 @@ def _with_lags(fit, factor, phase) -> list:
     factor = at(made.x).slowest(fit.Ts)
     if not factor.imag:
         return tried
-    found = _family(factor, phase_delay(factor), fit.Ts)
+    phase = phase_delay(factor)
+    found = [*map(fit.scored, _family(factor, phase, shares, fit.Ts))]
+    best, *others = sorted(found, key=lambda loop: loop.score) or [None]
+    if others and np.exp(TEMPER * (best.score - others[0].score)) < COARSE:
+        between = best.delay / phase + np.array([-0.5, 0.5]) / LAGS
+        found += [*map(fit.scored, _family(factor, phase, between[between > 0], fit.Ts))]
     exact = None if fit.z is None else lag_of(factor, fit.z, fit.Ts)
-    return [fit.scored(loop) for loop in (*found, exact) if loop is not None]
+    return found if exact is None else [*found, fit.scored(exact)]
 
 
-def _family(factor, phase, Ts) -> list:
-    """Loops with a lag that have this factor as their largest, one per tried dead time below the phase's."""
+def _family(factor, phase, shares, Ts) -> list:
+    """Loops with a lag that have this factor as their largest, one per dead time, a share of the phase's."""
     from scipy.optimize import brentq
 
     def gain(delay, lag):
         return -Ts / sampled(Drive(delay=delay, lag=lag), Ts).transfer(factor)
 
     found = []
-    for delay in phase * np.arange(LAGS) / LAGS if factor.imag and 0.2 < phase < MOST else ():
+    for delay in phase * shares if factor.imag and 0.2 < phase < MOST else ():
         low, high = np.log(SHORTEST * Ts), np.log(1e3 * max(phase, 1) * Ts)
         turn = [np.angle(gain(delay, np.exp(at))) for at in (low, high)]
         if turn[0] * turn[1] < 0:
