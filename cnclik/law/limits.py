@@ -300,6 +300,9 @@ def saturation(rate: Number = 10.0) -> Saturated:
     [0, 1] that fits, so that its direction is kept. The bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint
     approaches its limit exponentially, and a joint outside its limits comes back, whatever the task asks for.
 
+    Directions in which the other joints have singular values below 0.01·‖J‖ in float32 (4e-7·‖J‖ in float64) count as
+    out of reach.
+
     In a stack with `levels` each level has its own share and changes nothing above it (Algorithm 4). All tasks of one
     level, and of a stack without levels, slow down together.
 
