@@ -165,7 +165,7 @@ def integer(name: str, value, *, at_least: int, at_most: int | None = None) -> i
 
 
 def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
-    """A real array of one of the shapes (None matches any length); returned as an array of floats.
+    """A real array of one of the shapes (None matches any length); returned as an array of floats that JAX takes.
 
     Args: most: what no entry is beyond, of either sign.
     """
@@ -195,7 +195,9 @@ def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
         raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
     if most is not None and concrete(found) and (np.abs(found) > most).any():
         raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(found).max():g}")
-    return found if found.dtype.kind == "f" else found.astype(float)
+    if found.dtype.kind == "f" and found.dtype.isnative and found.dtype.itemsize <= 8:
+        return found
+    return found.astype("f4" if found.dtype.kind == "f" and found.dtype.itemsize == 4 else float)
 
 
 def _gather(value):

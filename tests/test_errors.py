@@ -84,6 +84,13 @@ def test_single_precision_is_kept():
     assert errors.array("q", np.ones(2, np.float32)).dtype == np.float32
 
 
+@pytest.mark.parametrize("dtype", [">f8", ">f4", np.longdouble])
+def test_numbers_of_any_byte_order_and_size_are_what_jax_takes(dtype):
+    found = errors.array("q", np.array([0.5, 2.0], dtype))
+    assert jnp.asarray(found).tolist() == [0.5, 2.0]
+    assert found.dtype == (np.float32 if dtype == ">f4" else np.float64)
+
+
 def test_traced_values_are_checked_by_shape_alone():
     @jax.jit
     def fn(x):
