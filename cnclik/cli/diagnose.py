@@ -122,6 +122,8 @@ def _tasks(args, names, left_out) -> dict:
         at = [
             i for i, name in enumerate(names) if i not in left_out and re.match(rf"(e_)?{re.escape(task)}[._/]", name)
         ]
+        if task in found:
+            raise errors.fail("tasks", "name each task once", f"names {task} twice")
         if not at:
             raise errors.fail(
                 "tasks", f"have columns such as {task}.x in LOG", f"is {word!r}, and LOG has {', '.join(names)}"

@@ -28,9 +28,9 @@ class TaskDiagnosis:
     """The result for the errors of one task.
 
     Attributes:
-      found: `Diagnosis` of them alone. share: its share of the mode in which it oscillates; 1 if no other task does.
-        z changes by this many per cent for one per cent of its gain, for tasks of one level, in one unit and with
-        equal weights.
+      found: `Diagnosis` of them alone, with the gain of the task that makes their swing. share: its share of the mode
+        in which it oscillates; 1 if no other task does. z changes by this many per cent for one per cent of its gain,
+        for tasks of one level, in one unit and with equal weights.
       along: the task with which it oscillates, whose gain should be changed, or "".
       alpha, recommended_alpha: present gain, if given, and recommended one [1/s]. factor: their ratio. None where the
         gain may be kept or nothing is known.
@@ -51,7 +51,7 @@ class StackDiagnosis:
     """The result for a recording of several tasks.
 
     Attributes:
-      tasks: {name: `TaskDiagnosis`}. change: tasks whose gain should be changed, the smallest factor first.
+      tasks: {name: `TaskDiagnosis`}. change: tasks whose gain should be changed, the surest first.
       delay: dead time of the surest oscillation [samples], or None.
     """
 
@@ -80,7 +80,10 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
     each = {}
     for i, (name, signal) in enumerate(signals.items()):
         with errors.within(name):
-            each[name] = diagnose(signal, Ts, alpha=gains[name], longest=longest)
+            one = diagnose(signal, Ts, alpha=gains[name], longest=longest)
+            if (other := _maker(one, gains)) is not None:
+                one = diagnose(signal, Ts, alpha=other, longest=longest)
+            each[name] = one
         if progress is not None:
             progress(i + 1, len(signals), name)
     known = None not in gains.values()  # otherwise gains do not compare
@@ -95,9 +98,18 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
     factors = {name: one.factor for name, one in seen.items() if one.factor is not None}
     return StackDiagnosis(
         tasks=seen,
-        change=tuple(sorted(factors, key=lambda name: factors[name])),
+        change=tuple(sorted(factors, key=lambda name: (seen[name].found is not lead, factors[name]))),
         delay=None if lead is None else lead.delay,
     )
+
+
+def _maker(one, gains) -> float | None:
+    """The larger gain of another task that makes the swing of this one; None if its own may, or if there is none."""
+    if not one.rings or one.recommended is not None or one.alpha is None or not (one.z or 0) > one.alpha * one.Ts:
+        return None
+    apart = {a: abs(np.log(one.z / (a * one.Ts))) for a in gains.values() if a is not None}
+    nearest = min(apart, key=lambda a: apart[a])
+    return nearest if apart[nearest] < np.log(NEAR) and nearest != one.alpha else None
 
 
 def _surest(one):
@@ -133,10 +145,8 @@ def _borne(one, most, leads) -> TaskDiagnosis:
         return one
     if one.alpha <= most * NEAR:
         words = f"{one.words} Keep its gain." if one.along else one.words
-        if one.factor is not None:
-            words = (
-                f"{one.found.kind}, but its gain of {one.alpha:g} 1/s does not overshoot at this dead time. Keep it."
-            )
+        if one.found.rings and not one.along:
+            words = f"{one.found.kind}, but {one.alpha:g} 1/s do not overshoot at this dead time. Keep its gain."
         return replace(one, recommended_alpha=None, factor=None, words=words)
     if leads and one.factor is not None:
         return one

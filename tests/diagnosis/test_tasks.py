@@ -82,6 +82,18 @@ def test_the_dead_time_is_that_of_the_surest_task():
     assert found.tasks["rest"].found.confidence < found.tasks["hands"].found.confidence
 
 
+def test_a_posture_shows_the_swing_that_another_gain_makes():
+    """The errors of the fast task itself are in the noise; no gain was named, as alpha·Ts of the posture is far off."""
+    e = [1.0] * (DELAY + 1)
+    while len(e) < 200:
+        e.append(e[-1] - 0.3 * e[-1 - DELAY])
+    noise = np.random.default_rng(0).normal(size=(200, 5))
+    signals = {"hands": 1e-4 * noise[:, :3], "rest": np.outer(e, [1.0, -0.4]) + 1e-4 * noise[:, 3:]}
+    found = diagnose_tasks(signals, TS, alpha={"hands": 60.0, "rest": 0.5})
+    assert found.change == ("hands",) and found.delay == DELAY and 0.2 < found.tasks["hands"].factor < 0.25
+    assert found.tasks["rest"].words.endswith("Keep its gain.")
+
+
 def test_units_of_tasks_do_not_decide_which_gain_changes():
     """Errors of another task in degrees: the larger numbers, and a gain that may stay."""
     e, _ = coupled(np.random.default_rng(4), np.array([62.0, 10.0]), N=120)
@@ -149,6 +161,7 @@ def test_a_log_of_two_arms(log, tmp_path, capsys):
     ("options", "told"),
     [
         (["--tasks", "left=fast"], "`--tasks` must give gains as numbers"),
+        (["--tasks", "left=62", "left=8"], "`--tasks` must name each task once, but names left twice"),
         (["--tasks", "lfet"], "`--tasks` must have columns such as lfet.x in LOG"),
         (["--tasks", "left", "--alpha", "5"], "`--alpha` must be left out with --tasks; gains are given as"),
         (["--tasks", "left", "--step"], "`--step` must be left out with --tasks"),
