@@ -144,6 +144,8 @@ def _of_stack(axes, stack, of_file) -> dict:
         for name in _table(axes, kind, "axes."):
             for key, value in _table(axes[kind], name, f"axes.{kind}.").items():
                 where = f"axes.{kind}.{name}.{key}"
+                if not tables:
+                    raise errors.fail(where, f"have its table, [{kind}.{name}]", "has none")
                 errors.one_of(where, name, list(tables))
                 errors.one_of(where, key, OF_STACK[kind])
                 if of_file:

@@ -172,6 +172,10 @@ def test_numbers_of_walls_may_be_axes(tmp_path):
             r"`tasks.hands.radius` must use names that have a value, but uses 'sise' \(did you mean",
         ),
         (("hands.alpha", "hand.alpha"), r"`axes.tasks.hand.alpha` must be one of hands, rest, but is 'hand'"),
+        (
+            ("[axes.tasks]", "[axes.walls]\ntable.margin = [0, 1]\n[axes.tasks]"),
+            r"`axes.walls.table.margin` must have its table, \[walls.table\], but has none",
+        ),
         (("hands.alpha", "hands.alhpa"), r"`axes.tasks.hands.alhpa` must be one of .* \(did you mean 'alpha'"),
         (
             ("hands.alpha = [5,", "hands.damping = [5,"),
