@@ -4,7 +4,7 @@ int of_numbers(int64_t count, const char *known, char *block, int32_t rounds)
 {
   const void *in[ARGUMENTS + 1];
   void *out[RESULTS + 1], *memory = malloc(work_bytes(rounds));
-  const int64_t stride[ARGUMENTS + 1] = {0}, result_bytes[] = {RESULT_BYTES(rounds)};
+  const int64_t stride[ARGUMENTS + 1] = {0}, result_bytes[] = {RESULT_BYTES((int64_t)rounds)};
   if (!memory) return 1;
   for (int64_t i = 0; i < ARGUMENTS; ++i) {
     const char **from = i < count ? &known : (const char **)&block;
