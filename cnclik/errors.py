@@ -10,6 +10,7 @@ import functools
 import math
 import os
 import pathlib
+import re
 import sys
 import warnings
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -41,8 +42,11 @@ def _shortened(text, most):
     return text if len(text) <= most else f"{text[: most - 301]} … {text[-298:]}"
 
 
+_NUMPY = re.compile(r"np\.[a-z]+[0-9]*_?\(([^()]*)\)")  # a number as NumPy writes it
+
+
 def fail(name: str, must: str, found) -> ArgumentError:
-    name, found = (name if len(name) <= 80 else f"{name[:79]}…"), " ".join(found.split())
+    name, found = (name if len(name) <= 80 else f"{name[:79]}…"), _NUMPY.sub(r"\1", " ".join(found.split()))
     return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 

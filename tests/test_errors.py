@@ -141,3 +141,8 @@ def test_no_name_is_suggested_that_is_not_near_and_a_long_list_gives_way_to_one_
 def test_what_the_field_calls_a_method_hides_no_name_of_another_kind():
     assert errors.nearest("euler", ["EE", "CN"]) == " (did you mean 'EE'?)"
     assert errors.nearest("euler", ["base", "euler_"]) == " (did you mean 'euler_'?)"
+
+
+def test_numbers_of_numpy_are_written_as_numbers():
+    with pytest.raises(ArgumentError, match=r"is \[0\.1, 3\]\.$"):
+        raise errors.fail("alpha", "be a list", f"is {[np.float64(0.1), np.int32(3)]!r}")
