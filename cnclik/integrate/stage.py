@@ -59,7 +59,11 @@ class _Passes:
 
 @record
 class _FromPrediction(_Passes):
-    """Passes from the slope of the linearised law."""
+    """Passes from the slope of the law linearised at the step's start, D = J#KJ there: k = f(q) − D (h·ahead + h·k).
+
+    (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead: the Newton step from the slope −s. From base = q
+    (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
+    """
 
     implicit: bool
 
@@ -67,7 +71,7 @@ class _FromPrediction(_Passes):
         def iterate(k):
             return _iterate(self, lambda k: self.improved(g, h, k), k, h)
 
-        start = _predict(first, h, ahead)
+        start = first.newton(h, -ahead)
         return _with_implicit_derivative(g, start, iterate) if self.implicit else iterate(start)
 
 
@@ -125,15 +129,6 @@ def _iterate(stage, improve, start, h) -> Solved:
     known = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
     ratio = jnp.where(known, change / jnp.where(known, before, 1.0), 0.0)
     return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
-
-
-def _predict(first, h, ahead):
-    """The slope of the law linearised at the step's start, D = J#KJ there: k = f(q) − D (h·ahead + h·k).
-
-    (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead: the Newton step from the slope −s. From base = q
-    (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
-    """
-    return first.newton(h, -ahead)
 
 
 def _matrix(linear, like):

@@ -1,6 +1,5 @@
 """Rounds: one program for any number of rounds gives what jax.vmap gives for each."""
 
-import contextlib
 import functools
 
 import jax
@@ -14,6 +13,7 @@ from cnclik.engine.numbers import Numbers
 from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.rounds import RoundsError, any_rounds
 from engine.compare import NEEDS_C, same
+from tests.compiling import compiled
 
 A = np.random.default_rng(5).normal(size=(3, 3)) / 3
 SIZE = 19
@@ -79,22 +79,6 @@ def test_what_depends_on_the_number_has_a_program_for_each(fn):
     for N in (8, 30):
         run = Numbers(lambda x, N: fn(x, N), lets_go=True, N=N)
         assert run((), (np.float64(1.5),)) == fn(1.5, N)
-
-
-@contextlib.contextmanager
-def compiled():
-    """What is compiled meanwhile."""
-    found = []
-
-    def heard(event, seconds, **_):
-        if "backend_compile" in event:
-            found.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(heard)
-    try:
-        yield found
-    finally:
-        jax.monitoring.unregister_event_duration_listener(heard)
 
 
 @NEEDS_C

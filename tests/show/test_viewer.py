@@ -26,6 +26,7 @@ from cnclik.robot.urdf import load_urdf
 from cnclik.show.viewer import body, files, live, look, meshes, motion, need, page, play, scene, swept
 from cnclik.stability.linear import delayed_radius
 from cnclik.sweeps.check import parse
+from tests.compiling import compiled
 from tests.oracles import robot_file
 
 with_viser = pytest.mark.skipif(not need.has_viser(), reason="needs viser, the extra `viewer`")
@@ -271,20 +272,11 @@ def test_another_robot_is_refused(solved):
 def test_gains_and_sampling_times_need_no_new_program(problem):
     first = look.loop_of(problem)
     look.look(problem, first)
-    compiled = []
-
-    def heard(event, seconds, **_):
-        if "backend_compile" in event:
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(heard)
-    try:
+    with compiled() as found:
         for alpha, Ts in ((3.0, 0.05), (7.0, 0.02), (45.0, 0.05)):
             seen = look.look(problem, first._replace(alpha=alpha, Ts=Ts))
             assert seen.radius == pytest.approx(abs(1 - alpha * Ts), abs=1e-6)
-    finally:
-        jax.monitoring.unregister_event_duration_listener(heard)
-    assert not compiled
+    assert not found
 
 
 def test_the_factors_of_a_late_loop_are_the_theorys(problem):

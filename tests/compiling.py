@@ -1,0 +1,21 @@
+"""What is compiled while a test runs."""
+
+import contextlib
+
+import jax
+
+
+@contextlib.contextmanager
+def compiled():
+    """A list of what JAX and the engine compile meanwhile."""
+    found = []
+
+    def heard(event, seconds, **_):
+        if "backend_compile" in event:
+            found.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
