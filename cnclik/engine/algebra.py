@@ -205,6 +205,13 @@ def _with_itself(answer, always):
     return simpler
 
 
+def _less_to(g, args, params, dtype):
+    """a < b in the order of a sort, in which NaN is last."""
+    a, b = args
+    less = g.op("lt", a, b)
+    return g.op("or", less, g.op("and", g.op("ne", b, b), g.op("eq", a, a))) if a.dtype.kind == "f" else less
+
+
 def _one_minus_square(g, args, params, dtype):
     one, (x,) = g.const(1, dtype), args  # jax 0.11 has it in derivatives of tanh, asin and acos
     return g.op("mul", g.op("add", one, x), g.op("sub", one, x))
@@ -217,6 +224,8 @@ SIMPLER = {
     **{name: _with_itself(False, True) for name in ("lt", "gt")},
     **{name: _with_itself(name != "ne", False) for name in ("le", "ge", "eq", "ne")},
     "not": lambda g, args, params, dtype: args[0].args[0] if args[0].op == "not" else None,
+    "lt_to": _less_to,
+    "le_to": lambda g, args, params, dtype: g.op("not", _less_to(g, args[::-1], params, dtype)),
     "one_minus_square": _one_minus_square,
     "square": lambda g, args, params, dtype: g.op("mul", args[0], args[0]),
     "clamp": lambda g, args, params, dtype: g.op("min", g.op("max", args[1], args[0]), args[2]),

@@ -127,13 +127,11 @@ def _sort(g, eqn, *inputs):
 def _before(g, pairs):
     """Whether one tuple of keys is strictly less than another."""
     (a, b), *rest = pairs
-    less = g.op("lt", a, b)
-    same = g.op("eq", a, b)
-    if a.dtype.kind == "f":
-        nan_a, nan_b = g.op("ne", a, a), g.op("ne", b, b)
-        less = g.op("or", less, g.op("and", nan_b, g.op("not", nan_a)))
-        same = g.op("or", same, g.op("and", nan_a, nan_b))
-    return g.op("or", less, g.op("and", same, _before(g, rest))) if rest else less
+    less = g.apply("lt_to", (a, b), np.bool_)
+    if not rest:
+        return less
+    same = g.op("not", g.apply("lt_to", (b, a), np.bool_))  # unless it is less
+    return g.op("or", less, g.op("and", same, _before(g, rest)))
 
 
 ARRAYS = {

@@ -115,7 +115,7 @@ def _put(g, out, number, inside, update, combine):
 
 def _start(g, index, most, mode):
     """(a start within bounds, whether it was; None: always)"""
-    if mode == _Mode.PROMISE_IN_BOUNDS or (index.known and 0 <= int(index.value) <= most):
+    if index.known and 0 <= int(index.value) <= most:
         return index, None
     held = _held(g, index, most)
     return held, None if mode == _Mode.CLIP else g.op("eq", held, index)
@@ -152,6 +152,7 @@ def _windows(g, over, shape, places, mapped, sizes, mode, window, hidden, batchi
 def _gather(g, eqn, x, places):
     p, out, places = eqn.params, eqn.outvars[0].aval, _wide(g, places)
     numbers, sizes, mode = p["dimension_numbers"], p["slice_sizes"], p["mode"]
+    mode = _Mode.CLIP if mode == _Mode.PROMISE_IN_BOUNDS else mode  # as XLA does; it drops updates out of bounds
     hidden = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     cells = x.size if is_cells(x) else x.cells.size
     if not all(c.known for c in places.flat) and out.size * cells > MOST_READS:

@@ -26,8 +26,8 @@ from cnclik.engine.stacks import Deep, Rows, is_cells
 LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
 LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole
 
-_SAME = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
-ELEMENTWISE = NAMES - {"fmod"} | _SAME.keys() | {"clamp", "integer_pow", "one_minus_square"}
+_SAME = {"add_any": "add"}
+ELEMENTWISE = NAMES - {"fmod"} | _SAME.keys() | {"clamp", "integer_pow", "one_minus_square", "lt_to", "le_to"}
 _PASSED_ON = frozenset(["optimization_barrier", "real", "pcast", "pvary", "name"])
 _PARAMS = {"integer_pow": "y", "round": "rounding_method"}
 RULES = ARRAYS | PLACES | MATRICES

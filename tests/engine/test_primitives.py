@@ -190,6 +190,29 @@ def test_places_that_each_lane_has_for_itself(n):
     check(fn, x, k)
 
 
+@pytest.mark.parametrize("n", [5, 40])
+def test_places_out_of_bounds_are_the_nearest_and_writes_there_do_nothing(n):
+    rng = np.random.default_rng(n)
+    x, k = rng.normal(size=(SIZE, n)), rng.integers(-4 * n, 4 * n, (SIZE, 2)).astype(np.int32)
+
+    def fn(x, k):
+        y = x.reshape(-1, 5)
+        taken = [x[k], y[:, k], y[k, k[::-1]], x[jnp.array([n + 2, -n - 2])]]
+        return taken, x.at[k].add(2.0, mode="promise_in_bounds"), y.at[k[0], k[1]].set(7.0, mode="promise_in_bounds")
+
+    check(fn, x, k)
+
+
+def test_places_in_sorted_numbers_have_nan_last():
+    x = np.broadcast_to([1.0, np.nan, 3.0, np.inf, np.nan, -np.inf], (6, 6))
+    v = np.array([np.nan, np.inf, 2.0, 9.0, -np.inf, -0.0])
+
+    def fn(x, v):
+        return [jnp.searchsorted(jnp.sort(x), v, side) for side in ("left", "right")]
+
+    check(fn, x, v)
+
+
 @pytest.mark.parametrize("dtype", REALS)
 def test_matrices(dtype):
     rng = np.random.default_rng(0)
