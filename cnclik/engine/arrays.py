@@ -17,6 +17,7 @@ REDUCTIONS = {
 }
 RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 MOST_SORTED = 48
+BESIDE = 8  # one by one, G1's steps take 1.05 to 1.25 times as long; from 4 to 12 the speed is the same
 
 
 def _reduce(g, eqn, x):
@@ -27,6 +28,22 @@ def _reduce(g, eqn, x):
     op = functools.partial(g.op, name)
     made = [functools.reduce(op, row) if len(row) else neutral(g, name, out.dtype) for row in rows]
     return [array_of(made, out.shape)]
+
+
+def sums(g, name, firsts, pairs):
+    """first ± Σ a b for several firsts and lists of pairs; a first of None is left out.
+
+    `BESIDE` sums grow side by side: an addition then need not wait for the one before it, and several use what is in a
+    register.
+    """
+    made = list(firsts)
+    for start in range(0, len(made), BESIDE):
+        some = range(start, min(start + BESIDE, len(made)))
+        for k in range(max(len(pairs[i]) for i in some)):
+            for i in (i for i in some if k < len(pairs[i])):
+                product = g.op("mul", *pairs[i][k])
+                made[i] = product if made[i] is None else g.op(name, made[i], product)
+    return made
 
 
 def neutral(g, name, dtype):
@@ -63,9 +80,13 @@ def _pad(g, eqn, x, value):
 def _dot_general(g, eqn, x, y):
     (left, right), (left_batch, right_batch) = eqn.params["dimension_numbers"]
     out = eqn.outvars[0].aval
+    x, y = (array_of([g.apply("convert_element_type", (c,), out.dtype) for c in v.flat], v.shape) for v in (x, y))
     rows, columns = _folded(x, left_batch, left), _folded(y, right_batch, right)
-    made = [_dot(g, a, b, out.dtype) for one, two in zip(rows, columns, strict=True) for a in one for b in two]
-    return [array_of(made, out.shape)]
+    if not rows.shape[-1]:
+        return [array_of([g.const(0, out.dtype)] * out.size, out.shape)]
+    every = [(a, b) for one, two in zip(rows, columns, strict=True) for a in one for b in two]
+    pairs = [list(zip(a, b, strict=True)) for a, b in every]
+    return [array_of(sums(g, "add", [None] * len(pairs), pairs), out.shape)]
 
 
 def _folded(x, batch, axes):
@@ -73,17 +94,6 @@ def _folded(x, batch, axes):
     free = [a for a in range(x.ndim) if a not in batch and a not in axes]
     size = [int(np.prod([x.shape[a] for a in group])) for group in (batch, free, axes)]
     return x.transpose(*batch, *free, *axes).reshape(size)
-
-
-def _dot(g, a, b, dtype):
-    def widened(node):
-        return g.apply("convert_element_type", (node,), dtype)
-
-    if not len(a):
-        return g.const(0, dtype)
-    return functools.reduce(
-        functools.partial(g.op, "add"), [g.op("mul", widened(x), widened(y)) for x, y in zip(a, b, strict=True)]
-    )
 
 
 def _arg(better):

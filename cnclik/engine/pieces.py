@@ -1,6 +1,7 @@
 """Pieces: a long block as several C functions, as compile time grows faster than the length of a function.
 
-Values pass between them in the work memory; a place is reused once its value has been read for the last time.
+Values pass between them in the work memory, as soon as they are computed: then the compiler need not keep them in
+registers or on the stack up to the piece's end. A place is reused once its value has been read for the last time.
 """
 
 from cnclik.engine.graph import Node
@@ -36,11 +37,14 @@ def in_pieces(writer, items, ending):
         if k in own:
             lines, names, writer.lines, writer.names = writer.lines, writer.names, [], {}
             writer.scopes.append([])
-        writer.items(group)
+        leaving = {n.number for n in begin[k]}
+        for item in group:
+            writer.items([item])
+            for n in [item] if isinstance(item, Node) else item.outs:
+                if n.number in leaving:
+                    _keep(writer, n, unused)
         for n in end[k]:
             unused.setdefault(n.dtype, []).append(writer.kept.pop(n.number))
-        for n in begin[k]:
-            _keep(writer, n, unused)
         if k in own:
             writer.leave()
             name, body = f"piece{len(writer.parts)}", "\n".join([*writer.head, *writer.lines])
