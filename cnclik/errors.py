@@ -102,7 +102,8 @@ _NO_NUMBERS = (str, bytes, list, tuple, type(None))
 
 def number(name: str, value, *, positive=False, at_least=None) -> "float | Array":
     """A finite real number (or a traced scalar); returned as it came."""
-    if type(value) is float and math.isfinite(value) and value > 0 and at_least is None:  # what most are
+    usual = type(value) is float and at_least is None and (value > 0 or not positive)  # what most are
+    if usual and math.isfinite(value):
         return value
     import numpy as np
 
