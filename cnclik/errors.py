@@ -200,9 +200,20 @@ def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
         raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
     if most is not None and concrete(found) and (np.abs(found) > most).any():
         raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(found).max():g}")
-    if found.dtype.kind == "f" and found.dtype.isnative and found.dtype.itemsize <= 8:
-        return found
-    return found.astype("f4" if found.dtype.kind == "f" and found.dtype.itemsize == 4 else float)
+    return as_jax_takes(found) if found.dtype.kind == "f" else found.astype(float)
+
+
+def as_jax_takes(value):
+    """NumPy's numbers in this machine's byte order and at most 8 bytes each (16 if complex); all else as it is."""
+    import numpy as np
+
+    if not isinstance(value, (np.ndarray, np.generic)) or value.dtype.kind not in "iufc":
+        return value
+    dtype = value.dtype
+    most = {"f": 8, "c": 16}.get(dtype.kind, dtype.itemsize)
+    if dtype.isnative and dtype.itemsize <= most:
+        return value
+    return value.astype(f"={dtype.kind}{min(dtype.itemsize, most)}")
 
 
 def _gather(value):

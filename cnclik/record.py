@@ -12,6 +12,8 @@ from typing import Any, TypeVar, dataclass_transform
 import jax
 import numpy as np
 
+from cnclik import errors
+
 T = TypeVar("T")
 
 _LITERAL = (float, int, bool, str, type(None))
@@ -82,8 +84,10 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
     def frozen(self):
         checked(self)
         for name, value in self.__dict__.items():
-            if type(value) is np.ndarray and value.flags.writeable:
-                object.__setattr__(self, name, _own(value))  # the caller may write to theirs
+            if type(value) is np.ndarray:
+                taken = errors.as_jax_takes(value)
+                if taken is not value or value.flags.writeable:
+                    object.__setattr__(self, name, _own(taken))  # the caller may write to theirs
 
     cls.__post_init__ = frozen
     if cls.__repr__ is object.__repr__:

@@ -1,10 +1,13 @@
 """One grammar for every message, and that values are looked at only where they are known."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import cnclik as ck
 from cnclik import errors
 from cnclik.errors import ArgumentError
 
@@ -89,6 +92,11 @@ def test_numbers_of_any_byte_order_and_size_are_what_jax_takes(dtype):
     found = errors.array("q", np.array([0.5, 2.0], dtype))
     assert jnp.asarray(found).tolist() == [0.5, 2.0]
     assert found.dtype == (np.float32 if dtype == ">f4" else np.float64)
+    assert ck.lanes(jnp.sin)(np.array([0.5, 2.0], dtype)).shape == ck.native(jnp.sin)(np.array([0.5, 2.0], dtype)).shape
+    robot = ck.planar_arm(np.ones(2))
+    law = ck.Law(robot, ck.position("xy"), alpha=5.0)
+    law = dataclasses.replace(law, alpha=np.array(5.0, dtype))
+    assert np.isfinite(ck.solve(law, ck.hold([1.0, 0.5]), [0.3, 0.4], 0.01, 2, "EE").e).all()
 
 
 def test_traced_values_are_checked_by_shape_alone():

@@ -249,16 +249,11 @@ def _map_of_gains(args, out, found, rest):
 
     advised = _advice(args, found, rest)
     _tell(args, advised)
-    some = advised.said.stack.tasks if advised.said.stack else {}
-    known = [name for name, one in some.items() if one.alpha]  # a map scales gains
-    names = args.gains or tuple(known[:2])
-    if len(set(names)) != 2 or not some:
-        raise errors.fail("gains", "name two tasks of a stack that has rates", f"is {' '.join(names)}")
-    tasks = {name: some[errors.one_of("gains", name, known, " (tasks with a gain)")] for name in names}
+    tasks = _with_gains(args.gains, advised.said.stack)
     now = [one.alpha for one in tasks.values()]
     far = [2 * max(min(one.largest_stable_alpha, 10 / found.Ts), one.alpha) for one in tasks.values()]
     ranges = [args.alpha_range or (min(alpha, top / 20) / 3, top) for alpha, top in zip(now, far, strict=True)]
-    alpha = {name: np.geomspace(*ends, args.cells) for name, ends in zip(names, ranges, strict=True)}
+    alpha = {name: np.geomspace(*ends, args.cells) for name, ends in zip(tasks, ranges, strict=True)}
     driven = {} if found.drive is None else {"drive": found.drive}
     loop = dict(Ts=found.Ts, method=found.method, stage=found.stage, **driven)
     with progress.bar("gains"):
@@ -269,6 +264,20 @@ def _map_of_gains(args, out, found, rest):
     drawn = drawn_by("stability", "gains", data, title=title, operating=now)
     about = {"Title": f"map of gains, {found.name}", "Description": as_json(table(args))}
     return {"map.png": (drawn, about)}, advised
+
+
+def _with_gains(names, said):
+    """{name: `TaskAdvice`} of the two tasks of a stack whose gains a map scales; names: None for the first two."""
+    if said is None:
+        raise errors.fail("map", "be left out where the inverse is transpose: its tasks have no limits", "is given")
+    known = [name for name, one in said.tasks.items() if one.alpha]
+    if len(known) < 2:
+        must = "vary the gains of two tasks: leave it out, or give another task an alpha above 0"
+        raise errors.fail("map", must, f"only {known[0]!r} has one" if known else "no task has one")
+    names = known[:2] if names is None else [errors.one_of("gains", n, known, " (tasks with a gain)") for n in names]
+    if len(set(names)) != 2:
+        raise errors.fail("gains", f"name two tasks with a gain, of {', '.join(known)}", f"is {' '.join(names)}")
+    return {name: said.tasks[name] for name in names}
 
 
 def _range(given, now, half):

@@ -11,6 +11,7 @@ from cnclik import errors
 from cnclik.diagnosis import judge
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.blocks import orthogonal, within
+from cnclik.diagnosis.calm import is_calm
 from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, spans
 from cnclik.diagnosis.modes import EXACT, Modes, find_modes, polynomials, shape_of, trend
@@ -210,8 +211,12 @@ def _part(first, rows, found, longest) -> _Part:
 
 
 def _come_to(part, longest) -> _Part:
-    """The second half of a growing or ringing part, if the oscillation is sustained there."""
+    """The second half of a growing or ringing part, if the oscillation is sustained there; a decay that does not rest
+    is undecided.
+    """
     half = len(part.rows) // 2
+    if part.kind is Kind.MONOTONE and not is_calm(part.rows, longest):
+        return part._replace(kind=Kind.UNDECIDED)
     if part.kind not in (Kind.GROWING, Kind.RINGING) or len(part.rows) < 4 * LEAST:
         return part
     late = _part(part.first + half, part.rows[half:], find_modes(part.rows[half:], longest), longest)

@@ -35,7 +35,7 @@ def excited(y, Ts, z=None, path=0) -> list:
 
     Args: y: (N, k) without offset and path. Ts: [s]. z: the loop's gain if known. path: numbers fitted to the path.
     """
-    y = _main(y)
+    y = main_parts(y)
     N = len(y)
     most = min(DEAD, N // 8)
     rows = N - most - 3
@@ -55,6 +55,8 @@ def excited(y, Ts, z=None, path=0) -> list:
         return []
     found = by_share([loop for loop in tried if loop.z > 0], DENSE / (len(LAGS) * len(PARTS)), z)
     found = [loop for loop in found if loop.share > 1e-3]
+    if not found:  # all are as likely, as where the last rows rest
+        return []
     if _left(found[0], 2 * np.pi, Ts) > SWINGS:
         return found
     over = sum(loop.share for loop in found if _left(loop, np.pi, Ts) > OVERSHOOT)
@@ -69,7 +71,7 @@ def _left(loop, angle, Ts) -> float:
     return float(np.abs(factor) ** (angle / turn)) if turn else 0.0
 
 
-def _main(y):
+def main_parts(y):
     """(N, c) principal components of columns: joints share a loop and its excitation."""
     y = y / np.maximum(np.std(y, axis=0), np.finfo(float).tiny)
     _, size, parts = np.linalg.svd(triangle(y))

@@ -199,7 +199,7 @@ def _with_lags(fit, factor, phase) -> list:
     best = min(tried, key=lambda loop: loop.score)
 
     def at(values):
-        lag = max(best.lag * np.exp(values[0]), SHORTEST * fit.Ts)
+        lag = max(best.lag * np.exp(np.clip(values[0], -20, 5)), SHORTEST * fit.Ts)
         return best._replace(lag=lag, z=best.z * np.exp(values[1]))
 
     made = minimize(

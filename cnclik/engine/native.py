@@ -57,7 +57,8 @@ def of_rounds(fn, whole=None, rounds=0):
     def of(*args, **named):
         """(function of flat arrays, arrays) of some arguments."""
         leaves, treedef = jax.tree.flatten((args, named))
-        return made.made(treedef, lambda treedef: function_of(treedef, args, named)), leaves
+        function = made.made(treedef, lambda treedef: function_of(treedef, args, named))
+        return function, list(map(errors.as_jax_takes, leaves))
 
     @functools.wraps(fn)
     def call(*args, **named):

@@ -73,6 +73,7 @@ def lanes(
 
     @functools.wraps(fn)
     def call(*args):
+        args = jax.tree.map(errors.as_jax_takes, args)
         leaves, treedef = jax.tree.flatten(args)
         size = _size(leaves)
         concrete, found = all(map(errors.concrete, leaves)), None

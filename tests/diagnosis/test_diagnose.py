@@ -195,6 +195,33 @@ def test_a_monotone_decay():
     assert diagnose(loop(0.9 * monotone(4), 4, 200), TS).kind is Kind.MONOTONE
 
 
+@pytest.mark.parametrize(("z", "most", "start"), [(2.5, 0.1, 2.9), (2.5, 1.0, 2.9), (2.8, 0.3, 2.0), (6.0, 0.1, 2.9)])
+def test_a_gain_far_too_large_whose_error_stays_bounded_is_no_decay(z, most, start):
+    """The error comes at the joint's velocity limit, and then moves on without end, with a period or without one."""
+    q = [start]
+    for _ in range(239):
+        q.append(q[-1] - np.clip(z * np.sin(q[-1]) * (1 + 0.6 * q[-1]), -most, most))
+    assert np.ptp(q[-80:]) > 0.03 * np.ptp(q)
+    assert diagnose(q, TS).kind is not Kind.MONOTONE
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("factor", [0.8, 0.9, 0.97])
+def test_a_decay_with_offset_and_noise_or_resolution_is_one(factor, noise):
+    rng, power = np.random.default_rng(3), factor ** np.arange(300.0)
+    y = np.stack([1.0 + power, -0.4 - 0.5 * power], 1) + noise * rng.standard_normal((300, 2))
+    assert diagnose(y, TS).kind is Kind.MONOTONE
+    assert noise or diagnose(np.round(y, 2), TS).kind is Kind.MONOTONE
+
+
+def test_a_large_motion_that_rings_to_rest_is_judged():
+    """Its last rows are all at rest: they suit any loop, and no loop is likelier than the others."""
+    q = [1.0]
+    for _ in range(399):
+        q.append(q[-1] - 1.6 * np.sin(q[-1]) * (1 + 0.3 * q[-1]))
+    assert diagnose(q, TS).kind is Kind.RINGING
+
+
 @pytest.mark.parametrize("d", [5, 10])
 @pytest.mark.parametrize("share", [0.5, 0.75])
 def test_the_beginning_of_a_swing_is_no_decay_and_no_noise(d, share):

@@ -332,6 +332,24 @@ def test_a_gain_of_zero_stays_on_the_command_line(tmp_path, capsys):
     assert "`--gains` must be one of tip, rest (tasks with a gain), but is 'off'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("rest", "options", "words"),
+    [
+        (0, (), "leave it out, or give another task an alpha above 0, but only 'tip' has one"),
+        (0, ("--gains", "tip", "rest"), "leave it out, or give another task an alpha above 0, but only 'tip' has one"),
+        (1, ("--gains", "tip"), "`--gains` must name two tasks with a gain, of tip, rest, but is tip"),
+        (1, ("--inverse", "transpose"), "`--map` must be left out where the inverse is transpose"),
+    ],
+)
+def test_a_map_of_gains_names_the_tasks_that_have_one(rest, options, words, tmp_path, capsys):
+    file = tmp_path / "stack.toml"
+    file.write_text(f'[tasks.tip]\ntask = "xy"\n[tasks.rest]\ntask = "joints"\nalpha = {rest}\n')
+    inverse = () if "--inverse" in options else ("--damping", "0.2")
+    with pytest.raises(SystemExit):
+        main(["stability", "planar:1,0.8", "--stack", str(file), *inverse, "--delay", "0", "--map", *options])
+    assert words in capsys.readouterr().err
+
+
 def test_tips_without_a_target_keep_that_of_the_file():
     tasks = {"a": {"task": "x"}, "rest": {"task": "joints"}, "b": {"task": "y", "target": [0.4]}}
     made = ck.problem_from("planar:1,0.8,0.6", tasks=tasks, damping=0.1)
