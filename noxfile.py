@@ -65,7 +65,7 @@ def docs(session):
 
 @nox.session(default=False)
 def bench(session):
-    """Beside the peers; needs g++ and Eigen's headers."""
+    """Beside the peers; needs g++."""
     session.install("-e", ".[test,bench]")
     session.run("python", "-m", "tests.bench", *session.posargs)
 

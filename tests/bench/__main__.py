@@ -6,7 +6,7 @@ Everything is measured anew; sections can be chosen by name, the others keep wha
     python -m tests.bench peers cores         # some
     python -m tests.bench.document            # the pages from the files
 
-Needs `pip install -e .[test,bench]`, g++ and Eigen (libeigen3-dev). Leave the machine alone meanwhile.
+Needs `pip install -e .[test,bench]` and g++. Leave the machine alone meanwhile.
 """
 
 import argparse

@@ -1,8 +1,7 @@
-"""C++ peers compiled against the headers in the `pin` wheel, and called through ctypes."""
+"""C++ peers compiled against the headers in the wheels `pin` and `cmeel-eigen`, and called through ctypes."""
 
 import ctypes
 import hashlib
-import os
 import pathlib
 import subprocess
 
@@ -11,7 +10,6 @@ import numpy as np
 HERE = pathlib.Path(__file__).parent
 SOURCE = HERE / "pinocchio_clik.cpp"
 BUILD = HERE.parents[1] / "build" / "bench"
-EIGEN = os.environ.get("EIGEN3_INCLUDE_DIR", "/usr/include/eigen3")
 FLAGS = [
     *("-O3", "-march=native", "-std=c++17", "-DNDEBUG", "-shared", "-fPIC"),
     *("-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS"),
@@ -23,12 +21,10 @@ def compiled(source=SOURCE) -> pathlib.Path:
     import pinocchio
 
     prefix = next(p for p in pathlib.Path(pinocchio.__file__).parents if p.name == "cmeel.prefix")
-    command = ["g++", *FLAGS, "-isystem", str(prefix / "include"), "-isystem", EIGEN]
+    command = ["g++", *FLAGS, *(f"-isystem{prefix / 'include' / at}" for at in ("", "eigen3"))]
     key = hashlib.sha256(source.read_bytes() + " ".join([*command, pinocchio.__version__]).encode()).hexdigest()[:16]
     library = BUILD / f"{source.stem}-{key}.so"
     if not library.exists():
-        if not pathlib.Path(EIGEN).exists():
-            raise SystemExit(f"Eigen's headers are not in {EIGEN}: install libeigen3-dev.")
         BUILD.mkdir(parents=True, exist_ok=True)
         part = library.with_suffix(".part")
         done = subprocess.run([*command, str(source), "-o", str(part)], capture_output=True, text=True)

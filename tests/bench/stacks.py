@@ -2,8 +2,8 @@
 
 The same step for all: poses of several tips, of the hand positions, weighted, damped, explicit Euler; the C++ is
 compared first, to 1e-9, and the texts of `users` by where their tips end. By CPU time, in one run, in turn; medians.
-`pin`, Eigen's headers (`EIGEN3_INCLUDE_DIR`), pin-pink, mink, daqp (Placo: see `users`) and example-robot-data are
-needed; what is not installed is left out. Ten minutes.
+`pin`, `cmeel-eigen`, pin-pink, mink, daqp (Placo: see `users`) and example-robot-data are needed; what is not installed
+is left out. Ten minutes.
 """
 
 import argparse
