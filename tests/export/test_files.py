@@ -73,6 +73,17 @@ def test_an_example_that_disagrees_says_so(folders):
     assert done.returncode == 7 and "1 of 8 vectors agree" in done.stdout  # that with the NaN still does
 
 
+def test_an_example_agrees_where_a_least_singular_value_is_the_root_of_a_rounding(tmp_path):
+    law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position(), alpha=5.0, inverse=ck.damped(0.1))
+    folder = ck.export.c(law, out=tmp_path / "step", method="EE")
+    text = (folder / "clik_step.c").read_text(encoding="utf-8")
+    other = text.replace("output->least = ", "output->least = 1e-8 + ")
+    (folder / "other.c").write_text(other, encoding="utf-8")
+    line = "gcc -std=c99 other.c example.c -lm -o other && ./other"
+    done = subprocess.run(line, shell=True, cwd=folder, capture_output=True, text=True)
+    assert other != text and done.returncode == 0, done.stdout
+
+
 def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
     for folder in folders:
         for path in folder.glob("clik_step*.c"):
