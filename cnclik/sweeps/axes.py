@@ -24,7 +24,7 @@ def read(name, value, joints=0) -> Axis:
     where = f"axes.{name}"
     with np.errstate(all="ignore"):  # huge ends give values that are not finite, which `axis` reports
         values = value if isinstance(value, list) else _generated(where, value, joints if per_joint(name, value) else 0)
-    if name.rpartition(".")[2] in NAMES:
+    if is_name(name):
         if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
             raise errors.fail(where, "be a list of names", f"is {values!r}")
         values = {v: v for v in values}
@@ -41,6 +41,11 @@ def read(name, value, joints=0) -> Axis:
     if found.inner:
         check_values(where, name.rpartition(".")[2], found.values)
     return found
+
+
+def is_name(name) -> bool:
+    """Whether values of an option, also one of a task, are names and never expressions."""
+    return name.rpartition(".")[2] in NAMES
 
 
 def per_joint(name, value) -> bool:

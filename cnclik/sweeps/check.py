@@ -18,7 +18,7 @@ from cnclik.problem.options import OF_STACK
 from cnclik.problem.stack import read_stack
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import NAMES, known_keys, meant
+from cnclik.sweeps.axes import NAMES, is_name, known_keys, meant
 from cnclik.sweeps.grid import COMPILED_IN, MOST_AXES, MOST_PROGRAMS, Axis, few_enough
 from cnclik.sweeps.labels import LIMIT
 from cnclik.sweeps.spec import DEFAULTS, KEYS, OPTIONS, TABLES, Spec, joints_of
@@ -203,7 +203,7 @@ def _check_names(fixed, axes, bundles, stack):
 
     for table in (fixed, axes, *tables.values()):
         for name, value in table.items():
-            if name not in NAMES and (table is not axes or isinstance(value, list)):
+            if not is_name(name) and (table is not axes or isinstance(value, list)):
                 use(name, expression.names(name, value), table)
     every = {f"{kind}.{name}": table for kind, some in stack.items() for name, table in some.items()}
     for own, table in every.items():
@@ -238,7 +238,7 @@ def _check_cycles(known):
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*seen, name])}")
         if name not in steps:
             value = OF_LIMIT if name == LIMIT else known.get(name)
-            needs = set() if name in NAMES or value is None else expression.names(name, value)
+            needs = set() if is_name(name) or value is None else expression.names(name, value)
             if len(seen) < STEPS:
                 steps[name] = max((1 + walk(need, [*seen, name]) for need in needs), default=0)
         if steps.get(name, STEPS) >= STEPS:
@@ -273,7 +273,7 @@ def _compiled_in(spec: Spec) -> dict:
         name = queue.pop()
         wanted.add(name)
         needs = set(OF_LIMIT) if name == LIMIT else set()
-        if name not in NAMES:
+        if not is_name(name):
             tables = (*spec.tables(), spec.written)
             needs = needs.union(*(expression.names(name, t[name]) for t in tables if name in t))
         queue |= needs - wanted

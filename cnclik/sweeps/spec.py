@@ -36,7 +36,7 @@ from cnclik.problem.stack import Written, read_stack, tips_of
 from cnclik.stability.driven import driven_limits
 from cnclik.stability.linear import delay_limit, stability_limit
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import NAMES, per_joint
+from cnclik.sweeps.axes import NAMES, is_name, per_joint
 from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
 from cnclik.sweeps.labels import LIMIT, UNITS
 
@@ -104,7 +104,7 @@ class Spec:
         def look(name):
             if name == LIMIT:
                 return self._limit(look)
-            if name.rpartition(".")[2] in NAMES:
+            if is_name(name):
                 return known[name]
             value = expression.evaluate(name, known[name], look)
             # Samples have values for the widest arm.
@@ -145,7 +145,8 @@ class Spec:
         for one in known:
             if one.partition(".")[0] in stack:
                 kind, name, key = one.split(".")
-                stack[kind][name][key] = look(one)
+                value = look(one)
+                stack[kind][name][key] = str(self.file(value) or value) if key == "reference" else value
         return stack
 
     def file(self, text) -> pathlib.Path | None:
@@ -205,7 +206,8 @@ class Spec:
         bundles = {name: labels for name, labels in self.bundles.items() if name != "case"}
         tables = [*self.tables(), *(self.tasks.values())]
         named = [table[name] for table in tables for name in FILES if name in table]
-        named += [v for name in FILES if name in self.axes for v in self.axes[name].values]
+        of_files = (a for name, a in self.axes.items() if name.rpartition(".")[2] in FILES)
+        named += [v for a in of_files for v in a.values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
         about |= {name: table for name in ("tasks", "walls") if (table := getattr(self, name))}
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})

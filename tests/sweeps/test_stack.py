@@ -204,3 +204,17 @@ def test_an_option_of_a_task_is_set_from_the_command_line(tmp_path):
     (tmp_path / "spec.toml").write_text(TEXT)
     made = files.read(tmp_path / "spec.toml", ["tasks.rest.damping=0.5", "tasks.hands.period=3 s"])
     assert made.tasks["rest"]["damping"] == 0.5 and made.tasks["hands"]["period"] == "3 s"
+
+
+def test_the_reference_of_a_task_may_be_an_axis_of_names():
+    spec = check.parse(
+        {
+            "question": "Which path?",
+            "expectation": "None.",
+            "fixed": {"robot": "planar:1,0.8", "Ts": 0.1, "N": 5, "damping": 0.2},
+            "tasks": {"tip": {"task": "xy", "period": 1.0}, "rest": {"task": "joints"}},
+            "axes": {"tasks": {"tip": {"reference": ["circle", "line"]}}, "alpha": [1.0, 2.0]},
+        }
+    )
+    circle, line = (spec.build(**{"tasks.tip.reference": name, "alpha": 1.0}).reference for name in ("circle", "line"))
+    assert [len(a) for a in spec.axes.values()] == [2, 2] and str(circle) != str(line)
