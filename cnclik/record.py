@@ -16,12 +16,13 @@ from cnclik import errors
 
 T = TypeVar("T")
 
-_LITERAL = (float, int, bool, str, type(None))
+_LITERAL = (float, int, bool, type(None))
 
 
 def is_literal(value) -> bool:
     """True for what is compiled in: exactly a Python number, a string, None, or a plain function."""
-    return type(value) in _LITERAL or (callable(value) and not dataclasses.is_dataclass(value))
+    written = type(value) in _LITERAL or isinstance(value, str)
+    return written or (callable(value) and not dataclasses.is_dataclass(value))
 
 
 class Literals:

@@ -32,7 +32,7 @@ def outer(**changes):
 
 
 def test_python_numbers_are_literal_and_everything_else_is_a_leaf():
-    for literal in (1, 1.0, True, "x", None, print):
+    for literal in (1, 1.0, True, "x", np.str_("x"), None, print):
         assert is_literal(literal)
     for leaf in (np.float64(1), np.int64(1), np.ones(2), jnp.ones(()), jax.ShapeDtypeStruct((), float)):
         assert not is_literal(leaf)
