@@ -147,10 +147,10 @@ def _row(g, column, N):
 
 def row_node(g, r, x):
     """The node inside a scan of an array that it takes row by row."""
-    for row, known in zip(r.rows, r.xs, strict=True):
-        if known is x:
-            return row
-    node = g.new("row", (), None, x.shape[1:], x.dtype, (r, "row", len(r.xs)), r.block)
+    key = "row", x.number  # a gradient takes tens of thousands: none is searched for
+    if (found := r.block.table.get(key)) is not None:
+        return found
+    node = r.block.table[key] = g.new("row", (), None, x.shape[1:], x.dtype, (r, "row", len(r.xs)), r.block)
     r.xs.append(x)
     r.rows.append(node)
     return node
@@ -163,10 +163,12 @@ def stacked_node(g, r, i):
         return y
     if y.op == "row" and y.value[0] is r:
         return r.xs[y.value[2]]
-    for k, at in enumerate(r.stacks):
-        if r.ys[at] is y:
-            return r.outs[len(r.carries) + k]
-    node = g.new("stacked", (), None, (r.length, *y.shape), y.dtype, (r, "stacked", i), r.block.parent)
+    key = "stacked", y.number
+    if (found := r.block.table.get(key)) is not None:
+        return found
+    node = r.block.table[key] = g.new(
+        "stacked", (), None, (r.length, *y.shape), y.dtype, (r, "stacked", i), r.block.parent
+    )
     r.stacks.append(i)
     r.outs.append(node)
     return node
