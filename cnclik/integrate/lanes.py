@@ -73,11 +73,9 @@ def lanes(
 
     @functools.wraps(fn)
     def call(*args):
-        args = jax.tree.map(errors.as_jax_takes, args)
-        leaves, treedef = jax.tree.flatten(args)
-        size = _size(leaves)
-        concrete, found = all(map(errors.concrete, leaves)), None
-        function, avals = as_c.of(*args)[0], lane_avals(leaves)
+        treedef, (function, leaves) = jax.tree.structure(args), as_c.of(*args)  # leaves are as JAX takes them
+        args, size = jax.tree.unflatten(treedef, leaves), _size(leaves)
+        concrete, found, avals = all(map(errors.concrete, leaves)), None, lane_avals(leaves)
         if in_c() and not is_read():
             found = function.programs.of(avals)
         if isinstance(found, Program) and not concrete:
