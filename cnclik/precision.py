@@ -48,7 +48,7 @@ def in_float64_if_known(fn):
         ):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
-            args, kwargs = jax.tree.map(_widened, (args, kwargs))
+            args, kwargs = jax.tree.map(_widened, (args, kwargs), is_leaf=_is_dict)
             return fn(*args, **kwargs)
 
     return wide
@@ -67,8 +67,13 @@ def precise(fn):
 
 def _known(tree) -> bool:
     """Whether nothing in it is traced."""
-    leaves = jax.tree.leaves(tree, is_leaf=lambda v: type(v) is dict)  # of which JAX would sort the keys
-    return all(_known(list(v.values())) if type(v) is dict else errors.concrete(v) for v in leaves)
+    leaves = jax.tree.leaves(tree, is_leaf=_is_dict)
+    return all(_known(list(v.values())) if _is_dict(v) else errors.concrete(v) for v in leaves)
+
+
+def _is_dict(value) -> bool:
+    """Whether it is one whose keys JAX would sort."""
+    return type(value) is dict
 
 
 def _floating(leaf):
@@ -80,4 +85,6 @@ def _widened(leaf):
 
     Always a copy: JAX remembers some constants by identity, whatever the setting, and the caller's shall stay theirs.
     """
+    if _is_dict(leaf):
+        return {key: jax.tree.map(_widened, value, is_leaf=_is_dict) for key, value in leaf.items()}
     return np.array(leaf, np.float64) if _floating(leaf) else leaf

@@ -85,17 +85,27 @@ def stability_map(data, *, title="", operating=None):
     return figure
 
 
-def radii(axis, x, y, radius):
-    """Spectral radii as shades over two gains, or a gain and a sampling time; hatched where a loop is unstable."""
+def radii(axis, x, y, radius, limit=None):
+    """Spectral radii as shades over two gains, or a gain and a sampling time; hatched where a loop is unstable.
+
+    Args: limit: (k, 2) where it becomes unstable, from the top of the plane to its right; None: interpolated.
+    """
     levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
     shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.95"]
     hatches = [None] * 5 + ["////"]
-    shown = axis.contourf(x, y, np.minimum(radius, 10), levels=levels, colors=shades, hatches=hatches)
+    most = 10 if limit is None else 1
+    shown = axis.contourf(x, y, np.minimum(radius, most), levels=levels, colors=shades, hatches=hatches)
     bar = axis.figure.colorbar(shown, ax=axis, label="spectral radius", fraction=0.05, drawedges=True)
     bar.set_ticks(levels, labels=[*(f"{level:g}" for level in levels[:-1]), "∞"])
     style.log_scale(axis.xaxis, x, decades=3)
     style.log_scale(axis.yaxis, y, decades=3)
-    axis.contour(x, y, radius, levels=[1.0], colors="black", linewidths=1.4)
+    if limit is None:
+        axis.contour(x, y, radius, levels=[1.0], colors="black", linewidths=1.4)
+    elif len(limit):
+        (left, _), (_, low), right, top = limit[0], limit[-1], float(x[-1]), float(y[-1])
+        beyond = np.vstack([limit, [(right, low), (right, top), (left, top)]])
+        axis.fill(*beyond.T, facecolor=shades[-1], edgecolor="black", hatch=hatches[-1], linewidth=0)
+        axis.plot(*limit.T, color="black", linewidth=1.4)
     axis.grid(False)
 
 
@@ -106,8 +116,10 @@ def gains(data, *, title="", operating=None):
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.4))
     y, x = (data[name] for name in data.radius.dims)
-    radii(axis, x, y, np.maximum(data.radius.values, 1e-12))
-    drawn = [plt.Line2D([], [], color="black", linewidth=1.4, label="stability limit at this posture")]
+    limit = np.stack([data[f"limit of {one.name}"].dropna("ray of limit") for one in (x, y)], -1)
+    radii(axis, x, y, np.maximum(data.radius.values, 1e-12), limit)
+    line = plt.Line2D([], [], color="black", linewidth=1.4, label="stability limit at this posture")
+    drawn = [line] if len(limit) else []
     bounds = (("stable", markup.LOST, "stability limit at any"), ("recommended", markup.FINE, "recommended at any"))
     for name, color, label in bounds:
         most = data.attrs[name]

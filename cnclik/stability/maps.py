@@ -18,7 +18,7 @@ from cnclik.precision import in_float64, of_numbers
 from cnclik.record import replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
-from cnclik.stability.driven import least_limits
+from cnclik.stability.driven import SLACK, least_limits
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.loop import loop_at_rest
 from cnclik.stability.recommend import largest_stable
@@ -26,6 +26,9 @@ from cnclik.stability.spectrum import largest_rate, settle
 from cnclik.stability.tasks import bounded_rates, shares_of
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
+RAYS = 64  # of a map of gains, to each of two edges, along which its limit is looked for
+LEAST = 1e-6  # share of the largest gain, at least, of the smallest at such an edge
+HALVINGS = 24  # of the range of such a limit
 LOOPS_PER_CALL = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
 
 
@@ -187,13 +190,17 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
       law: with a stack of tasks, whose gains are scaled. q: (n,) where it rests [rad, m].
       alpha: {name: (a,)} of the two tasks, their largest gains [1/s]. Ts: [s].
       method, stage: as for `solve`. drive: as for `outcomes`.
-    Returns: an xarray.Dataset over the two gains, by their tasks' names, with `radius`; in its attributes `stable` and
-      `recommended` [1/s]: what every gain may be whatever the posture and the others are, see `TaskAdvice`.
+    Returns: an xarray.Dataset over the two gains, by their tasks' names, with `radius`, and "limit of NAME" of either
+      (ray,) [1/s]: where the loop becomes unstable as both grow in one ratio, NaN where it does not within the map; in
+      its attributes `stable` and `recommended` [1/s]: what every gain may be whatever the posture and the others are,
+      see `TaskAdvice`.
     """
     import xarray as xr
 
     if not isinstance(alpha, dict) or len(alpha) != 2:
         raise errors.fail("alpha", "be {name: gains} of two tasks", f"is {alpha!r}")
+    if "radius" in alpha:
+        raise errors.fail("alpha", "name tasks by other names than that of the map's own values", "names one radius")
     loop = loop_at_rest(law, None, q, method, stage, drive)
     if not bounded_rates(loop.law):
         raise errors.fail("law", "be of a stack, without transpose and null_velocity, for a map of two gains", "is not")
@@ -202,15 +209,19 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
     own = [float(np.max(here.rates.alpha[at])) for at, _ in (first, second)]
     if not min(own) > 0:
         raise errors.fail("law", f"have gains of {' and '.join(alpha)} to be scaled", f"has {own}")
-    radius = []
-    for gain in second[1]:
-        scale = np.ones((len(first[1]), loop.law.task.m))
-        scale[:, first[0]], scale[:, second[0]] = first[1][:, None] / own[0], gain / own[1]
-        radius.append(here.radius(scale, loop.drive))
+
+    def radius(gains):
+        scale = np.ones((len(gains), loop.law.task.m))
+        scale[:, first[0]], scale[:, second[0]] = (gains / own).T[..., None]
+        return here.radius(scale, loop.drive)
+
+    cells = np.stack(np.meshgrid(first[1], second[1]), -1)
+    found = _limit(radius, cells)
     limits = least_limits(loop.method, loop.stage, Ts, loop.drive)
     names, about = list(alpha), {"units": "1", "long_name": "spectral radius"}
     return xr.Dataset(
-        {"radius": (names[::-1], np.array(radius), about)},
+        {"radius": (names[::-1], np.array([radius(row) for row in cells]), about)}
+        | {f"limit of {n}": ("ray of limit", v, {"units": "1/s"}) for n, v in zip(names, found.T, strict=True)},
         coords={
             n: (n, v, {"units": "1/s", "long_name": f"α of {n}"})
             for n, (_, v) in zip(alpha, (first, second), strict=True)
@@ -218,6 +229,19 @@ def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage =
         attrs={"stable": limits.stable / Ts, "recommended": limits.recommended / Ts}
         | {"Ts": Ts, "method": loop.method.name, "stage": str(loop.stage), "q": np.asarray(loop.q)},
     )
+
+
+def _limit(radius, cells):
+    """Pairs of gains (r, 2) up to which a loop is stable in their ratio, NaN where that is beyond a map (b, a, 2)."""
+    least, most = cells.min((0, 1)), cells.max((0, 1))
+    shares = np.geomspace(np.maximum(least / most, LEAST), 1.0, RAYS)
+    edge = most * np.vstack([np.insert(shares[:, :1], 1, 1.0, 1), np.insert(shares[::-1, 1:], 0, 1.0, 1)])
+    low, high = np.zeros((len(edge), 1)), np.ones((len(edge), 1))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        stable = radius(middle * edge)[:, None] <= 1 + SLACK
+        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+    return np.where(high < 1, high, np.nan) * edge
 
 
 @in_float64

@@ -4,6 +4,7 @@ import json
 import re
 from types import SimpleNamespace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,6 +12,7 @@ import xarray as xr
 import cnclik as ck
 from cnclik.cli import main
 from cnclik.problem.targets import at_targets
+from cnclik.show.stability import gains
 from cnclik.stability import tasks
 from cnclik.stability.answer import does_of_tasks
 from cnclik.stability.bounds import limit_advice
@@ -372,8 +374,28 @@ def test_a_map_of_two_gains_has_its_boundary_where_the_tasks_have_theirs(method,
         np.testing.assert_allclose(
             data.radius[1, 0], ck.stability.spectrum(other, None, Q, TS, method).radius, atol=1e-9
         )
+    found = np.array([data[f"limit of {name}"].dropna("ray of limit") for name in ("tip", "rest")])
+    assert (found.size > 0) == np.isfinite(most)
+    assert not found.size or np.interp(said["rest"].alpha, found[1, ::-1], found[0, ::-1]) == pytest.approx(most, 1e-2)
     limit = ck.stability.driven_limits(method, Ts=TS, drive=drive)
     np.testing.assert_allclose([data.stable, data.recommended], [limit.stable / TS, limit.recommended / TS])
+
+
+def test_a_map_of_few_cells_draws_the_limit_where_it_is():
+    """A slow task makes the radius flat up to the limit of a fast one: between cells it says nothing of it."""
+    robot, task = ck.planar_arm([1.0, 0.8]), ck.stack(tip=ck.position("x"), turn=ck.position("y"))
+    law = ck.Law(robot, task, alpha={"tip": 40.0, "turn": 0.3}, inverse=ck.damped(1e-4))
+    alpha, drive = {"turn": np.geomspace(0.1, 2, 8), "tip": np.geomspace(3, 200, 8)}, ck.Drive(delay=1)
+    data = ck.stability.gains_map(law, [0.4, 0.9], alpha=alpha, Ts=0.01, method="EE", drive=drive)
+    most = ck.stability.driven_limits("EE", Ts=0.01, drive=drive).stable / 0.01
+    figure = gains(data)
+    line = next(one.get_xydata() for one in figure.axes[0].lines if one.get_color() == "black")
+    assert figure.axes[0].get_xlabel() == "α of turn [1/s]"  # the order in which they are given
+    np.testing.assert_allclose(line[:, 1], most, rtol=1e-4)
+    assert line[:, 0].min() < 0.11 and line[:, 0].max() > 1.9
+    plt.close(figure)
+    with pytest.raises(ck.ArgumentError, match="names one radius"):
+        ck.stability.gains_map(law, [0.4, 0.9], alpha={"radius": [1.0], "tip": [1.0]}, Ts=0.01)
 
 
 def test_a_map_of_two_gains_on_the_command_line(tmp_path, capsys):
