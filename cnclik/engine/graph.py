@@ -10,6 +10,8 @@ import numpy as np
 
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
 
+MOST_FOLDED = 1 << 12  # entries, at most, of known arrays on which operations are folded
+
 
 class UnsupportedError(Exception):
     """The function has no C form; the message gives the reason."""
@@ -179,12 +181,26 @@ class Graph:
         if all(a.known for a in args) and (value := folded(name, [a.value for a in args], dtype, params)) is not None:
             nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
             return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
+        if (table := self._known_row(name, args, dtype, params)) is not None:
+            return table
         if (found := self._through_select(name, args, dtype, params)) is not None:
             return found
         if name in COMMUTES and args[0].number > args[1].number:
             args = args[::-1]
         shape = max((a.shape for a in args), key=len)
         return self.shared(name, tuple(args), params, shape, dtype)
+
+    def _known_row(self, name, args, dtype, params):
+        """The result of an operation on rows that are known arrays; None if it has to be computed at run time."""
+        N = max((len(a.value) for a in args if a.op == "array"), default=MOST_FOLDED + 1)
+        if N > MOST_FOLDED or not all(a.known or a.op == "array" for a in args):
+            return None
+        key = "folded", name, params, dtype.str, *(a.number for a in args)
+        if key not in self.root.table:
+            several = zip(*(np.broadcast_to(a.value, N) for a in args), strict=True)
+            found = [folded(name, values, dtype, params) for values in several]
+            self.root.table[key] = None if any(v is None for v in found) else self.array(np.array(found, dtype))
+        return self.root.table[key]
 
     def _through_select(self, name, args, dtype, params):
         """An operation on a choice that is in a loop only for its condition: a choice of two results computed before

@@ -26,18 +26,16 @@ Rotation = Float[Array, "3 3"] | None
 def interval(times, t):
     """Index k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
 
-    By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX.
+    By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX. Written
+    out, as XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds (openxla/xla #49299).
     """
-    times, last = jnp.asarray(times), times.shape[0] - 1
-
-    def halve(_, ends):
-        low, high = ends
-        middle = (low + high) // 2
+    times = jnp.asarray(times)
+    low, high = jnp.int32(0), jnp.int32(times.shape[0] - 1)
+    for _ in range(max(times.shape[0] - 1, 1).bit_length()):
+        middle = (low + high) >> 1
         later = times[middle] <= t
-        return jnp.where(later, middle, low), jnp.where(later, high, middle)
-
-    ends = jnp.zeros((), jnp.int32), jnp.full((), last, jnp.int32)
-    return lax.fori_loop(0, max(last, 1).bit_length(), halve, ends)[0]
+        low, high = jnp.where(later, middle, low), jnp.where(later, high, middle)
+    return low
 
 
 @record

@@ -413,6 +413,20 @@ def test_cells_that_many_pick_from_are_listed_once(fn, lists):
     assert text.count("[60] = {") == lists
 
 
+def test_a_long_known_array_is_converted_and_computed_with_while_it_is_read():
+    """The weights of 78 rows, in float64, were converted entry by entry in each step of a float32 program."""
+    known = np.random.default_rng(0).normal(size=78)
+
+    def fn(x):
+        return 2 * (jnp.asarray(known) ** 2).astype(np.float32) * x
+
+    given = (np.random.default_rng(1).normal(size=(8, 78)).astype(np.float32),)
+    check(fn, *given)
+    with to_be_read():
+        text = write(*read(fn, *lane_avals(given))[:3], [jax.ShapeDtypeStruct((78,), "float32")])[0]
+    assert "convertvector(splat" not in text and text.count("static const float table") == 1
+
+
 @NEEDS_C
 def test_what_a_loop_leaves_as_it_was_is_no_part_of_it():
     """What is carried as the number it was at first, or comes from outside: known before the loop, or after it."""
