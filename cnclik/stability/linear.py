@@ -33,6 +33,7 @@ REACH = 1e6  # a method stable up to here on the real axis is called stable with
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
 _SLACK = 2**12 * EPS  # |R| above 1 by more than this is unstable: rounding of R(z) = ±1 is not
 _ZERO = 1e-6  # a factor below this is none
+_BLOCKS = (32, 4096)  # numbers of z in a call
 _PLATEAU = 1e-3  # a function within this share of its least value, at the end of an open range, falls on
 
 
@@ -87,11 +88,18 @@ def amplification(method, stage, z):
         roots = factors(method, stage, z)
         largest = np.take_along_axis(roots, np.argmax(np.abs(roots), -1)[..., None], -1)[..., 0]
         return largest if np.iscomplexobj(z) or np.any(largest.imag) else largest.real
-    flat = z.reshape(-1)
-    a, b = (np.asarray(v, np.float64) for v in (flat.real, flat.imag))
-    x, y = np.asarray(_amplification(at_rest_as(method), stage, a, b)).T
+    x, y = _in_blocks(at_rest_as(method), stage, z.reshape(-1))
     value = x + 1j * y if np.iscomplexobj(z) else x
     return value.reshape(z.shape)
+
+
+def _in_blocks(method, stage, z):
+    """R of z (n,) as (2, n), in blocks of few sizes: a size of its own would be compiled of its own."""
+    size = next((size for size in _BLOCKS if len(z) <= size), _BLOCKS[-1])
+    pairs = np.zeros((2, -(-len(z) // size) * size))
+    pairs[:, : len(z)] = z.real, z.imag
+    blocks = [_amplification(method, stage, *block) for block in pairs.T.reshape(-1, size, 2).transpose(0, 2, 1)]
+    return np.concatenate([*blocks, np.zeros((0, 2))])[: len(z)].T
 
 
 def _numbers(z):

@@ -7,6 +7,7 @@ from nodepy import runge_kutta_method as nodepy
 
 import cnclik as ck
 from cnclik.stability import linear
+from tests.compiling import compiled
 
 PASSES = range(13)
 
@@ -31,6 +32,15 @@ def test_picard_is_the_polynomial_of_its_passes(M):
         np.testing.assert_allclose(linear.amplification(ck.IE, picard(M), z), powers(z, M + 1), rtol=1e-10, atol=1e-12)
         expected = 1 - z / 2 * (1 + powers(z, M))
         np.testing.assert_allclose(linear.amplification(ck.CN, picard(M), z), expected, rtol=1e-9, atol=1e-10)
+
+
+def test_other_numbers_of_z_need_no_other_program():
+    expected = linear.amplification("IE", ck.chord(0), Z)
+    with compiled() as programs:
+        for n in (0, 1, 2, 7, 22):
+            found = linear.amplification("IE", ck.chord(0), Z[:n])
+            np.testing.assert_array_equal(found, expected[:n])
+    assert not programs
 
 
 EXACT = {
