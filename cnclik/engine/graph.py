@@ -17,6 +17,18 @@ class UnsupportedError(Exception):
     """The function has no C form; the message gives the reason."""
 
 
+class SlowError(UnsupportedError):
+    """It takes so long to build that the source itself, by XLA, answers sooner."""
+
+
+class TooLargeError(SlowError):
+    """Its graph has more nodes than the caller wants to build."""
+
+    def __init__(self, nodes):
+        super().__init__(f"a graph of {nodes} nodes takes long to build")
+        self.nodes = nodes
+
+
 class Node:
     """One scalar, or one row of scalars: an operation, its arguments and parameters, or a constant's value.
 
@@ -122,6 +134,11 @@ class Graph:
         self.count = 0
         self.factors = {}  # {node numbers of a Cholesky factor: (L of L D Lᵀ, 1/√D)}
         self.squares = {}  # {node number of such a 1/√d: 1/d}
+
+    def check(self, most):
+        """Raises: TooLargeError if it has more nodes."""
+        if self.count > most:
+            raise TooLargeError(self.count)
 
     def new(self, op, args, params, shape, dtype, value, block, *, exact=False) -> Node:
         """A new node, neither looked up nor listed."""

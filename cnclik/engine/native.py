@@ -5,6 +5,7 @@ widens the batch. Its derivative is another such function, read from JAX's jvp; 
 transpose is read from JAX's vjp. So `jit`, `vmap`, `jvp`, `grad` and `lax.scan` work, to any order.
 """
 
+import contextlib
 import functools
 from collections.abc import Callable
 
@@ -16,7 +17,8 @@ from jax.interpreters import ad, batching, mlir, partial_eval
 
 from cnclik import errors
 from cnclik.cache import LRU, bounded_jit
-from cnclik.engine.plan import in_c, in_scalars
+from cnclik.engine.graph import SlowError
+from cnclik.engine.plan import in_c, in_scalars, use_engine
 from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
 from cnclik.engine.rounds import RoundsError
@@ -214,13 +216,19 @@ def _plain(*args, function, batched):
     return jax.vmap(fn, axes)(*args) if any(batched) else fn(*args)
 
 
-def _called(*args, function, batched):
-    lane, size = _lanes([jax.typeof(x) for x in args], batched)
+def _on_a_cpu(ctx, *args, function, batched):
+    """Its lowering: C; or by JAX, and then the source of what it calls, too, if C takes too long to compile."""
+    lane, size = _lanes(ctx.avals_in, batched)
     program = None
-    if in_c():
+    if in_c() and size != 0:
         program = function.one_lane(lane) if size is None else function.programs.of(lane)
-    if not isinstance(program, Program) or size == 0:
-        return _plain(*args, function=function, batched=batched)
+    if isinstance(program, Program):
+        return _lowered(functools.partial(_called, program, size))(ctx, *args)
+    with contextlib.nullcontext() if not isinstance(program, SlowError) else use_engine("plain"):
+        return _lowered(_plain)(ctx, *args, function=function, batched=batched)
+
+
+def _called(program, size, *args):
     if program.path not in _registered:
         _register(program)
     needs(_ready, program.path)
@@ -240,8 +248,9 @@ def _ready(path):
         _register(Program.kept((), path, ()))
 
 
-mlir.register_lowering(native_p, mlir.lower_fun(_plain, multiple_results=True))
-mlir.register_lowering(native_p, mlir.lower_fun(_called, multiple_results=True), platform="cpu")
+_lowered = functools.partial(mlir.lower_fun, multiple_results=True)
+mlir.register_lowering(native_p, _lowered(_plain))
+mlir.register_lowering(native_p, _on_a_cpu, platform="cpu")
 
 
 @native_p.def_impl

@@ -3,17 +3,16 @@
 import contextlib
 import ctypes
 import functools
-import math
 
 import jax
 import numpy as np
 
 from cnclik import cache
 from cnclik.cache import LRU
-from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.graph import TooLargeError, UnsupportedError
 from cnclik.engine.native import called, native, of_rounds
 from cnclik.engine.plan import in_c, most_nodes, wants_c
-from cnclik.engine.program import Program, TooLargeError, key_of, lane_avals
+from cnclik.engine.program import Program, key_of, lane_avals
 from cnclik.engine.rounds import LEAST, RoundsError, any_rounds
 from cnclik.programs import name_of, recalled, remember
 
@@ -63,7 +62,7 @@ class Numbers:
             if isinstance(x, Tracer):
                 return None
             about += x.shape, x.dtype
-        most = most_nodes(self.rounds) if self.rounds else math.inf
+        most = most_nodes(self.rounds)
         key = (*map(id, known), treedef, jax.config.jax_enable_x64, most, *about)
         call = self.ready.get(key) or self._prepared(key, known, given, most)
         self.ran_in_c = call is not None

@@ -17,6 +17,7 @@ ENGINES = ("native", "xla", "plain")
 # from some 10,000 rounds on, or where the program is called again and again.
 MOST_NODES = 100_000  # of a run's graph, for C: half a minute of compiling
 MOST_NODES_ONCE = 15_000  # of one that is called a few times only
+MOST_NODES_EVER = 600_000  # of any function: the compiler's two minutes, see `compiler.MOST_SECONDS`
 MANY_ROUNDS = 8192  # of a run that is C at any size
 _only = {"once": False}  # what holds for the whole process
 
@@ -65,8 +66,13 @@ def called_once(rounds):
         _only["once"] = before
 
 
-def most_nodes(rounds) -> float:
-    """The nodes, at most, of the graph of a run of so many rounds that C answers in time."""
-    if _engine.value == "native" or rounds > MANY_ROUNDS:
+def most_nodes(rounds=0) -> float:
+    """The nodes, at most, of a graph from which an answer comes in time; beyond, the source itself is used.
+
+    Args: rounds: of a run, for C; 0: any other function, for C and for XLA.
+    """
+    if _engine.value is not None:
         return math.inf
+    if not 0 < rounds <= MANY_ROUNDS:
+        return MOST_NODES_EVER
     return MOST_NODES_ONCE if _only["once"] else MOST_NODES

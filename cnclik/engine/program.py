@@ -13,8 +13,9 @@ import jax
 import numpy as np
 
 from cnclik.cache import LRU
-from cnclik.engine.compiler import CompilerError, build_text, built, can_build, opened
-from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.compiler import CompilerError, SlowCompilerError, build_text, built, can_build, opened
+from cnclik.engine.graph import SlowError, TooLargeError, UnsupportedError
+from cnclik.engine.plan import most_nodes
 from cnclik.engine.reader import read
 from cnclik.engine.rounds import known_rounds, settled
 from cnclik.engine.source import write
@@ -25,14 +26,6 @@ MOST_WORK = 64 << 20  # bytes of a tile's memory
 FEW_TILES = 4  # at most, for a single thread
 HUGE = 2 << 20  # bytes of a huge page: allocating small pages takes half as long again
 CALLS = 4  # of each thread, so that slow lanes do not keep one core busy alone
-
-
-class TooLargeError(UnsupportedError):
-    """Its graph has more nodes than the caller wants to build."""
-
-    def __init__(self, nodes):
-        super().__init__(f"a graph of {nodes} nodes takes long to build")
-        self.nodes = nodes
 
 
 class Program:
@@ -50,9 +43,8 @@ class Program:
         with known_rounds():
             with to_be_read():
                 graph, given, outs, (shapes, self.tree) = read(fn, *avals)
+            graph.check(most)
             self.nodes = graph.count
-            if self.nodes > most:
-                raise TooLargeError(self.nodes)
             shapes, grows = settled(shapes)
             text, self.operations = write(graph, given, outs, shapes, grows)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
@@ -133,7 +125,8 @@ def _opened(find):
             path, kept = find(pathlib.Path(place))
             library = opened(path)  # an open library needs no temporary file
     except (CompilerError, OSError) as error:
-        raise UnsupportedError(f"the C compiler failed: {error}") from None
+        slow = isinstance(error, SlowCompilerError)
+        raise (SlowError if slow else UnsupportedError)(f"the C compiler failed: {error}") from None
     if kept:  # logged as JAX logs its own cache
         jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
@@ -148,27 +141,27 @@ class Programs:
     """The programs of a function of flat arguments, by argument types; the reason where there is none."""
 
     def __init__(self, fn, make=Program):
-        """make: makes a program from (fn, avals): `Program` or `to_jax.Derived`."""
+        """make: makes a program from (fn, avals, most=): `Program` or `to_jax.Derived`."""
         self.fn, self.make, self.found = fn, make, LRU()
 
-    def of(self, avals, **limit):
+    def of(self, avals, most=None):
         """The program for flat arguments of these avals, or the reason why there is none.
 
-        Args: limit: for a caller that would rather have none than a large one: `most` of a `Program`.
+        Args: most: nodes of its graph; default: `most_nodes()`.
         """
-        key = key_of(avals)
+        key, most = key_of(avals), most_nodes() if most is None else most
         found = self.found.get(key)
-        if found is None or (isinstance(found, TooLargeError) and found.nodes <= limit.get("most", math.inf)):
-            found = self.found[key] = self._made(avals, **limit)
+        if found is None or (isinstance(found, TooLargeError) and found.nodes <= most):
+            found = self.found[key] = self._made(avals, most)
         return found
 
     def known(self, avals):
         """The same if it was requested before, otherwise None."""
         return self.found.get(key_of(avals))
 
-    def _made(self, avals, **limit):
+    def _made(self, avals, most):
         try:
-            return self.make(self.fn, avals, **limit)
+            return self.make(self.fn, avals, most=most)
         except UnsupportedError as error:
             return error
 

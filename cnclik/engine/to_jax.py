@@ -5,6 +5,7 @@ becomes a select; a heavy one becomes a loop that runs once if some lane needs i
 """
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -35,9 +36,11 @@ _sincos = jax.jit(sincos, inline=False)
 class Derived:
     """A function of one lane's arrays, read and written as JAX. Raises: UnsupportedError if it cannot be read."""
 
-    def __init__(self, fn, avals):
+    def __init__(self, fn, avals, *, most=math.inf):
+        """Args: most: nodes of its graph."""
         with to_be_read():
             self.read = *_, (self.shapes, self.tree) = read(fn, *avals)
+        self.read[0].check(most)
         self.avals, self.written = avals, {}
 
     def __call__(self, *leaves) -> list:

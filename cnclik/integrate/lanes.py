@@ -17,8 +17,9 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.cache import LRU
+from cnclik.engine.graph import SlowError
 from cnclik.engine.native import native, scalars
-from cnclik.engine.plan import in_c, in_scalars
+from cnclik.engine.plan import in_c, in_scalars, use_engine
 from cnclik.engine.program import Program, key_of, lane_avals
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import is_read
@@ -78,6 +79,9 @@ def lanes(
         concrete, found, avals = all(map(errors.concrete, leaves)), None, lane_avals(leaves)
         if in_c() and not is_read():
             found = function.programs.of(avals)
+        if isinstance(found, SlowError):
+            with use_engine("plain"):
+                return call(*args)
         if isinstance(found, Program) and not concrete:
             return jax.vmap(as_c)(*args)
         if not concrete:

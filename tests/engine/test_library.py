@@ -15,11 +15,11 @@ import pytest
 
 import cnclik as ck
 from cnclik import errors as ck_errors
-from cnclik.engine import compiler
+from cnclik.engine import compiler, plan
 from cnclik.engine.plan import in_c as runs_in_c
 from cnclik.engine.plan import use_engine
 from cnclik.engine.program import Programs, lane_avals
-from engine.compare import NEEDS_C, check, in_c, same
+from engine.compare import NEEDS_C, check, in_c, plain, same
 from tests.export.combinations import arm
 
 SIZE = 11
@@ -162,6 +162,45 @@ def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
     why = Programs(jnp.cos).of(lane_avals([x]))
     assert str(why).startswith("the C compiler failed")
     same(ck.lanes(jnp.cos)(x), jnp.cos(x))
+
+
+TURN = np.random.default_rng(3).normal(size=(3, 3))
+
+
+def turned(x):
+    """Products of arrays, where the engine has products of numbers."""
+    return jnp.sum(jax.lax.fori_loop(0, 3, lambda _, x: jnp.tanh(TURN @ x), x) ** 2)
+
+
+def is_source(fn):
+    """Whether lanes of `turned` are lowered as they stand."""
+    text = jax.jit(fn).lower(given()[0]).as_text()
+    return "dot_general" in text and "lanes-" not in text
+
+
+OF_LANES = pytest.mark.parametrize("of", [ck.lanes, lambda fn: jax.vmap(ck.native(fn))], ids=["lanes", "native"])
+
+
+@OF_LANES
+def test_what_takes_too_long_is_the_source(monkeypatch, of):
+    """As C, or as scalars: so many kept XLA busy for longer than anybody waits."""
+    monkeypatch.setattr(plan, "MOST_NODES_EVER", 20)
+    made = of(turned)
+    assert is_source(made)
+    same(made(given()[0]), plain(turned, given()[0]), ulps=100)
+    with use_engine("native" if runs_in_c() else "xla"):
+        assert not is_source(made)
+
+
+@NEEDS_C
+@OF_LANES
+def test_what_took_too_long_is_the_source_with_what_it_calls(monkeypatch, tmp_path, of):
+    calls = tmp_path / "calls"
+    monkeypatch.setattr(compiler, "MOST_SECONDS", 0.3)
+    monkeypatch.setenv("CC", str(program(tmp_path / "cc", f"echo >>{calls}; sleep 9")))
+    assert is_source(of(turned))
+    jax.jit(of(lambda x: ck.step(LAW, ck.hold(x[:2]), x, 0.0, 0.01, "EE").q)).lower(given()[0])
+    assert calls.read_text().count("\n") == 2
 
 
 @pytest.mark.parametrize("named", ["/nonexistent -O2", "'"])
