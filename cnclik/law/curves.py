@@ -91,8 +91,8 @@ class Circle:
 @record
 class Spline:
     times: Float[Array, " K"]
-    position: Float[Array, "4 K-1 d"] | None  # coefficients of the powers of t − t_k
-    quaternion: Float[Array, "4 K-1 4"] | None  # and of unnormalised quaternions
+    position: Float[Array, "K-1 4 d"] | None  # coefficients of the powers of t − t_k, a row for each knot
+    quaternion: Float[Array, "K-1 4 4"] | None  # and of unnormalised quaternions
     rotation: Rotation  # constant
     closed: bool
 
@@ -105,7 +105,7 @@ class Spline:
         dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
 
         def at(c):
-            a, b, c, d = c[:, k]
+            a, b, c, d = c[k]
             return a + dt * (b + dt * (c + dt * d))
 
         rotation = self.rotation
@@ -152,7 +152,7 @@ def _progress(t, duration):
 
 
 def cubic(times, values, closed, name):
-    """Coefficients (4, K−1, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
+    """Coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
     known = errors.concrete(times) and errors.concrete(values)
     xp = np if known else jnp  # NumPy compiles nothing
     times, values = xp.asarray(times), xp.asarray(values)
@@ -174,9 +174,9 @@ def cubic(times, values, closed, name):
         hh = h[:, None]
         second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
         third = (v[:-1] + v[1:] - 2 * slope) / hh**2
-    found = xp.stack([values[:-1], v[:-1], second, third])
+    found = xp.stack([values[:-1], v[:-1], second, third], axis=1)
     if known and not np.isfinite(found).all():
-        k = int(np.argmin(np.isfinite(found).all(axis=(0, 2))))
+        k = int(np.argmin(np.isfinite(found).all(axis=(1, 2))))
         between = f"{values[k].tolist()} and {values[k + 1].tolist()} within {h[k]:.3g} s"
         raise errors.fail(name, "be such that a smooth path leads through them", f"has {between}")
     return jnp.asarray(found)

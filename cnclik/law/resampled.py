@@ -60,16 +60,16 @@ def resampled(
 
 
 def _pieces(xp, kind, times, points, gap):
-    """Knots (P + 1,) and coefficients (4, P, d) of the powers of the time since a knot; at rest before and after."""
+    """Knots (P + 1,) and coefficients (P, 4, d) of the powers of the time since a knot; at rest before and after."""
     times = xp.concatenate([times[:1] - gap, times, times[-1:] + gap])
     points = xp.concatenate([points[:1], points, points[-1:]])
     h = xp.diff(times)[:, None]
     slope = xp.diff(points, axis=0) / h
     if kind != "spline":
         start, moves = points[:-1], slope if kind == "ramp" else 0 * slope
-        return times, xp.stack([start, moves, 0 * start, 0 * start])
+        return times, xp.stack([start, moves, 0 * start, 0 * start], axis=1)
     knots, middle = (times[1:] + times[:-1]) / 2, (points[1:] + points[:-1]) / 2
     h = xp.diff(knots)[:, None]
     mean = xp.diff(middle, axis=0) / h
     second, third = (3 * mean - 2 * slope[:-1] - slope[1:]) / h, (slope[:-1] + slope[1:] - 2 * mean) / h**2
-    return knots, xp.stack([middle[:-1], slope[:-1], second, third])
+    return knots, xp.stack([middle[:-1], slope[:-1], second, third], axis=1)

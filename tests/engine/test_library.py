@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import errors as ck_errors
@@ -66,6 +67,17 @@ AROUND = {
 @pytest.mark.parametrize("name", AROUND)
 def test_what_lies_around_a_law(name):
     check(functools.partial(solve, **AROUND[name]), *given(), ulps=3e4)
+
+
+@NEEDS_C
+def test_a_path_of_many_frames_is_c():
+    """Its table is looked up by rows: of knots on another axis 2,048 entries and more have no C form."""
+    times = np.linspace(0, 1, 200)
+    turned = Rotation.from_rotvec(np.outer(times, [0.3, 2.0, -0.4])).as_matrix()
+    path = ck.waypoints(times, np.sin(np.outer(times, [1, 2, 3])), turned)
+    paths = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], SIZE, 0), path)
+    at = np.linspace(-0.1, 1.1, SIZE)
+    same(in_c(lambda path, t: path.curve(t), paths, at), jax.vmap(path.curve)(at), ulps=20)
 
 
 def squares(q0, x, **around):
