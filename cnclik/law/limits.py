@@ -297,8 +297,9 @@ def saturation(rate: Number = 10.0) -> Saturated:
 
     While a joint would exceed its bounds, the joint that limits the task most moves at its bound and the others take
     over its share, (J W)# (ẋ − J q̇_N) + q̇_N. Where they cannot, the task velocity is scaled by the largest share s ∈
-    [0, 1] that fits, so that its direction is kept. The bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint
-    approaches its limit exponentially, and a joint outside its limits comes back, whatever the task asks for.
+    [0, 1] that was found, so that its direction is kept. As no locked joint is released, a larger one may exist. The
+    bounds on q̇ᵢ are ±Vᵢ and rate · (limit − qᵢ): a joint approaches its limit exponentially, and a joint outside its
+    limits comes back, whatever the task asks for.
 
     Directions in which the other joints have singular values below 0.01·‖J‖ in float32 (4e-7·‖J‖ in float64) count as
     out of reach.

@@ -310,7 +310,8 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
     if "distance" in given:
         with errors.within("distance"):  # a half-space comes second, as `distance` takes it
             shapes = sorted(map(_shape, given["distance"]), key=lambda shape: not hasattr(shape, "ends"))
-        task, sides = distance(*shapes), sides or {"above": 0.0}
+        with errors.called("one", "distance"):
+            task, sides = distance(*shapes), sides or {"above": 0.0}
     else:
         if not {"task", "joints"} & set(given):
             raise errors.fail("task", "be given, or `joints`, `distance` or `corners`", "is not")

@@ -191,7 +191,7 @@ HAND = {"hands": {"task": "position", "tip": GRIPPERS, "damping": 0.02}}
         ({"distance": [{"radius": 1}]}, {}, "`walls.a.distance` must be two tables"),
         ({"distance": [{"radius": 1}, 3]}, {}, "`walls.a.distance` must be a table of options"),
         ({"distance": [{"radius": 1}, {"size": 3}]}, {}, "`walls.a.distance` must hold known options"),
-        ({"distance": [{"normal": [0, 0, 1]}] * 2}, {}, "`walls.a.one` must be ck.sphere"),
+        ({"distance": [{"normal": [0, 0, 1]}] * 2}, {}, "`walls.a.distance` must be ck.sphere"),
         ({"distance": [{}, {"to": [0, 0, 1]}]}, {}, "`walls.a.distance.from` must be given for the shape 'capsule'"),
         ({"distance": [{}, {"normal": [0, 0, 1], "radius": 1}]}, {}, "`walls.a.distance.radius` must be left out for"),
         ({"distance": [{}, {"normal": [0, 0, 0]}]}, {}, "`walls.a.distance.normal` must be other than 0"),
