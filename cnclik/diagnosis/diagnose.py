@@ -31,7 +31,8 @@ STILL = 1e-12  # share of the largest value that counts as rounding
 UNFINISHED = (
     "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands (what "
     "joints do after commands is for `cnclik diagnose --step` and `fit_drive`): the gain cannot be judged. Record the "
-    "loop at rest: push it and wait until it rests again."
+    "loop at rest: push it and wait until it rests again. If it never does, its gain may be far too large: reduce the "
+    "gain until it does."
 )
 HIDDEN = (
     "Whether its gain is a little too large cannot be known from this noise: push the loop at rest by ten times as "
@@ -211,12 +212,8 @@ def _part(first, rows, found, longest) -> _Part:
 
 
 def _come_to(part, longest) -> _Part:
-    """The second half of a growing or ringing part, if the oscillation is sustained there; a decay that does not rest
-    is undecided.
-    """
+    """The second half of a growing or ringing part, if the oscillation is sustained there."""
     half = len(part.rows) // 2
-    if part.kind is Kind.MONOTONE and not is_calm(part.rows, longest):
-        return part._replace(kind=Kind.UNDECIDED)
     if part.kind not in (Kind.GROWING, Kind.RINGING) or len(part.rows) < 4 * LEAST:
         return part
     late = _part(part.first + half, part.rows[half:], find_modes(part.rows[half:], longest), longest)
@@ -253,6 +250,8 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
             )
         if driven and (noisy or stays or periods or driven["confidence"] > made.get("confidence", 0)):
             made = driven  # all of it: a gain of the first answer does not stop another loop
+    if made["kind"] in (Kind.MONOTONE, Kind.NOISE) and not is_calm(part.rows, longest):
+        kind, made = Kind.UNDECIDED, {"kind": Kind.UNDECIDED}
     if kind is Kind.DIVERGING:
         made |= growth_without_end(part.factor, shape, _is_clear(part), alpha, Ts)
     elif kind is Kind.UNDECIDED:

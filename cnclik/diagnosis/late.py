@@ -26,6 +26,7 @@ NO_LAG = 0.2  # samples; a shorter lag counts as none
 TEMPER = 0.25  # instead of 1/2, as no real loop is exactly one of these
 SIMPLE = 0.03  # share of the likeliest loop's probability above which dead time alone is reported
 USUAL = 0.05  # [s] typical largest lag of robot drives
+FOLDS = -20, 5  # logarithms of a lag that a fit may try: far steps of it overflow
 SHORTEST = 1e-2  # samples of a lag, at least
 LONGEST = 0.2  # [s] of a lag, at most, of a robot's drive
 WORSE = 4.0  # residual power, at most, as a multiple of the noise power
@@ -199,7 +200,7 @@ def _with_lags(fit, factor, phase) -> list:
     best = min(tried, key=lambda loop: loop.score)
 
     def at(values):
-        lag = max(best.lag * np.exp(np.clip(values[0], -20, 5)), SHORTEST * fit.Ts)
+        lag = max(best.lag * np.exp(np.clip(values[0], *FOLDS)), SHORTEST * fit.Ts)
         return best._replace(lag=lag, z=best.z * np.exp(values[1]))
 
     made = minimize(
@@ -247,7 +248,7 @@ def lag_of(factor, z, Ts):
     phase = max(phase_delay(factor), 0.1)
 
     def loop_of(values):
-        delay, lag = min(abs(values[0]), 2 * phase + 2, MOST - 1), np.exp(np.clip(values[1], -20, 5))
+        delay, lag = min(abs(values[0]), 2 * phase + 2, MOST - 1), np.exp(np.clip(values[1], *FOLDS))
         return LateLoop(float(delay), float(lag), z)
 
     def off(values):
