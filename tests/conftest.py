@@ -35,7 +35,7 @@ from cnclik.cache import give_back
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
-# The longest tenth of the tests (`pytest -m "not slow" --durations=0`): CI runs them after the others.
+# The longest eighth of the tests (`pytest -m "not slow" --durations=0`): CI runs them after the others.
 LONG = {f"tests/{line}" for line in (pathlib.Path(__file__).parent / "long.txt").read_text().splitlines()}
 LONGEST = (
     "test_docs.py",

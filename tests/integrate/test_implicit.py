@@ -118,10 +118,15 @@ def test_correction_inverts_the_linearised_law_at_rest(kind):
 def test_a_constant_null_space_velocity_passes_a_newton_step(inverse):
     """Away from rest, by the matrix (n, n) that the formula avoids."""
     one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=np.array([0.3, -0.2, 0.5]))
-    at = evaluate(modelled(one), TARGET, jnp.zeros(()), jnp.asarray(Q))
-    h, k, f = 0.3, np.array([0.7, -0.2, 1.1]), np.asarray(at.qdot)
-    D = 15.0 * np.stack([at.apply(unit) for unit in np.eye(2)], axis=1) @ np.asarray(at.rows)
-    np.testing.assert_allclose(at.newton(h, k), k + np.linalg.solve(np.eye(3) + h * D, f - k), atol=1e-12)
+    h, k = 0.3, np.array([0.7, -0.2, 1.1])
+
+    @jax.jit
+    def step(q):
+        at = evaluate(modelled(one), TARGET, jnp.zeros(()), q)
+        return at.newton(h, k), at.qdot, at.rows, jax.vmap(at.apply, out_axes=1)(jnp.eye(2))
+
+    found, f, J, inverted = map(np.asarray, step(Q))
+    np.testing.assert_allclose(found, k + np.linalg.solve(np.eye(3) + h * 15.0 * inverted @ J, f - k), atol=1e-12)
 
 
 def test_masked_passes_equal_compiled_ones():

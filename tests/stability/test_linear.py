@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from nodepy import runge_kutta_method as nodepy
 
 import cnclik as ck
 from cnclik.stability import linear
@@ -60,6 +59,8 @@ def test_chord_and_newton_solve_a_linear_stage_exactly(name, stage):
 @pytest.mark.parametrize("method", [m for m in ck.METHODS.values() if m.steps == 1 and not m.exponential], ids=str)
 def test_stability_functions_are_those_of_nodepy(method):
     """nodepy derives R from the tableau alone; its z is minus ours."""
+    from nodepy import runge_kutta_method as nodepy  # a second, of all workers, if it is at the top
+
     n = len(method.A)
     A = np.array([[*row, *[0.0] * (n - len(row))] for row in method.A])
     kind = nodepy.RungeKuttaMethod if method.implicit else nodepy.ExplicitRungeKuttaMethod
