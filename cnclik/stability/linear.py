@@ -33,7 +33,7 @@ REACH = 1e6  # a method stable up to here on the real axis is called stable with
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in
 _SLACK = 2**12 * EPS  # |R| above 1 by more than this is unstable: rounding of R(z) = ±1 is not
 _ZERO = 1e-6  # a factor below this is none
-_BLOCKS = (32, 4096)  # numbers of z in a call
+_BLOCKS = (32, 1024)  # numbers of z in a call: any other would be compiled of its own
 _PLATEAU = 1e-3  # a function within this share of its least value, at the end of an open range, falls on
 
 
