@@ -114,12 +114,19 @@ class RowTexts:
         self.where[n.number] = lambda k: f"{array}[{k}]"
 
     def row(self, c, k, memo) -> str:
-        """The text of a row at round k; statements that compute it are written before."""
-        if not c.shape:
-            return self.of(c)
-        if c.number not in memo:
-            memo[c.number] = self._row(c, k, memo)
-        return memo[c.number]
+        """The text of a row at round k; statements that compute it are written before.
+
+        Without recursion, as a sum over many coordinates is a chain longer than Python's stack.
+        """
+        queue = [c] if c.shape else []
+        while queue:
+            n = queue[-1]
+            computed = is_operation(n) and n.number not in self.where and n.number not in memo
+            if missing := [a for a in n.args if computed and a.shape and a.number not in memo]:
+                queue += missing[::-1]
+            elif queue.pop().number not in memo:
+                memo[n.number] = self._row(n, k, memo)
+        return memo[c.number] if c.shape else self.of(c)
 
     def _row(self, c, k, memo):
         if c.number in self.where:

@@ -74,6 +74,16 @@ def test_loops_along_a_path(fn, length):
     check(fn, batch(3), batch(length, 3, seed=1), ulps=50)
 
 
+def test_rows_are_chains_of_any_length():
+    def many(x, path):
+        rows = path[:, 0]
+        for k in range(600):
+            rows = rows * x[k % 3] + path[:, k % 3]
+        return rows
+
+    check(many, batch(3) / 3, batch(70, 3, seed=1), derived_too=False, ulps=50)
+
+
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("unroll", [1, True])
 def test_a_loop_over_a_known_mask_or_that_asks_for_it_is_written_out(reverse, unroll):
@@ -457,7 +467,7 @@ def test_a_paced_loop_is_no_longer_for_more_steps():
         with to_be_read():
             graph = read(lambda q, N=N: ck.solve(law, path, q, 0.01, N, "EE", pace=pace).q[-1], *avals)
         count.append(write(*graph[:3], avals)[1])
-    assert count[1] < 1.01 * count[0]
+    assert count[1] < 1.05 * count[0]  # a bisection has a step more
 
 
 def test_metrics_are_no_longer_for_more_steps():
