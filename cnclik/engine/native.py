@@ -68,7 +68,7 @@ def of_rounds(fn, whole=None, rounds=0):
         leaves = [jnp.asarray(x) for x in leaves]
         _, tree = function.out([jax.typeof(x) for x in leaves])
         if function.itself:  # it has effects, or closes over values of a surrounding trace
-            return fn(*args, **named)
+            return function.fn(*leaves)
         return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
 
     call.of = of  # type: ignore[attr-defined]
