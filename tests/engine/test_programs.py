@@ -1,6 +1,7 @@
 """Programs: loops, branches, stacks, derivatives and odd shapes, by jax.vmap and as C."""
 
 import re
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 from jax import lax
 
 import cnclik as ck
+from cnclik.engine import stacks
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.graph import Scan, UnsupportedError, While
 from cnclik.engine.program import Program, lane_avals
@@ -72,6 +74,33 @@ def at_the_counter(q, path):
 )
 def test_loops_along_a_path(fn, length):
     check(fn, batch(3), batch(length, 3, seed=1), ulps=50)
+
+
+def test_reading_a_gradient_takes_as_long_as_it_has_residuals():
+    """Each was compared with all others. Counted in lines of Python, as seconds depend on the machine."""
+
+    def lines(size):
+        def loss(x):
+            return jnp.sum(lax.scan(lambda c, _: (jnp.sin(c), None), x, None, 5)[0])
+
+        def called(frame, *_):
+            return counted if frame.f_code.co_filename == stacks.__file__ else None
+
+        def counted(frame, event, _):
+            count.append(event)
+            return counted
+
+        count, before = [], sys.gettrace()
+        with to_be_read():
+            closed = jax.make_jaxpr(jax.grad(loss))(jax.ShapeDtypeStruct((size,), "float64"))
+            sys.settrace(called)
+            try:
+                read_jaxpr(closed)
+            finally:
+                sys.settrace(before)
+        return len(count)
+
+    assert lines(400) < 2.2 * lines(200)
 
 
 def test_rows_are_chains_of_any_length():
