@@ -29,7 +29,7 @@ LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destro
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
 _ENOUGH = 0.1  # of the fall of the cost that the slope along a clipped step promises
 _SWEEPS = 6  # before the descent: a sweep takes an eighth of a pass, and six save almost two passes of the slowest lane
-_ROUNDS = 4  # further descents, at most, while walls are violated
+_ROUNDS = 5  # descents, at most, while walls are violated
 
 
 class Problem(NamedTuple):
@@ -239,7 +239,8 @@ def descent(of: Problem, start, passes) -> _Pass:
 def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
     """The minimum behind walls: a descent, and more while walls are violated by more than their softness.
 
-    Each further descent uses the multipliers of the one before, and the softness on the face where it ended.
+    Each further descent uses the multipliers of the one before, and the softness on the face where it ended. The first
+    has no multipliers, and the softness within the bounds.
     """
     if walls is None:
         return descent(of, start, passes)
@@ -253,9 +254,11 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
         found, rounds = at
         missing, size = walls.floor - walls.rows @ found.qdot, walls.size(found.qdot)
         much = 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
-        return (rounds < _ROUNDS) & (found.settled & jnp.any(missing > much))  # exports need a bound of the rounds
+        more = (rounds == 0) | (found.settled & jnp.any(missing > much))
+        return (rounds < _ROUNDS) & more  # exports need a bound of the rounds
 
-    first = descent(of.behind(walls, of.low >= of.high), start, passes)
+    still, none = jnp.zeros_like(start), jnp.zeros_like(walls.floor)
+    first = _Pass(start, still, jnp.bool_(False), jnp.bool_(False), jnp.int32(0), none)
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
 
 
