@@ -42,11 +42,12 @@ def _shortened(text, most):
     return text if len(text) <= most else f"{text[: most - 301]} … {text[-298:]}"
 
 
-_NUMPY = re.compile(r"np\.[a-z]+[0-9]*_?\(([^()]*)\)")  # a number as NumPy writes it
+_NUMPY = re.compile(r"(?<!\w)'[^']*'|np\.[a-z]+[0-9]*_?\(([^()]*)\)")  # a user's text, or a number as NumPy writes it
 
 
 def fail(name: str, must: str, found) -> ArgumentError:
-    name, found = (name if len(name) <= 80 else f"{name[:79]}…"), _NUMPY.sub(r"\1", " ".join(found.split()))
+    name = name if len(name) <= 80 else f"{name[:79]}…"
+    found = _NUMPY.sub(lambda one: one[1] or one[0], " ".join(found.split()))
     return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 

@@ -154,3 +154,8 @@ def test_what_the_field_calls_a_method_hides_no_name_of_another_kind():
 def test_numbers_of_numpy_are_written_as_numbers():
     with pytest.raises(ArgumentError, match=r"is \[0\.1, 3\]\.$"):
         raise errors.fail("alpha", "be a list", f"is {[np.float64(0.1), np.int32(3)]!r}")
+
+
+def test_a_text_is_shown_as_it_was_written():
+    with pytest.raises(ArgumentError, match=r"is 'np\.float64\(1\.5\) mm'\.$"):
+        raise errors.fail("radius", "be a number", f"is {'np.float64(1.5) mm'!r}")
