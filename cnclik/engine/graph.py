@@ -6,6 +6,8 @@ known, so loop invariants are computed before the loop; nothing moves out of a b
 one scalar at N instants, such as what a scan stacks.
 """
 
+import math
+
 import numpy as np
 
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
@@ -25,7 +27,7 @@ class TooLargeError(SlowError):
     """Its graph has more nodes than the caller wants to build."""
 
     def __init__(self, nodes):
-        super().__init__(f"a graph of {nodes} nodes takes long to build")
+        super().__init__(f"a graph of {nodes} nodes and more takes long to build")
         self.nodes = nodes
 
 
@@ -129,20 +131,20 @@ class Cond(Region):
 
 
 class Graph:
-    def __init__(self):
+    """A graph of at most so many nodes. Raises: TooLargeError from its methods that make the next one."""
+
+    def __init__(self, most=math.inf):
+        self.most = most
         self.root = self.block = Block()
         self.count = 0
         self.factors = {}  # {node numbers of a Cholesky factor: (L of L D Lᵀ, 1/√D)}
         self.squares = {}  # {node number of such a 1/√d: 1/d}
 
-    def check(self, most):
-        """Raises: TooLargeError if it has more nodes."""
-        if self.count > most:
-            raise TooLargeError(self.count)
-
     def new(self, op, args, params, shape, dtype, value, block, *, exact=False) -> Node:
         """A new node, neither looked up nor listed."""
         self.count += 1
+        if self.count > self.most:
+            raise TooLargeError(self.count)
         return Node(op, args, params, shape, dtype, value, block, self.count, exact)
 
     def const(self, value, dtype, *, exact=False) -> Node:

@@ -42,8 +42,7 @@ class Program:
             raise UnsupportedError("there is no C compiler")
         with known_rounds():
             with to_be_read():
-                graph, given, outs, (shapes, self.tree) = read(fn, *avals)
-            graph.check(most)
+                graph, given, outs, (shapes, self.tree) = read(fn, *avals, most=most)
             self.nodes = graph.count
             shapes, grows = settled(shapes)
             text, self.operations = write(graph, given, outs, shapes, grows)

@@ -4,6 +4,7 @@ Small arrays become scalars, so moving data costs nothing; stacked results of sc
 loops (`regions`). A primitive without a rule raises UnsupportedError, which names it.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -186,20 +187,23 @@ def closes_over_traced(closed) -> bool:
     return any(isinstance(x, jax.core.Tracer) for x in closed.consts)
 
 
-def read(fn, *avals):
-    """(graph, input nodes, output values, (output leaves' avals, their tree)) of a function of one lane's arrays."""
+def read(fn, *avals, most=math.inf):
+    """(graph, input nodes, output values, (output leaves' avals, their tree)) of a function of one lane's arrays.
+
+    Args: most: nodes of the graph. Raises: TooLargeError as soon as there are more.
+    """
     closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
-    return (*read_jaxpr(closed), jax.tree.flatten(shapes))
+    return (*read_jaxpr(closed, most=most), jax.tree.flatten(shapes))
 
 
-def read_jaxpr(closed, known=()):
+def read_jaxpr(closed, known=(), most=math.inf):
     """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}."""
     if closed.effects:
         raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
     if closes_over_traced(closed):
         raise UnsupportedError("what the function closes over is traced")
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
-    g = Graph()
+    g = Graph(most)
     reader, given, values = Reader(g), [], []
     for i, a in enumerate(closed.in_avals):
         check_dtype(a.dtype)

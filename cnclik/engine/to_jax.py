@@ -39,8 +39,7 @@ class Derived:
     def __init__(self, fn, avals, *, most=math.inf):
         """Args: most: nodes of its graph."""
         with to_be_read():
-            self.read = *_, (self.shapes, self.tree) = read(fn, *avals)
-        self.read[0].check(most)
+            self.read = *_, (self.shapes, self.tree) = read(fn, *avals, most=most)
         self.avals, self.written = avals, {}
 
     def __call__(self, *leaves) -> list:
