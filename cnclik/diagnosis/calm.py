@@ -10,6 +10,7 @@ from cnclik.diagnosis.modes import find_modes
 
 DEGREE = 3  # of the polynomial of a row that predicts the next
 STEPPED = 0.3  # share of values that repeat the last one, above which a column moves in the steps of its resolution
+FIRST, LARGER = 12, 8.0  # numbers that a recording begins with; the factor above which it has grown since
 PREDICTED = 0.3  # share of what a linear rule leaves, above which a polynomial predicts it: noise is not predicted
 
 
@@ -30,6 +31,12 @@ def is_calm(y, longest) -> bool:
         return False
     left = late - found.path - found.parts[~swings].sum(0)
     return not _is_predicted(left[:, np.ptp(left, axis=0) > HARDLY])
+
+
+def is_as_large(y) -> bool:
+    """Whether y (N, k) bends as much at first as in its second half: noise does, a loop that grows does not."""
+    bends = np.diff(y, 2, axis=0) ** 2
+    return bool(np.mean(bends[: -(-FIRST // y.shape[1])]) > np.mean(bends[len(bends) // 2 :]) / LARGER**2)
 
 
 def _is_predicted(y) -> bool:

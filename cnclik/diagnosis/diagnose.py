@@ -11,7 +11,7 @@ from cnclik import errors
 from cnclik.diagnosis import judge
 from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
 from cnclik.diagnosis.blocks import orthogonal, within
-from cnclik.diagnosis.calm import is_calm
+from cnclik.diagnosis.calm import is_as_large, is_calm
 from cnclik.diagnosis.excited import excited
 from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, spans
 from cnclik.diagnosis.modes import EXACT, Modes, find_modes, polynomials, shape_of, trend
@@ -26,6 +26,7 @@ WANDERS = 1.15  # factor between the periods of two parts of a recording beyond 
 FADED = 0.3  # ratio of an oscillation's sizes in two parts below which they are not compared
 NOISY = 0.05  # noise as a share of an oscillation above which noise may sustain it
 MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of the motion above which growth is not a path's
+PART = 0.25  # of a recording's range, up to which it may grow by a linear loop
 SURELY = 0.9  # confidence in a loop above which growth in few periods is not the start of a swing
 STILL = 1e-12  # share of the largest value that counts as rounding
 UNFINISHED = (
@@ -164,7 +165,10 @@ def diagnose(
     report(1, 4, "what it has come to")
     part = _come_to(part, longest)
     report(2, 4, "the loop behind it")
-    made = given | _fields(part, scaled[:last], size[moving], longest, alpha, Ts, report)
+    made = _fields(part, scaled[:last], size[moving], longest, alpha, Ts, report)
+    if made["kind"] is Kind.UNDECIDED and (start := _start(scaled[:last], seen[0], longest)):
+        part, last = start, seen[0] + len(start.rows)
+        made = _fields(part, scaled[:last], size[moving], longest, alpha, Ts, report)
     found, chosen = part.found, part.chosen
     rest = [i for i in range(len(found.factors)) if i not in chosen]
     most = np.minimum(spans(found.parts[chosen]), spans(found.parts)) if len(chosen) else np.zeros(moving.sum())
@@ -181,6 +185,7 @@ def diagnose(
         first=part.first,
         path=every(found.path) + y[0],
         modes=every(found.parts.sum(0)),
+        **given,
         **made,
     )
 
@@ -250,7 +255,8 @@ def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
             )
         if driven and (noisy or stays or periods or driven["confidence"] > made.get("confidence", 0)):
             made = driven  # all of it: a gain of the first answer does not stop another loop
-    if made["kind"] in (Kind.MONOTONE, Kind.NOISE) and not is_calm(part.rows, longest):
+    restless = made["kind"] is Kind.NOISE and not is_as_large(scaled)
+    if restless or (made["kind"] in (Kind.MONOTONE, Kind.NOISE) and not is_calm(part.rows, longest)):
         kind, made = Kind.UNDECIDED, {"kind": Kind.UNDECIDED}
     if kind is Kind.DIVERGING:
         made |= growth_without_end(part.factor, shape, _is_clear(part), alpha, Ts)
@@ -286,13 +292,18 @@ def _found(y, seen, longest):
     Args: seen: of `looked_at`.
     """
     first, begun, last = seen
-    if begun > first:
-        found = find_modes(y[first:last], longest)
-        grown = np.abs(found.factors) ** (last - first) > 1 / judge.BEGUN
-        if grown.any() and judge.explained(y[first:last], found) and found.score < polynomials(y[first:last]):
-            return first, last, found
+    if begun > first and (found := judge.growing(y[first:last], longest)):
+        return first, last, found
     begun, found = _explained(y[begun:last], begun, longest)
     return begun, last, found
+
+
+def _start(y, first, longest) -> _Part | None:
+    """The rows from `first` on in which a loop grows to a part of the range; beyond, it may move without a rule."""
+    y = y[first : first + int(np.argmax(np.any(np.abs(y[first:] - y[first]) > PART, axis=1)))]
+    found = judge.growing(y, longest) if len(y) >= 2 * LEAST else None
+    part = found and _part(first, y, found, longest)
+    return part if part and part.kind is Kind.GROWING else None
 
 
 def _explained(seen, first, longest):

@@ -5,7 +5,7 @@ import enum
 import numpy as np
 
 from cnclik.diagnosis.blocks import orthogonal, within
-from cnclik.diagnosis.modes import Modes, polynomials, roughness
+from cnclik.diagnosis.modes import Modes, find_modes, polynomials, roughness
 
 MOST = 2000  # rows to be judged, at most: those that move most
 LEAST = 16  # rows
@@ -65,6 +65,13 @@ def looked_at(y, longest):
     away = np.abs(y[first:last] - y[first]) > BEGUN * np.ptp(y[first:last], axis=0)
     begun = int(np.argmax(away.any(1)))
     return first, first + begun if last - first - begun >= LEAST else first, last
+
+
+def growing(y, longest):
+    """The modes of rows that grow from a small start; None if they do not."""
+    found = find_modes(y, longest)
+    grown = np.any(np.abs(found.factors) ** len(y) > 1 / BEGUN)
+    return found if grown and explained(y, found) and found.score < polynomials(y) else None
 
 
 def judged(y, found: Modes, longest):

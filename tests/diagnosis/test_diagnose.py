@@ -12,6 +12,7 @@ import cnclik as ck
 from cnclik.diagnosis import Kind, diagnose, fit_drive
 from cnclik.diagnosis.advice import limits_of
 from cnclik.diagnosis.blocks import orthogonal, triangle
+from cnclik.diagnosis.calm import is_as_large
 from cnclik.diagnosis.late import LateLoop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
@@ -205,6 +206,26 @@ def test_a_gain_far_too_large_whose_error_stays_bounded_is_no_decay_and_no_noise
     found = diagnose(q, TS)
     assert found.kind not in (Kind.MONOTONE, Kind.NOISE)
     assert found.kind is not Kind.UNDECIDED or "reduce the gain until it does" in found.note
+
+
+@pytest.mark.parametrize(("z", "d", "names"), [(0.85, 2, True), (1.2, 2, False), (2.0, 1, False)])
+def test_a_loop_that_grows_until_it_moves_without_a_rule_is_no_noise(z, d, names):
+    """Past its first swings the error of an arm is not linear. Where its growth is long enough, it names dead time."""
+    arm = ck.planar_arm([1.0, 0.8, 0.5])
+    law, q0 = ck.Law(arm, ck.position("xy"), alpha=z / TS, inverse=ck.damped(0.05)), np.array([0.3, 0.8, 0.6])
+    target = ck.hold(np.asarray(ck.forward(arm, q0).position)[:2] + np.array([0.004, -0.006]))
+    e = np.asarray(ck.solve(law, target, q0, TS, 300, "EE", drive=Drive(delay=d)).e)
+    found = diagnose(e, TS, alpha=z / TS)
+    assert found.kind is (Kind.GROWING if names else Kind.UNDECIDED)
+    assert found.delay == d and 0.1 < found.recommended_alpha * TS * (d + 1) < 0.75 if names else found.delay is None
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(40, 1), (40, 2), (300, 3), (300, 12)])
+def test_noise_is_as_large_from_the_start(rows, columns):
+    """Of 3,000 recordings of noise none seems to have grown; noise that seemed so would be undecided."""
+    draws = np.random.default_rng(columns).standard_normal((3000, rows, columns))
+    assert sum(map(is_as_large, draws)) >= 3000 - 3 * (columns == 1)
+    assert not any(map(is_as_large, draws * (1e-2 + (np.arange(rows) > max(14 // columns + 2, 3))[:, None])))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
