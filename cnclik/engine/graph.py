@@ -24,10 +24,10 @@ class SlowError(UnsupportedError):
 
 
 class TooLargeError(SlowError):
-    """Its graph has more nodes than the caller wants to build."""
+    """Its graph has more nodes, or its C more lines, than the caller wants to build."""
 
     def __init__(self, nodes):
-        super().__init__(f"a graph of {nodes} nodes and more takes long to build")
+        super().__init__(f"a program of {nodes} operations and more takes long to build")
         self.nodes = nodes
 
 

@@ -46,6 +46,8 @@ class Program:
             self.nodes = graph.count
             shapes, grows = settled(shapes)
             text, self.operations = write(graph, given, outs, shapes, grows)
+        if (lines := text.count("\n")) > most:  # rows that are long chains are written where they are used
+            raise TooLargeError(lines)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
         head += "#define BYTES MAIN\n" * single
         build = functools.partial(build_text, head + text, include=[jax.ffi.include_dir()], scheduled=not single)
