@@ -31,23 +31,24 @@ CALLS = 4  # of each thread, so that slow lanes do not keep one core busy alone
 class Program:
     """A function of one lane's arrays, of these avals, as a C library. Raises: UnsupportedError if it has no C form."""
 
-    nodes = rounds = 0  # of the graph it was built from; those that a program of any number of rounds is asked for
+    nodes = 0  # of the graph it was built from, or lines of its C if these are more
+    rounds = 0  # those that a program of any number of rounds is asked for
 
     def __init__(self, fn, avals, *, single=False, most=math.inf):
         """Args:
         single: for one lane only: it builds in half the time and is a little quicker.
-        most: nodes of its graph.
+        most: nodes of its graph, and lines of its C.
         """
         if not can_build():
             raise UnsupportedError("there is no C compiler")
         with known_rounds():
             with to_be_read():
                 graph, given, outs, (shapes, self.tree) = read(fn, *avals, most=most)
-            self.nodes = graph.count
             shapes, grows = settled(shapes)
             text, self.operations = write(graph, given, outs, shapes, grows)
-        if (lines := text.count("\n")) > most:  # rows that are long chains are written where they are used
-            raise TooLargeError(lines)
+        self.nodes = max(graph.count, text.count("\n"))  # a row's chain is written wherever the row is used
+        if self.nodes > most:
+            raise TooLargeError(self.nodes)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
         head += "#define BYTES MAIN\n" * single
         build = functools.partial(build_text, head + text, include=[jax.ffi.include_dir()], scheduled=not single)
@@ -148,7 +149,7 @@ class Programs:
     def of(self, avals, most=None):
         """The program for flat arguments of these avals, or the reason why there is none.
 
-        Args: most: nodes of its graph; default: `most_nodes()`.
+        Args: most: nodes of its graph, and lines of its C; default: `most_nodes()`.
         """
         key, most = key_of(avals), most_nodes() if most is None else most
         found = self.found.get(key)
