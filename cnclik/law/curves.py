@@ -29,9 +29,9 @@ def interval(times, t):
     By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX. Written
     out, as XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds (openxla/xla #49299).
     """
-    times = jnp.asarray(times)
-    low, high = jnp.int32(0), jnp.int32(times.shape[0] - 1)
-    for _ in range(max(times.shape[0] - 1, 1).bit_length()):
+    times, last = jnp.asarray(times), times.shape[0] - 1
+    low, high = jnp.int32(0), jnp.int32(last)
+    for _ in range(max(last, 1).bit_length()):
         middle = (low + high) >> 1
         later = times[middle] <= t
         low, high = jnp.where(later, middle, low), jnp.where(later, high, middle)

@@ -98,7 +98,7 @@ def _in_blocks(method, stage, z):
     size = next((size for size in _BLOCKS if len(z) <= size), _BLOCKS[-1])
     pairs = np.zeros((2, -(-len(z) // size) * size))
     pairs[:, : len(z)] = z.real, z.imag
-    blocks = [_amplification(method, stage, *block) for block in pairs.T.reshape(-1, size, 2).transpose(0, 2, 1)]
+    blocks = [_amplification(method, stage, *block) for block in pairs.reshape(2, -1, size).swapaxes(0, 1)]
     return np.concatenate([*blocks, np.zeros((0, 2))])[: len(z)].T
 
 
