@@ -18,7 +18,7 @@ from jax.interpreters import ad, batching, mlir, partial_eval
 from cnclik import errors
 from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.graph import SlowError
-from cnclik.engine.plan import in_c, in_scalars, use_engine
+from cnclik.engine.plan import in_c, in_scalars, most_scalars, use_engine
 from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
 from cnclik.engine.rounds import RoundsError
@@ -95,7 +95,7 @@ class Function:
 
     def __init__(self, fn, linear=0, of=None, whole=None, rounds=0):
         self.fn, self.linear, self.of, self.whole, self.rounds = fn, linear, of, whole, rounds
-        self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived)
+        self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived, most_scalars)
         self.single = Programs(self._flat, functools.partial(Program, single=True))  # for a single lane
         self.derivatives, self.shapes, self.trees, self.itself = {}, {}, {}, False
         self.lanes_of_whole = {}  # its program for a single lane, of our number of rounds

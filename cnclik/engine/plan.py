@@ -17,7 +17,8 @@ ENGINES = ("native", "xla", "plain")
 # from some 10,000 rounds on, or where the program is called again and again.
 MOST_NODES = 100_000  # of a run's graph, for C: half a minute of compiling
 MOST_NODES_ONCE = 15_000  # of one that is called a few times only
-MOST_NODES_EVER = 600_000  # of any function: the compiler's two minutes, see `compiler.MOST_SECONDS`
+MOST_NODES_EVER = 600_000  # of any function, for C: the compiler's two minutes, see `compiler.MOST_SECONDS`
+MOST_SCALARS = 60_000  # of any function, for XLA: it takes 1 to 3 ms for each, on a CPU or for a GPU
 MANY_ROUNDS = 8192  # of a run that is C at any size
 _only = {"once": False}  # what holds for the whole process
 
@@ -67,12 +68,17 @@ def called_once(rounds):
 
 
 def most_nodes(rounds=0) -> float:
-    """The nodes, at most, of a graph from which an answer comes in time; beyond, the source itself is used.
+    """The nodes, at most, of a graph from which C comes in time; beyond, the source itself is used.
 
-    Args: rounds: of a run, for C; 0: any other function, for C and for XLA.
+    Args: rounds: of a run; 0: any other function.
     """
     if _engine.value is not None:
         return math.inf
     if not 0 < rounds <= MANY_ROUNDS:
         return MOST_NODES_EVER
     return MOST_NODES_ONCE if _only["once"] else MOST_NODES
+
+
+def most_scalars() -> float:
+    """The same for XLA, which gets one operation per node."""
+    return math.inf if _engine.value is not None else MOST_SCALARS

@@ -142,16 +142,16 @@ def _opened(find):
 class Programs:
     """The programs of a function of flat arguments, by argument types; the reason where there is none."""
 
-    def __init__(self, fn, make=Program):
-        """make: makes a program from (fn, avals, most=): `Program` or `to_jax.Derived`."""
-        self.fn, self.make, self.found = fn, make, LRU()
+    def __init__(self, fn, make=Program, most=most_nodes):
+        """Args: make: makes a program from (fn, avals, most=): `Program` or `to_jax.Derived`; most: what most is."""
+        self.fn, self.make, self.most, self.found = fn, make, most, LRU()
 
     def of(self, avals, most=None):
         """The program for flat arguments of these avals, or the reason why there is none.
 
-        Args: most: nodes of its graph, and lines of its C; default: `most_nodes()`.
+        Args: most: nodes of its graph, and lines of its C.
         """
-        key, most = key_of(avals), most_nodes() if most is None else most
+        key, most = key_of(avals), self.most() if most is None else most
         found = self.found.get(key)
         if found is None or (isinstance(found, TooLargeError) and found.nodes <= most):
             found = self.found[key] = self._made(avals, most)

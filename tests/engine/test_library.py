@@ -196,12 +196,24 @@ OF_LANES = pytest.mark.parametrize("of", [ck.lanes, lambda fn: jax.vmap(ck.nativ
 @OF_LANES
 def test_what_takes_too_long_is_the_source(monkeypatch, of):
     """As C, or as scalars: so many kept XLA busy for longer than anybody waits."""
-    monkeypatch.setattr(plan, "MOST_NODES_EVER", 20)
+    monkeypatch.setattr(plan, "MOST_NODES_EVER" if runs_in_c() else "MOST_SCALARS", 20)
     made = of(turned)
     assert is_source(made)
     same(made(given()[0]), plain(turned, given()[0]), ulps=100)
     with use_engine("native" if runs_in_c() else "xla"):
         assert not is_source(made)
+
+
+def test_scalars_that_take_xla_too_long_are_the_source(monkeypatch):
+    def has_products():
+        traced = jax.jit(jax.vmap(ck.native(turned))).trace(given()[0])
+        return "dot_general" in traced.lower(lowering_platforms=("cuda",)).as_text()
+
+    assert not has_products()
+    monkeypatch.setattr(plan, "MOST_SCALARS", 20)
+    assert has_products()
+    with use_engine("xla"):
+        assert not has_products()
 
 
 @NEEDS_C
