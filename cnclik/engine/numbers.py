@@ -11,7 +11,7 @@ from cnclik import cache
 from cnclik.cache import LRU
 from cnclik.engine.graph import TooLargeError, UnsupportedError
 from cnclik.engine.native import called, native, of_rounds
-from cnclik.engine.plan import in_c, most_nodes, wants_c
+from cnclik.engine.plan import choice, in_c, most_nodes
 from cnclik.engine.program import Program, key_of, lane_avals
 from cnclik.engine.rounds import LEAST, RoundsError, any_rounds
 from cnclik.programs import name_of, recalled, remember
@@ -53,25 +53,22 @@ class Numbers:
 
         None if it does not run as C.
         """
-        self.ran_in_c = False
-        if not wants_c():
-            return None
         leaves, treedef = jax.tree.flatten(given)
-        about = [type(leaves[0])]
+        key = [treedef, jax.config.jax_enable_x64, *choice(), *map(id, known)]
         for x in leaves:
-            if isinstance(x, Tracer):
-                return None
-            about += x.shape, x.dtype
-        most = most_nodes(self.rounds)
-        key = (*map(id, known), treedef, jax.config.jax_enable_x64, most, *about)
-        call = self.ready.get(key) or self._prepared(key, known, given, most)
+            key += type(x), x.shape, x.dtype
+        key = tuple(key)
+        call = self.ready.get(key) or self._prepared(key, known, given)
         self.ran_in_c = call is not None
         return call and call(leaves)
 
-    def _prepared(self, key, known, given, most):
-        function, every = self.native.of(known, given)
-        if not in_c() or any(isinstance(x, Tracer) for x in every):
+    def _prepared(self, key, known, given):
+        if not in_c():
             return None
+        function, every = self.native.of(known, given)
+        if any(isinstance(x, Tracer) for x in every):
+            return None
+        most = most_nodes(self.rounds)
         avals, others = lane_avals(every, batched=False), len(jax.tree.leaves(given))
         program, tree = self._program(function, avals, known, given, most)
         if not isinstance(program, Program) or program.nodes > most:
@@ -89,7 +86,7 @@ class Numbers:
             return lambda leaves: tree.unflatten(map(_only, program([*first, *leaves], 1)))
         else:
             entry = self.entries.made(program, lambda _: _Entry(program, len(first), tree, self.lets_go))
-            call = functools.partial(entry, entry.filled(first), known)
+            call = entry.call_with(first, known)
         if lasting:
             if len(self.ready) >= cache.KEPT_PROGRAMS:
                 self.ready.clear()
@@ -143,25 +140,26 @@ class _Entry:
         given = program.avals[count:]
         self.first, self.block = _layout(program.avals[:count]), _layout([*given, *program.shapes])
         self.takes, self.gives = self.block.names[: len(given)], self.block.names[len(given) :]
-        self.memory = ctypes.c_char * self.block.itemsize
 
-    def filled(self, leaves):
-        """(block of the first arguments, its address)"""
-        block = np.zeros((), self.first)
-        for name, x in zip(self.first.names or (), leaves, strict=True):
-            block[name] = x
-        return block, block.ctypes.data
+    def call_with(self, first, known):
+        """The function of the other arguments. It keeps `known` alive."""
+        filled, block_of, memory_of = np.zeros((), self.first), self.block, ctypes.c_char * self.block.itemsize
+        for name, x in zip(self.first.names or (), first, strict=True):
+            filled[name] = x
+        run, unflatten, takes, gives = self.run, self.unflatten, self.takes, self.gives
+        count, address, rounds = self.count, filled.ctypes.data, self.program.rounds
 
-    def __call__(self, filled, known, leaves):
-        """The results for the other arguments. Args: known: kept alive during the call."""
-        memory = self.memory()
-        block = np.ndarray((), self.block, memory)
-        for name, x in zip(self.takes, leaves, strict=True):
-            block[name] = x
-        if self.run(self.count, filled[1], memory, self.program.rounds):
-            raise MemoryError
-        block.setflags(write=False)
-        return self.unflatten([block[name] for name in self.gives])
+        def call(leaves, kept=(self, known, filled)):  # the library, too
+            memory = memory_of()
+            block = np.ndarray((), block_of, memory)
+            for name, x in zip(takes, leaves, strict=True):
+                block[name] = x
+            if run(count, address, memory, rounds):
+                raise MemoryError
+            block.setflags(write=False)
+            return unflatten(map(block.__getitem__, gives))
+
+        return call
 
 
 def _layout(avals):

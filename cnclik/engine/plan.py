@@ -39,12 +39,12 @@ def unless_chosen(name):
 
 def in_c() -> bool:
     """Whether functions run as C if they can."""
-    return wants_c() and can_build()
+    return _engine.value in (None, "native") and switched_on() and jax.default_backend() == "cpu" and can_build()
 
 
-def wants_c() -> bool:
-    """The same, if there is a compiler."""
-    return _engine.value in (None, "native") and switched_on() and jax.default_backend() == "cpu"
+def choice() -> tuple:
+    """What may differ between two calls in what this file decides."""
+    return _engine.value, switched_on(), _only["once"]
 
 
 def in_scalars() -> bool:
