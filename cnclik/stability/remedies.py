@@ -13,9 +13,10 @@ from cnclik.robot.kinematics import forward
 from cnclik.robot.posture import arm_length, beyond_arm
 from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD
-from cnclik.stability.loop import UNSTABLE, resting
+from cnclik.stability.loop import resting
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.spectrum import leaky
+from cnclik.stability.tasks import bounded_rates, stable_shares
 
 MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
 ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
@@ -118,18 +119,15 @@ def lower(case) -> tuple:
 
 
 def _share_by_task(case, ends, share):
-    """`share`, but 1 for tasks whose whole gain leaves the loop stable; where tasks have gains, for each coordinate."""
-    law, alpha = case.law, np.asarray(case.law.alpha, float)
-    if alpha.ndim != 1:
+    """`share` of one gain for all; where tasks have gains, shares (m,) of those alone that make the loop unstable."""
+    if np.ndim(case.law.alpha) == 0:
         return share
-    shares = np.full(len(alpha), share)
-    for _, some in law.task.each:
-        tried = shares.copy()
-        tried[some] = 1.0
-        changed = (resting(replace(law, alpha=alpha * tried), at.q, *case.loop[1:]) for at in ends)
-        if all(case.radius_at(at) <= UNSTABLE for at in changed):
-            shares = tried
-    return shares
+    law = replace(case.law, null_velocity=None)  # whose part in it `less_null` is about
+    loops = [resting(law, at.q, *case.loop[1:]) for at in ends]
+    if not bounded_rates(law) or any(at.rates is None for at in loops):
+        return share
+    shares = stable_shares(loops, case.loop[0])
+    return shares if np.any(shares < 1) else share
 
 
 def faster(case) -> tuple:
@@ -177,14 +175,18 @@ def quicker(case) -> tuple:
 
 
 def _gain(law, share):
-    return (np.asarray(law.alpha, float) * share).tolist()
+    """The law's gains times a share, or shares (m,) that are the same within each task."""
+    alpha = np.asarray(law.alpha, float)
+    return (alpha * (np.asarray(share)[..., None] if alpha.ndim == 2 else share)).tolist()
 
 
 def _amount(law, share):
     """Gains as a share of the law's: in 1/s for each task that has one, as a share where they are a matrix."""
+    if np.ndim(law.alpha) == 2:
+        each = {name: float(share[at][0]) for name, at in law.task.each} if np.ndim(share) else {"": float(share)}
+        lower = {f" for {name}" if name else "": one for name, one in each.items() if one < 1 or not name}
+        return " and ".join(f"{one:.2g} of what it is{whose}" for whose, one in lower.items())
     alpha = share * np.asarray(law.alpha, float)
-    if alpha.ndim == 2:
-        return f"{share:.2g} of what it is"
     less = np.broadcast_to(share, alpha.shape) < 1
     each = [(name, at) for name, at in law.task.each if alpha.ndim and less[at].any()]
     every = [(f" for {name}", alpha[at]) for name, at in each] or [("", np.atleast_1d(alpha))]

@@ -241,6 +241,31 @@ def stack_advice(loop, safe: Drive, limits: tuple, Ts: float) -> StackAdvice:
     )
 
 
+def stable_shares(loops, Ts: float) -> np.ndarray:
+    """Largest shares (m,) of gains that are stable at some postures: one share of the tasks that `StackAdvice.unstable`
+    names at any of them, 1 of the others, and 1 of all where it names none.
+
+    Args: loops: `LoopAtRest` at each posture, of `bounded_rates`.
+    """
+    each, shares = [shares_of(loop, Ts) for loop in loops], np.ones(loops[0].law.task.m)
+    gains = [_to_lower(here, here.loop.drive, at_any_posture(here.loop, Ts)[1]) for here in each]
+    lowered = [loops[0].law.task.of(name) for name in {name for found in gains for name in found}]
+
+    def scale(share):
+        changed = np.ones((len(share), len(shares)))
+        for at in lowered:
+            changed[:, at] = share[:, None]
+        return changed
+
+    if not lowered:
+        return shares
+    limits = [
+        first_above(lambda s, here=here: here.radius(scale(s), here.loop.drive), 1 + SLACK, 1.0, here.loop.points)
+        for here in each
+    ]
+    return scale(np.array([min(1.0, *limits)]))[0]
+
+
 def _to_lower(here, drive, recommended) -> dict:
     """{name: its recommended z} of the tasks whose gains make a loop unstable, see `StackAdvice`.
 

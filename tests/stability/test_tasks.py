@@ -19,6 +19,7 @@ from cnclik.stability.bounds import limit_advice
 from cnclik.stability.loop import LoopAtRest
 from cnclik.stability.rates import Rates
 from cnclik.stability.tasks import LOST
+from cnclik.stability.verdict import verdict
 from tests.oracles import robot_file
 
 ARM = ck.planar_arm([1.0, 0.8, 0.6, 0.5, 0.4])
@@ -244,6 +245,19 @@ def test_gains_that_make_the_loop_unstable_are_named_and_the_others_keep_theirs(
         beside = ck.Law(ARM, law.task, alpha=lowered, inverse=law.inverse)
         assert not grows(beside, task, 0.99 * one.largest_stable_alpha / one.alpha, "EE", delay)
         assert grows(beside, task, 1.01 * one.largest_stable_alpha / one.alpha, "EE", delay)
+
+
+def test_a_remedy_lowers_the_gains_that_advise_names_and_leaves_the_others():
+    """All were lowered: the limit of one gain for all was too much for one beside the others as they are."""
+    gains = {"tip": [[500.0, 90.0], [90.0, 200.0]], "angle": 10.0, "rest": 5.0}
+    law = law_of(gains, ck.damped(0.3), rest=[0.3, 0.2, 0.5, 0.3, 0.4])
+    how, goal = dict(method="EE", drive=ck.Drive(delay=3)), ck.hold_at(ARM, law.task, Q)
+    unstable = ck.advise(law, None, Q, Ts=TS, **how).stack.unstable
+    found = verdict(law, goal, ck.solve(law, goal, Q + 0.01, TS, 100, **how), Ts=TS, **how)
+    share = np.diag(found.remedies[0].change["alpha"]) / np.diag(law.alpha)
+    assert tuple(name for name, at in law.task.each if (share[at] < 1).all()) == unstable == ("tip",)
+    assert (share[2:] == 1).all() and "for tip" in found.remedy and "angle" not in found.remedy
+    assert not grows(law, "tip", share[0], "EE", 3)
 
 
 def test_limits_are_loops_of_their_own():
