@@ -36,7 +36,7 @@ PER_TARGET = ("q", "status", "position_error", "orientation_error", "evaluations
 
 
 class Missed(NamedTuple):
-    """Errors of one task, or of one tip."""
+    """Errors of one task, or of one tip, see `Reached`."""
 
     position_error: Float[np.ndarray, " *B"]  # [m]
     orientation_error: Float[np.ndarray, " *B"]  # [rad]
@@ -48,13 +48,17 @@ class Reached:
 
     Errors are of the tip that misses most; of several tips `reached["left"]` are those of one task of a stack, or tip.
 
+    The orientation error is 2 asin ‖v‖, v the coordinates that the task has of the vector part of the quaternion of the
+    rotation that is left. Of all three axes that is the angle of this rotation. Of "xy" it is the tilt alone, by which
+    the rotation turns the z axis: the base's, or the tip's own where the axes are. How far it turns about z is left out.
+
     NumPy arrays in float64; under jit, vmap and grad JAX's, in its dtype.
     """
 
     q: Float[AnyArray, "*B n"]  # joint values [rad, m]
     status: Int[AnyArray, " *B"]  # values of `ReachStatus`
     position_error: Float[AnyArray, " *B"]  # [m], of the task's coordinates, evaluated again in float64
-    orientation_error: Float[AnyArray, " *B"]  # [rad]
+    orientation_error: Float[AnyArray, " *B"]  # [rad], about the task's axes
     evaluations: Int[AnyArray, " *B"]  # number of evaluations (kinematics, Jacobian, step)
     at_limit: Bool[AnyArray, "*B n"]  # whether each joint is at a limit
     distance: Float[AnyArray, " *B"]  # largest joint's distance from `near` [rad, m]; NaN without it
