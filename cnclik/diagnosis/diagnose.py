@@ -230,7 +230,7 @@ def _come_to(part, longest) -> _Part:
 def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
     """Fields of the `Diagnosis` of a part of a recording (N, k), whose columns were divided by `size` (k,)."""
     kind, found, chosen = part.kind, part.found, part.chosen
-    shape = shape_of(part.rows, found, chosen[0]) * size if len(chosen) else None
+    shape = shape_of(part.rows, found, chosen[0]) * (size / size.max()) if len(chosen) else None  # squares underflow
     stays = kind is Kind.GROWING and _moved_before(scaled, part.first)
     kind = Kind.SUSTAINED if stays else kind
     made: dict[str, Any] = {"kind": kind}

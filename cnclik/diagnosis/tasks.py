@@ -87,7 +87,8 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
         if progress is not None:
             progress(i + 1, len(signals), name)
     known = None not in gains.values()  # otherwise gains do not compare
-    sizes = {n: (gains[n] if known else 1.0) * float(np.sum(np.square(one.amplitude))) for n, one in each.items()}
+    largest = max(float(np.max(one.amplitude)) for one in each.values()) or 1.0  # squares of tiny ones underflow
+    sizes = {n: (gains[n] if known else 1.0) * float(np.sum((one.amplitude / largest) ** 2)) for n, one in each.items()}
     seen = {name: _seen(name, each, gains, sizes) for name in each}
     lead = max((one for one in each.values() if one.rings and one.recommended is not None), key=_surest, default=None)
     if lead is not None:

@@ -50,7 +50,7 @@ class Reached:
 
     The orientation error is 2 asin ‖v‖, v the coordinates that the task has of the vector part of the quaternion of the
     rotation that is left. Of all three axes that is the angle of this rotation. Of "xy" it is the tilt alone, by which
-    the rotation turns the z axis: the base's, or the tip's own where the axes are. How far it turns about z is left out.
+    the rotation turns the z axis: the base's, or the tip's own where the axes are. The turn about z is left out.
 
     NumPy arrays in float64; under jit, vmap and grad JAX's, in its dtype.
     """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.diagnosis import Kind, diagnose, fit_drive
+from cnclik.diagnosis import Kind, diagnose, diagnose_tasks, fit_drive
 from cnclik.diagnosis.advice import limits_of
 from cnclik.diagnosis.blocks import orthogonal, triangle
 from cnclik.diagnosis.calm import is_as_large
@@ -66,6 +66,13 @@ def test_what_surrounds_the_ringing_does_not_matter(d):
     found = diagnose(joints, TS)
     assert about(found, 0.97 * stable(d), d)
     assert found.amplitude[0] > found.amplitude[1] > found.amplitude[3] > found.amplitude[2] == 0
+
+
+def test_the_unit_of_a_recording_does_not_matter():
+    """Below 1e-154, whose square is none, columns were divided by 0, and a stack's task had no part in its swing."""
+    e = 1e-250 * loop(0.35, 3, 60)
+    one = diagnose_tasks({"one": np.stack([e, 0.1 * e], 1)}, TS).tasks["one"]
+    assert one.share == 1 and one.factor and about(one.found, 0.35, 3) and one.found.confidence > 0.5
 
 
 def test_commands_and_joints_of_a_loop_with_noise_in_it():
