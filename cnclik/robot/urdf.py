@@ -144,22 +144,28 @@ def _rest(tree, at, frozen) -> None:
 
     Links on a floating or planar joint are another body and left out. Ball joints keep the file's orientation.
     """
-    waiting = [*at]
+    waiting, by_name = [*at], {e.name: e for e in tree.edges}
     for link in waiting:
         above = [(tree.above[link], True)] if link in tree.above else []
         for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
             there = edge.parent if turned else edge.child
             if there not in at and edge.type not in ("floating", "planar"):
-                value = _at_rest(edge, frozen)
+                value = _at_rest(edge, by_name, frozen)
                 at[there] = at[link][0], _after(at[link][1], edge, turned, value)
                 waiting.append(there)
 
 
-def _at_rest(edge, frozen) -> float:
-    if edge.mimic is not None:
-        leader, multiplier, offset = edge.mimic
-        return multiplier * frozen.get(leader, 0.0) + offset
-    return frozen.get(edge.name, min(max(0.0, edge.lower), edge.upper))
+def _at_rest(edge, by_name, frozen) -> float:
+    """A mimic joint is where the joint puts it that the last of a row of mimics follows; at 0 if there is none."""
+    row: dict = {}
+    while edge is not None and edge.mimic is not None and edge.name not in row:
+        row[edge.name] = edge.mimic
+        edge = by_name.get(edge.mimic[0])
+    known = edge is not None and edge.mimic is None
+    value = frozen.get(edge.name, min(max(0.0, edge.lower), edge.upper)) if known else 0.0
+    for _, multiplier, offset in reversed(row.values()):
+        value = multiplier * value + offset
+    return value
 
 
 def _ends(tree, tips) -> dict:

@@ -63,6 +63,24 @@ def test_joints_that_are_no_coordinates_stand_still():
     close(ck.com(arm, q), ck.com(whole, every), atol=1e-14)
 
 
+BESIDE = {"lead": "", "first": '<mimic joint="lead" multiplier="2" offset="0.1"/>', "second": '<mimic joint="first"/>'}
+
+
+@pytest.mark.parametrize(("freeze", "stands"), [({}, 0.4), ({"lead": 0.7}, 0.7)])
+def test_mimics_beside_a_tip_follow_where_their_leader_stands(freeze, stands):
+    """A mimic of a mimic, too: breaks where a leader counts as at 0 that its limits or `freeze` keep elsewhere."""
+    mass, ends = '<inertial><origin xyz="0.3 0 0"/><mass value="1"/></inertial>', ["arm", *BESIDE]
+    body = "".join(f'<link name="{link}">{mass}</link>' for link in ["base", *ends])
+    for name, parent in zip(ends, ["base", "base", "lead", "first"], strict=True):
+        limit = f'<limit lower="{0.4 if name in BESIDE else -1}" upper="1" velocity="1"/>{BESIDE.get(name, "")}'
+        links = f'<parent link="{parent}"/><child link="{name}"/><origin xyz="0.2 0 0"/><axis xyz="0 0 1"/>'
+        body += f'<joint name="{name}" type="revolute">{links}{limit}</joint>'
+    text = f'<robot name="r">{body}</robot>'
+    arm, whole = ck.load_urdf(text, tip="arm", freeze=freeze), ck.load_urdf(text, tips=ends)
+    assert whole.joint_names == ("arm", "lead")
+    close(ck.com(arm, [0.3]), ck.com(whole, [0.3, stands]), atol=1e-14)
+
+
 @pytest.mark.parametrize("to", [None, FEET[0]])
 def test_rows_are_derivatives(to):
     robot = ck.load_urdf(G1, tips=[*ARMS, *FEET])
