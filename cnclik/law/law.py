@@ -325,6 +325,8 @@ def weighted_gain(law):
 def clamped(law: Law, e):
     """The error that the gain multiplies: position and orientation parts shortened to `error_clamp` (Buss & Kim 2005).
 
+    Of a part with both, as joints may be, what is in rad and what is not is shortened separately.
+
     At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², with c the curvature of x(q). With
     the error clamped to E, λ² > alpha·Ts·E·c/2 lets it settle in front of any target, however far; unclamped it shakes.
     """
@@ -332,9 +334,15 @@ def clamped(law: Law, e):
         return e
     found = []
     for part, where in zip(law.task.parts, law.task.slices, strict=True):
-        own, limit = e[where], law.error_clamp[int(part.units[0] == "rad")]
-        found.append(limit / jnp.maximum(safe_norm(own), limit) * own)
+        turns = np.array([unit == "rad" for unit in part.units])
+        several = ((those, law.error_clamp[i]) for i, those in enumerate((~turns, turns)) if those.any())
+        found.append(sum(_shortened(jnp.where(those, e[where], 0.0), limit) for those, limit in several))
     return jnp.concatenate(found)
+
+
+def _shortened(e, limit):
+    """A vector of at most this length."""
+    return limit / jnp.maximum(safe_norm(e), limit) * e
 
 
 def gain(alpha, e):

@@ -106,6 +106,14 @@ def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():
     np.testing.assert_allclose(run.x[-1], [1.8, 2.4], atol=1e-2)  # stretched towards it
 
 
+def test_the_clamp_shortens_metres_and_radians_of_a_part_separately():
+    robot = ck.from_screws(np.zeros((3, 3)), np.eye(3), [0.0, 0, 0], kinds="PRP")
+    law = ck.Law(robot, ck.joints(), alpha=2.0, inverse=ck.pseudoinverse(), error_clamp=(0.1, 0.5))
+    for aim, shortened in (([0.3, 2.0, 0.4], [0.06, 0.5, 0.08]), ([0.03, 2.0, 0.04], [0.03, 0.5, 0.04])):
+        made = ck.step(law, ck.hold(values=aim), np.zeros(3), 0.0, 0.01, "EE")
+        np.testing.assert_allclose(made.qdot, np.multiply(2.0, shortened), rtol=1e-6)
+
+
 def test_chatter_counts_what_is_taken_back():
     from cnclik.measure.metrics import chatter
 
