@@ -20,7 +20,7 @@ from .integrate.method import (
     EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4, HEUN as HEUN, IE as IE, METHODS as METHODS,
     MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
 )
-from .integrate.multistep import AB2 as AB2, AB3 as AB3, AB4 as AB4, Multistep as Multistep
+from .integrate.method import AB2 as AB2, AB3 as AB3, AB4 as AB4, Multistep as Multistep
 from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
@@ -77,7 +77,7 @@ from .stability.recommend import margin as margin, recommend as recommend
 from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
 from .stability.verdict import verdict as verdict
 from .sweeps.sweep import sweep as sweep
-from .task.balance import center_of_mass as center_of_mass, com as com
+from .task.build import center_of_mass as center_of_mass, com as com
 from .task.build import (
     function as function, joints as joints, orientation as orientation, pose as pose, position as position,
     stack as stack,

@@ -125,8 +125,7 @@ def _march(made, report):
     """
     import jax
 
-    from cnclik.integrate.pieces import in_pieces, joined, piece_of
-    from cnclik.integrate.solve import ran_in_c
+    from cnclik.integrate.solve import in_pieces, joined, piece_of, ran_in_c
 
     size = piece_of(made.method, made.N) if made.alone else made.N
 

@@ -12,8 +12,7 @@ from cnclik.engine.routine import INT, REAL, Field, Routine, read
 from cnclik.export import fields
 from cnclik.integrate.history import blank
 from cnclik.integrate.loop import loop_of, one, start
-from cnclik.integrate.method import Method
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import Method, Multistep
 from cnclik.integrate.solve import one_step
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import growing

@@ -5,11 +5,9 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from cnclik.integrate.exponential import exponential_march
-from cnclik.integrate.history import History, mark
-from cnclik.integrate.march import charted, march
+from cnclik.integrate.history import Begun, History, Stepped, mark, over_history
+from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import starter
-from cnclik.integrate.remember import Begun, Stepped, over_history
 from cnclik.integrate.status import Status, flags, task_flags
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within

@@ -19,17 +19,15 @@ from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.advance import advance, summed
 from cnclik.integrate.drive import Drive, Driven, Sampled, driven, measured_joints, moving, reached, resting
 from cnclik.integrate.history import History, blank
-from cnclik.integrate.method import Method, early_steps, evaluations_of
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import Method, Multistep, early_steps, evaluations_of
 from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import Status, growing, too_fast
 from cnclik.integrate.trajectory import assemble
-from cnclik.law.corners import Corners, corners
 from cnclik.law.law import Law, observe
 from cnclik.law.limits import room
-from cnclik.law.reference import Reference, References, check
-from cnclik.law.shifted import shifted
+from cnclik.law.paths import shifted
+from cnclik.law.reference import Corners, Reference, References, check, corners
 from cnclik.record import cast, replace
 from cnclik.robot import chart
 from cnclik.robot.model import Model, modelled

@@ -14,7 +14,7 @@ from cnclik.record import leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import modelled, one_off
 from cnclik.shapes import Array, ArrayLike, Float, Number
-from cnclik.task.balance import center_of_mass
+from cnclik.task.build import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows
 

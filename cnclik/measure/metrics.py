@@ -21,7 +21,7 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.law import Law, check_loop, weighted
-from cnclik.law.shifted import true_motion
+from cnclik.law.paths import true_motion
 from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import ending, stable
 from cnclik.record import cast

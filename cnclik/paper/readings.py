@@ -13,8 +13,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.hints import quick_jit
-from cnclik.integrate.method import CN, METHODS, Method, evaluations_of, named
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import CN, METHODS, Method, Multistep, evaluations_of, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate

@@ -11,8 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, white_noise
-from cnclik.integrate.method import Method, named
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import Method, Multistep, named
 from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.stage import Stage

@@ -24,8 +24,7 @@ from cnclik.problem.reference import as_written, reference_from
 from cnclik.reading import read_toml
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
-from cnclik.task.balance import center_of_mass
-from cnclik.task.build import joints, stack
+from cnclik.task.build import center_of_mass, joints, stack
 from cnclik.task.shapes import distance
 from cnclik.task.task import Task
 

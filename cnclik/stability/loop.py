@@ -8,8 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import EE, Method
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import EE, Method, Multistep
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.law.curves import Hold

@@ -17,8 +17,7 @@ from cnclik import errors
 from cnclik.law.bounded import bounded
 from cnclik.law.inverse import Levels, damped
 from cnclik.law.law import Law
-from cnclik.task.balance import center_of_mass
-from cnclik.task.build import joints, orientation, position, stack
+from cnclik.task.build import center_of_mass, joints, orientation, position, stack
 from cnclik.task.task import Task
 
 LEAST = 1e-6  # λ, where they have none

@@ -7,8 +7,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.pace import path_waits
-from cnclik.integrate.pieces import piece_of
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import piece_of, simulate
 from cnclik.integrate.status import Status
 from cnclik.robot.chart import apart
 from cnclik.stability import trial

@@ -14,7 +14,7 @@ from cnclik.integrate.solve import simulate
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
 from cnclik.law.law import check_loop
-from cnclik.law.shifted import shifted
+from cnclik.law.paths import shifted
 from cnclik.precision import in_float64
 from cnclik.record import record, replace
 from cnclik.robot.kinematics import as_joint_values

@@ -15,9 +15,8 @@ from cnclik import errors
 from cnclik.engine.plan import unless_chosen
 from cnclik.hints import LIGHT_COMPILE
 from cnclik.integrate.advance import advance
-from cnclik.integrate.history import blank
+from cnclik.integrate.history import blank, primed
 from cnclik.integrate.method import DEFAULT, IE, MethodLike
-from cnclik.integrate.remember import primed
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage, chord, picard
 from cnclik.law import reference as ref

@@ -11,11 +11,9 @@ import numpy as np
 
 from cnclik.integrate import stage as stages
 from cnclik.integrate.drive import Drive, white_noise
-from cnclik.integrate.method import Method, named
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import Method, Multistep, named
 from cnclik.integrate.pace import Pace
-from cnclik.integrate.pieces import in_pieces, joined, piece_of
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import in_pieces, joined, piece_of, simulate
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits

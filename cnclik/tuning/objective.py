@@ -13,8 +13,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import after
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import DEFAULT, Method
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import DEFAULT, Method, Multistep
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop, metric

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from cnclik.integrate.method import Method
-from cnclik.integrate.multistep import Multistep
+from cnclik.integrate.method import Method, Multistep
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law

@@ -220,7 +220,7 @@ def test_causal_loops_are_of_order_one_and_a_memory_foretells():
 
 
 def test_shifted_and_told_references_stay_causal():
-    from cnclik.law.shifted import shifted
+    from cnclik.law.paths import shifted
 
     hidden = ck.causal(CIRCLE)
     assert not shifted(hidden, LAW.task, (0.0, 0.0)).known and not ck.with_feedforward(hidden, [0.0, 0.0]).known

@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate import history
-from cnclik.integrate.multistep import adams
+from cnclik.integrate.method import adams
 from cnclik.law.law import observe
 from cnclik.robot.model import modelled
 from tests.integrate.test_exponential import ARM, CIRCLE, LAW, LENGTHS, START, by_steps

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.pieces import PIECE, in_pieces, joined, piece_of
+from cnclik.integrate.solve import PIECE, in_pieces, joined, piece_of
 
 ARM = ck.planar_arm([1.0, 0.8])
 XY = ck.position("xy")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.pieces import in_pieces, joined
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import in_pieces, joined, simulate
 from cnclik.record import replace
 from cnclik.stability import verdict
 

@@ -13,8 +13,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.law.law import observe, rows_at
+from cnclik.law.paths import shifted
 from cnclik.law.reference import aims_of
-from cnclik.law.shifted import shifted
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from cnclik.task.task import error
