@@ -4,16 +4,25 @@ A record is a frozen, keyword-only dataclass that JAX sees as a pytree. One rule
 in and what is a parameter: **a number written as a Python float or int is literal, an array is a leaf**.
 Literals (also strings, None and functions) belong to the tree's structure: they reach the compiled
 program as constants, and geometry that is zero costs nothing. Arrays are differentiated, vmapped, swept.
+
+Annotations give their shapes in jaxtyping's notation, `Float[Array, "m n"]`, for readers and type checkers.
 """
 
 import dataclasses
+from typing import Annotated as Bool
+from typing import Annotated as Float
+from typing import Annotated as Int
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
+from jax import Array as Array
+from numpy.typing import ArrayLike as ArrayLike  # JAX's has no lists of numbers
 
 from cnclik import errors
 
+AnyArray = Array | np.ndarray  # JAX's or NumPy's
+Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in as a float, a parameter as an array
 T = TypeVar("T")
 
 _LITERAL = (float, int, bool, type(None))

@@ -17,7 +17,7 @@ import cnclik
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
     *("errors", "markup", "record", "programs", "cache", "hints", "precision", "compilation", "threads"),
-    *("reading", "writing", "version", "quantities", "shapes"),
+    *("reading", "writing", "version", "quantities"),
 )
 BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone
 ROOMS = (
@@ -137,12 +137,12 @@ def test_attributes_of_a_module_are_defined_there():
 
 @functools.cache
 def defined(path):
-    """Names that a file defines; what is in annotations alone is passed on by `shapes`."""
+    """Names that a file defines; what is in annotations alone is passed on by `record`."""
     found = set()
     for node in nodes(path):
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             found.add(node.name)
-        elif isinstance(node, ast.alias) and node.asname and path.name == "shapes.py":
+        elif isinstance(node, ast.alias) and node.asname and path.name == "record.py":
             found.add(node.asname)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             found.add(node.id)
@@ -313,7 +313,7 @@ def test_methods_have_names_of_their_own():
 
 
 def test_fields_say_what_they_are():
-    """Arrays by their shapes, see `cnclik.shapes`; no field is just an object."""
+    """Arrays by their shapes, see `cnclik.record`; no field is just an object."""
     fields = [(p, n) for p in files() for n in nodes(p) if isinstance(n, ast.AnnAssign)]
     assert not [f"{path}:{node.lineno}" for path, node in fields if "object" in ast.unparse(node.annotation).split()]
 

@@ -18,8 +18,7 @@ from cnclik.diagnosis.modes import EXACT, Modes, find_modes, polynomials, shape_
 from cnclik.diagnosis.recording import columns
 from cnclik.precision import of_numbers
 from cnclik.quantities import in_samples
-from cnclik.record import record
-from cnclik.shapes import ArrayLike, Float
+from cnclik.record import ArrayLike, Float, record
 
 LONGEST = 250  # samples of a period; slower motion counts as a path
 WANDERS = 1.15  # factor between the periods of two parts of a recording beyond which no loop causes it

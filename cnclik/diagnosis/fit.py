@@ -18,8 +18,7 @@ from cnclik.diagnosis.response import NUMBERS, Shape, response
 from cnclik.diagnosis.spread import correlated, stable_range
 from cnclik.integrate.drive import COMMANDS, Drive
 from cnclik.precision import of_numbers
-from cnclik.record import record, replace
-from cnclik.shapes import ArrayLike, Float
+from cnclik.record import ArrayLike, Float, record, replace
 
 KINDS = ("delay", "lag", "second-order")  # by their order
 DELAYS = 200  # samples of dead time to be tried, at most

@@ -12,7 +12,7 @@ import numpy as np
 from cnclik.diagnosis.blocks import triangle
 from cnclik.diagnosis.modes import columns_of
 from cnclik.integrate.drive import MOST, Drive, sampled
-from cnclik.shapes import Float
+from cnclik.record import Float
 from cnclik.stability.driven import driven_factors
 from cnclik.stability.linear import late_monotone, late_stable
 

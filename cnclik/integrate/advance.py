@@ -12,9 +12,8 @@ from cnclik.integrate.status import Status, flags, task_flags
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.reference import tangent
-from cnclik.record import record
+from cnclik.record import Array, Float, Int, record
 from cnclik.robot.chart import centre, out
-from cnclik.shapes import Array, Float, Int
 
 
 @record

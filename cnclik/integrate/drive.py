@@ -16,9 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.record import is_literal, leaf, record, replace
+from cnclik.record import AnyArray, Array, ArrayLike, Float, is_literal, leaf, record, replace
 from cnclik.robot import chart
-from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")

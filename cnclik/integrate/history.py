@@ -22,10 +22,9 @@ from cnclik.law.limits import within
 from cnclik.law.null import Posture
 from cnclik.law.paths import true_motion
 from cnclik.law.reference import sample
-from cnclik.record import record
+from cnclik.record import Array, Bool, Float, Int, record
 from cnclik.robot.chart import between, centre, into, rates
 from cnclik.robot.rotations import safe_norm
-from cnclik.shapes import Array, Bool, Float, Int
 
 UNEVEN = 0.1  # relative change of the sampling time above which the past is dropped
 _SLACK = 64  # motion of a target that counts as none, in roundings

@@ -28,10 +28,9 @@ from cnclik.law.law import Law, observe
 from cnclik.law.limits import room
 from cnclik.law.paths import shifted
 from cnclik.law.reference import Corners, Reference, References, check, corners
-from cnclik.record import cast, replace
+from cnclik.record import Array, Float, cast, replace
 from cnclik.robot import chart
 from cnclik.robot.model import Model, modelled
-from cnclik.shapes import Array, Float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over
 from cnclik.law.law import null_velocity, resolve, rows_at
 from cnclik.law.null import Posture
 from cnclik.law.reference import sample
+from cnclik.record import Array, Float
 from cnclik.robot import chart
 from cnclik.robot.chart import centre
-from cnclik.shapes import Array, Float
 from cnclik.task.task import velocity
 
 

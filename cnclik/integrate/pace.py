@@ -21,11 +21,10 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.record import leaf, record, replace
+from cnclik.record import Array, ArrayLike, Bool, Float, Number, leaf, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
 
 TURNING = 0.6  # part of the acceleration for following the path at a constant share; the rest changes it
 BENDING = 0.5  # the same part of the jerk

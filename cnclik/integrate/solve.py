@@ -29,9 +29,8 @@ from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import INSTANTS, Trajectory, join, steps_of, truncate
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
-from cnclik.record import cast, on_device, replace
+from cnclik.record import ArrayLike, Float, Number, cast, on_device, replace
 from cnclik.robot.model import modelled
-from cnclik.shapes import ArrayLike, Float, Number
 
 SOON = 1 << 14  # evaluations of f, per joint and task coordinate, up to which XLA answers sooner
 

@@ -15,9 +15,8 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.record import record
+from cnclik.record import Array, Float, Int, record
 from cnclik.robot.rotations import safe_norm
-from cnclik.shapes import Array, Float, Int
 
 Count = int | Int[Array, ""]  # number of passes: compiled in, or one per lane
 

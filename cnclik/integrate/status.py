@@ -13,8 +13,8 @@ from cnclik import errors
 from cnclik.law.law import metric
 from cnclik.law.reference import motion, neighbours
 from cnclik.precision import of_numbers
+from cnclik.record import ArrayLike
 from cnclik.robot.rotations import library, safe_sqrt
-from cnclik.shapes import ArrayLike
 
 Run = TypeVar("Run", bound=Any)  # a `Trajectory`, whose class is in a later module
 

@@ -9,8 +9,7 @@ from jax import lax
 
 from cnclik import errors, markup
 from cnclik.integrate.status import OWN, counted, level
-from cnclik.record import record, replace
-from cnclik.shapes import Array, Float, Int
+from cnclik.record import Array, Float, Int, record, replace
 
 INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
 STEPS = ("qdot", "residual", "contraction", "status")  # N entries

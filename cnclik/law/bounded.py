@@ -22,8 +22,7 @@ from cnclik.law import dense
 from cnclik.law.inverse import Levels, positive, through
 from cnclik.law.limits import Limited, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
-from cnclik.record import brief, record, replace
-from cnclik.shapes import Array, Bool, Float, Int, Number
+from cnclik.record import Array, Bool, Float, Int, Number, brief, record, replace
 
 LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness

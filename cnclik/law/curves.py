@@ -14,11 +14,10 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.record import record
+from cnclik.record import Array, Float, record
 from cnclik.robot import poses
 from cnclik.robot.kinematics import Pose
 from cnclik.robot.rotations import exp_so3, library, quaternion_from_rotation, rotation_from_quaternion
-from cnclik.shapes import Array, Float
 
 Rotation = Float[Array, "3 3"] | None
 

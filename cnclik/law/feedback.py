@@ -21,8 +21,8 @@ from cnclik.law.curves import Tangent
 from cnclik.law.law import Law, clamped, gain
 from cnclik.law.null import Posture
 from cnclik.law.reference import aims_of, by_target
+from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3
-from cnclik.shapes import Array, Float
 from cnclik.task.task import velocity
 
 HALVINGS = 24  # doublings of a gain matrix's factor, enough for alpha·Ts = 1e6 and more

@@ -17,8 +17,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.record import leaf, record, replace
-from cnclik.shapes import Array, ArrayLike, Float, Number
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 
 
 class Factored(NamedTuple):

@@ -23,12 +23,11 @@ from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, dampe
 from cnclik.law.limits import Limited
 from cnclik.law.null import Posture, evaluated
 from cnclik.precision import precise
-from cnclik.record import brief, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
-from cnclik.shapes import Array, ArrayLike, Bool, Float, Number
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, error, rows, velocity
 

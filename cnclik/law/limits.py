@@ -18,9 +18,8 @@ from jax import lax
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import Factored, Levels, positive, through, tiny_shift
-from cnclik.record import leaf, record
+from cnclik.record import Array, Bool, Float, Number, leaf, record
 from cnclik.robot.rotations import safe_norm
-from cnclik.shapes import Array, Bool, Float, Number
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 WIDE = 4 * math.pi  # [rad, m] the limits of a wider or open range act as in a range of this width

@@ -14,11 +14,10 @@ import jax.numpy as jnp
 
 from cnclik import errors
 from cnclik.law.inverse import gram_factor
-from cnclik.record import leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
-from cnclik.shapes import Array, ArrayLike, Float, Number
 from cnclik.task.parts import At
 from cnclik.task.task import Task, rows
 

@@ -12,12 +12,11 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, timed
 from cnclik.law.reference import A_REFERENCE, Reference, References, by_target, of_each, references
-from cnclik.record import leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import log_so3
-from cnclik.shapes import Array, ArrayLike, Float, Number
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 

@@ -17,9 +17,8 @@ from cnclik import errors
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.tracing import together
 from cnclik.law.curves import Hold, Path, Tangent, interval
-from cnclik.record import brief, record, replace
+from cnclik.record import Array, Float, brief, record, replace
 from cnclik.robot.rotations import safe_norm, safe_sqrt
-from cnclik.shapes import Array, Float
 from cnclik.task.parts import spin
 from cnclik.task.task import Task
 

@@ -8,8 +8,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.curves import Spline, timed
 from cnclik.law.reference import Reference
+from cnclik.record import ArrayLike, Float, Number
 from cnclik.robot.poses import library
-from cnclik.shapes import ArrayLike, Float, Number
 
 KINDS = {"hold": 0.0, "ramp": 1.0, "spline": 1.5}  # kinds, and the least delay of each [longest periods]
 

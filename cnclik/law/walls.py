@@ -10,10 +10,9 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import positive
-from cnclik.record import leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import modelled, one_off
-from cnclik.shapes import Array, ArrayLike, Float, Number
 from cnclik.task.build import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows

@@ -18,7 +18,7 @@ from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
 from cnclik.law.walls import names_of
 from cnclik.precision import of_numbers
-from cnclik.shapes import ArrayLike
+from cnclik.record import ArrayLike
 from cnclik.version import __version__
 
 if TYPE_CHECKING:

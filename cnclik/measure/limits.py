@@ -8,10 +8,9 @@ from cnclik import errors
 from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.precision import of_numbers
-from cnclik.record import record
+from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.chart import apart
-from cnclik.shapes import ArrayLike, Float, Number
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
 _ROUNDING = 1e-6  # share of a limit that is rounding

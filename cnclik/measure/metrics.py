@@ -24,11 +24,10 @@ from cnclik.law.law import Law, check_loop, weighted
 from cnclik.law.paths import true_motion
 from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import ending, stable
-from cnclik.record import cast
+from cnclik.record import Number, cast
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.shapes import Number
 from cnclik.task.parts import At
 from cnclik.task.task import Task, velocity
 

@@ -18,9 +18,8 @@ from cnclik.integrate.loop import loop_of, one, start
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status
-from cnclik.record import cast, record
+from cnclik.record import Array, Bool, Float, Int, cast, record
 from cnclik.robot.rotations import safe_norm, safe_sqrt
-from cnclik.shapes import Array, Bool, Float, Int
 
 
 class Ending(enum.IntEnum):

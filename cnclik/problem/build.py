@@ -26,8 +26,8 @@ from cnclik.problem.magnitudes import check_units
 from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
+from cnclik.record import AnyArray, ArrayLike, Float, Number
 from cnclik.robot.chain import Chain
-from cnclik.shapes import AnyArray, ArrayLike, Float, Number
 
 LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
 _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed to the law unchanged

@@ -17,12 +17,11 @@ from cnclik.problem.tables import read_poses
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.targets import wanted_at
-from cnclik.record import replace
+from cnclik.record import Array, Float, replace
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
-from cnclik.shapes import Array, Float
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 

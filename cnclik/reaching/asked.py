@@ -12,10 +12,9 @@ from cnclik.reaching.step import STATIONARY
 from cnclik.reaching.strategy import LONGER, SURE
 from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import in_units, of_joints
-from cnclik.record import leaf, memoized, record
+from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
-from cnclik.shapes import AnyArray, Float, Number
 from cnclik.task.task import Task
 
 TOUCHING = 1e-9  # [rad, m] distance from a limit that counts as being at it

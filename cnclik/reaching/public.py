@@ -18,10 +18,9 @@ from cnclik.reaching.result import Reached, fields
 from cnclik.reaching.single import traced
 from cnclik.reaching.targets import read
 from cnclik.reaching.units import inward, outward
-from cnclik.record import replace
+from cnclik.record import ArrayLike, Float, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
-from cnclik.shapes import ArrayLike, Float
 from cnclik.task.task import Task
 
 

@@ -9,12 +9,11 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.reaching.aims import WIDTH, aims
-from cnclik.record import record
+from cnclik.record import AnyArray, Bool, Float, Int, record
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import task_jacobians
-from cnclik.shapes import AnyArray, Bool, Float, Int
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 

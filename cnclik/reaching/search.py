@@ -22,8 +22,7 @@ from cnclik.reaching.asked import Asked
 from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
 from cnclik.reaching.step import Search, begin, iterate
 from cnclik.reaching.strategy import Phase, SoFar, narrowed, phases, wanted
-from cnclik.record import replace
-from cnclik.shapes import AnyArray, Array, Bool, Float, Int
+from cnclik.record import AnyArray, Array, Bool, Float, Int, replace
 
 SIDE_BY_SIDE = 8  # tries side by side
 SCATTER = np.uint32(0x7F4A7C15)  # by which a try's number becomes that of any seed; its upper bits are even (Knuth)

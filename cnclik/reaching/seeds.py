@@ -12,11 +12,10 @@ import numpy as np
 
 from cnclik.precision import precise
 from cnclik.reaching.aims import aims, told_apart
-from cnclik.record import memoized, record
+from cnclik.record import Float, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length, evenly
-from cnclik.shapes import Float
 from cnclik.task.parts import At
 
 SETS, SIZE = 16, 256

@@ -21,10 +21,9 @@ from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
 from cnclik.reaching.aims import WIDTH, aims
-from cnclik.record import cast
+from cnclik.record import Array, Bool, Float, cast
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import quaternion_from_rotation
-from cnclik.shapes import Array, Bool, Float
 from cnclik.task.parts import At, places
 from cnclik.task.task import Task, rows
 

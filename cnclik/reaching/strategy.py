@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik.reaching.result import ReachStatus
-from cnclik.shapes import AnyArray, Bool, Float, Int, Number
+from cnclik.record import AnyArray, Bool, Float, Int, Number
 
 PLAIN, STEPS = 5, 9  # tries that accept every step, and their largest number of steps
 CAREFUL, SLOW = 24, 30  # steps of later ones, and how many more those get that are close

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cnclik import errors, markup
-from cnclik.record import record
+from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot import poses
 from cnclik.robot.bases import BALL
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
@@ -21,7 +21,6 @@ from cnclik.robot.masses import Masses
 from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import MOST
-from cnclik.shapes import ArrayLike, Float, Number
 
 Names = Sequence[str] | None
 REVOLUTE, PRISMATIC = "revolute", "prismatic"

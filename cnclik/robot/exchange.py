@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik import errors
+from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import quaternions
 from cnclik.robot.rotations import quaternion, rotation_from_quaternion
-from cnclik.shapes import ArrayLike, Float
 
 _TURNS = ("rx", "ry", "rz")
 _PARTS = {"free": ("x", "y", "z", *_TURNS), "planar": ("x", "y", "yaw"), "ball": _TURNS}

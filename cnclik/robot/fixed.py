@@ -7,8 +7,7 @@ geometry stays known in an arm whose link lengths are parameters. `robot.model` 
 import functools
 import math
 
-from cnclik.record import record
-from cnclik.shapes import Number
+from cnclik.record import Number, record
 
 Triple = tuple[Number, Number, Number]
 

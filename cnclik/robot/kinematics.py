@@ -11,11 +11,10 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.record import cast, record
+from cnclik.record import Array, ArrayLike, Float, cast, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, frames, jacobian_rows, modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.shapes import Array, ArrayLike, Float
 
 
 @record

@@ -4,10 +4,9 @@ import functools
 from typing import Any
 
 from cnclik import errors
-from cnclik.record import record, replace
+from cnclik.record import Array, Float, Number, record, replace
 from cnclik.robot.fixed import ZERO, Offset, Triple, placed, scale, vadd
 from cnclik.robot.poses import library
-from cnclik.shapes import Array, Float, Number
 
 
 @record

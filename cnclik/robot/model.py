@@ -16,11 +16,10 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.constants import of_the_model
 from cnclik.hints import QUICK_COMPILE, quick_jit
-from cnclik.record import mapped, memoized, record, replace
+from cnclik.record import AnyArray, Array, Bool, Float, mapped, memoized, record, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
 from cnclik.robot.rotations import library, product, quaternion, rotation_from_quaternion
-from cnclik.shapes import AnyArray, Array, Bool, Float
 
 
 @record

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.record import ArrayLike
 from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
-from cnclik.shapes import ArrayLike
 
 ROUGH = 1e-3  # largest deviation of a rotation's row lengths from 1, and of cosines between rows from 0
 _EXACT = 1e-12  # the same for one that is used unchanged

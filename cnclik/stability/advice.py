@@ -14,8 +14,7 @@ from cnclik.law.law import Law
 from cnclik.law.reference import Reference
 from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
-from cnclik.record import record
-from cnclik.shapes import ArrayLike, Float, Number
+from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.stability.bounds import LimitAdvice, limit_advice, wall_advice
 from cnclik.stability.driven import POINTS, driven_limits
 from cnclik.stability.drives import SPARE, longer

@@ -25,9 +25,8 @@ from cnclik.integrate.method import MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.feedback import per_step
 from cnclik.precision import in_float64, of_numbers
-from cnclik.record import record
+from cnclik.record import Array, Float, record
 from cnclik.robot.model import one_off
-from cnclik.shapes import Array, Float
 
 REACH = 1e6  # a method stable up to here on the real axis is called stable without limit
 EPS = np.finfo(np.float64).eps  # of the precision everything here is computed in

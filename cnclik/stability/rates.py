@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik.law.law import evaluate, weighted_gain
-from cnclik.record import cast, replace
+from cnclik.record import AnyArray, Float, cast, replace
 from cnclik.robot.model import modelled, one_off
-from cnclik.shapes import AnyArray, Float
 from cnclik.stability.driven import alike, increments
 from cnclik.stability.drives import own_drives
 from cnclik.stability.spectrum import directions

@@ -12,8 +12,7 @@ from cnclik.law.law import Law
 from cnclik.law.reference import Reference
 from cnclik.precision import in_float64
 from cnclik.quantities import in_samples
-from cnclik.record import in_words, record
-from cnclik.shapes import ArrayLike, Float, Number
+from cnclik.record import ArrayLike, Float, Number, in_words, record
 from cnclik.stability import rebased
 from cnclik.stability.driven import SLACK, looked_at, monotone_limit, radius
 from cnclik.stability.drives import longer, side_by_side

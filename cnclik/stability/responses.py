@@ -16,10 +16,9 @@ from cnclik.law import reference as ref
 from cnclik.law.law import check_loop
 from cnclik.law.paths import shifted
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import Array, Float, record, replace
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import one_off
-from cnclik.shapes import Array, Float
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 

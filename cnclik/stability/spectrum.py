@@ -25,13 +25,12 @@ from cnclik.law.law import Law, check_loop, evaluate
 from cnclik.law.null import without
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
-from cnclik.record import cast, record, replace
+from cnclik.record import ArrayLike, Float, Number, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.model import modelled, one_off, standing
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.shapes import ArrayLike, Float, Number
 from cnclik.stability.linear import checked
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it

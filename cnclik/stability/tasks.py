@@ -14,8 +14,7 @@ import numpy as np
 
 from cnclik.integrate.drive import Drive
 from cnclik.law.inverse import Levels, Transpose
-from cnclik.record import record
-from cnclik.shapes import AnyArray, Float
+from cnclik.record import AnyArray, Float, record
 from cnclik.stability.driven import SLACK, increments, least_limits, radius
 from cnclik.stability.drives import each_drive
 from cnclik.stability.gain import Gain, gain_of

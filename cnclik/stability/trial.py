@@ -20,8 +20,7 @@ from cnclik.law import inverse, limits
 from cnclik.law.law import Law
 from cnclik.law.paths import hold
 from cnclik.law.reference import Reference, References, of_each
-from cnclik.record import record, replace
-from cnclik.shapes import AnyArray, ArrayLike, Float
+from cnclik.record import AnyArray, ArrayLike, Float, record, replace
 from cnclik.stability.case import brief
 from cnclik.stability.observed import ARRIVED, VISIBLE, back_and_forth, observe, rms
 from cnclik.stability.reasons import INSIDE

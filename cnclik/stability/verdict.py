@@ -17,9 +17,8 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import Law, check_loop
 from cnclik.law.reference import Reference
 from cnclik.precision import in_float64, of_numbers
-from cnclik.record import record, replace
+from cnclik.record import ArrayLike, Number, record, replace
 from cnclik.robot.posture import unmoved
-from cnclik.shapes import ArrayLike, Number
 from cnclik.stability import reasons, remedies
 from cnclik.stability.case import case_of
 from cnclik.stability.judged import Behaviour, Judged, judged, restless

@@ -11,9 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import leaf, record
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record
 from cnclik.robot.rotations import safe_norm
-from cnclik.shapes import Array, ArrayLike, Float, Number
 from cnclik.task.parts import At, Vector
 from cnclik.task.task import Task
 

@@ -14,9 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import brief, record, replace
+from cnclik.record import ArrayLike, Float, brief, record, replace
 from cnclik.robot.rotations import library
-from cnclik.shapes import ArrayLike, Float
 from cnclik.task.parts import At, places
 from cnclik.task.values import Joints
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.precision import in_float64
-from cnclik.record import record
+from cnclik.record import Array, ArrayLike, Float, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, modelled
-from cnclik.shapes import Array, ArrayLike, Float
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, descend
 

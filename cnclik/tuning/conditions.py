@@ -10,10 +10,9 @@ from cnclik.integrate.solve import simulate
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop
 from cnclik.law.reference import Reference
-from cnclik.record import cast, record, replace, stack
+from cnclik.record import AnyArray, Array, ArrayLike, Float, Int, cast, record, replace, stack
 from cnclik.robot.chain import Chain
 from cnclik.robot.kinematics import as_joint_values
-from cnclik.shapes import AnyArray, Array, ArrayLike, Float, Int
 from cnclik.tuning.parameters import Adjustable, scaled_links, scheduled
 
 

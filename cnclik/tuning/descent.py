@@ -17,9 +17,8 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.record import record
+from cnclik.record import AnyArray, Array, Bool, Float, Int, record
 from cnclik.robot.model import one_off
-from cnclik.shapes import AnyArray, Array, Bool, Float, Int
 from cnclik.tuning.parameters import values_of
 
 FORWARD_UP_TO = 8  # parameters: forward mode costs a run per parameter, reverse mode a few runs and their memory

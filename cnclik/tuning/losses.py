@@ -15,8 +15,8 @@ from jax import lax
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.trajectory import Trajectory
+from cnclik.record import Array, Float
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.shapes import Array, Float
 from cnclik.tuning.linear import driven_map
 
 

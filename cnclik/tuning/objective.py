@@ -18,9 +18,8 @@ from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop, metric
 from cnclik.precision import in_float64
-from cnclik.record import record, replace
+from cnclik.record import AnyArray, Array, ArrayLike, Float, record, replace
 from cnclik.robot.model import one_off
-from cnclik.shapes import AnyArray, Array, ArrayLike, Float
 from cnclik.stability.driven import delay_margin, increments, noise_gain, radius
 from cnclik.stability.drives import each_drive
 from cnclik.stability.linear import checked, first_above

@@ -18,10 +18,9 @@ from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
 from cnclik.law.law import Law, metric
 from cnclik.law.null import ScaledNullVelocity
-from cnclik.record import record, replace
+from cnclik.record import AnyArray, Float, record, replace
 from cnclik.robot.fixed import Offset, scale
 from cnclik.robot.mounted import with_tip
-from cnclik.shapes import AnyArray, Float
 from cnclik.stability.spectrum import largest_rate
 from cnclik.task.values import Joints
 

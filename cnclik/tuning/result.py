@@ -13,8 +13,7 @@ from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference
 from cnclik.measure.files import plain
-from cnclik.record import in_words, record
-from cnclik.shapes import Float
+from cnclik.record import Float, in_words, record
 from cnclik.stability import rebased
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions

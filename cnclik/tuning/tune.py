@@ -19,8 +19,7 @@ from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference
 from cnclik.precision import in_float64
-from cnclik.record import replace
-from cnclik.shapes import ArrayLike, Float, Number
+from cnclik.record import ArrayLike, Float, Number, replace
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, History, descend
 from cnclik.tuning.objective import AT_ONCE, Goal, Judged, judge, loop_objective
