@@ -66,7 +66,7 @@ from .robot.exchange import (
     to_mujoco_q as to_mujoco_q,
     to_pinocchio_q as to_pinocchio_q,
 )
-from .robot.kinematics import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
+from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
 from .robot.mounted import join as join, with_base as with_base, with_tool as with_tool
 from .robot.mjcf import load_mjcf as load_mjcf
 from .robot.urdf import load_urdf as load_urdf
@@ -84,6 +84,6 @@ from .task.build import (
 )
 from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
 from .task.task import Task as Task
-from .tuning.calibrate import calibrate as calibrate
+from .tuning.tune import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

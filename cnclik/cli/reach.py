@@ -217,8 +217,8 @@ def _tell(made, summary, seconds):
     """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
-    from cnclik.reaching.aims import aims
     from cnclik.reaching.result import ReachStatus
+    from cnclik.reaching.targets import aims
 
     count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
     evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"

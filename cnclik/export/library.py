@@ -18,14 +18,14 @@ from cnclik import errors
 from cnclik.engine.compiler import build, opened
 from cnclik.export.batch import Batch
 from cnclik.export.write import MANIFEST, c, digest, digest_of
-from cnclik.integrate.advance import Step
+from cnclik.integrate.loop import Step
 from cnclik.integrate.trajectory import INSTANTS, Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import Reference
 from cnclik.reaching.result import ReachStatus
 from cnclik.reading import read_bytes
 from cnclik.robot.chain import Chain
-from cnclik.robot.kinematics import Pose
+from cnclik.robot.model import Pose
 
 
 def load(folder: str | os.PathLike, **parameters) -> "Compiled":

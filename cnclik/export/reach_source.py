@@ -14,9 +14,9 @@ from cnclik.export.cost import operations
 from cnclik.export.source import Names, signature, statements
 from cnclik.export.trace import Request, targets
 from cnclik.reaching import asked, strategy
-from cnclik.reaching.aims import WIDTH, aims, of_tips
 from cnclik.reaching.native_source import lanes_of, look_of, search_source
 from cnclik.reaching.seeds import SETS, SIZE, compared, seeds
+from cnclik.reaching.targets import WIDTH, aims, of_tips
 from cnclik.reaching.units import of_joints
 from cnclik.robot.chain import REVOLUTE
 from cnclik.robot.posture import arm_length

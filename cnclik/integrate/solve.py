@@ -19,10 +19,9 @@ from cnclik.engine.plan import may_be_plain, unless_chosen
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate import history as memory
-from cnclik.integrate.advance import Step, advance
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.history import History
-from cnclik.integrate.loop import loop_of, run
+from cnclik.integrate.loop import Step, advance, loop_of, run
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.stage import Stage, picard

@@ -16,7 +16,7 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import Array, Float, record
 from cnclik.robot import poses
-from cnclik.robot.kinematics import Pose
+from cnclik.robot.model import Pose
 from cnclik.robot.rotations import exp_so3, library, quaternion_from_rotation, rotation_from_quaternion
 
 Rotation = Float[Array, "3 3"] | None

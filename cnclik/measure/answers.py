@@ -8,8 +8,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.dataset import about
 from cnclik.measure.files import save_csv, save_netcdf
-from cnclik.reaching.aims import aims
 from cnclik.reaching.result import Reached, ReachStatus
+from cnclik.reaching.targets import aims
 
 if TYPE_CHECKING:
     import xarray as xr

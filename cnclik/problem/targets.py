@@ -17,9 +17,8 @@ from cnclik.problem.names import robot_and_tip, robot_name, start_from, task_fro
 from cnclik.problem.reference import reference_from
 from cnclik.problem.stack import Table, ranks_of, read_stack, references_of, stack_from, tables_from, task_of, tips_of
 from cnclik.problem.tables import read_targets
-from cnclik.reaching.aims import aims, of_tips
 from cnclik.reaching.seeds import spans
-from cnclik.reaching.targets import by_name, read, transforms, wanted_at
+from cnclik.reaching.targets import aims, by_name, of_tips, read, transforms, wanted_at
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled

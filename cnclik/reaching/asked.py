@@ -5,12 +5,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import LRU
 from cnclik.precision import as_numbers
-from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.reaching.seeds import periods, turned
 from cnclik.reaching.step import STATIONARY
 from cnclik.reaching.strategy import LONGER, SURE
-from cnclik.reaching.targets import task_of
+from cnclik.reaching.targets import WIDTH, aims, task_of
 from cnclik.reaching.units import in_units, of_joints
 from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain

@@ -16,13 +16,13 @@ from cnclik import errors
 from cnclik.engine.compiler import build, opened
 from cnclik.engine.graph import UnsupportedError
 from cnclik.engine.plan import in_c
-from cnclik.reaching.aims import told_apart
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.native_source import native_source
 from cnclik.reaching.result import Reached, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, nothing
 from cnclik.reaching.seeds import compared, seeds
 from cnclik.reaching.strategy import CAREFUL, FAR, IN_C, SoFar, alone, phases, wanted
+from cnclik.reaching.targets import told_apart
 from cnclik.record import memoized, replace
 from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side

@@ -13,12 +13,12 @@ from cnclik.engine.routine import INT, Field, read
 from cnclik.engine.source import vectors
 from cnclik.engine.to_c import Writer
 from cnclik.reaching import strategy
-from cnclik.reaching.aims import WIDTH, aims, owners
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.search import SCATTER
 from cnclik.reaching.seeds import SETS, SIZE, STRETCHES
 from cnclik.reaching.step import Search, iterate
+from cnclik.reaching.targets import WIDTH, aims, owners
 
 SEARCH = (pathlib.Path(__file__).parent / "c" / "search.c").read_text(encoding="utf-8")
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.reference import Reference, References
-from cnclik.reaching.aims import aims
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.many import many, path, several
 from cnclik.reaching.result import Reached, fields
 from cnclik.reaching.single import traced
-from cnclik.reaching.targets import read
+from cnclik.reaching.targets import aims, read
 from cnclik.reaching.units import inward, outward
 from cnclik.record import ArrayLike, Float, replace
 from cnclik.robot.chain import Chain

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.reaching.aims import WIDTH, aims
+from cnclik.reaching.targets import WIDTH, aims
 from cnclik.record import AnyArray, Bool, Float, Int, record
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain

@@ -17,11 +17,11 @@ from jax import lax
 from cnclik import errors
 from cnclik.hints import few_lanes
 from cnclik.reaching import strategy
-from cnclik.reaching.aims import aims, owners
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
 from cnclik.reaching.step import Search, begin, iterate
 from cnclik.reaching.strategy import Phase, SoFar, narrowed, phases, wanted
+from cnclik.reaching.targets import aims, owners
 from cnclik.record import AnyArray, Array, Bool, Float, Int, replace
 
 SIDE_BY_SIDE = 8  # tries side by side

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik.precision import precise
-from cnclik.reaching.aims import aims, told_apart
+from cnclik.reaching.targets import aims, told_apart
 from cnclik.record import Float, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled

@@ -12,13 +12,13 @@ from cnclik.hints import LIGHT_COMPILE, as_here, quick_jit
 from cnclik.integrate.lanes import tiled
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
-from cnclik.reaching.aims import aims, told_apart
 from cnclik.reaching.asked import TOUCHING
 from cnclik.reaching.result import Reached, ReachStatus, as_rows, fields, from_rows, width
 from cnclik.reaching.search import Found, concluded, given, nothing, tries
 from cnclik.reaching.seeds import SETS, SIZE, compared, nearest, seeds, spans
 from cnclik.reaching.step import in_parts, look
 from cnclik.reaching.strategy import CAREFUL, FAR, PLAIN, alone, narrowed, phases
+from cnclik.reaching.targets import aims, told_apart
 from cnclik.record import cast, memoized, on_device, replace
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import evenly, start_posture

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
-from cnclik.reaching.aims import WIDTH, aims
+from cnclik.reaching.targets import WIDTH, aims
 from cnclik.record import Array, Bool, Float, cast
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import quaternion_from_rotation

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
+from cnclik.reaching.targets import WIDTH, aims
 from cnclik.record import memoized, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, Chain

@@ -21,8 +21,7 @@ from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64, of_numbers
 from cnclik.record import replace
 from cnclik.robot.chain import REVOLUTE, with_one_tip
-from cnclik.robot.kinematics import as_joint_values, jacobian
-from cnclik.robot.model import one_off
+from cnclik.robot.model import as_joint_values, jacobian, one_off
 from cnclik.stability.linear import checked, share_per_step
 from cnclik.stability.maps import endings_about
 

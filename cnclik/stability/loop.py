@@ -17,7 +17,7 @@ from cnclik.law.null import MaximizeManipulability
 from cnclik.law.reference import Reference, of_each
 from cnclik.precision import of_numbers
 from cnclik.record import AnyArray, Float
-from cnclik.robot.kinematics import as_joint_values
+from cnclik.robot.model import as_joint_values
 from cnclik.stability.driven import looked_at, modes_of, radius
 from cnclik.stability.drives import own_drives
 from cnclik.stability.linear import FEW, checked

@@ -16,8 +16,7 @@ from cnclik.law.law import check_loop
 from cnclik.measure.outcome import Ending, Outcome, outcome, stable
 from cnclik.precision import in_float64, of_numbers
 from cnclik.record import replace
-from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.model import one_off
+from cnclik.robot.model import as_joint_values, one_off
 from cnclik.stability.driven import SLACK, least_limits
 from cnclik.stability.linear import checked, stability_limit
 from cnclik.stability.loop import loop_at_rest

@@ -9,7 +9,7 @@ from cnclik.law.bounded import Bounded
 from cnclik.law.inverse import Damped, Levels, Transpose
 from cnclik.law.limits import Saturated
 from cnclik.record import record, replace
-from cnclik.robot.kinematics import forward
+from cnclik.robot.model import forward
 from cnclik.robot.posture import arm_length, beyond_arm
 from cnclik.stability import reasons
 from cnclik.stability.case import LEAST, PLENTY, WILD

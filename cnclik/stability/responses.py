@@ -17,8 +17,7 @@ from cnclik.law.law import check_loop
 from cnclik.law.paths import shifted
 from cnclik.precision import in_float64
 from cnclik.record import Array, Float, record, replace
-from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.model import one_off
+from cnclik.robot.model import as_joint_values, one_off
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
 

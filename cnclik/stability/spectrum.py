@@ -14,8 +14,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.engine.plan import unless_chosen
 from cnclik.hints import LIGHT_COMPILE
-from cnclik.integrate.advance import advance
 from cnclik.integrate.history import blank, primed
+from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, IE, MethodLike
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage, chord, picard
@@ -27,8 +27,7 @@ from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import ArrayLike, Float, Number, cast, record, replace
 from cnclik.robot import chart
-from cnclik.robot.kinematics import as_joint_values
-from cnclik.robot.model import modelled, one_off, standing
+from cnclik.robot.model import as_joint_values, modelled, one_off, standing
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.linear import checked

@@ -13,9 +13,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.quantities import aloud
-from cnclik.reaching.aims import WIDTH, aims
 from cnclik.reaching.result import Reached, ReachStatus
-from cnclik.reaching.targets import read, wanted_at
+from cnclik.reaching.targets import WIDTH, aims, read, wanted_at
 from cnclik.record import replace
 from cnclik.stability.observed import ARRIVED, GROWN, rms
 from cnclik.task.task import Task

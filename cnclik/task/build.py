@@ -10,9 +10,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import Array, ArrayLike, Float, record, replace
 from cnclik.robot.chain import Chain
-from cnclik.robot.kinematics import as_joint_values
 from cnclik.robot.masses import shares
-from cnclik.robot.model import mass_frames, modelled
+from cnclik.robot.model import as_joint_values, mass_frames, modelled
 from cnclik.task.parts import AXES, At, Orientation, OwnOrientation, OwnPosition, Position, Vector, places
 from cnclik.task.task import Task, joined, with_weights
 from cnclik.task.values import Function, Joints

@@ -12,7 +12,7 @@ from cnclik.law.law import check_loop
 from cnclik.law.reference import Reference
 from cnclik.record import AnyArray, Array, ArrayLike, Float, Int, cast, record, replace, stack
 from cnclik.robot.chain import Chain
-from cnclik.robot.kinematics import as_joint_values
+from cnclik.robot.model import as_joint_values
 from cnclik.tuning.parameters import Adjustable, scaled_links, scheduled
 
 

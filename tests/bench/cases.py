@@ -14,7 +14,7 @@ from cnclik.law.inverse import damped, pseudoinverse
 from cnclik.law.law import Law
 from cnclik.robot.builtin import panda, ur5
 from cnclik.robot.chain import Chain, from_dh, planar_arm
-from cnclik.robot.kinematics import forward
+from cnclik.robot.model import forward
 from cnclik.task.build import pose, position
 
 ALPHA, TS = 5.0, 0.1  # the paper's: z = 0.5
