@@ -5,7 +5,7 @@ from . import (
     problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )
-from .compilation import use_cache as use_cache
+from .programs import use_cache as use_cache
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native

@@ -130,7 +130,7 @@ def _prepare(cache: bool) -> None:
 
     place = None
     if cache:
-        from cnclik.compilation import use_cache
+        from cnclik.programs import use_cache
 
         place = use_cache()
     else:

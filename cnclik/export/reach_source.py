@@ -14,7 +14,7 @@ from cnclik.export.cost import operations
 from cnclik.export.source import Names, signature, statements
 from cnclik.export.trace import Request, targets
 from cnclik.reaching import asked, strategy
-from cnclik.reaching.native_source import lanes_of, look_of, search_source
+from cnclik.reaching.native import lanes_of, look_of, search_source
 from cnclik.reaching.seeds import SETS, SIZE, compared, seeds
 from cnclik.reaching.targets import WIDTH, aims, of_tips
 from cnclik.reaching.units import of_joints

@@ -10,7 +10,7 @@ from cnclik.law.walls import bends, names_of, rate_of, wall_distance
 from cnclik.quantities import in_samples
 from cnclik.record import record
 from cnclik.stability.driven import least_limits
-from cnclik.stability.rates import parts_of_numbers
+from cnclik.stability.loop import parts_of_numbers
 
 
 @record

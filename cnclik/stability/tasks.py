@@ -19,7 +19,7 @@ from cnclik.stability.driven import SLACK, increments, least_limits, radius
 from cnclik.stability.drives import each_drive
 from cnclik.stability.gain import Gain, gain_of
 from cnclik.stability.linear import first_above
-from cnclik.stability.rates import Rates, steps_of
+from cnclik.stability.loop import Rates, steps_of
 from cnclik.stability.settings import MOST_Z
 
 REACH = 1e4  # z up to which is looked

@@ -13,8 +13,7 @@ from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.driven import driven_limits, looked_at_drive, loop_matrix, noise_limit
 from cnclik.stability.drives import each_drive
 from cnclik.stability.linear import at_rest_as, stepped
-from cnclik.stability.loop import loop_at_rest
-from cnclik.stability.rates import parts_at_rest
+from cnclik.stability.loop import loop_at_rest, parts_at_rest
 from cnclik.stability.spectrum import at_rest, of_error, one_step
 from cnclik.stability.tasks import bounded_rates
 

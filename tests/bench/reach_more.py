@@ -12,7 +12,7 @@ import scipy.optimize
 import scipy.spatial
 
 import cnclik as ck
-from cnclik.reaching import many, native_source, step, strategy
+from cnclik.reaching import many, native, step, strategy
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.result import count as counts
 from cnclik.robot.model import frames, modelled
@@ -154,12 +154,12 @@ def _clipped(rows, e, cost, q, low, high, trust):
 
 
 NEAREST = "nearest(a, target, aim, number % SETS)"
-AT_RANDOM = native_source.SEARCH.replace(
+AT_RANDOM = native.SEARCH.replace(
     NEAREST, "a->postures + (number % SETS * SIZE + (number + target) * 40503 % SIZE) * N"
 )
 PARTS = {  # what is another in the C source, or in the traced step
     "as it is": {},
-    "seeds at random, not the nearest": {(native_source, "SEARCH"): AT_RANDOM},
+    "seeds at random, not the nearest": {(native, "SEARCH"): AT_RANDOM},
     "joints at limits clipped only, not taken out": {(step, "damped_step"): _clipped},
     "later tries plain, too": {(strategy, "PLAIN"): 1000},
     "all tries careful": {(strategy, "PLAIN"): 0},

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from cnclik import compilation
+from cnclik import programs as kept
 from cnclik.hints import QUICK_COMPILE, known_options
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -96,19 +96,19 @@ def test_where_and_the_switches(tmp_path, monkeypatch):
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     if sys.platform != "darwin":
-        assert compilation.user_folder() == tmp_path / "cnclik"
+        assert kept.user_folder() == tmp_path / "cnclik"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
-    assert compilation.user_folder().is_absolute()
-    monkeypatch.setattr(compilation.sys, "platform", "darwin")
-    assert compilation.user_folder().parts[-3:] == ("Library", "Caches", "cnclik")
+    assert kept.user_folder().is_absolute()
+    monkeypatch.setattr(kept.sys, "platform", "darwin")
+    assert kept.user_folder().parts[-3:] == ("Library", "Caches", "cnclik")
     named = jax.config.jax_compilation_cache_dir
     least = jax.config.jax_persistent_cache_min_compile_time_secs
     try:
-        assert compilation.use_cache() == pathlib.Path(named)  # the environment's
-        assert compilation.use_cache(tmp_path / "mine").parent == tmp_path / "mine"
-        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine" / compilation.machine())
+        assert kept.use_cache() == pathlib.Path(named)  # the environment's
+        assert kept.use_cache(tmp_path / "mine").parent == tmp_path / "mine"
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "mine" / kept.machine())
         jax.config.update("jax_enable_compilation_cache", False)
-        assert compilation.use_cache(tmp_path / "other") is None and not (tmp_path / "other").exists()
+        assert kept.use_cache(tmp_path / "other") is None and not (tmp_path / "other").exists()
     finally:
         jax.config.update("jax_enable_compilation_cache", True)
         jax.config.update("jax_compilation_cache_dir", named)
@@ -128,6 +128,6 @@ def test_the_oldest_makes_room_and_nothing_else_is_touched(tmp_path):
     write("mine", "program-cache", 9)
     write("jaxlib-a", "mine", 9)
     for _ in range(2):
-        compilation.cut(tmp_path, 250)
+        kept.cut(tmp_path, 250)
         assert {path.parent.name for path in tmp_path.glob("*/program-cache")} == {"jaxlib-a", "jaxlib-b", "mine"}
     assert (tmp_path / "jaxlib-a" / "mine").exists()

@@ -10,7 +10,7 @@ import pytest
 import cnclik as ck
 from cnclik.cli import main
 from cnclik.reaching import strategy
-from cnclik.reaching.native_source import SEARCH
+from cnclik.reaching.native import SEARCH
 from tests.export.combinations import arm
 from tests.robot.test_trees import BAXTER, GRIPPERS
 

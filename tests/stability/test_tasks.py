@@ -16,8 +16,7 @@ from cnclik.show.stability import gains
 from cnclik.stability import tasks
 from cnclik.stability.answer import does_of_tasks
 from cnclik.stability.bounds import limit_advice
-from cnclik.stability.loop import LoopAtRest
-from cnclik.stability.rates import Rates
+from cnclik.stability.loop import LoopAtRest, Rates
 from cnclik.stability.tasks import LOST
 from cnclik.stability.verdict import verdict
 from tests.oracles import robot_file

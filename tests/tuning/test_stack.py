@@ -10,7 +10,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.law.law import weighted_gain
-from cnclik.stability.rates import parts_at_rest
+from cnclik.stability.loop import parts_at_rest
 from cnclik.stability.spectrum import at_rest, of_error, step_map
 from cnclik.tuning import Conditions, Descent, controller_lines, tune
 from cnclik.tuning import parameters as pm
