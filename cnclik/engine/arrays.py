@@ -30,8 +30,8 @@ def _reduce(g, eqn, x):
     return [array_of(made, out.shape)]
 
 
-def sums(g, name, firsts, pairs):
-    """first ± Σ a b for several firsts and lists of pairs; a first of None is left out.
+def sums(g, name, firsts, factors):
+    """first ± Σ a b for several firsts and pairs of rows of a and b; a first of None is left out.
 
     `BESIDE` sums grow side by side: an addition then need not wait for the one before it, and several use what is in a
     register.
@@ -39,9 +39,12 @@ def sums(g, name, firsts, pairs):
     made = list(firsts)
     for start in range(0, len(made), BESIDE):
         some = range(start, min(start + BESIDE, len(made)))
-        for k in range(max(len(pairs[i]) for i in some)):
-            for i in (i for i in some if k < len(pairs[i])):
-                product = g.op("mul", *pairs[i][k])
+        for k in range(max(len(factors[i][0]) for i in some)):
+            for i in some:
+                left, right = factors[i]
+                if k >= len(left) or (made[i] is not None and (left[k].nothing or right[k].nothing)):
+                    continue
+                product = g.op("mul", left[k], right[k])
                 made[i] = product if made[i] is None else g.op(name, made[i], product)
     return made
 
@@ -84,9 +87,8 @@ def _dot_general(g, eqn, x, y):
     rows, columns = _folded(x, left_batch, left), _folded(y, right_batch, right)
     if not rows.shape[-1]:
         return [array_of([g.const(0, out.dtype)] * out.size, out.shape)]
-    every = [(a, b) for one, two in zip(rows, columns, strict=True) for a in one for b in two]
-    pairs = [list(zip(a, b, strict=True)) for a, b in every]
-    return [array_of(sums(g, "add", [None] * len(pairs), pairs), out.shape)]
+    every = [(a, b) for one, two in zip(rows.tolist(), columns.tolist(), strict=True) for a in one for b in two]
+    return [array_of(sums(g, "add", [None] * len(every), every), out.shape)]
 
 
 def _folded(x, batch, axes):

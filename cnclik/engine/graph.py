@@ -34,19 +34,16 @@ class TooLargeError(SlowError):
 class Node:
     """One scalar, or one row of scalars: an operation, its arguments and parameters, or a constant's value.
 
-    `exact` marks a constant of the model, such as a zero of the robot's geometry: 0 times anything is 0.
+    `known` marks a constant, `exact` one of the model, such as a zero of the robot's geometry, of which `nothing`: 0
+    times anything is 0.
     """
 
-    __slots__ = ("args", "block", "dtype", "exact", "number", "op", "params", "shape", "value")
+    __slots__ = ("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value")
 
     def __init__(self, op, args, params, shape, dtype, value, block, number, exact=False):
         self.op, self.args, self.params, self.shape, self.dtype = op, args, params, shape, np.dtype(dtype)
         self.value, self.block, self.number, self.exact = value, block, number, exact
-
-    @property
-    def known(self) -> bool:
-        """Whether it is a constant."""
-        return self.op == "const"
+        self.known, self.nothing = op == "const", bool(exact and value == 0)
 
     def __repr__(self):
         about = repr(self.value) if self.known else f"({', '.join(f'#{a.number}' for a in self.args)})"
@@ -200,13 +197,11 @@ class Graph:
         if all(a.known for a in args) and (value := folded(name, [a.value for a in args], dtype, params)) is not None:
             nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
             return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
-        if (table := self._known_row(name, args, dtype, params)) is not None:
-            return table
-        if (found := self._through_select(name, args, dtype, params)) is not None:
+        shape = max([a.shape for a in args], key=len)
+        if (found := (self._known_row if shape else self._through_select)(name, args, dtype, params)) is not None:
             return found
         if name in COMMUTES and args[0].number > args[1].number:
             args = args[::-1]
-        shape = max((a.shape for a in args), key=len)
         return self.shared(name, tuple(args), params, shape, dtype)
 
     def _known_row(self, name, args, dtype, params):
@@ -227,8 +222,8 @@ class Graph:
 
         For example the length of a step, and exp(−alpha Ts) with it: it is Ts except in the last round, where it is 0.
         """
-        which = next((a.args[0] for a in args if _is_choice(a)), None)
-        if which is None or any(a.shape for a in args) or not which.block.depth:
+        which = next((a.args[0] for a in args if a.op == "select_n" and _is_choice(a)), None)
+        if which is None or not which.block.depth:
             return None
         no, yes = (tuple(self._given(which, value, a) for a in args) for value in (False, True))
         if max(a.block.depth for a in (*no, *yes)) >= which.block.depth:

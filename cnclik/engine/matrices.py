@@ -29,9 +29,9 @@ def each_matrix(rule, largest=LARGEST):
     return several
 
 
-def _subtract(g, x, at, products):
-    """Subtracts from each of some entries of x the sum of its products, see `sums`."""
-    made = sums(g, "sub", [x[i] for i in at], [products(*i) for i in at])
+def _subtract(g, x, at, factors):
+    """Subtracts from each of some entries of x the sum of products of its factors, see `sums`."""
+    made = sums(g, "sub", [x[i] for i in at], [factors(*i) for i in at])
     for i, found in zip(at, made, strict=True):
         x[i] = found
 
@@ -58,9 +58,9 @@ def _cholesky(g, eqn, a):
     unit, scaled, inverse = np.empty((m, m), object), a.copy(), {}
     for j, (columns, rows) in _tiles(m):
         at = [(r, c) for r in rows for c in columns if c <= r]
-        _subtract(g, scaled, at, lambda r, c, j=j: [(unit[c, k], scaled[r, k]) for k in range(j)])
+        _subtract(g, scaled, at, lambda r, c, j=j: (unit[c, :j], scaled[r, :j]))
         for r, c in sorted(at, key=lambda rc: rc[::-1]):
-            _subtract(g, scaled, [(r, c)], lambda r, c, j=j: [(unit[c, k], scaled[r, k]) for k in range(j, c)])
+            _subtract(g, scaled, [(r, c)], lambda r, c, j=j: (unit[c, j:c], scaled[r, j:c]))
             if r == c:
                 inverse[c] = _inverse(g, scaled[c, c])
             else:
@@ -105,7 +105,8 @@ def _triangular_solve(g, eqn, a, b):
     order = range(len(x)) if lower else range(len(x))[::-1]
 
     def known(i, c, before):  # LAPACK skips zeros, too
-        return [(unit[i, k], x[k, c]) for k in before if not (x[k, c].known and x[k, c].value == 0)]
+        before = [k for k in before if not (x[k, c].known and x[k, c].value == 0)]
+        return unit[i, before], x[before, c]
 
     for start in range(0, len(x), ROWS):
         rows, columns = order[start : start + ROWS], range(x.shape[1])

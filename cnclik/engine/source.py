@@ -11,7 +11,7 @@ from cnclik.engine.row_texts import all_items
 from cnclik.engine.sines import filled
 from cnclik.engine.to_c import Writer
 
-LONG = 20_000  # operations; longer programs are written in pieces
+LONG = 20_000  # nodes; longer programs are written in pieces
 PIECE = 1_000  # from 1,000 to 5,000 the speed differs by about 10 %, and compile time grows by up to a half
 _TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *restrict work"
 _REAL = {"float32": ("S32", "int32_t", "f"), "float64": ("S64", "int64_t", "")}
@@ -32,9 +32,7 @@ def write(graph, given, outs, shapes, grows=()) -> tuple:
     """
     main, sizes = main_type(graph, given, shapes), list(map(_size, shapes, grows or [False] * len(shapes)))
     head = [f"const int64_t rounds = *(const int32_t *)in[{len(given)}];"] * _of_any_rounds(graph)
-    writer = _written(graph, given, outs, shapes, sizes, main, 0, head)
-    if writer.operations > LONG:
-        writer = _written(graph, given, outs, shapes, sizes, main, PIECE, head)
+    writer = _written(graph, given, outs, shapes, sizes, main, head)
     work, each = writer.work
     text = [vectors(writer, main), f"#define WORK(rounds) ((int64_t)({work} + {each} * (rounds)) / 64 * BYTES)"]
     text += [*writer.tables, *(body for _, body in writer.parts), f"static void tile({_TILE})"]
@@ -57,13 +55,14 @@ def _size(shape, grows):
     return f"(({shape.shape[0]} + rounds) * {inner})" if grows else str(inner)
 
 
-def _written(graph, given, outs, shapes, sizes, main, piece, head):
+def _written(graph, given, outs, shapes, sizes, main, head):
     reads = [lane(n.dtype, f"(const {scalar(n.dtype)} *)in[{i}]", f"stride[{i}]") for i, n in enumerate(given)]
     writes = [
         entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", size)
         for o, (s, size) in enumerate(zip(shapes, sizes, strict=True))
     ]
-    writer = Writer(graph, given, outs, main, reads, writes, piece=piece, head=head)
+    writer = Writer(graph, given, outs, main, reads, writes, head=head)
+    writer.piece = PIECE if len(writer.needed) > LONG else 0
     writer.statements()
     return writer
 
