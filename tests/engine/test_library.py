@@ -227,6 +227,26 @@ def test_what_took_too_long_is_the_source_with_what_it_calls(monkeypatch, tmp_pa
     assert calls.read_text().count("\n") == 2
 
 
+def test_a_compiler_that_took_too_long_is_not_asked_again(monkeypatch, tmp_path):
+    """Unless it or its limit is another one, or a day has passed."""
+    calls, slow = tmp_path / "calls", f"echo >>{tmp_path / 'calls'}; sleep 9"
+
+    def asked(text="int one;"):
+        with pytest.raises(compiler.SlowCompilerError):
+            compiler.build_text(text, tmp_path)
+        return calls.read_text().count("\n")
+
+    monkeypatch.setattr(compiler, "MOST_SECONDS", 0.3)
+    monkeypatch.setenv("CC", str(program(tmp_path / "cc", slow)))
+    assert [asked(), asked(), asked("int two;")] == [1, 1, 2]
+    monkeypatch.setattr(compiler, "MOST_SECONDS", 0.4)
+    assert [asked(), asked()] == [3, 3]
+    program(tmp_path / "cc", f"{slow} # of a later version")
+    assert [asked(), asked()] == [4, 4]
+    monkeypatch.setattr(compiler, "DAY", 0)
+    assert asked() == 5
+
+
 @pytest.mark.parametrize("named", ["/nonexistent -O2", "'"])
 def test_a_compiler_that_is_none_is_named(monkeypatch, named):
     monkeypatch.setenv("CC", named)
