@@ -151,7 +151,7 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     about = os.stat(shutil.which(line[0]) or line[0])
     limited = [*line, f"{about.st_mtime_ns}, {about.st_size} bytes, {MOST_SECONDS} s"]
     refused = folder / f"slow-{_key(limited, [text.encode()])}-cache"
-    if refused.exists() and time.time() < refused.stat().st_mtime + DAY:
+    if os.path.isfile(refused) and time.time() < refused.stat().st_mtime + DAY:
         raise SlowCompilerError(f"nothing within {MOST_SECONDS:g} s")
     with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
         source = pathlib.Path(own, "lanes.c")
