@@ -19,6 +19,7 @@ from cnclik.programs import kept as kept_whole
 
 # All of them are made here, at once: each that JAX gets later makes it compile anew what a user has compiled before.
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
+FEW = 1024  # lanes, at most, of a loop that is `one_function`; with more of them XLA:CPU can fail as it says there
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many
 engine = jax.make_user_context(default_value=None)  # of `cnclik.engine.plan`
 read = jax.make_user_context(default_value=False)  # of `cnclik.engine.tracing`
@@ -181,20 +182,23 @@ def is_wide(jaxpr) -> bool:
 def one_function(loop):
     """Compile a call of `loop`, elementwise operations and loops of them, into one function where few lanes are around.
 
-    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher: a quarter of the speed.
+    XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher: a quarter of the speed. It fails
+    where the only result of such a function is large, as several threads would compute that (jaxlib 0.10): there is
+    another one.
     """
 
     def plain(*args):  # the hint is for this call, not for those inside it
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
-            return loop(*args)
+            return [*loop(*args), jax.lax.optimization_barrier(jnp.bool_(True))]
 
     jitted = jax.jit(plain, inline=False)
 
     @functools.wraps(loop)
     def call(*args):
-        if not (hints_on() and _lanes.value):
+        if not (hints_on() and 0 < _lanes.value <= FEW):
             return loop(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            return jitted(*args)
+            *found, sure = jitted(*args)
+        return found if len(found) > 1 else [jnp.where(sure, x, jnp.zeros_like(x)) for x in found]
 
     return call

@@ -247,6 +247,7 @@ def test_a_compiler_that_took_too_long_is_not_asked_again(monkeypatch, tmp_path)
     assert asked() == 5
 
 
+@NEEDS_C
 @pytest.mark.parametrize("named", ["/nonexistent -O2", "'"])
 def test_a_compiler_that_is_none_is_named(monkeypatch, named):
     monkeypatch.setenv("CC", named)

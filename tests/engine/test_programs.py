@@ -153,6 +153,7 @@ def test_a_long_gradient_keeps_what_is_cheap_to_keep():
     check(jax.value_and_grad(lambda q, p: smooth(q, p[::-1])), *given, ulps=5000)
 
 
+@NEEDS_C
 def test_the_gradient_of_joined_rows_stays_a_loop():
     def fn(q, path):
         end, qs, _ = track(q, path)
