@@ -121,7 +121,8 @@ def known_keys(where, table, names):
     """Raise ArgumentError for an unknown key, with the nearest known name."""
     for key in table:
         if key not in names:
-            found = f"{key!r}{meant(key, names)}"
+            dotted = key.startswith(("tasks.", "walls."))  # in quotes it is one name, not a path of names
+            found = f"{key!r}{' (write it without quotes)' if dotted else meant(key, names)}"
             raise errors.ArgumentError(f"Argument `{where}` must hold known keys, but holds {found}.")
 
 

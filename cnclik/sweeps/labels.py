@@ -30,7 +30,8 @@ def coordinates(of: Grid, units) -> dict:
         symbol = SYMBOLS.get(option, option.replace("_", " ")) + (f" of {task}" if task else "")
         about = {"units": units.get(name, ""), "long_name": symbol}
         if labels is not None:
-            found[name] = (name, np.asarray(labels), about | {"units": units.get(name, "1")})
+            words = np.asarray(labels)  # such as "8ms", which have their own unit
+            found[name] = (name, words, about | {"units": "1" if words.dtype.kind == "U" else units.get(name, "1")})
         elif values.ndim == 1:
             found[name] = (name, values, about)
         else:

@@ -12,6 +12,7 @@ import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.problem import problem_from
 from cnclik.sweeps import check, expression, files, grid
+from cnclik.sweeps.labels import coordinates
 
 TEXT = """
 question = "Is it so?"
@@ -282,6 +283,7 @@ def test_units_follow_the_task(fixed, axis, unit):
         ({"fixed__threshold": 0.1}, "`threshold` must be left out"),
         ({"fixed": {"robot": "planar:1,1", "reference": "no.csv"}, "axes": {}, "figure": []}, "no.csv: No such file"),
         ({"axes__Ts": [0.1]}, "`axes.Ts` must not be in [fixed] as well"),
+        ({"axes__tasks.hands.alpha": [1, 2]}, "'tasks.hands.alpha' (write it without quotes)"),
         ({"metrics": ["mean_eror"]}, "did you mean 'mean_error'"),
         ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
@@ -438,6 +440,7 @@ def test_a_dead_time_follows_from_the_sampling_time_of_its_loop():
     assert [a.name for a in s.grid().outer] == ["method", "Ts", "delay"]
     delays = [s.values(**p, **s.first())["delay"] for p in s.grid().programs if p["method"] == "EE"]
     assert delays == [2, 4, 1, 2]
+    assert coordinates(s.grid(), s.all_units())["delay"][2]["units"] == "1"  # it was "delay 20ms samples"
 
 
 def test_an_axis_of_numbers_with_units_is_one_of_numbers():
