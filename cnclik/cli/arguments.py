@@ -109,13 +109,18 @@ def parse(Args, argv, *, prog, description):
 
 
 def of_options(Args, said) -> str:
-    """The text of an error or a remark, which names an option as it is written on the command line."""
-    found = re.match("(Argument )?`([^`]+)`", text := str(said))
-    name = f"--{found[2].replace('_', '-')}" if found else ""
-    known = any(name == one.name for one in _options(Args))
-    if not found or not known:
-        return text
-    return common.as_options(text.replace(found[0], f"{'Option ' * bool(found[1])}`{name}`", 1))
+    """The text of an error or a remark on an option: options are named as they are written on the command line."""
+    known, text = {one.name for one in _options(Args)}, str(said)
+
+    def written(found):
+        name = f"--{found[2].replace('_', '-')}"
+        return f"{'Option ' * bool(found[1])}`{name}`" if name in known else found[0]
+
+    first = re.match(_NAMED, text)
+    return text if first is None or written(first) == first[0] else common.as_options(re.sub(_NAMED, written, text))
+
+
+_NAMED = "(Argument )?`([^`]+)`"
 
 
 def _options(Args) -> list:

@@ -67,7 +67,8 @@ def run(args: Args) -> None:
     t, times, unit = clock(names, table)
     if t is None and args.Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
-    Ts, stamps = sampling_time(t, args.Ts), "--Ts"
+    with errors.called("t", names[times[0]] if times else "t"):
+        Ts, stamps = sampling_time(t, args.Ts), "--Ts"
     if args.Ts is None:
         stamps = f"{names[times[0]]}, read in {unit}"
     elif t is not None:
@@ -87,6 +88,7 @@ def _otherwise(t, Ts, name) -> str:
     return f", though {name} has {1e3 * own:.4g} ms" if abs(own / Ts - 1) > APART else ""
 
 
+@errors.called("signal", "LOG")
 def _diagnose(args, names, table, left_out, of):
     from cnclik.diagnosis.diagnose import LONGEST, diagnose
 
@@ -129,9 +131,9 @@ def _tasks(args, names, left_out) -> dict:
                 "tasks", f"have columns such as {task}.x in LOG", f"is {word!r}, and LOG has {', '.join(names)}"
             )
         try:
-            found[task] = at, float(gain) if gain else None
+            found[task] = at, float(errors.number("tasks", float(gain), positive=True)) if gain else None
         except ValueError:
-            raise errors.fail("tasks", "give gains as numbers, such as hands=20", f"is {word!r}") from None
+            raise errors.fail("tasks", "give gains as positive numbers, such as hands=20", f"is {word!r}") from None
     if not args.tasks and not args.columns and args.alpha is None:
         for i, name in enumerate(names):
             if name.startswith("e_") and "." in name:
@@ -147,7 +149,7 @@ def _diagnose_tasks(args, names, table, tasks, of, longest):
     ends = [0, *itertools.accumulate(len(places) for places, _ in tasks.values())]
     signals = {task: whole[:, a:b] for task, (a, b) in zip(tasks, itertools.pairwise(ends), strict=True)}
     gains = {task: gain for task, (_, gain) in tasks.items() if gain is not None}
-    with progress.bar("tasks") as report:
+    with progress.bar("tasks") as report, errors.called(f"{next(iter(tasks))}.signal", "LOG"):
         found = diagnose_tasks(signals, Ts, alpha=gains, longest=longest, progress=report)
     if args.json:
         each = {n: _fields(one.found) | {f: getattr(one, f) for f in _OF_TASK} for n, one in found.tasks.items()}
@@ -182,10 +184,10 @@ def _whole(table):
     """The rows up to the last complete one: the last instant of a run has no step."""
     import numpy as np
 
-    complete = np.flatnonzero(~np.isnan(table).any(1))
-    table = table[: complete[-1] + 1 if len(complete) else 0]
-    if len(complete) < len(table) or not len(table):
-        raise errors.fail("LOG", "hold a number in every row of its columns", "has empty cells")
+    empty = np.isnan(table).any(1)
+    table = table[: len(table) - int(np.argmin(empty[::-1]))]
+    if (rows := np.flatnonzero(empty[: len(table)])).size:
+        raise errors.fail("LOG", "hold a number in every row of its columns", f"has none in row {rows[0] + 1}")
     return table
 
 

@@ -253,7 +253,7 @@ _MEANING = {
     "OUT_OF_REACH": "not reachable, even without joint limits; the nearest pose is given",
     "JUMP": "reachable only by a jump; no joint values are given",
     "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds or a larger --budget",
-    "NON_FINITE": "the target is not finite",
+    "NON_FINITE": "the target, or --near, is not finite",
     "NO_OTHER": "fewer solutions than requested",
 }
 

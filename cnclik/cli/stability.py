@@ -54,13 +54,14 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     """Range of sampling times of --map [s]; default: around --Ts and the linear stability limit."""
     cells: int = 128
     """Number of cells of --map along each axis."""
-    out: pathlib.Path = pathlib.Path("stability-out")
-    """Folder for figures and data (netCDF)."""
+    out: pathlib.Path | None = None
+    """Folder for figures and data (netCDF) of --plane and --map; default: stability-out."""
 
 
 def run(args: Args) -> None:
     """Print numbers, and write labelled data, then figures, into the folder."""
     _check(args)
+    folder = args.out or pathlib.Path("stability-out")
     if not (args.plane or args.map):
         advised = _advice(args, *_loop(args))
         _tell(args, advised)
@@ -72,7 +73,7 @@ def run(args: Args) -> None:
     files = ["plane.nc", "plane.md", "plane.png"] * args.plane + ["map.nc", "map.png"] * args.map
     if args.map and not loop[0].law.task.tasks and _has_passes(loop[0]):
         files += ["passes.nc", "passes.png"]
-    with output_folder(args.out, overwrite=args.overwrite, files=files) as out:
+    with output_folder(folder, overwrite=args.overwrite, files=files) as out:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:
@@ -80,13 +81,15 @@ def run(args: Args) -> None:
             figures |= drawn
     written = out.made
     with args.figures_first():
-        written += draw(figures, args.out, overwrite=args.overwrite)
-    print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
+        written += draw(figures, folder, overwrite=args.overwrite)
+    print(f"Wrote {', '.join(sorted(written))} to {folder}/.")
     _report(args, figures, advised)
 
 
 def _check(args):
     errors.integer("cells", args.cells, at_least=2, at_most=10_000)
+    if args.out is not None and not (args.map or args.plane):
+        raise errors.fail("out", "come with --plane or --map, which write into it", "comes without")
     if args.json and (args.map or args.plane):
         raise errors.fail("json", "be left out with --map and --plane", "is given")
     given = next((name for name in DRIVE if getattr(args, name) is not None), None)

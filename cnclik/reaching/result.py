@@ -27,7 +27,7 @@ class ReachStatus(enum.IntEnum):
     OUT_OF_REACH = 3  # farther than the stretched arm, or no answer found, without limits either; q is the nearest pose
     JUMP = 4  # there are answers, but none within `jump` of `near`; q is NaN
     OUT_OF_BUDGET = 5  # no answer found, and it is not known whether there is one; q is the best pose found
-    NON_FINITE = 6  # the target is not finite; q is NaN
+    NON_FINITE = 6  # the target, or `near`, is not finite; q is NaN
     NO_OTHER = 7  # fewer different solutions were found than asked for; q is NaN
 
 

@@ -15,6 +15,7 @@ _FIRST = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->|<!\w[^>]*>)
 
 
 @errors.called("path", "robot")
+@errors.called("model", "robot")
 def read_robot(robot) -> Tree:
     """The kinematic tree of a URDF or MJCF file, of its text, or of a MuJoCo model.
 

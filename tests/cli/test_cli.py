@@ -98,6 +98,8 @@ def test_options_are_named_as_they_are_typed():
         with pytest.raises(errors.ArgumentError) as caught:
             arguments.parse(Solve, ["panda", *argv], prog="x", description="x")
         assert str(caught.value).endswith(says)
+    said = arguments.of_options(Solve, errors.fail("damping_ratio", "come with `natural_frequency`", "comes without"))
+    assert said == "Option `--damping-ratio` must come with `--natural-frequency`, but comes without."
     from cnclik.cli.export import Args as Export
 
     with pytest.raises(errors.ArgumentError, match="Option `--out` must be given, but is not"):

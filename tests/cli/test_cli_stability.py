@@ -102,6 +102,7 @@ def test_a_servo_leaves_a_tenth_of_the_gain(capsys):
     [
         (["--method", "EULER"], "EXP-AB4, but is 'EULER' (did you mean 'EE'?)."),
         (["--cells", "1"], "Option `--cells` must be at least 2, but is 1."),
+        (["--out", "mine"], "Option `--out` must come with --plane or --map, which write into it, but comes without."),
         (["--N", "3"], "Option `--N` must be at least 4, but is 3."),
         (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Option `--Ts-range` must increase, but is 0.1 to 0.01."),
         (["planar:1,1", "--target", "3", "0"], "Option `--target` must be one the loop comes to rest on"),

@@ -9,6 +9,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.robot.files import read_robot
 from cnclik.robot.mjcf import read_mjcf
 from cnclik.robot.urdf import chain
 from tests.oracles import close, robots
@@ -209,6 +210,7 @@ def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
         (lambda: ck.load_mjcf(HUMANOID, tip="soles", base="pelvis"), "`tip` must be one of .* 'soles' .did you mean"),
         (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="free"), "`base` must be left out .* joint 'root' already"),
         (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but the text: "),
+        (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but the text: "),
         (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
         (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
         (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),
