@@ -251,9 +251,7 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
 
     def missed(at):
         found, rounds = at
-        missing, size = walls.floor - walls.rows @ found.qdot, walls.size(found.qdot)
-        much = 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
-        more = (rounds == 0) | (found.settled & jnp.any(missing > much))
+        more = (rounds == 0) | (found.settled & jnp.any(walls.missed(found.qdot)))
         return (rounds < _ROUNDS) & more  # exports need a bound of the rounds
 
     still, none = jnp.zeros_like(start), jnp.zeros_like(walls.floor)
@@ -294,8 +292,8 @@ class Bounded:
             least = jnp.maximum(shift, LEAST * lax.stop_gradient(jnp.trace(b.T @ b)))
             return even, Problem(b, even * velocity, rest, low, high, least)
 
-        def on_face(of, shut, push):
-            return of if walls is None else of.behind(walls, shut, push)
+        def on_face(of, shut, push, qdot):
+            return of if walls is None else of.behind(walls.holding(lax.stop_gradient(qdot)), shut, push)
 
         def least():
             _, of = scaled()
@@ -305,7 +303,8 @@ class Bounded:
             shut = known.shut(found.qdot, pushed(found.slope, push, others))
             # One more step on the face has all derivatives of the minimum there, and removes rounding and
             # violations of walls. After a descent that was cut short only its derivatives are used.
-            qdot, face = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot), on_face(of, shut, push)
+            qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
+            face = on_face(of, shut, push, found.qdot)
             step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot), face.missing(qdot))
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
             return of.clip(qdot + step), shut.astype(unlimited.dtype), ~found.settled, push
@@ -313,7 +312,7 @@ class Bounded:
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
             (even, of), locks = scaled(), shut > 0
-            step = on_face(of, locks, push).newton(of.hessian(), locks, push)
+            step = on_face(of, locks, push, qdot).newton(of.hessian(), locks, push)
             first, _ = step((even * t) @ of.b, still)
             missing = None if walls is None else -walls.rows @ first
             return first + step((even * t - of.b @ first) @ of.b - of.shift * first, missing)[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import positive
-from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
+from cnclik.record import AnyArray, Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import modelled, one_off
 from cnclik.task.build import center_of_mass
@@ -25,11 +25,22 @@ class Rows(NamedTuple):
 
     rows: Float[Array, "k n"]
     floor: Float[Array, " k"]
-    slack: Float[np.ndarray, " k"]  # factor of each softness, by the wall's level
+    slack: Float[AnyArray, " k"]  # factor of each softness, by the wall's level
 
     def size(self, qdot):
         """(k,) size of the terms of each violation, for its rounding."""
         return jnp.abs(self.floor) + jnp.abs(self.rows) @ jnp.abs(qdot)
+
+    def missed(self, qdot):
+        """(k,) whether walls are violated by more than the softness of level 1 allows."""
+        size = self.size(qdot)
+        return self.floor - self.rows @ qdot > 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
+
+    def holding(self, qdot):
+        """With the softness of level 1 for walls of level 2 that hold: they give way to none."""
+        if np.all(self.slack == 1):
+            return self
+        return self._replace(slack=jnp.where(self.missed(qdot), self.slack, np.ones_like(self.slack)))
 
 
 @record

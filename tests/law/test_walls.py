@@ -53,12 +53,12 @@ def problems(name, count, seed, k=4, beyond=0.0, none=0.2):
     return drawn, rows, floor
 
 
-def acts(damping, rows, velocity, low, high, walls, floor):
+def acts(damping, rows, velocity, low, high, walls, floor, level=1):
     """What `bounded` makes of it, at q = 0 of a chain whose velocities have these bounds."""
     far, rate, damping = (jnp.asarray(v, low.dtype) for v in (jnp.inf, RATE, damping))
     bounds = {"lower": low / RATE, "upper": high / RATE, "velocity_limit": far + 0 * low}
     chain = SimpleNamespace(bounded=True, slowed=True, **bounds)
-    made = tuple(Given(gradient=walls[i], h=-floor[i] / rate) for i in range(len(walls)))
+    made = tuple(Given(gradient=walls[i], h=-floor[i] / rate, level=level) for i in range(len(walls)))
     limits = Bounded(rate=rate, passes=150, walls=made)
     return limits(ck.damped(damping), chain, jnp.zeros_like(low), rows, velocity, None)
 
@@ -380,6 +380,21 @@ def test_derivatives_are_differences():
     back = jax.jit(jax.vmap(jax.grad(lambda of, t: jnp.sum(qdot(0.0, of, t))), (0, 0)))(list(of), toward)
     along = sum(np.sum(np.asarray(g) * t, axis=tuple(range(1, t.ndim))) for g, t in zip(back, toward, strict=True))
     np.testing.assert_allclose(along, np.sum(slope, 1), rtol=1e-6, atol=1e-8 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_a_wall_that_holds_has_the_derivatives_of_an_equation(level):
+    """∂(G q̇)/∂floor = 1, of level 2, too: breaks where its softness enters them."""
+    rows, far = np.array([[1.0, 0.5, 0.2, 0.0]]), jnp.full(4, 5.0)
+    task = jnp.eye(4)[:2], jnp.array([0.3, 0.2])
+
+    def along(floor):
+        return rows @ acts(0.05, *task, -far, far, rows, floor, level).qdot
+
+    floor = jnp.array([0.6])
+    made, slope = jax.jit(lambda floor: (along(floor), jax.jacfwd(along)(floor)))(floor)
+    np.testing.assert_allclose(made, floor, rtol=1e-9)
+    np.testing.assert_allclose(slope, 1.0, atol=2e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
