@@ -74,6 +74,8 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None, longest: float = LONGEST, 
     """
     if not isinstance(signals, dict) or not signals:
         raise errors.fail("signals", "be {task: errors}", f"is {type(signals).__name__}")
+    if not isinstance(alpha, dict | None):
+        raise errors.fail("alpha", "be {task: gain}", f"is {alpha!r}")
     gains: dict[str, Any] = dict.fromkeys(signals) | dict(alpha or {})
     for name in gains:
         errors.one_of("alpha", name, signals)

@@ -362,7 +362,7 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
       walls: walls that no part of the robot may cross, see `wall`. They come before all levels of the task.
         `Trajectory.walls` shows which of them are active, and by how much contradicting walls are missed.
     """
-    if isinstance(walls, Wall) or not all(isinstance(one, Wall) for one in walls):
+    if not isinstance(walls, Sequence) or not all(isinstance(one, Wall) for one in walls):
         raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")
     passes = errors.integer("passes", passes, at_least=1)
     return Bounded(rate=positive("rate", rate), passes=passes, walls=tuple(walls))

@@ -154,6 +154,8 @@ def _names(name, value):
     several = (value,) if isinstance(value, str) else value
     if not isinstance(several, (list, tuple)) or not all(isinstance(one, str) for one in several):
         raise errors.fail(name, "be texts", f"is {value!r}")
+    if name == "names" and not all(several or [""]):
+        raise errors.fail(name, "be one text at least, and none of them empty", f"is {value!r}")
     return tuple(several)
 
 

@@ -160,7 +160,7 @@ def test_a_log_of_two_arms(log, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--tasks", "left=fast"], "`--tasks` must give gains as numbers"),
+        (["--tasks", "left=fast"], "`--tasks` must give gains as positive numbers"),
         (["--tasks", "left=62", "left=8"], "`--tasks` must name each task once, but names left twice"),
         (["--tasks", "lfet"], "`--tasks` must have columns such as lfet.x in LOG"),
         (["--tasks", "left", "--alpha", "5"], "`--alpha` must be left out with --tasks; gains are given as"),
@@ -171,3 +171,8 @@ def test_what_does_not_fit_is_named(options, told, log, capsys):
     with pytest.raises(SystemExit):
         main(["diagnose", str(log), *options])
     assert told in capsys.readouterr().err
+
+
+def test_gains_that_are_no_table_are_refused():
+    with pytest.raises(ck.ArgumentError, match=r"`alpha` must be {task: gain}, but is 3"):
+        diagnose_tasks({"a": np.zeros(50)}, 0.01, alpha=3)

@@ -294,6 +294,8 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),
         (lambda: ck.levels([{}], damping=(0.1,)), "`names` must be a list of names for each level"),
         (lambda: ck.joints(0.5), "`names` must be texts, but is 0.5"),
+        (lambda: ck.joints([]), r"`names` must be one text at least, and none of them empty, but is \[\]"),
+        (lambda: ck.bounded(walls=3), r"`walls` must be a list of ck.wall\(\.\.\.\), but is 3"),
         (lambda: ck.pose(tip="a", relative_to="a"), "`relative_to` must be another tip than `tip`, but is 'a'"),
         (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
         (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0), "`weights` must have shape"),
