@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
+from cnclik.engine.plan import in_c
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step
@@ -93,7 +94,8 @@ def outcomes(
         return outcome(gained, reference, q0, Ts, N, method, own, **through, tolerance=tolerance, scale=scale)
 
     evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    run = one_off(jax.vmap(one)) if answers_soon(evaluations, law) else lanes(one, block=LOOPS_PER_CALL)
+    soon = not in_c() and answers_soon(evaluations, law)  # C does: 64 loops of G1 take it as long as XLA, 1,600 a tenth
+    run = one_off(jax.vmap(one)) if soon else lanes(one, block=LOOPS_PER_CALL)
     done = []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023
