@@ -23,7 +23,7 @@ from cnclik.engine.program import Program, Programs, key_of, lane_avals
 from cnclik.engine.reader import closes_over_traced
 from cnclik.engine.rounds import RoundsError
 from cnclik.engine.to_jax import Derived
-from cnclik.engine.tracing import to_be_read
+from cnclik.engine.tracing import is_read, to_be_read
 from cnclik.programs import needs
 
 _registered = {}  # {name of a library: its program}, kept as XLA may call it as long as the process lives
@@ -66,6 +66,8 @@ def of_rounds(fn, whole=None, rounds=0):
     def call(*args, **named):
         function, leaves = of(*args, **named)
         leaves = [jnp.asarray(x) for x in leaves]
+        if is_read():  # as a part of what calls it
+            return function.fn(*leaves)
         _, tree = function.out([jax.typeof(x) for x in leaves])
         if function.itself:  # it has effects, or closes over values of a surrounding trace
             return function.fn(*leaves)

@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 import cnclik as ck
+from cnclik.engine.program import Program, Programs, lane_avals
 from cnclik.errors import ArgumentError
 from cnclik.threads import side_by_side
 from engine.compare import NEEDS_C, same
@@ -96,6 +97,20 @@ def test_a_large_batch_is_done_by_several_threads():
     wanted = [jax.tree.map(np.asarray, jax.vmap(lambda x: own({"x": x, "y": Y}, K))(x)) for x in several]
     for one, right in zip(found, 8 * wanted, strict=True):
         same(jax.tree.map(np.asarray, one), right, ulps=400)
+
+
+@NEEDS_C
+def test_within_lanes_it_is_a_part_of_their_program():
+    """Also batched, differentiated or in a loop there: a call of another program had no C form."""
+    half = ck.native(lambda x: {"half": jnp.sin(x) / 2})
+
+    def fn(x):
+        once = jax.vmap(lambda v: half(v)["half"])(x)
+        return jax.grad(lambda v: half(v)["half"] @ once)(x), lax.fori_loop(0, 3, lambda _, v: half(v)["half"], x)
+
+    x = np.linspace(0.1, 2.0, 12, dtype=np.float32).reshape(4, 3)
+    assert isinstance(Programs(fn).of(lane_avals([x])), Program)
+    same(ck.lanes(fn)(x), jax.vmap(fn)(x), ulps=10)
 
 
 def test_without_a_c_form_it_is_the_function():
