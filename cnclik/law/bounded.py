@@ -360,7 +360,8 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
         took more than 13, and at levels of λ = 1e-4 and 0.1 none of 8,000 more than 19. With too few passes the
         velocities are still within bounds and cost no more than clipped ones, but are not the minimum.
       walls: walls that no part of the robot may cross, see `wall`. They come before all levels of the task.
-        `Trajectory.walls` shows which of them are active, and by how much contradicting walls are missed.
+        `Trajectory.walls` shows which of them are active, and by how much contradicting walls are missed. Where they
+        contradict each other, do not use derivatives.
     """
     if not isinstance(walls, Sequence) or not all(isinstance(one, Wall) for one in walls):
         raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")
