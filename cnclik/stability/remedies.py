@@ -16,7 +16,7 @@ from cnclik.stability.case import LEAST, PLENTY, WILD
 from cnclik.stability.loop import resting
 from cnclik.stability.reasons import REVERSING
 from cnclik.stability.spectrum import leaky
-from cnclik.stability.tasks import bounded_rates, stable_shares
+from cnclik.stability.tasks import bounded_rates, half_shares, stable_shares
 
 MARGIN = 2.0  # of the time that a longer run is given: a loop may be slower where that ends
 ENOUGH = 2.0  # of the loop's own time constants, from which on a shrinking error is believed to shrink on
@@ -122,22 +122,30 @@ def _share_by_task(case, ends, share):
     """`share` of one gain for all; where tasks have gains, shares (m,) of those alone that make the loop unstable."""
     if np.ndim(case.law.alpha) == 0:
         return share
-    law = replace(case.law, null_velocity=None)  # whose part in it `less_null` is about
-    loops = [resting(law, at.q, *case.loop[1:]) for at in ends]
-    if not bounded_rates(law) or any(at.rates is None for at in loops):
-        return share
-    shares = stable_shares(loops, case.loop[0])
+    loops = _of_tasks(case, ends)
+    shares = stable_shares(loops, case.loop[0]) if loops else 1.0
     return shares if np.any(shares < 1) else share
 
 
+def _of_tasks(case, ends) -> list:
+    """The loops at rest there of a stack of `bounded_rates`, without a null-space velocity; [] of another."""
+    law = replace(case.law, null_velocity=None)  # whose part in it `less_null` is about
+    loops = [resting(law, at.q, *case.loop[1:]) for at in ends] if bounded_rates(law) else []
+    return loops if all(at.rates is not None for at in loops) else []
+
+
 def faster(case) -> tuple:
-    """The gain, at most the present one, with which the loop settles soonest."""
+    """The gain, at most the present one, with which the loop settles soonest. Of a stack, in which that is what the
+    slowest of its tasks asks for, half of what is stable."""
     ends, Ts = (case.end, case.start), case.loop[0]
     share, why = min(at.fastest_share(Ts) for at in ends), "settles soonest"
-    if case.law.task.tasks and share > 0.9:  # what the slowest of its tasks asks for
+    loops = _of_tasks(case, ends[:1])
+    if loops and np.any((shares := half_shares(loops[0], Ts)) < 1):
+        share, why = shares if np.ndim(case.law.alpha) else shares[0], "is half of what is stable at any posture"
+    elif case.law.task.tasks and share > 0.9:
         share, why = 0.5 * min(at.stable_share(Ts) for at in ends), "is half of what is stable"
     words = f"reduce {_words(case.law, share, 'to about')}, which {why}"
-    helps = HARDLY < share < 1  # below, no gain settles
+    helps = HARDLY < np.min(share) < 1  # below, no gain settles
     return (Remedy(change={"alpha": _gain(case.law, share)}, words=words, mends="motion"),) if helps else ()
 
 

@@ -265,6 +265,18 @@ def stable_shares(loops, Ts: float) -> np.ndarray:
     return scale(np.array([min(1.0, *limits)]))[0]
 
 
+def half_shares(loop, Ts: float) -> np.ndarray:
+    """Shares (m,) of gains: down to half of what is stable at any posture, of tasks that are above it, 1 of the others.
+
+    Args: loop: `LoopAtRest`, of `bounded_rates`.
+    """
+    here, shares = shares_of(loop, Ts), np.ones(loop.law.task.m)
+    half = 0.5 * least_limits(loop.method, loop.stage, Ts, loop.drive).stable
+    for name, at in loop.law.task.each:
+        shares[at] = half / max(here.z(name), half)
+    return shares
+
+
 def _to_lower(here, drive, recommended) -> dict:
     """{name: its recommended z} of the tasks whose gains make a loop unstable, see `StackAdvice`.
 
