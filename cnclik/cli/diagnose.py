@@ -186,8 +186,8 @@ def _whole(table):
 
     empty = np.isnan(table).any(1)
     table = table[: len(table) - int(np.argmin(empty[::-1]))]
-    if (rows := np.flatnonzero(empty[: len(table)])).size:
-        raise errors.fail("LOG", "hold a number in every row of its columns", f"has none in row {rows[0] + 1}")
+    if (rows := np.flatnonzero(~np.isfinite(table).all(1))).size:
+        raise errors.fail("LOG", "hold a finite number in every row of its columns", f"has none in row {rows[0] + 1}")
     return table
 
 

@@ -1,6 +1,7 @@
 """Compiler: the system's C compiler, or that of the Python package `ziglang` if it is installed."""
 
 import _ctypes
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -159,7 +160,8 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
         try:
             return _compiled(line, [source], folder, name, MOST_SECONDS), False
         except SlowCompilerError:
-            refused.touch()
+            with contextlib.suppress(OSError):  # then it is asked again
+                refused.touch()
             raise
 
 

@@ -34,8 +34,8 @@ class TooLargeError(SlowError):
 class Node:
     """One scalar, or one row of scalars: an operation, its arguments and parameters, or a constant's value.
 
-    `known` marks a constant, `exact` one of the model, such as a zero of the robot's geometry, of which `nothing`: 0
-    times anything is 0.
+    `known` marks a constant, `exact` one of the model, such as a zero of the robot's geometry. `nothing` is an exact
+    zero: times anything it is 0.
     """
 
     __slots__ = ("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value")

@@ -121,7 +121,7 @@ def _path_of_stack(made, name, target) -> str:
     kind, aim = type(one.curve).__name__.lower(), np.asarray(aims_of(one, parts, 0.0)[0], float)
     if parts.parts[0].turns or len(aim) > 3:
         return kind
-    return f"{kind} from {' '.join(f'{v:.4g}' for v in aim)} {parts.parts[0].units[0]}"
+    return f"{kind} from {' '.join(f'{v:.4g}' for v in aim)} {', '.join(dict.fromkeys(parts.units))}"
 
 
 def _first_point(made, name, default) -> str:

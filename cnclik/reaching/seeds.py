@@ -92,7 +92,7 @@ def _made(chain: Chain) -> Seeds:
 class Compared:
     """Data to compare targets with seeds: (distance to a seed)² = features · [factors · target, 1] + a common term.
 
-    For each of the task's aims: a joint starts where it has the tip near that it moves, see `aims.owners`.
+    For each of the task's aims: a joint starts where it has the tip near that it moves, see `targets.owners`.
     """
 
     features: Float[np.ndarray, "A SETS 13 SIZE"]

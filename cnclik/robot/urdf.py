@@ -156,7 +156,7 @@ def _rest(tree, at, frozen) -> None:
 
 
 def _at_rest(edge, by_name, frozen) -> float:
-    """A mimic joint is where the joint puts it that the last of a row of mimics follows; at 0 if there is none."""
+    """Value of a joint at rest; of a mimic from its leader's, which may be a mimic, too. A missing leader is at 0."""
     row: dict = {}
     while edge is not None and edge.mimic is not None and edge.name not in row:
         row[edge.name] = edge.mimic

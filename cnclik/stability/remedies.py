@@ -135,8 +135,10 @@ def _of_tasks(case, ends) -> list:
 
 
 def faster(case) -> tuple:
-    """The gain, at most the present one, with which the loop settles soonest. Of a stack, in which that is what the
-    slowest of its tasks asks for, half of what is stable."""
+    """The gain, at most the present one, with which the loop settles soonest; of a stack half of what is stable.
+
+    What settles soonest is there what the slowest of its tasks asks for.
+    """
     ends, Ts = (case.end, case.start), case.loop[0]
     share, why = min(at.fastest_share(Ts) for at in ends), "settles soonest"
     loops = _of_tasks(case, ends[:1])

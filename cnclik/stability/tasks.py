@@ -273,7 +273,8 @@ def half_shares(loop, Ts: float) -> np.ndarray:
     here, shares = shares_of(loop, Ts), np.ones(loop.law.task.m)
     half = 0.5 * least_limits(loop.method, loop.stage, Ts, loop.drive).stable
     for name, at in loop.law.task.each:
-        shares[at] = half / max(here.z(name), half)
+        if (z := here.z(name)) > half:  # which may be infinite
+            shares[at] = half / z
     return shares
 
 

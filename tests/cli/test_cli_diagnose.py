@@ -88,14 +88,19 @@ def test_user_errors_are_one_line(log, options, line, capsys):
             "Option `--tasks` must give gains as positive numbers, such as hands=20, but is 'a=-3'",
         ),
         (-20, [], "Argument `stamp` must increase, but the median step is -0.1 s."),
-        ("nan", [], "Argument `LOG` must hold a number in every row of its columns, but has none in row 3."),
+        ("nan", [], "Argument `LOG` must hold a finite number in every row of its columns, but has none in row 3."),
+        (
+            "inf",
+            ["--tasks", "b", "a"],
+            "Argument `LOG` must hold a finite number in every row of its columns, but has none in row 3.",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_recording_is_named_as_the_user_calls_it(tmp_path, rows, options, line, capsys):
     """`signal`, `t` and `a.alpha` were named, which are names of Python's."""
-    t = 0.1 * np.arange(20) if rows == "nan" else np.sign(rows) * 0.1 * np.arange(abs(rows))
+    t = 0.1 * np.arange(20) if isinstance(rows, str) else np.sign(rows) * 0.1 * np.arange(abs(rows))
     a, b = np.sin(9 * t), np.cos(9 * t)
-    a[2] = np.nan if rows == "nan" else a[2]
+    a[2] = float(rows) if isinstance(rows, str) else a[2]
     with pytest.raises(SystemExit):
         main(["diagnose", write(tmp_path / "log.csv", ["stamp", "a.x", "b.x"], t, a, b), *options])
     assert line in capsys.readouterr().err

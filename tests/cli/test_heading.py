@@ -13,7 +13,7 @@ import cnclik as ck
 from cnclik import errors
 from cnclik.cli import main
 from cnclik.cli.common import as_options
-from cnclik.problem import words
+from cnclik.problem import heading, words
 from cnclik.problem.build import problem_from
 from cnclik.robot import poses
 from cnclik.stability import remedies
@@ -118,6 +118,14 @@ def test_the_command_line_says_once_that_the_tip_is_a_jaw(tmp_path, capsys):
     assert not said.err and "hand, tip flange, task x y" in said.out
     main(["reach", str(file), "--tip", "flange", "--random", "2", "--task", "xy"])  # "hand flange, tip flange" it was
     assert capsys.readouterr().out.startswith("hand, tip flange, task x y\n")
+
+
+def test_a_stacks_joints_that_slide_and_turn_have_both_units(tmp_path):
+    robot, stack = tmp_path / "hand.urdf", tmp_path / "stack.toml"
+    robot.write_text(JAWED.format(joint="j3", jaw="flange").replace("revolute", "prismatic", 1))
+    stack.write_text('[tasks.hand]\ntask = "x"\ntip = "flange"\n[tasks.rest]\ntask = "joints"')
+    made = problem_from(robot=str(robot), stack=str(stack), alpha=2.0, damping=0.1, q0=[0.1, 0.2, 0.3])
+    assert heading.start_and_target(made, {})[-1].endswith("hold from 0.1 0.2 0.3 m, rad (default).")
 
 
 def test_a_pace_and_dead_time_are_both_said(tmp_path, capsys):

@@ -16,8 +16,9 @@ from cnclik.show.stability import gains
 from cnclik.stability import tasks
 from cnclik.stability.answer import does_of_tasks
 from cnclik.stability.bounds import limit_advice
-from cnclik.stability.loop import LoopAtRest, Rates
-from cnclik.stability.tasks import LOST
+from cnclik.stability.linear import checked
+from cnclik.stability.loop import LoopAtRest, Rates, resting
+from cnclik.stability.tasks import LOST, half_shares
 from cnclik.stability.verdict import verdict
 from tests.oracles import robot_file
 
@@ -257,6 +258,14 @@ def test_a_remedy_lowers_the_gains_that_advise_names_and_leaves_the_others():
     assert tuple(name for name, at in law.task.each if (share[at] < 1).all()) == unstable == ("tip",)
     assert (share[2:] == 1).all() and "for tip" in found.remedy and "angle" not in found.remedy
     assert not grows(law, "tip", share[0], "EE", 3)
+
+
+@pytest.mark.parametrize(("method", "tip"), [("EE", 0.25), ("EXP-EE", 1.0)])
+def test_gains_above_half_of_what_is_stable_are_lowered_to_it(method, tip):
+    """None is where any gain is stable: shares were NaN there."""
+    law = law_of({"tip": 400.0, "angle": 10.0, "rest": 0.0}, ck.damped(0.3))
+    shares = half_shares(resting(law, Q, *checked(method, None), ck.Drive()), TS)
+    np.testing.assert_allclose(shares, [tip, tip, 1, 1, 1, 1, 1, 1], rtol=1e-6)
 
 
 def test_limits_are_loops_of_their_own():
