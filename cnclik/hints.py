@@ -19,7 +19,7 @@ from cnclik.programs import kept as kept_whole
 
 # All of them are made here, at once: each that JAX gets later makes it compile anew what a user has compiled before.
 _context = jax.make_user_context(default_value=os.environ.get("CNCLIK_HINTS", "1") != "0")
-FEW = 1024  # lanes, at most, of a loop that is `one_function`; with more of them XLA:CPU can fail as it says there
+FEW = 1024  # lanes, at most, of a loop that is `one_function`; with more of them XLA:CPU may fail, too
 _lanes = jax.make_user_context(default_value=0)  # how many are around what is traced; 0: unknown or many
 engine = jax.make_user_context(default_value=None)  # of `cnclik.engine.plan`
 read = jax.make_user_context(default_value=False)  # of `cnclik.engine.tracing`
@@ -183,8 +183,8 @@ def one_function(loop):
     """Compile a call of `loop`, elementwise operations and loops of them, into one function where few lanes are around.
 
     XLA:CPU otherwise runs each kernel of a loop through the runtime's dispatcher: a quarter of the speed. It fails
-    where the only result of such a function is large, as several threads would compute that (jaxlib 0.10): there is
-    another one.
+    where such a function has a single, large result, which several threads would compute (jaxlib 0.10). So there is a
+    second result.
     """
 
     def plain(*args):  # the hint is for this call, not for those inside it
