@@ -144,7 +144,7 @@ def test_large_programs_are_c_only_where_compiling_them_pays(monkeypatch):
     assert [c for c, _ in ways.values()] == [False, True, True, True]
     same(([], ways["once"][1]), ([], ways["asked"][1]), 1e-13)
     monkeypatch.setattr(plan, "MOST_NODES", 100)
-    ck.solve(law, WAVE, Q[:2], 0.1, 6, "EE")
+    ck.solve(ck.replace(law, alpha=3.0), WAVE, Q[:2], 0.1, 6, "EE")
     assert not solving.ran_in_c(6)
 
 
