@@ -38,7 +38,7 @@ _NOT_KEPT = (OSError, RuntimeError, ValueError, TypeError, AttributeError, pickl
 _KNOWN = ("builtins", "cnclik", "collections", "jax", "jaxlib", "numpy", "optax")
 # Beginnings of variables of the environment that programs depend on.
 _SWITCHES = ("CC", "CFLAGS", "CNCLIK_", "JAX_", "XLA_")
-ENDING = "-cache"  # of files' names, as JAX's own
+ENDING = "-program"  # of files' names; JAX, if told a size, wants the time of each "-cache" in a file beside it
 place = None  # where programs are kept; None: nowhere
 loaded = LRU()  # by this process
 _needed = contextvars.ContextVar("what the program that is being made needs", default=None)
@@ -305,7 +305,7 @@ def cut(folder: pathlib.Path, most_bytes: int) -> None:
     """Remove the programs in a folder that were used longest ago, until the rest fits, and what is no file where a
     program's should be: a link may lead to a device without an end."""
     found = []
-    for path in (*folder.glob("jaxlib-*/*-cache"), *folder.glob("jaxlib-*/*.so")):
+    for path in (p for end in ("-cache", ENDING, ".so") for p in folder.glob(f"jaxlib-*/*{end}")):
         with contextlib.suppress(OSError):  # another process may be at it, too
             about = path.lstat()
             if stat.S_ISREG(about.st_mode):

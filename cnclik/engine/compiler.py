@@ -19,6 +19,7 @@ import time
 import weakref
 
 from cnclik import errors
+from cnclik.programs import ENDING
 
 # For exports. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
 # for a step with 33 joints and 51 rows. The code is as quick without it.
@@ -151,7 +152,7 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
         return found, True
     about = os.stat(shutil.which(line[0]) or line[0])
     limited = [*line, f"{about.st_mtime_ns}, {about.st_size} bytes, {MOST_SECONDS} s"]
-    refused = folder / f"slow-{_key(limited, [text.encode()])}-cache"
+    refused = folder / f"slow-{_key(limited, [text.encode()])}{ENDING}"
     if os.path.isfile(refused) and time.time() < refused.stat().st_mtime + DAY:
         raise SlowCompilerError(f"nothing within {MOST_SECONDS:g} s")
     with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
