@@ -90,6 +90,11 @@ def _check(args):
     errors.integer("cells", args.cells, at_least=2, at_most=10_000)
     if args.out is not None and not (args.map or args.plane):
         raise errors.fail("out", "come with --plane or --map, which write into it", "comes without")
+    for name in ("alpha_range", "Ts_range", "gains"):
+        if getattr(args, name) is not None and not args.map:
+            raise errors.fail(name.replace("_", "-"), "come with --map, which it is for", "comes without")
+    if args.Ts_range is not None and args.stack is not None:
+        raise errors.fail("Ts-range", "be left out with --stack, whose map is of gains alone", "is given")
     if args.json and (args.map or args.plane):
         raise errors.fail("json", "be left out with --map and --plane", "is given")
     given = next((name for name in DRIVE if getattr(args, name) is not None), None)

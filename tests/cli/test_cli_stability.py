@@ -102,6 +102,8 @@ def test_a_servo_leaves_a_tenth_of_the_gain(capsys):
     [
         (["--method", "EULER"], "EXP-AB4, but is 'EULER' (did you mean 'EE'?)."),
         (["--cells", "1"], "Option `--cells` must be at least 2, but is 1."),
+        (["--Ts-range", "1ms", "9ms"], "Option `--Ts-range` must come with --map, which it is for, but comes without."),
+        (["--gains", "a", "b"], "Option `--gains` must come with --map, which it is for, but comes without."),
         (["--out", "mine"], "Option `--out` must come with --plane or --map, which write into it, but comes without."),
         (["--N", "3"], "Option `--N` must be at least 4, but is 3."),
         (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Option `--Ts-range` must increase, but is 0.1 to 0.01."),
