@@ -295,6 +295,7 @@ def _nothing(primal):
 
 def _jvp(primals, tangents, *, function, batched):
     made = native_p.bind(*primals, function=function, batched=batched)
+    tangents = [jnp.asarray(t) if isinstance(t, float) else t for t in tangents]  # as given to `jax.jvp`
     by = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and t.dtype != jax.dtypes.float0)
     real = tuple(jnp.issubdtype(x.dtype, jnp.inexact) for x in made)
     if not by or not any(real):

@@ -218,13 +218,14 @@ class Trials:
         # Along a path errors come and go: the last quarter may be that in which nothing happens.
         in_the_end = max(times(late(end, k), late(new_end, k), gone).max() for k in ((1, 2) if moving else (1,)))
         here = times(late(given), late(seen), gone).max()
-        # What is less than a sample behind follows.
-        largest, middle = times(late(given), late(seen), max(gone, self.case.behind))
+        follows = max(gone, self.case.behind)  # what is less than a sample behind
+        largest, middle = times(late(given), late(seen), follows)
         if self.case.waits and not longer:  # a loop that shakes crawls along its path, with a small error
             gained = seen.way / max(given.way, LEAST_WAY)
             if gained < 1 / FARTHER and not here < GONE:
                 return False
-            if gained > FARTHER and after == N and middle <= 1 and max(largest, in_the_end) <= AS_GOOD:
+            no_worse = max(largest, times(late(end), late(new_end), follows).max()) <= AS_GOOD
+            if gained > FARTHER and after == N and middle <= 1 and no_worse:
                 return True
         if remedy.mends == "motion":
             early, new_early = (late(self._seen(truncate(run, 5 * N))) for run in (was, now))

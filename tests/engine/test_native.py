@@ -51,6 +51,7 @@ TRANSFORMED = {
     "vmap twice": lambda fn: jax.vmap(jax.vmap(loss(fn), (0, None)), (None, 0))(MANY, jnp.arange(2.0)),
     "vmap twice, together": lambda fn: jax.vmap(jax.vmap(loss(fn)))(MANY[None], jnp.ones((1, 4))),
     "jvp": lambda fn: jax.jvp(loss(fn), (X,), (X + 1,)),
+    "jvp, a number's tangent": lambda fn: jax.vmap(lambda y: jax.jvp(lambda y: loss(fn)(X, y), (y,), (1.0,)))(MANY[0]),
     "grad": lambda fn: jax.grad(loss(fn), (0, 1))(X, Y),
     "vmap of grad": lambda fn: jax.jit(jax.vmap(jax.grad(loss(fn))))(MANY),
     "grad of vmap": lambda fn: jax.grad(lambda m, y: jnp.sum(jax.vmap(lambda x: loss(fn)(x, y))(m)), (0, 1))(MANY, Y),

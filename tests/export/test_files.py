@@ -198,6 +198,7 @@ NAMES = (
     *("main", "wrong", "failed", "i", "sincos", "int", "double", "char16_t", "sinf", "exp", "y0", "unix", "export"),
     *("README", "clik_", "clik_step", "clik_example", "step", "search", "batch", "example"),
 )
+KINDS = "solve", "reach", "fk", "jacobian"
 
 
 def builds(folder, *compilers):
@@ -215,9 +216,8 @@ def test_any_name_will_do(name, tmp_path):
     assert (tmp_path / f"clik_{name.removeprefix('clik_')}.c").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("what", ["step", "solve", "reach", "fk", "jacobian"])
+@pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])])
+@pytest.mark.parametrize("what", ["step", *(pytest.param(w, marks=pytest.mark.slow) for w in KINDS)])
 def test_any_name_will_do_for_all_kinds(name, what, tmp_path):
     options = dict(batch=True, method="AB2") if what in ("step", "solve") else {}
     law = ck.Law(arm(2), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))

@@ -55,7 +55,7 @@ static inline M select_M(M m, M a, M b) { return (m & a) | (~m & b); }
 #ifdef __clang__
 #define SHUFFLED __builtin_shufflevector
 #else
-#define SHUFFLED(a, b, ...) __builtin_shuffle(a, b, (S32){__VA_ARGS__})
+#define SHUFFLED(a, b, ...) __builtin_shuffle(a, b, __extension__ (S32){__VA_ARGS__})
 #endif
 #if defined(__clang__) && __clang_major__ >= 15
 #define BITS_OF_ANY(m) __builtin_reduce_or(m)
