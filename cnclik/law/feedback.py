@@ -27,6 +27,7 @@ from cnclik.task.task import velocity
 
 HALVINGS = 24  # doublings of a gain matrix's factor, enough for alpha·Ts = 1e6 and more
 _TERMS = 9  # terms of the series
+_WRITTEN_OUT = 6  # rows of a matrix, at most, for which programs have each term: quicker, but long for large matrices
 _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
 
 
@@ -41,7 +42,7 @@ def per_step(alpha, Ts):
       Ts: [s].
     Returns: of alpha's shape.
     """
-    return alpha * _share(alpha * Ts) if alpha.ndim < 2 else _doubled(alpha, Ts)
+    return alpha * _share(alpha * Ts) if alpha.ndim < 2 else _doubled(alpha, Ts)[1]
 
 
 def _share(z):
@@ -53,20 +54,24 @@ def _share(z):
 
 
 def _doubled(k, Ts):
-    """(I − e^{−K·Ts})/Ts of a matrix: a series for a small part h of the step, then G ← G − (h/2) G², h ← 2h.
+    """(I − e^{−K·t})/t of a matrix for t = Ts/2 and t = Ts: a series for a small part h of Ts, then
+    G ← G − (h/2) G², h ← 2h.
 
     I − e^{−2hK} = 2D − D² with D = h·G = I − e^{−hK}: nothing cancels, and rounding grows with no doubling.
     """
     h = Ts * 2.0**-HALVINGS
-    product = k  # K Σⱼ (−hK)ʲ/(j + 1)!, by Horner's rule
-    for j in range(_TERMS, 1, -1):
-        product = k - h / j * (k @ product)
+
+    def horner(series, j):  # of K Σⱼ (−hK)ʲ/(j + 1)!
+        return k - h / j * (k @ series), None
 
     def double(carry, _):
         g, h = carry
         return (g - 0.5 * h * (g @ g), 2 * h), None
 
-    return lax.scan(double, (product, h), None, length=HALVINGS)[0][0]
+    terms = jnp.arange(_TERMS, 1, -1, dtype=k.dtype)
+    series, _ = lax.scan(horner, k, terms, unroll=len(terms) if len(k) <= _WRITTEN_OUT else 1)
+    half, _ = lax.scan(double, (series, h), None, length=HALVINGS - 1)
+    return half[0], double(half, None)[0][0]
 
 
 # --- feedback -----------------------------------------------------------------------------------------
@@ -81,6 +86,16 @@ def _along(law, rate, turns, share):
     return jnp.concatenate([own if turn is None else own + share * (turn @ own - own) for own, turn in each])
 
 
+def _mean_rates(law, e, Ts):
+    """Φ e (m,) of half a step, and of all of it; in a stack task by task, as a matrix acts within each."""
+    alpha = jnp.asarray(law.alpha)
+    if alpha.ndim < 2:
+        return [gain(per_step(alpha, c * Ts), e) for c in (0.5, 1.0)]
+    tasks = [at for _, at in law.task.each] if law.task.tasks else [slice(None)]
+    each = [[factor @ e[at] for factor in _doubled(alpha[at, at], Ts)] for at in tasks]
+    return map(jnp.concatenate, zip(*each, strict=True))
+
+
 def held_feedback(law: Law, e, turns, Ts):
     """The feedback (m,) of a step, constant over the step, from the error at its start.
 
@@ -89,7 +104,8 @@ def held_feedback(law: Law, e, turns, Ts):
       turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None without a turn or a whole orientation.
       Ts: [s]; at 0 it is K e.
     """
-    return _along(law, gain(per_step(law.alpha, Ts), clamped(law, e)), turns, 0.5)
+    _, whole = _mean_rates(law, clamped(law, e), Ts)
+    return _along(law, whole, turns, 0.5)
 
 
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
@@ -105,7 +121,7 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
       turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
     """
     e = clamped(law, e)
-    half, whole = (gain(per_step(law.alpha, c * Ts), e) for c in (0.5, 1.0))  # mean rates over half and all of the step
+    half, whole = _mean_rates(law, e, Ts)
     k = jnp.abs(jnp.asarray(law.alpha))
     z = Ts * jnp.max(k if k.ndim < 2 else jnp.sum(k, axis=1))
     half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)

@@ -1,5 +1,7 @@
 """The exact factor of the feedback over a step: against SciPy's matrix exponential, in both forms and precisions."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -88,3 +90,15 @@ def test_turns_of_gains_that_differ():
         find = jax.jit(lambda Ts, law=law: held_feedback(law, e, (None,), Ts))
         for Ts in (0.0, 1e-7, 0.2):
             close(find(Ts), wanted(k, Ts) @ e, atol=1e-10)
+
+
+def test_a_gain_matrix_of_a_stack_costs_what_its_tasks_do():
+    """Powers of the whole (m, m) made exported steps of megabytes, of which most was products with 0."""
+    arm = ck.planar_arm([1.0, 0.8, 0.6])
+    tasks = ck.stack(hand=ck.position("xy"), rest=ck.joints())
+    matrix = np.array([[9.0, 2.0], [2.0, 5.0]])
+    law = ck.Law(arm, tasks, alpha={"hand": matrix, "rest": 0.5}, inverse=ck.damped(0.1))
+    e, Ts = np.array([0.3, -0.2, 0.1, 0.4, -0.5]), 0.1
+    made = functools.partial(held_feedback, law, turns=(None, None), Ts=jnp.asarray(Ts))
+    close(made(e), [*wanted(matrix, Ts) @ e[:2], *wanted(0.5 * np.eye(3), Ts) @ e[2:]], atol=1e-14)
+    assert "[3,3] = dot_general" in (text := str(jax.make_jaxpr(made)(e))) and "[5,5] = dot_general" not in text
