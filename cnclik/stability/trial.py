@@ -22,6 +22,7 @@ from cnclik.law.paths import hold
 from cnclik.law.reference import Reference, References, of_each
 from cnclik.record import AnyArray, ArrayLike, Float, record, replace
 from cnclik.stability.case import brief
+from cnclik.stability.loop import UNSTABLE
 from cnclik.stability.observed import ARRIVED, VISIBLE, back_and_forth, observe, rms
 from cnclik.stability.reasons import INSIDE
 from cnclik.stability.remedies import Remedy
@@ -35,7 +36,7 @@ GONE = 0.25  # and below which a longer run has shrunk it
 UNCHANGED = 0.8  # ratio of two shares of joint speed that go back and forth, above which a loop is no calmer
 CALMER = 0.4  # ratio of two errors, or of the joint velocities that reverse, below which a loop is calmer
 SLOWER = 0.75  # ratio of two joint velocities below which a loop is slower
-NUDGE = 1e-10  # [rad, m] of the start, and a share of gain and feed-forward, to see whether a loop amplifies roundings
+NUDGE = 1e-10  # [rad, m] of the start, and a share of gain and feed-forward, to see whether a loop amplifies them
 FARTHER = 1.1  # ratio of how far two loops get along a path that waits, from which on one gets farther
 AS_GOOD = 2.0  # and of their errors, up to which they are no worse in kind
 LEAST_WAY = 1e-9  # [m, rad]
@@ -146,8 +147,11 @@ class Trials:
         how = dict(N=case.steps, method=method, stage=stage, drive=drive, turn=case.turn, **case.more)
         self.case, self.Ts = case, Ts
         self.given = Run(law=case.law, reference=case.reference, q0=case.q0, **how)
-        self.unchanged = functools.cache(lambda steps: self._run(self.given, steps))
-        self.mended = functools.cache(lambda one, steps: self._run(changed(self.given, one.change), steps))
+        self.nudge = _nudge(case)
+        self.unchanged = functools.cache(lambda steps, *by: self._run(_nudged(self.given, *by), steps))
+        self.mended = functools.cache(
+            lambda one, steps, *by: self._run(_nudged(changed(self.given, one.change), *by), steps)
+        )
 
     def longer(self, N):
         """The loop as it is, for N steps."""
@@ -188,7 +192,7 @@ class Trials:
         if "dtype" in change:  # trials are in float64
             return "" if self._seen(self.unchanged(whole_trial(N))).largest < given.largest else VAIN
         steps = whole_trial(max(N, after))
-        was, now = self.unchanged(steps), self.mended(remedy, steps)
+        was, now = self.unchanged(steps, *self.nudge), self.mended(remedy, steps, *self.nudge)
         seen = self._seen(truncate(now, after))
         if remedy.mends == "velocity":
             better = not seen.too_fast or max(seen.excess, 1.0) < SLOWER * max(given.excess, 1.0)
@@ -293,6 +297,16 @@ class Trials:
 
     def _back_and_forth(self, reference, run):
         return back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
+
+
+def _nudge(case) -> tuple:
+    """What excites an unstable loop with a task that never left its target, as its error may be exactly 0; () else."""
+    rests = any(np.abs(case.errors[:, some]).max() <= case.seen.floor for some in kinds(case.law.task))
+    return (NUDGE,) if rests and case.radius > UNSTABLE else ()
+
+
+def _nudged(run, by=0.0) -> Run:
+    return replace(run, q0=run.q0 + by)
 
 
 def late(seen, quarters=1):

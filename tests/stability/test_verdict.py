@@ -710,3 +710,13 @@ def test_a_stack_without_levels_speaks_of_weights(inverse, why):
     stack = ck.Law(FIVE, tasks, alpha=5.0, inverse=inverse)
     said = judge(stack, ck.hold_at(FIVE, tasks, Q5, hand=NEAR), 400, Ts=0.05)
     assert said.kind == "settled in part" and why in said.sentence
+
+
+def test_an_unstable_task_that_never_leaves_its_target_is_excited_to_try_what_mends_it():
+    """Its error is exactly 0 in the run and in the trials: less gain was "tried, and no better"."""
+    tasks, q = ck.stack(still=ck.joints(["q1"]), moves=ck.joints(["q2"])), np.array([0.5, 0.25])
+    own = ck.Law(TWO, tasks, alpha={"still": 22.0, "moves": 5.0}, inverse=ck.damped(1e-6))
+    target = ck.hold_at(TWO, tasks, q, moves=ck.hold(values=[0.75]))
+    said = judge(own, target, 300, q)
+    assert said.kind == Behaviour.DIVERGING and "any disturbance grows" in str(said), said
+    assert "still" in said.remedies[0].words and "no better" not in str(said), said
