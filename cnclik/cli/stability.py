@@ -52,8 +52,8 @@ class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions,
     """Range of gains of --map [1/s]; default: around --alpha and the linear stability limit."""
     Ts_range: tuple[float, float] | None = option(None, unit="s")
     """Range of sampling times of --map [s]; default: around --Ts and the linear stability limit."""
-    cells: int = 128
-    """Number of cells of --map along each axis."""
+    cells: int | None = None
+    """Number of cells of --map along each axis; default: 128."""
     out: pathlib.Path | None = None
     """Folder for figures and data (netCDF) of --plane and --map; default: stability-out."""
 
@@ -87,12 +87,12 @@ def run(args: Args) -> None:
 
 
 def _check(args):
-    errors.integer("cells", args.cells, at_least=2, at_most=10_000)
     if args.out is not None and not (args.map or args.plane):
         raise errors.fail("out", "come with --plane or --map, which write into it", "comes without")
-    for name in ("alpha_range", "Ts_range", "gains"):
+    for name in ("alpha_range", "Ts_range", "gains", "cells"):
         if getattr(args, name) is not None and not args.map:
             raise errors.fail(name.replace("_", "-"), "come with --map, which it is for", "comes without")
+    args.cells = errors.integer("cells", 128 if args.cells is None else args.cells, at_least=2, at_most=10_000)
     if args.Ts_range is not None and args.stack is not None:
         raise errors.fail("Ts-range", "be left out with --stack, whose map is of gains alone", "is given")
     if args.json and (args.map or args.plane):
@@ -117,6 +117,7 @@ def _check(args):
 
 
 def _loop(args):
+    from cnclik.problem.magnitudes import remark_on_limits
     from cnclik.problem.names import require_free
     from cnclik.problem.targets import at_targets
     from cnclik.stability.loop import rest_of_stack
@@ -126,6 +127,8 @@ def _loop(args):
     if len(targets) > 1 and not several:
         raise errors.fail("target", "be given once", f"is given {len(targets)} times")
     found = problem(args, target=targets[0] if targets and not several else None)
+    if args.q0 is not None:
+        remark_on_limits("q0", found.q0, found.law.chain)
     if several:
         found = at_targets(found, targets) if targets else found
         with progress.bar("rest"):
@@ -201,11 +204,17 @@ def _write(out, file, data, config):
 # --- the map ------------------------------------------------------------------------------------------
 
 
+def titled(words, found):
+    """The title of a map: these words, and the drives of its loops."""
+    from cnclik.problem.heading import drive_words
+
+    return f"{words}\n{textwrap.fill(drive_words(found) or 'drives without delay', 60)}"
+
+
 def _map(args, out, found, rest):
     import numpy as np
 
     from cnclik.measure.dataset import as_json
-    from cnclik.problem.heading import drive_words
     from cnclik.stability import answer
     from cnclik.stability.maps import agreement, passes_map, stability_map
     from cnclik.stability.spectrum import largest_rate
@@ -227,7 +236,7 @@ def _map(args, out, found, rest):
             found.law, found.reference, found.q0, alpha=alphas, Ts=times, progress=report, rest=rest, **loop, **driven
         )
     _write(out, "map.nc", data, config)
-    title = "\n".join(filter(None, (f"{answer.name_of(found)}, N = {N}", textwrap.fill(drive_words(found), 60))))
+    title = titled(f"{answer.name_of(found)}, N = {N}", found)
     drawn = drawn_by("stability", "stability_map", data, title=title, operating=(rate, found.Ts, now.margin))
     described = {"Description": as_json(config)}
     figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | described)}
@@ -251,7 +260,6 @@ def _map_of_gains(args, out, found, rest):
     import numpy as np
 
     from cnclik.measure.dataset import as_json
-    from cnclik.problem.heading import drive_words
     from cnclik.stability import answer
     from cnclik.stability.maps import gains_map
 
@@ -267,8 +275,7 @@ def _map_of_gains(args, out, found, rest):
     with progress.bar("gains"):
         data = gains_map(found.law, rest, alpha=alpha, **loop)
     _write(out, "map.nc", data, table(args))
-    words = f"{answer.name_of(found)}, Ts = {1e3 * found.Ts:g} ms"
-    title = "\n".join(filter(None, (words, textwrap.fill(drive_words(found), 60))))
+    title = titled(f"{answer.name_of(found)}, Ts = {1e3 * found.Ts:g} ms", found)
     drawn = drawn_by("stability", "gains", data, title=title, operating=now)
     about = {"Title": f"map of gains, {found.name}", "Description": as_json(table(args))}
     return {"map.png": (drawn, about)}, advised

@@ -9,6 +9,7 @@ from cnclik.problem.options import SWEPT
 from cnclik.robot.posture import arm_length, beyond_arm
 
 _TURN = 2 * math.pi
+_INSIDE = 1e-6  # rounding of a joint value at its limit
 _FAR = 2  # times the length of the arm; a point that far, if in millimetres, is within reach
 _JOINTS = ("q0", "posture", "near")  # options that are joint values
 _POINTS = ("target", "from", "to", "center")
@@ -83,6 +84,14 @@ def _remark_on_joints(name, values, chain):
         errors.remark(
             f"`{name}` has a joint at {far[0]:g} rad, more than a turn. Degrees are written --{name} {where}."
         )
+
+
+def remark_on_limits(name: str, values, chain) -> None:
+    """A remark on the joint that is farthest beyond its limits."""
+    beyond = np.maximum(np.subtract(values, chain.upper), np.subtract(chain.lower, values))
+    far = int(np.argmax(beyond))
+    if beyond[far] > _INSIDE:
+        errors.remark(f"`{name}` has {chain.joint_names[far]} {beyond[far]:.3g} {chain.units[far]} beyond its limit.")
 
 
 def remark_on_lengths(bare: dict, chain, task, where="") -> None:

@@ -309,11 +309,18 @@ def judge(objective, many, *, together: int = AT_ONCE) -> list:
     return found
 
 
+def goal_of(given: dict) -> Goal:
+    """The goal of these arguments. Raises: ArgumentError for a name that is none."""
+    for name in given:
+        errors.one_of("goal", name, [field.name for field in dataclasses.fields(Goal)])
+    return Goal(**given)
+
+
 @in_float64
 def loop_objective(law, reference, q0, *, Ts, N, method=DEFAULT, stage=picard(5), **goal) -> LoopObjective:
     """The objective of `tune`, to judge values found in other ways. In float64. Args: as for `tune`."""
     check_loop(law)
-    goal = Goal(**goal)
+    goal = goal_of(goal)
     assert goal.margin is not None  # `Goal` has set it
     method, stage = checked(method, stage)
     errors.number("Ts", Ts, positive=True)

@@ -26,7 +26,7 @@ from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, modelled
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.descent import Descent, History, descend
-from cnclik.tuning.objective import AT_ONCE, Goal, Judged, judge, loop_objective
+from cnclik.tuning.objective import AT_ONCE, Judged, goal_of, judge, loop_objective
 from cnclik.tuning.result import Tuned, result
 
 FRONT = 5.0  # largest factor between the gains of the front and the tuned gain
@@ -76,7 +76,7 @@ def tune(
     """
     errors.kind("descent", descent, Descent, "be Descent(...)")
     objective = loop_objective(law, reference, q0, Ts=Ts, N=N, method=method, stage=stage, **goal)
-    goal, parameters = Goal(**goal), objective.parameters
+    goal, parameters = goal_of(goal), objective.parameters
     given = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)
     own = tuple(p.start for p in parameters)
     fallbacks = _gains_over_z(objective)

@@ -101,9 +101,10 @@ def test_a_servo_leaves_a_tenth_of_the_gain(capsys):
     ("arguments", "line"),
     [
         (["--method", "EULER"], "EXP-AB4, but is 'EULER' (did you mean 'EE'?)."),
-        (["--cells", "1"], "Option `--cells` must be at least 2, but is 1."),
+        (["--map", "--cells", "1"], "Option `--cells` must be at least 2, but is 1."),
         (["--Ts-range", "1ms", "9ms"], "Option `--Ts-range` must come with --map, which it is for, but comes without."),
         (["--gains", "a", "b"], "Option `--gains` must come with --map, which it is for, but comes without."),
+        (["--cells", "8"], "Option `--cells` must come with --map, which it is for, but comes without."),
         (["--out", "mine"], "Option `--out` must come with --plane or --map, which write into it, but comes without."),
         (["--N", "3"], "Option `--N` must be at least 4, but is 3."),
         (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Option `--Ts-range` must increase, but is 0.1 to 0.01."),
@@ -116,6 +117,23 @@ def test_user_errors_are_one_line(arguments, line, capsys):
     assert left.value.code == 2
     said = capsys.readouterr().err.strip()
     assert line in said and "\n" not in said
+
+
+def test_joint_values_beyond_their_limits_are_remarked_on(capsys):
+    """`solve` judges such a run; advice was given without a word."""
+    beyond = map(str, [0, 0, 0, -1.5, 0, 4.0525, 0])
+    with pytest.raises(SystemExit):  # for --gains, before anything runs
+        main(["stability", "panda", "--map", "--gains", "a", "b", "--q0", *beyond])
+    assert "`--q0` has panda_joint6 0.3 rad beyond its limit." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("delay", "told"), [(None, "drives without delay"), (2.0, "2 samples (20 ms) of dead time")])
+def test_the_title_of_a_map_has_the_drives_of_its_loops(delay, told):
+    """Beside advice for assumed drives, the map showed another gain margin and not of which loop."""
+    from cnclik.cli.stability import titled
+
+    found = ck.problem_from("planar:1,1", Ts=0.01, **({} if delay is None else {"delay": delay}))
+    assert titled("planar", found).startswith(f"planar\n{told}")
 
 
 def test_map_writes_labelled_data_and_figures(tmp_path, capsys, monkeypatch):

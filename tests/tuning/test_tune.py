@@ -458,6 +458,7 @@ def test_panda_on_a_circle_does_not_ring():
         ({"bounds": {"alpha": ("a", 2)}}, "bounds of alpha"),
         ({"bounds": [1, 2]}, "bounds"),
         ({"over": 3}, "over"),
+        ({"los": "worst"}, r"`goal` must be one of over, .* but is 'los' \(did you mean 'loss'\?\)"),
         ({"velocity_limit": -1.0}, "velocity_limit"),
         ({"conditions": {"noise": 0.1}}, "conditions"),
         ({"conditions": Conditions(noise=np.ones(3))}, "noise"),
