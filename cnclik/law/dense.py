@@ -242,6 +242,11 @@ def _factored(matrix):
 
 @_factored.def_vmap
 def _factored_batch(_, __, matrices):
+    return _factors(matrices), True
+
+
+@jax.jit  # traced once, though a law has several
+def _factors(matrices):
     every = np.arange(matrices.shape[-1])
 
     def one(matrix):
@@ -252,7 +257,7 @@ def _factored_batch(_, __, matrices):
 
         return lax.scan(eliminate, matrix, every, unroll=len(every) <= _WRITTEN_OUT or 1)[1].T
 
-    return jax.vmap(one)(matrices), True
+    return jax.vmap(one)(matrices)
 
 
 @jax.custom_batching.custom_vmap
@@ -290,6 +295,12 @@ def _substitution(transposed):
             wide = jnp.moveaxis(b, 0, -1)
             return jnp.moveaxis(solve(lower, wide.reshape(len(every), -1)).reshape(wide.shape), -1, 0), True
 
+        return eliminated(lower, b, axis=0 if batched[1] else None), True
+
+    @functools.partial(jax.jit, static_argnames="axis")  # traced once, though a law solves tens of times
+    def eliminated(lower, b, axis):
+        every = np.arange(lower.shape[-1])
+
         def one(lower, b):
             def eliminate(rest, row):
                 i, column = row
@@ -301,6 +312,6 @@ def _substitution(transposed):
             short = len(every) <= _WRITTEN_OUT
             return lax.scan(eliminate, b, (every, rows), reverse=transposed, unroll=short or 1)[1]
 
-        return jax.vmap(one, [0 if b else None for b in batched])(lower, b), True
+        return jax.vmap(one, (0, axis))(lower, b)
 
     return solve
