@@ -16,6 +16,7 @@ from cnclik.cli import main
 from cnclik.export.example import BUILD
 from cnclik.show import run as pictures
 from cnclik.show.viewer import files, need
+from tests.engine.compare import NEEDS_C
 from tests.problem.test_stack import FILE
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
@@ -113,6 +114,7 @@ def test_what_is_wrong_is_one_line(stack, tmp_path, capsys):
 # --- export -------------------------------------------------------------------------------------------
 
 
+@NEEDS_C
 def test_export(stack, tmp_path, capsys):
     """With paths the function takes the time; without them each tip's target, by the names of tasks and tips."""
     line = ["export", str(BAXTER), "--stack", stack, "--method", "EE", "--out"]
@@ -129,6 +131,7 @@ def test_export(stack, tmp_path, capsys):
         subprocess.run(build, shell=True, cwd=tmp_path / folder, check=True, capture_output=True)
 
 
+@NEEDS_C
 def test_kinematics_of_all_tips(stack, tmp_path):
     robot, q = ck.load_urdf(BAXTER, tips=GRIPPERS), np.linspace(-0.5, 0.5, 14)
     for what in ("fk", "jacobian"):

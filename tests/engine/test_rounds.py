@@ -91,8 +91,9 @@ def test_a_run_of_another_length_needs_no_new_program(method):
     with compiled() as found:
         runs = {N: ck.solve(law, path, q0, 0.01, N, method) for N in (8, 41, 300)}
     assert not found
+    with ck.use_engine("plain"):
+        same(runs[41], ck.solve(law, path, q0, 0.01, 41, method), ulps=1000)
     for N, run in runs.items():
-        with ck.use_engine("plain"):
-            wanted = ck.solve(law, path, q0, 0.01, N, method)
-        same(run, wanted, ulps=1000)
+        for one, other in ((run.q, runs[300].q), (run.e, runs[300].e), (run.status, runs[300].status)):
+            np.testing.assert_array_equal(one, other[: len(one)])
         same(jax.tree.map(np.asarray, ck.solve(law, path, jnp.asarray(q0), 0.01, N, method)), run, ulps=1000)

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from tests.engine.compare import NEEDS_C
 from tests.export.combinations import arm
 
+pytestmark = NEEDS_C
 Q = np.array([0.3, 0.5, -0.4])
 
 

@@ -10,6 +10,7 @@ from cnclik.export.example import BUILD
 from cnclik.export.fields import parameters
 from cnclik.export.trace import Request
 from cnclik.export.write import configuration
+from tests.engine.compare import NEEDS_C
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
 from tests.task.test_stack_loops import ROBOT, TIPS, Q
@@ -32,6 +33,7 @@ def given(held):
     return of_hands | {"apart_position": held["apart"].curve.position, "rest_values": held["rest"].curve.position}
 
 
+@NEEDS_C
 @pytest.mark.parametrize("method", ["EE", pytest.param("AB2", marks=pytest.mark.slow)])
 def test_a_step_is_the_loops(method):
     step, past, made, q = ck.export.compiled(LAW, method=method), None, None, Q + 0.1
@@ -45,6 +47,7 @@ def test_a_step_is_the_loops(method):
         past, q = (native.history if method == "AB2" else None), np.asarray(made.q)
 
 
+@NEEDS_C
 def test_a_whole_run_has_its_tasks_and_the_vectors_agree(tmp_path):
     paths = ck.hold_at(ROBOT, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
     folder = ck.export.c(LAW, paths, out=tmp_path / "made", what="solve", method="EE")
@@ -55,6 +58,7 @@ def test_a_whole_run_has_its_tasks_and_the_vectors_agree(tmp_path):
     assert done.returncode == 0
 
 
+@NEEDS_C
 def test_many_loops_side_by_side():
     step = ck.export.compiled(LAW, method="EE", batch=True)
     q, held = Q + 0.05 * np.random.default_rng(0).normal(size=(5, ROBOT.n)), ck.hold_at(ROBOT, TASK, Q)
@@ -62,6 +66,7 @@ def test_many_loops_side_by_side():
     close(made["q"], [ck.solve(LAW, held, one, 0.01, 4, "EE").q[-1] for one in q], atol=1e-9)
 
 
+@NEEDS_C
 def test_names_are_words_of_c():
     task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["a"])})
     step = ck.export.compiled(ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
@@ -69,6 +74,7 @@ def test_names_are_words_of_c():
     assert names[1:7:2] == ["left_hand_position", "left_hand_1_position", "task_2_values"]
 
 
+@NEEDS_C
 def test_a_target_in_the_tips_own_frame_is_given_as_in_the_base():
     """Three coordinates and velocities of each, whatever axes count."""
     task = ck.stack(drill=ck.pose("x", "z", tip=LEFT, frame="tip"), rest=ck.joints())

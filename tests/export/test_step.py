@@ -4,6 +4,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.export.library import compiled
+from tests.engine.compare import NEEDS_C
 from tests.export import matrix
 from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combination, compare
 
@@ -23,12 +24,14 @@ SPREAD = [
 ]
 
 
+@NEEDS_C
 @pytest.mark.parametrize("combination", SPREAD, ids=str)
 def test_the_exported_step_is_jaxs(combination):
     off, others = compare(combination, 300)
     assert off <= 1 and others == 0
 
 
+@NEEDS_C
 @pytest.mark.parametrize("count", [5, 300])  # of five, repeats nearby are looked at as well
 def test_a_gain_that_is_off_in_its_ninth_digit_is_found(count):
     combination = Combination("planar3", "pseudoinverse", "saturation")
@@ -43,6 +46,7 @@ def test_the_spread_has_every_name_in_it():
         assert {getattr(c, field) for c in SPREAD} == set(names)
 
 
+@NEEDS_C
 @pytest.mark.slow
 @pytest.mark.parametrize("combination", matrix.thirty(), ids=str)
 def test_the_exported_step_is_jaxs_for_a_hundred_thousand_inputs(combination):
@@ -50,6 +54,7 @@ def test_the_exported_step_is_jaxs_for_a_hundred_thousand_inputs(combination):
     assert off <= 1 and others == 0
 
 
+@NEEDS_C
 @pytest.mark.slow
 @pytest.mark.parametrize("combination", matrix.every()[::60], ids=str)
 def test_every_name_goes_through_with_every_other(combination):

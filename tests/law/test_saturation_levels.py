@@ -10,10 +10,13 @@ from cnclik.robot.model import modelled
 from tests.robot.test_trees import ARMS, G1
 
 RATE, COUNT = 10.0, 200
-ARM = ck.panda()
-LOW, HIGH, SPEED = (np.array(v) for v in (ARM.lower, ARM.upper, ARM.velocity_limit))
-TASK = ck.stack(a=ck.position("xyz"), b=ck.orientation("xy"), c=ck.orientation("z"))
-ORDERS = {"two": (["a"], ["b", "c"]), "three": (["a"], ["b"], ["c"])}
+PANDA, TASK = ck.panda(), ck.stack(a=ck.position("xyz"), b=ck.orientation("xy"), c=ck.orientation("z"))
+SMALL = ck.replace(ck.planar_arm([1.0, 0.8, 0.6]), lower=(-2.9,) * 3, upper=(2.0,) * 3, velocity_limit=(2.0,) * 3)
+ORDERS = {
+    "one row after one": (SMALL, ck.stack(a=ck.position("x"), b=ck.position("y")), (["a"], ["b"])),
+    "two": (PANDA, TASK, (["a"], ["b", "c"])),
+    "three": (PANDA, TASK, (["a"], ["b"], ["c"])),
+}
 
 
 def algorithm_4(levels, low, high):
@@ -52,17 +55,18 @@ def algorithm_4(levels, low, high):
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_it_is_algorithm_4(order):
-    rng = np.random.default_rng(len(order))
-    rows, q = rng.normal(size=(COUNT, 6, 7)), rng.uniform(LOW, HIGH, (COUNT, 7))
-    velocity = rng.normal(size=(COUNT, 6)) * rng.choice([0.5, 2.0, 5.0], size=(COUNT, 1))
-    made = ck.levels(*ORDERS[order], damping=(1e-7, 1e-6, 1e-5)[: len(ORDERS[order])]).on(TASK)
+    rng, (arm, task, named) = np.random.default_rng(len(order)), ORDERS[order]
+    lower, upper, speed = (np.array(v) for v in (arm.lower, arm.upper, arm.velocity_limit))
+    rows, q = rng.normal(size=(COUNT, task.m, arm.n)), rng.uniform(lower, upper, (COUNT, arm.n))
+    velocity = rng.normal(size=(COUNT, task.m)) * rng.choice([0.5, 2.0, 5.0], size=(COUNT, 1))
+    made = ck.levels(*named, damping=(1e-7, 1e-6, 1e-5)[: len(named)]).on(task)
 
     def one(rows, velocity, q):
-        found = ck.saturation(RATE)(made, modelled(ARM), q, rows, velocity, None)
+        found = ck.saturation(RATE)(made, modelled(arm), q, rows, velocity, None)
         return found.qdot, jnp.asarray(found.limited)
 
     qdot, limited = map(np.asarray, jax.jit(jax.vmap(one))(rows, velocity, q))
-    low, high = np.clip(RATE * (LOW - q), -SPEED, SPEED), np.clip(RATE * (HIGH - q), -SPEED, SPEED)
+    low, high = (np.clip(RATE * (end - q), -speed, speed) for end in (lower, upper))
     assert np.all((qdot >= low) & (qdot <= high))
     level, same, shares = np.array(made.level), [], []
     for k in range(COUNT):

@@ -29,7 +29,7 @@ def test_tries_beyond_the_sets_start_elsewhere():
     def start(k):
         return search.start(of, phase, made, np.eye(1, 12)[0], None, bounds, k)[0]
 
-    tried = jax.vmap(start)(np.arange(3 * SETS))
+    tried = jax.jit(jax.vmap(start))(np.arange(3 * SETS))
     assert len(np.unique(np.asarray(tried).round(9), axis=0)) == len(tried)
 
 
