@@ -319,8 +319,9 @@ def _transpose(cotangents, *args, function, batched):
     return out
 
 
-def _used(used, eqn):
+def _used(used, *rest):
     """A call without the results that nobody uses."""
+    eqn = rest[-1]  # from JAX 0.12 on after which inputs are read later
     if not any(used):
         return [False] * len(eqn.invars), None
     function = eqn.params["function"].only(tuple(used))
