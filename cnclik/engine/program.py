@@ -46,7 +46,7 @@ class Program:
                 graph, given, outs, (shapes, self.tree) = read(fn, *avals, most=most)
             shapes, grows = settled(shapes)
             text, self.operations = write(graph, given, outs, shapes, grows)
-        self.nodes = max(graph.count, text.count("\n"))  # a row's chain is written wherever the row is used
+        self.nodes = max(graph.count, text.count("\n"))  # pieces load and store, and rows are written where used
         if self.nodes > most:
             raise TooLargeError(self.nodes)
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
