@@ -164,7 +164,7 @@ class _Pass(NamedTuple):
     qdot: Float[Array, " n"]  # the velocities with this share
     kept: Float[Array, " n"]  # the joints locked with this share
     limited: Bool[Array, ""]
-    reached: Float[Array, ""]  # the part that no joints can reach, see `_beyond_reach`; inf before the first pass
+    reached: Float[Array, " two"]  # the parts that no joints can reach, see `_beyond_reach`; inf before the first pass
 
 
 @record
@@ -215,12 +215,12 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
         left = _free(rows, at.locked)
         apply = inverse(left).apply
         along = apply(velocity)
-        there = rows @ at.fixed
-        rest = at.fixed - apply(there if less is None else there + less)
-        # Can the remaining joints still reach the task? By geometry alone: what a damped
-        # inverse holds back next to a singularity is no reason to stand still.
-        beyond = _beyond_reach(left, velocity)
-        lost = beyond > (1 + NOISE) * at.reached + 0.01 * size
+        there = rows @ at.fixed if less is None else rows @ at.fixed + less
+        rest = at.fixed - apply(there)
+        # Can the remaining joints still reach the task, and make up for the locked ones? By geometry alone: what a
+        # damped inverse holds back next to a singularity is no reason to stand still.
+        beyond = _beyond_reach(left, velocity, there)
+        lost = jnp.any(beyond > (1 + NOISE) * at.reached + 0.01 * size)
         along, rest = (v + zero for v in (along, rest))
         s, worst, at_bound, over = _share(along, rest, low, high, at.locked)
         s = jnp.where(lost, -1.0, s)
@@ -249,15 +249,15 @@ def _saturated(inverse, rows, velocity, less, null, low, high, zero) -> _Pass:
         qdot=nothing,
         kept=nothing,
         limited=never,
-        reached=zero + jnp.inf,
+        reached=jnp.full(2, jnp.inf) + zero,
     )
     passes = max(rows.shape[1] - len(rows), 0) + 2  # most loops need only the first
     found, _ = lax.scan(lambda at, _: (lax.cond(at.done, lambda at: at, one, at), None), start, None, length=passes)
     return found
 
 
-def _beyond_reach(rows, velocity):
-    """Norm of the part of a task velocity that no joint velocity gives.
+def _beyond_reach(rows, *velocities):
+    """Norms of the parts of task velocities that no joint velocity gives.
 
     shift·(J Jᵀ + shift·I)⁻¹ is the projection onto it as shift → 0. It is applied twice, so that single precision,
     whose shift is large, finds only directions with σ below 0.01 of ‖J‖ out of reach. It is accurate to NOISE, by the
@@ -265,8 +265,11 @@ def _beyond_reach(rows, velocity):
     """
     shift = tiny_shift(rows)
     factor = dense.cholesky(dense.shifted(rows @ rows.T, shift))
-    once = shift * dense.cholesky_solve(factor, velocity)
-    return shift * safe_norm(dense.cholesky_solve(factor, once))
+
+    def beyond(velocity):
+        return shift * safe_norm(dense.cholesky_solve(factor, shift * dense.cholesky_solve(factor, velocity)))
+
+    return jnp.stack([beyond(velocity) for velocity in velocities])
 
 
 def _share(a, b, low, high, locked):
@@ -280,9 +283,9 @@ def _share(a, b, low, high, locked):
     out = free & ((whole > high + slack) | (whole < low - slack))
     moves = jnp.abs(a) > slack
     inverse = 1.0 / jnp.where(moves, a, 1.0)
-    one, two = (low - b) * inverse, (high - b) * inverse
+    one, two = (low - slack - b) * inverse, (high + slack - b) * inverse
     cap = jnp.where(moves, jnp.maximum(one, two), -1.0)  # a joint that does not move stays outside for any share
-    cap = jnp.where(out, cap, 2.0)
+    cap = jnp.where(out, cap, jnp.inf)
     most, least = jnp.minimum(jnp.min(cap), 1.0), jnp.max(jnp.where(free & moves, jnp.minimum(one, two), 0.0))
     s = jnp.where((most >= jnp.maximum(least, 0.0)) & (most >= 0), most, -1.0)
     # The most critical joint, or the first of several, is locked next.

@@ -9,7 +9,7 @@ import cnclik as ck
 from cnclik.robot.model import modelled
 from tests.robot.test_trees import ARMS, G1
 
-RATE, COUNT = 10.0, 200
+RATE, COUNT = 10.0, 400
 PANDA, TASK = ck.panda(), ck.stack(a=ck.position("xyz"), b=ck.orientation("xy"), c=ck.orientation("z"))
 SMALL = ck.replace(ck.planar_arm([1.0, 0.8, 0.6]), lower=(-2.9,) * 3, upper=(2.0,) * 3, velocity_limit=(2.0,) * 3)
 ORDERS = {
@@ -75,7 +75,7 @@ def test_it_is_algorithm_4(order):
         same.append(np.abs(qdot[k] - wanted).max() < 1e-4 * max(1.0, np.abs(wanted).max()))
         shares.append(share)
         assert limited[k] or min(share) == 1
-    assert np.mean(same) > 0.95
+    assert np.mean(same) > 0.99
     shares = np.array(shares)
     # Level 1 keeps its speed where it can, and what is below it is slowed.
     assert np.mean(shares[:, 0] == 1) > 0.3 and np.mean((shares[:, 0] == 1) & (shares[:, 1] < 1)) > 0.1
