@@ -5,6 +5,7 @@ import enum
 import numpy as np
 
 from cnclik.diagnosis.blocks import orthogonal, within
+from cnclik.diagnosis.late import phase_delay
 from cnclik.diagnosis.modes import Modes, find_modes, polynomials, roughness
 
 MOST = 2000  # rows to be judged, at most: those that move most
@@ -28,6 +29,8 @@ BETTER = 10.0  # margin in the criterion by which growth must beat a polynomial
 THERE = 0.5  # share of an oscillation that must remain beside the best cubic
 UNFINISHED = 0.3  # motion of a short recording's path and of lasting modes, as a share of the decay
 ABOVE_NOISE = 8.0  # or as a multiple of the noise, if there is no decay
+SAME = 0.25  # samples by which dead times of modes of one loop may differ
+SMALL = 0.01  # share of the dominant mode's energy below which a mode does not count beside it
 
 
 class Kind(enum.StrEnum):
@@ -90,7 +93,7 @@ def judged(y, found: Modes, longest):
     visible = np.abs(np.log(size)) * np.pi < -np.log(SEEN) * angle
     fast &= visible
     own = fast | dies
-    chosen = np.flatnonzero(fast)[np.argsort(-energy[fast])]
+    chosen = _hardest(f, energy, np.flatnonzero(fast)[np.argsort(-energy[fast])])
     up = np.flatnonzero((f.real > 0) & ((f.imag == 0) | ~visible) & (N * np.log(size) > np.log(GREW)))
     up = up[np.argsort(-energy[up])]
     if len(up) and _grows(y, found, up[0], chosen):
@@ -114,6 +117,19 @@ def judged(y, found: Modes, longest):
     ):
         return Kind.UNDECIDED, chosen[:0], own
     return (Kind.QUIET if np.all(found.noise <= least) else Kind.NOISE), chosen[:0], own
+
+
+def _hardest(factors, energy, chosen):
+    """`chosen`, but first the mode of the largest gain among those that share the dead time of the dominant one.
+
+    Directions of a task, and tasks, may get different shares of one gain: the gain must suit the largest.
+    """
+    if not len(chosen):
+        return chosen
+    late, size = np.array([phase_delay(factor) for factor in factors[chosen]]), np.abs(factors[chosen])
+    alike = (np.abs(late - late[0]) < SAME) & (energy[chosen] > SMALL * energy[chosen[0]])
+    first = int(np.argmax(np.where(alike, size, 0.0)))
+    return np.array([chosen[first], *np.delete(chosen, first)])
 
 
 def _grows(y, found, i, swinging) -> bool:

@@ -151,7 +151,7 @@ def _borne(one, most, leads) -> TaskDiagnosis:
         if one.found.rings and not one.along:
             words = f"{one.found.kind}, but {one.alpha:g} 1/s do not overshoot at this dead time. Keep its gain."
         return replace(one, recommended_alpha=None, factor=None, words=words)
-    if leads and one.factor is not None:
+    if leads and one.factor is not None and one.recommended_alpha <= most * NEAR:
         return one
     much = f"At this dead time any task overshoots above {most:.4g} 1/s."
     return replace(one, recommended_alpha=most, factor=most / one.alpha, words=f"{one.words} {much}")

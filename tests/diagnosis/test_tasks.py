@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
-from cnclik.diagnosis import diagnose_tasks
+from cnclik.diagnosis import diagnose, diagnose_tasks
 from cnclik.stability.linear import late_monotone, late_stable
 from tests.oracles import robot_file
 
@@ -100,6 +100,26 @@ def test_units_of_tasks_do_not_decide_which_gain_changes():
     signals = {"hands": e[:, :3], "rest": np.rad2deg(e[:, 3:])}
     assert diagnose_tasks(signals, TS, alpha={"hands": 62.0, "rest": 10.0}).change == ("hands",)
     assert "hands" in diagnose_tasks(signals, TS).change  # no gain is known
+
+
+def test_directions_that_get_different_shares_of_one_gain():
+    """The direction that swings most is not the one that limits the gain."""
+    z, d, e = 0.36, 3, [[0.03, 0.1]] * 4
+    while len(e) < 100:
+        e.append(e[-1] - z * np.array([1.0, 0.43]) * e[-1 - d])
+    found = diagnose(np.array(e) @ [[1.0, 0.3], [0.2, 1.0]], TS, alpha=z / TS)
+    assert found.delay == d and 0.05 / TS < found.recommended_alpha <= late_monotone(d) / TS, found
+
+
+def test_no_named_gain_is_above_what_one_task_tolerates():
+    """The hands get two thirds of what they ask for here, and may get all of it elsewhere."""
+    e = [np.full(3, 0.05)] * (DELAY + 1)
+    while len(e) < 150:
+        e.append(e[-1] - TS * 0.66 * np.array([85.0, 85.0, 10.0]) * e[-1 - DELAY])
+    signals = {"hands": np.array(e)[:, :2], "feet": np.array(e)[:, 2:]}
+    found = diagnose_tasks(signals, TS, alpha={"hands": 85.0, "feet": 10.0})
+    assert found.change == ("hands",)
+    assert 0.05 / TS < found.tasks["hands"].recommended_alpha < late_monotone(DELAY) / TS, found
 
 
 def test_a_share_is_what_the_gain_does_to_the_mode():
