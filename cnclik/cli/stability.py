@@ -164,14 +164,15 @@ def _advice(args, found, rest):
 
 def _tell(args, advised):
     """Print what was asked, the gains, and how far the present gain is from an unsafe one."""
-    from cnclik.problem.heading import dead_time, start_and_target
+    from cnclik.problem.heading import dead_time, drive_words, start_and_target
     from cnclik.stability import answer
 
     if args.json:
         print_json(answer.as_table(*advised))
         return
     found, rest, said = advised
-    asked = [f"{answer.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {dead_time(found)}."]
+    late = drive_words(found) if found.drive is not None and found.drive.order else dead_time(found)
+    asked = [f"{answer.title_of(found)}, Ts {1e3 * found.Ts:g} ms, {late}."]
     asked += [*start_and_target(found, table(args)), *answer.rest_of(found, rest)]
     print(*asked, *map(as_options, filter(None, [said.assumption, *said.notes])), sep="\n")
     for title, columns, rows in answer.tables_of(found, said, args.written):

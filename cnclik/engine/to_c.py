@@ -288,6 +288,9 @@ class Writer(RowTexts):
         self.leave()
         self.leave()
         self.names |= {o.number: name for o, name in zip(r.outs, names, strict=True)}
+        for o in r.outs:
+            if not self.is_needed(o):  # else compilers warn of a variable that is set but not used
+                self.line(f"(void){self.names[o.number]};")
 
     def rounds(self, r, names):
         """The inside of a loop: it runs while some lane is active."""

@@ -60,10 +60,9 @@ def drive_words(made) -> str:
     measured = drive.measurement_delay
     said += [f"measured {in_samples(measured, made.Ts)} late"] * bool(measured)
     if drive.order:
-        late = 1e3 * np.max(drive.late_by(made.Ts) - drive.delay * made.Ts)
-        said.append(
-            f"{'velocity' if drive.command == 'velocity' else 'position'} drives {late:.3g} ms behind their commands"
-        )
+        late = 1e3 * (np.asarray(drive.late_by(made.Ts)) - drive.delay * made.Ts)
+        kind, most = "velocity" if drive.command == "velocity" else "position", "up to " * bool(np.ptp(late) > 0)
+        said.append(f"{kind} drives {most}{np.max(late):.3g} ms behind their commands")
     said.append(f"feedback {drive.feedback}")
     return ", ".join(said)
 

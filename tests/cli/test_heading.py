@@ -135,6 +135,15 @@ def test_a_pace_and_dead_time_are_both_said(tmp_path, capsys):
     assert f"{said}steps scaled along the path to limits of velocity, acceleration\n" in capsys.readouterr().out
 
 
+def test_a_lag_is_said_and_that_joints_have_their_own(capsys):
+    """`stability` said nothing of a lag, and `solve` the longest of several as if it were that of all."""
+    made = problem_from("planar:1,1", Ts=0.01, delay=2.0, lag=[0.01, 0.05])
+    said = "2 samples (20 ms) of dead time, velocity drives up to 50 ms behind their commands, feedback measured"
+    assert heading.drive_words(made) == said
+    main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "2", "--lag", "0.01", "0.05", "--method", "EE"])
+    assert f"Ts 10 ms, {said}." in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.slow
 def test_a_tip_that_was_chosen_is_named_once_by_tune(tmp_path, capsys):
     (file := tmp_path / "hand.urdf").write_text(JAWED.format(joint="j3", jaw="flange"))
