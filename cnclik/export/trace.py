@@ -130,17 +130,19 @@ def targets(task) -> list:
 
 def _of_target(before, parts):
     """The arguments of a target: its place and its velocity."""
-    of = f" of {before[:-1]}" if before else " in the task's coordinates"
+    to = getattr(parts.parts[0], "to", None)
+    frame = f" in the frame of {to}" if to else ""
+    of = (f" of {before[:-1]}" if before else " in the task's coordinates") + frame
     for part in parts.parts:
         if part.turns:
-            about = f"desired rotation{of if before else ''}, row by row"
+            about = f"desired rotation{of if before else frame}, row by row"
             yield Field(f"{before}rotation", (3, 3), about=about, value=np.eye(3))
         else:
             unit = ", ".join(dict.fromkeys(part.units))
             about = f"desired {place(part)}{of} [{unit}]"
             yield Field(before + place(part), part.shape, about=about)
     unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
-    about = f"desired task velocity{of if before else ''} [{unit}]"
+    about = f"desired task velocity{of if before else frame} [{unit}]"
     yield Field(f"{before}velocity", (parts.width,), about=about, value=np.zeros(parts.width))
 
 

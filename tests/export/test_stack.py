@@ -58,6 +58,14 @@ def test_a_whole_run_has_its_tasks_and_the_vectors_agree(tmp_path):
     assert done.returncode == 0
 
 
+def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
+    tasks = ck.stack(apart=ck.position("xy", tip=LEFT, relative_to=RIGHT), hand=ck.position("xy", tip=RIGHT))
+    law = ck.Law(ROBOT, tasks, alpha=5.0, inverse=ck.damped(0.1))
+    header = (ck.export.c(law, out=tmp_path / "made", method="EE") / "clik_step.h").read_text()
+    assert f"/* desired position of apart in the frame of {RIGHT} [m] */" in header
+    assert "/* desired position of hand [m] */" in header
+
+
 @NEEDS_C
 def test_many_loops_side_by_side():
     step = ck.export.compiled(LAW, method="EE", batch=True)
