@@ -77,3 +77,11 @@ def test_what_does_not_fit_is_named(call, told):
 
 def test_nothing_is_certain_at_a_singularity():
     assert st.certified_radius(LAW, [0.0, 0.0], Ts=0.1) == 0.0
+
+
+def test_a_method_that_swings_through_dead_time_is_named():
+    law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=5.0)
+    for method, what in (("ZNN4", "without overshoot"), ("IFD5", "stable")):
+        drive = ck.Drive(delay=2 * (method == "IFD5"))
+        with pytest.raises(ck.ArgumentError, match=f"leave some gain {what}.*EXP-AB2.* is {method}, which"):
+            ck.advise(law, None, [0.3, 1.1], Ts=0.01, method=method, drive=drive)
