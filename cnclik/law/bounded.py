@@ -61,18 +61,16 @@ class Problem(NamedTuple):
         out = ((qdot >= self.high) & (slope > 0)) | ((qdot <= self.low) & (slope < 0))
         return out | (self.low >= self.high)
 
-    def behind(self, walls: Rows, shut, push=0.0) -> Problem:
-        """With walls and their multipliers; a wall's softness is √eps·gᵀ H⁻¹ g over the unlocked joints.
+    def behind(self, walls: Rows, step: Newton, push=0.0) -> tuple[Problem, Array]:
+        """(the problem with walls and their multipliers, G H⁻¹ Gᵀ over the unlocked joints)
 
-        With √eps, a wall's violation and the rounding where walls contradict each other have the same size. If all
-        joints that move a wall are locked, its softness is as by each joint alone.
+        A wall's softness is √eps·gᵀ H⁻¹ g. With √eps, its violation and the rounding where walls contradict each other
+        have the same size. If all joints that move a wall are locked, its softness is as by each joint alone.
         """
-        hessian, squares = self.hessian(), walls.rows * walls.rows
-        across = newton(hessian, shut).half(walls.rows)
-        alone = squares @ (1.0 / jnp.diagonal(hessian)) + _LEVER**2 / self.shift
-        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.sum(across * across, axis=0), alone)
-        soft = lax.stop_gradient(soft * walls.slack)
-        return self._replace(walls=walls, soft=soft, raised=soft * push)
+        across, squares = step.between(walls.rows, walls.rows), walls.rows * walls.rows
+        alone = squares @ (1.0 / (jnp.sum(self.b * self.b, axis=0) + self.shift)) + _LEVER**2 / self.shift
+        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.diagonal(across), alone) * walls.slack
+        return self._replace(walls=walls, soft=soft, raised=soft * push), across
 
     def missing(self, qdot):
         """(k,) violation of the raised floor; None without walls."""
@@ -90,22 +88,25 @@ class Problem(NamedTuple):
         after = missing - self.walls.rows @ step
         return 0.5 * jnp.sum((jnp.maximum(after, 0.0) ** 2 - jnp.maximum(missing, 0.0) ** 2) / self.soft)
 
-    def newton(self, hessian, shut, push):
-        """Newton's step of the unlocked joints, with the walls that push.
+    def newton(self, step, push, across=None):
+        """Newton's step of the unlocked joints, with the walls that push, whose G H⁻¹ Gᵀ may be known.
 
-        A function of the slope without wall forces and of the violations; it also returns the walls' new forces.
+        A function of the slope without wall forces and of the violations; it also returns the walls' new forces. In
+        each further round the forces of the one before are multipliers.
         """
-        step = newton(hessian, shut)
         if push is None:
-            return lambda slope, missing: (step(slope), None)
+            return lambda slope, missing, rounds=1: (step(slope), None)
         on = push > 0
         rows = jnp.where(on[:, None], self.walls.rows, 0.0)
-        across = step.half(rows)
-        rounding = 8 * jnp.finfo(rows.dtype).eps * jnp.sum(across * across, axis=0)
-        factor = dense.cholesky(dense.shifted(across.T @ across, self.soft + rounding))
+        across = step.between(rows, rows) if across is None else jnp.where(on[:, None] & on, across, 0.0)
+        rounding = 8 * jnp.finfo(rows.dtype).eps * jnp.diagonal(across)
+        matrix = dense.shifted(across, self.soft + rounding)
+        factor = dense.cholesky(matrix)
 
-        def behind(slope, missing):
-            push = dense.cholesky_solve(factor, jnp.where(on, missing, 0.0) - step.half(slope) @ across)
+        def behind(slope, missing, rounds=1):
+            left, push = jnp.where(on, missing, 0.0) - step.between(rows, slope), 0.0
+            for _ in range(rounds):
+                push = dense.factored_solve(factor, lambda x: matrix @ x, left + self.soft * push)
             return step(slope + push @ rows), push
 
         return behind
@@ -114,23 +115,29 @@ class Problem(NamedTuple):
 class Newton(NamedTuple):
     """Newton's step of the free joints, for a slope."""
 
-    factor: Float[Array, "n n"]  # L Lᵀ = H, the last joints eliminated first: a tree then causes no fill-in
+    hessian: Float[Array, "n n"]  # H, large for locked joints; the last joints first: a tree then causes no fill-in
+    factor: Float[Array, "n n"]  # L Lᵀ = H
     shut: Bool[Array, " n"]
 
-    def __call__(self, slope):
-        made = dense.cholesky_solve(self.factor, jnp.where(self.shut, 0.0, slope)[::-1])[::-1]
-        return jnp.where(self.shut, 0.0, made)
+    def free(self, slopes):
+        """Zero for locked joints, the last joints first."""
+        return jnp.where(self.shut, 0.0, slopes)[..., ::-1]
 
-    def half(self, slopes):
-        """L⁻¹ of several slopes (k, n), as columns (n, k)."""
-        return dense.triangular(self.factor, jnp.where(self.shut, 0.0, slopes)[..., ::-1].T)
+    def __call__(self, slope):
+        made = dense.factored_solve(self.factor, lambda x: self.hessian @ x, self.free(slope))
+        return jnp.where(self.shut, 0.0, made[::-1])
+
+    def between(self, a, b):
+        """A H⁻¹ Bᵀ of slopes (k, n), or of one."""
+        return dense.between(self.hessian, self.factor, self.free(a), self.free(b))
 
 
 def newton(hessian, shut) -> Newton:
     """The factor of H; a joint with a tiny pivot is locked."""
     size = lax.stop_gradient(jnp.diagonal(hessian))
     lock = jnp.where(shut, size / jnp.finfo(size.dtype).eps ** 2, 0.0)
-    return Newton(dense.cholesky(dense.shifted(hessian, lock)[::-1, ::-1]), shut)
+    hessian = dense.shifted(hessian, lock)[::-1, ::-1]
+    return Newton(hessian, dense.cholesky(hessian), shut)
 
 
 def nearest(slope, curvature, most, missing, goes, soft):
@@ -200,7 +207,7 @@ def descent(of: Problem, start, passes) -> _Pass:
         above, below = at.qdot >= of.high, at.qdot <= of.low
         slope, missing = pushed(at.slope, at.push, of.walls), of.missing(at.qdot)
         shut = of.shut(at.qdot, slope) | (at.held & (above | below))
-        whole, push = of.newton(hessian, shut, at.push)(at.slope, missing)
+        whole, push = of.newton(newton(hessian, shut), at.push)(at.slope, missing)
         clipped = of.clip(at.qdot + whole)
         step, over = clipped - at.qdot, clipped != at.qdot + whole
         along = jnp.where(step == 0, 0.0, whole)  # without joints at a bound that would leave it
@@ -246,7 +253,8 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
 
     def again(at):
         found, rounds = at
-        more = of.behind(walls, of.shut(found.qdot, pushed(found.slope, found.push, walls)), found.push)
+        shut = of.shut(found.qdot, pushed(found.slope, found.push, walls))
+        more, _ = of.behind(walls, newton(of.hessian(), shut), found.push)
         return descent(more, found.qdot, passes), rounds + 1
 
     def missed(at):
@@ -257,6 +265,13 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
     still, none = jnp.zeros_like(start), jnp.zeros_like(walls.floor)
     first = _Pass(start, still, jnp.bool_(False), jnp.bool_(False), jnp.int32(0), none)
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
+
+
+def on_face(of: Problem, walls: Rows | None, shut, push, qdot):
+    """(violations, as a function of q̇; Newton's step) with these joints locked, behind the walls that push."""
+    step = newton(of.hessian(), shut)
+    face, across = (of, None) if walls is None else of.behind(walls.holding(lax.stop_gradient(qdot)), step)
+    return face.missing, face.newton(step, push, across)
 
 
 @record
@@ -292,27 +307,25 @@ class Bounded:
             least = jnp.maximum(shift, LEAST * lax.stop_gradient(jnp.trace(b.T @ b)))
             return even, Problem(b, even * velocity, rest, low, high, least)
 
-        def on_face(of, shut, push, qdot):
-            return of if walls is None else of.behind(walls.holding(lax.stop_gradient(qdot)), shut, push)
-
         def least():
             _, of = scaled()
             known, others, found = lax.stop_gradient((of, walls, unlimited))
             found = kept(known, others, found, self.passes)
             push = found.push
             shut = known.shut(found.qdot, pushed(found.slope, push, others))
-            # One more step on the face has all derivatives of the minimum there, and removes rounding and
-            # violations of walls. After a descent that was cut short only its derivatives are used.
+            # One more step on the face has all derivatives of the minimum there, and removes rounding and violations of
+            # walls. Multipliers of walls that contradict grow in each round, so it makes its own, with derivatives.
+            # After a descent that was cut short only its derivatives are used.
             qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
-            face = on_face(of, shut, push, found.qdot)
-            step, _ = face.newton(of.hessian(), shut, push)(of.slope(qdot), face.missing(qdot))
+            missing, solve = on_face(of, walls, shut, push, found.qdot)
+            step, _ = solve(of.slope(qdot), missing(qdot), _ROUNDS)
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
             return of.clip(qdot + step), shut.astype(unlimited.dtype), ~found.settled, push
 
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
             (even, of), locks = scaled(), shut > 0
-            step = on_face(of, locks, push, qdot).newton(of.hessian(), locks, push)
+            _, step = on_face(of, walls, locks, push, qdot)
             first, _ = step((even * t) @ of.b, still)
             missing = None if walls is None else -walls.rows @ first
             return first + step((even * t - of.b @ first) @ of.b - of.shift * first, missing)[0]
@@ -360,8 +373,7 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
         took more than 13, and at levels of λ = 1e-4 and 0.1 none of 8,000 more than 19. With too few passes the
         velocities are still within bounds and cost no more than clipped ones, but are not the minimum.
       walls: walls that no part of the robot may cross, see `wall`. They come before all levels of the task.
-        `Trajectory.walls` shows which of them are active, and by how much contradicting walls are missed. Where they
-        contradict each other, do not use derivatives.
+        `Trajectory.walls` shows which of them are active, and by how much contradicting walls are missed.
     """
     if not isinstance(walls, Sequence) or not all(isinstance(one, Wall) for one in walls):
         raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")

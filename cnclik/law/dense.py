@@ -26,12 +26,25 @@ def cholesky_solve(lower, b):
 
 
 def factored_solve(lower, product, b):
-    """`cholesky_solve` of a vector, with the derivative dx = A⁻¹ (db − dA x): one more solve, and none of the factor.
+    """`cholesky_solve`, with the derivative dx = A⁻¹ (db − dA x): one more solve, and none of the factor.
 
     Args: product: of x: A x, from which the derivative of A is taken.
     """
     lower = lax.stop_gradient(lower)
     return lax.custom_linear_solve(product, b, lambda _, b: cholesky_solve(lower, b), symmetric=True)
+
+
+@jax.custom_jvp
+def between(matrix, lower, a, b):
+    """A M⁻¹ Bᵀ with M = L Lᵀ, of rows (k, n), or of one; its derivatives are those of M, and need none of L."""
+    return triangular(lower, a.T).T @ triangular(lower, b.T)
+
+
+@between.defjvp
+def _between_jvp(primals, tangents):
+    (matrix, lower, a, b), (turned, _, da, db) = primals, tangents
+    left, right = (factored_solve(lower, lambda x: matrix @ x, rows.T) for rows in (a, b))
+    return between(*primals), da @ right + left.T @ db.T - left.T @ turned @ right
 
 
 def triangular(lower, b, *, transposed=False, unit=False):

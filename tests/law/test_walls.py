@@ -58,7 +58,8 @@ def acts(damping, rows, velocity, low, high, walls, floor, level=1):
     far, rate, damping = (jnp.asarray(v, low.dtype) for v in (jnp.inf, RATE, damping))
     bounds = {"lower": low / RATE, "upper": high / RATE, "velocity_limit": far + 0 * low}
     chain = SimpleNamespace(bounded=True, slowed=True, **bounds)
-    made = tuple(Given(gradient=walls[i], h=-floor[i] / rate, level=level) for i in range(len(walls)))
+    levels = np.broadcast_to(level, len(walls)).tolist()
+    made = tuple(Given(gradient=walls[i], h=-floor[i] / rate, level=level) for i, level in enumerate(levels))
     limits = Bounded(rate=rate, passes=150, walls=made)
     return limits(ck.damped(damping), chain, jnp.zeros_like(low), rows, velocity, None)
 
@@ -395,6 +396,28 @@ def test_a_wall_that_holds_has_the_derivatives_of_an_equation(level):
     made, slope = jax.jit(lambda floor: (along(floor), jax.jacfwd(along)(floor)))(floor)
     np.testing.assert_allclose(made, floor, rtol=1e-9)
     np.testing.assert_allclose(slope, 1.0, atol=2e-6)
+
+
+@pytest.mark.parametrize("level", [1, (1, 2, 1)])
+def test_walls_that_contradict_have_the_derivatives_of_their_shares(level):
+    """Three walls around two joints that are in no task: least squares of the rows, each by its length and level."""
+    task, far = (jnp.eye(4)[:2], jnp.array([0.3, 0.2])), jnp.full(4, 5.0)
+    given = np.array([[1.0, 0.2, 0.9], [-0.7, 1.1, 0.6], [-0.5, -0.8, 0.3]])  # rows and floors
+    per_size = SLACK[8] ** (1.0 - np.broadcast_to(level, 3))
+
+    def made(given):
+        walls = jnp.pad(given[:, :2], ((0, 0), (2, 0)))
+        return acts(0.05, *task, -far, far, walls, given[:, 2], level).qdot[2:]
+
+    def shared(given):
+        weighted = given * np.sqrt(per_size / np.sum(given[:, :2] ** 2, 1))[:, None]
+        return np.linalg.lstsq(weighted[:, :2], weighted[:, 2])[0]
+
+    got, slope = jax.jit(lambda x: (made(x), jax.jacrev(made)(x)))(given)
+    nudged = 1e-6 * np.eye(9).reshape(9, 3, 3)
+    wanted = np.stack([shared(given + one) - shared(given - one) for one in nudged], 1) / 2e-6
+    np.testing.assert_allclose(got, shared(given), atol=1e-6)
+    np.testing.assert_allclose(slope.reshape(2, 9), wanted, atol=2e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
