@@ -26,7 +26,7 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 # Less of the same, by verb.
 FEWER = {
     "solve": ["--N", "5", "--no-figures"],
-    "stability": ["--N", "8", "--cells", "3", "--passes", "1"],
+    "stability": ["--N", "8", "--passes", "1"],
     "tune": [
         "--N",
         "10",
@@ -42,7 +42,10 @@ FEWER = {
     ],  # one set of programs
     "view": ["--N", "5"],
 }
-SMALLER_REACH = {"--random": ["--random", "12"], "--map": ["--cells", "3", "--orientations", "2"]}
+SMALLER = {
+    "reach": {"--random": ["--random", "12"], "--map": ["--cells", "3", "--orientations", "2"]},
+    "stability": {"--map": ["--cells", "3"]},
+}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 HEAVY = ("saturation",)  # linear programs of seven joints compile for half a minute: with `-m slow` only
@@ -109,8 +112,6 @@ def commands(text):
 def fewer(argv):
     """The same command with less to do."""
     verb, *rest = argv
-    if verb == "bench":
-        return [verb, *FEWER[verb], *(["--json"] if "--json" in rest else [])]
     if (verb in ("solve", "stability", "tune") or (verb == "view" and "--reference" in rest)) and not set(rest) & {
         "--q0",
         "--target",
@@ -119,8 +120,7 @@ def fewer(argv):
         rest = [SMALL if word in ("panda", "panda.urdf", "ur5", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
-    if verb == "reach":
-        rest += [word for option, few in SMALLER_REACH.items() if option in rest for word in few]
+    rest += [word for option, few in SMALLER.get(verb, {}).items() if option in rest for word in few]
     return [verb, *rest, *FEWER.get(verb, [])]
 
 
