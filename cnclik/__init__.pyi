@@ -72,10 +72,10 @@ from .robot.mjcf import load_mjcf as load_mjcf
 from .robot.urdf import load_urdf as load_urdf
 from .show.run import plot as plot
 from .stability.advice import advise as advise
+from .stability.ending import verdict as verdict
+from .stability.gain import gains as gains
 from .stability.linear import stability_limit as stability_limit
-from .stability.recommend import margin as margin, recommend as recommend
-from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
-from .stability.verdict import verdict as verdict
+from .stability.spectrum import spectral_radius as spectral_radius
 from .sweeps.sweep import sweep as sweep
 from .task.build import center_of_mass as center_of_mass, com as com
 from .task.build import (

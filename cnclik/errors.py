@@ -181,10 +181,11 @@ def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
     usual = usual and value.ndim == 1 and value.dtype.char in "fd" and value.dtype.isnative
     if usual and math.isfinite(sum(value.tolist())):
         return value
-    import jax
+    jax = sys.modules.get("jax")
 
     try:
-        found: Any = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
+        arrays = np.ndarray if jax is None else (jax.Array, np.ndarray)
+        found: Any = value if isinstance(value, arrays) else _gather(value)
         if isinstance(found, np.ma.MaskedArray):
             if found.mask.any():
                 raise fail(name, "hold no masked entries", f"has {int(found.mask.sum())} of them")
@@ -222,12 +223,11 @@ def as_jax_takes(value):
 
 def _gather(value):
     """Nested sequences as one array; entries may be traced."""
-    import jax
-    import jax.numpy as jnp
     import numpy as np
 
-    if any(not concrete(v) for v in jax.tree.leaves(value)):
-        return jnp.asarray(value)
+    jax = sys.modules.get("jax")
+    if jax is not None and any(not concrete(v) for v in jax.tree.leaves(value)):
+        return jax.numpy.asarray(value)
     found = np.asarray(value)
     if found.dtype.kind not in "iuf":  # NumPy would make numbers of "5", True and None
         raise TypeError

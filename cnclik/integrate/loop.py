@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
-from cnclik.integrate.drive import Drive, Driven, Sampled, driven, measured_joints, moving, reached, resting
+from cnclik.integrate.drive import Drive, Sampled, moving
+from cnclik.integrate.driven import Driven, driven, reached, resting
 from cnclik.integrate.history import Begun, History, Stepped, blank, mark, over_history
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, Multistep, early_steps, evaluations_of, starter
@@ -59,7 +60,7 @@ class Loop:
     @property
     def measured(self) -> bool:
         """Whether command and motion, or motion and measurement, differ."""
-        return not (self.noise is None and self.plant is None and self.drive.absent)
+        return not (self.noise is None and self.plant is None and self.drive.prompt)
 
     @property
     def late(self) -> int:
@@ -155,7 +156,7 @@ def _measured(loop, state, t, k):
     """(joint values the controller uses, its reference then, the true observation, errors still on their way)"""
     law, reference, q = loop.law, loop.reference, state.q
     at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
-    seen = state.drives.sent if commanded else q if loop.drive.exact else measured_joints(loop.drive, q, k)
+    seen = state.drives.sent if commanded else q
     # A camera sees the real tip; from its own commands a controller knows only the model's tip.
     found = at.e if seen is q else observe(law if commanded else loop.truth, reference, t, seen).e
     measured = (found, *state.late)[loop.late]

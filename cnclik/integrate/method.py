@@ -6,18 +6,29 @@ function and the names on the command line. z = alpha·Ts, and R(z) is the facto
 multiplies the error of ė = −alpha e.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 import itertools
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.stage import Count
+from cnclik.record import with_jax
+
+if TYPE_CHECKING:
+    from cnclik.integrate.stage import Count
 
 ROUNDING = 1e-9  # rounding of weights written as decimals
+
+
+def static(cls):
+    """Class decorator: JAX compiles an instance in."""
+    with_jax(lambda jax: jax.tree_util.register_static(cls))
+    return cls
 
 
 def weights_of(name, values) -> tuple:
@@ -41,7 +52,7 @@ def check_order(order, b, left) -> int:
     return order
 
 
-@jax.tree_util.register_static
+@static
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Method:
     """A (diagonally implicit) Runge-Kutta method; it is compiled in.
@@ -174,7 +185,7 @@ def adams(p: int) -> tuple:
     return tuple(weights)
 
 
-@jax.tree_util.register_static
+@static
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Multistep:
     """An explicit linear multistep method; it is compiled in.

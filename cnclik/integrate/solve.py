@@ -97,7 +97,7 @@ def simulate(
     N, n = errors.integer("N", N, at_least=0, at_most=errors.MOST), law.chain.n
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
-    drive = None if drive is None or check_drive(drive, law.chain).absent else drive
+    drive = None if drive is None or check_drive(drive, law.chain).prompt else drive
     pace = None if pace is None else check_pace(pace, n, law.chain)
     if pace is not None and drive is not None and drive.feedback == "rebased":
         raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
