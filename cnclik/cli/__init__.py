@@ -63,7 +63,7 @@ def _run(verb, *options) -> None:
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
         _check_report(args, ["cnclik", verb, *options])
-        if isinstance(args, common.ComputeOptions):  # the other verbs do not need JAX
+        if isinstance(args, common.ComputeOptions) and getattr(args, "computes", True):  # the others do not need JAX
             with _nothing_collected():
                 _prepare(args.cache)
         watched = timings.watch(_BEGUN) if getattr(args, "timings", False) else contextlib.nullcontext()

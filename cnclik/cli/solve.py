@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -34,11 +33,10 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 
 def run(args: Args) -> None:
     from cnclik.engine.plan import called_once
-    from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
     from cnclik.problem import heading
-    from cnclik.stability.verdict import prepare, verdict
+    from cnclik.stability.ending import verdict
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
@@ -47,11 +45,9 @@ def run(args: Args) -> None:
     config |= {} if made.tables is None else {"tasks": made.tables}
     config |= {} if made.walls is None else {"walls": made.walls}
     with called_once(made.N):
-        beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
         trajectory, time_per_step, data, written, refused = _kept(made, args, config)
         with progress.bar("verdict"):
-            beside.result()
-            judged = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
+            judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
@@ -80,7 +76,7 @@ def run(args: Args) -> None:
         facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
         figures=figures,
         captions=_CAPTIONS,
-        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": judged.radius})),
+        motions=lambda: args.motions(made.law, (trajectory, {"note": answer})),
         dtype=str(trajectory.q.dtype),
     )
 

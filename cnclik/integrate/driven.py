@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
+from cnclik import errors
 from cnclik.integrate.drive import Drive, Sampled
 from cnclik.record import Array, Float
 from cnclik.robot import chart
@@ -46,3 +48,15 @@ def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driv
 def averaged(kept, before, new):
     """One sample of the filter: ρ before + (1 − ρ) new."""
     return kept * before + (1 - kept) * new
+
+
+def white_noise(sigma, N: int, m: int, seed=0):
+    """(N, m) independent normal measurement errors; the same seed gives the same numbers.
+
+    Args:
+      sigma: standard deviation, a number or one per task coordinate (m,) [m, rad].
+    """
+    sigma = np.asarray(errors.array("noise", sigma, (), (1,), (m,)))
+    if (sigma < 0).any():
+        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
+    return sigma * np.random.default_rng(errors.seed(seed)).standard_normal((N, m))

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, white_noise
+from cnclik.integrate.drive import Drive
+from cnclik.integrate.driven import white_noise
 from cnclik.integrate.method import Method, Multistep, named
 from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import simulate
@@ -74,7 +75,7 @@ class Problem:
     @property
     def alone(self) -> bool:
         """Whether the robot does exactly what the law asks for: no drives, no noise, no pace."""
-        return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
+        return self.noise is self.pace is None and (self.drive is None or self.drive.prompt)
 
 
 def problem_from(
@@ -140,7 +141,7 @@ def problem_from(
         N=N,
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
-        drive=_drive(chain, given, seed),
+        drive=drive_from(given, chain),
         pace=_pace(chain, given),
         noise=v["noise"],
         seed=seed,
@@ -174,11 +175,12 @@ def _law(chain, task, v, Ts, stack) -> Law:
     )
 
 
-def _drive(chain, given, seed) -> Drive | None:
+def drive_from(given, chain=None) -> Drive | None:
+    """Return the drive of a table of options; None if it has none of them."""
     made = _per_joint(chain, given, DRIVE)
     if "damping_ratio" in made and "natural_frequency" not in made:
         raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
-    return Drive(**made, seed=seed) if made else None
+    return Drive(**made) if made else None
 
 
 def _pace(chain, given) -> Pace | None:
@@ -194,5 +196,6 @@ def _per_joint(chain, given, names) -> dict:
     made = {name: given[name] for name in names if name in given}
     for name, value in made.items():
         if isinstance(value, (tuple, list)):
-            made[name] = value[0] if len(value) == 1 else errors.array(name, value, (chain.n,))
+            shape = (None if chain is None else chain.n,)
+            made[name] = value[0] if len(value) == 1 else errors.array(name, value, shape)
     return made

@@ -54,7 +54,7 @@ def dead_time(made) -> str:
 def drive_words(made) -> str:
     """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
     drive = made.drive
-    if drive is None or drive.absent:
+    if drive is None or drive.prompt:
         return ""
     said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
     measured = drive.measurement_delay
@@ -64,6 +64,7 @@ def drive_words(made) -> str:
         kind, most = "velocity" if drive.command == "velocity" else "position", "up to " * bool(np.ptp(late) > 0)
         said.append(f"{kind} drives {most}{np.max(late):.3g} ms behind their commands")
     said.append(f"feedback {drive.feedback}")
+    said += [f"{drive.filters} filtered with ρ = {float(drive.kept(made.Ts)):.3g}"] * bool(drive.filters)
     return ", ".join(said)
 
 

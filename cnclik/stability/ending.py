@@ -307,7 +307,8 @@ class _Case:
         if late.max() < STALL_RATIO * before.max():
             left = late.max() / before.max()
             goal = max(ARRIVED * self.size()[0], self.floor)
-            more = math.ceil(self.N + self.quarter * math.log(goal / late.max()) / math.log(left)) if left > 0 else 0
+            steps = self.N - self.quarter + self.quarter * math.log(goal / late.max()) / math.log(left) if left > 0 else 0
+            more = math.ceil(1.01 * steps / 0.75)  # the last quarter then begins there
             what = f"{said}, {100 * left:.2g} % of that in the quarter before"
             longer = ({"N": more}, f"run {more} steps") if self.N < more <= errors.MOST else ({}, "")
             return Behaviour.TOO_SHORT, what, *longer

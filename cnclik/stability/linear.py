@@ -46,7 +46,7 @@ def removed(method: MethodLike, z, M=None):
     if method.exponential:
         return -np.expm1(-z)
     slopes: list = []  # times Ts
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         for row in method.A:
             base, own = 1.0 + sum((a * k for a, k in zip(row, slopes)), 0.0 * z), row[-1]  # noqa: B905
             slope = -z * (base if M is None or not own else 1.0)  # passes start from the step's first slope

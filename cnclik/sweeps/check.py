@@ -11,7 +11,7 @@ import pathlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import white_noise
+from cnclik.integrate.driven import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
 from cnclik.problem.options import OF_STACK

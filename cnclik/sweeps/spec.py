@@ -31,10 +31,10 @@ from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
-from cnclik.problem.names import robot_and_tip, stage_from
+from cnclik.problem.names import robot_and_tip
 from cnclik.problem.stack import Written, read_stack, tips_of
-from cnclik.stability.driven import driven_limits
-from cnclik.stability.linear import delay_limit, stability_limit
+from cnclik.stability.gain import stable_share
+from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, is_name, per_joint
 from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
@@ -227,10 +227,5 @@ def joints_of(known, look, spec) -> int:
 
 @functools.cache
 def _stable(method, stage, delay, M) -> float:
-    method = named(method)
-    with jax.ensure_compile_time_eval():  # a number, even while a loop is traced
-        # M as an array: one program for every M.
-        stage = stage_from(stage, np.asarray(M), maximum=max(M, 16)) if method.implicit else None
-        if delay % 1:
-            return driven_limits(method, stage, Ts=1.0, drive=Drive(delay=delay)).stable
-        return float(delay_limit(int(delay), method, stage) if delay else stability_limit(method, stage))
+    M = M if named(method).implicit and stage == "picard" else None
+    return gain_removing(stable_share(Drive(delay=delay), 1.0), method, M)
