@@ -11,7 +11,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, white_noise
-from cnclik.integrate.method import Method, Multistep, named
+from cnclik.integrate.method import Method, named
 from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.stage import Stage
@@ -48,7 +48,7 @@ class Problem:
     q0: Float[AnyArray, " n"]
     Ts: Number
     N: int
-    method: Method | Multistep
+    method: Method
     stage: Stage
     drive: Drive | None = None
     pace: Pace | None = None

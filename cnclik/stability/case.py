@@ -306,7 +306,7 @@ def _at_rest(end, e, Ts) -> dict:
         radius = float(end.share_radii([1.0], Ts)[0])
         steps = end.prompt.modes([end.rate * Ts], Ts)[0][0]
         beyond = overshoot(steps, side_by_side(end.drive), Ts) if radius < 1 else 1.0
-    slowest = _slowest(moved[0], rows, e) if end.drive.prompt and end.method.steps == 1 else radius
+    slowest = _slowest(moved[0], rows, e) if end.drive.prompt else radius
     fold = 1 / max(abs(np.log(max(radius if radius > 1 else slowest, 1e-3))), 1 / SLOWEST)
     return dict(rows=rows, radius=radius, null_radius=found.null_radius, overshoot=float(beyond), fold=float(fold))
 

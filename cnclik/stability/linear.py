@@ -83,11 +83,7 @@ def amplification(method, stage, z):
     """
     method, stage = checked(method, stage)
     z = _numbers(z)
-    if method.steps > 1 and not method.exponential:
-        roots = factors(method, stage, z)
-        largest = np.take_along_axis(roots, np.argmax(np.abs(roots), -1)[..., None], -1)[..., 0]
-        return largest if np.iscomplexobj(z) or np.any(largest.imag) else largest.real
-    x, y = _in_blocks(at_rest_as(method), stage, z.reshape(-1))
+    x, y = _in_blocks(method, stage, z.reshape(-1))
     value = x + 1j * y if np.iscomplexobj(z) else x
     return value.reshape(z.shape)
 
@@ -110,14 +106,6 @@ def _numbers(z):
     raise errors.fail("z", "be a finite number, or an array of them", f"is {z!r}")
 
 
-def at_rest_as(method):
-    """A method that does the same to a small error at rest: of exponential formulas with a memory, exponential Euler.
-
-    What they remember, J# and the target's velocity, has no say there.
-    """
-    return named("EXP-EE") if method.exponential and method.steps > 1 else method
-
-
 @in_float64
 def factors(method, stage, z, delay: int = 0):
     """All factors λ of a loop whose error has a delay of `delay` samples, complex (..., count); prompt by default.
@@ -136,10 +124,7 @@ def factors(method, stage, z, delay: int = 0):
 
 def coefficients(method, stage, z):
     """a (p,) and B (..., p) of a step, see `factors`; both checked."""
-    if method.steps == 1 or method.exponential:
-        return np.ones(1), (amplification(method, stage, z) - 1.0)[..., None]
-    a, b = (np.pad(np.asarray(v, float), (0, method.steps - len(v))) for v in (method.a, method.b))
-    return a, -np.asarray(z)[..., None] * b
+    return np.ones(1), (amplification(method, stage, z) - 1.0)[..., None]
 
 
 def companion(row):

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import EE, Method, Multistep
+from cnclik.integrate.method import EE, Method
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.law.curves import Hold
@@ -50,7 +50,7 @@ class LoopAtRest(NamedTuple):
     law: Law
     held: Reference
     q: Float[AnyArray, " n"]
-    method: Method | Multistep
+    method: Method
     stage: Stage
     rate: float
     drive: Drive
@@ -132,7 +132,7 @@ class LoopAtRest(NamedTuple):
         scale, times = self._at(z, Ts)
         taken = self.rates.taken(scale[:, None], times[:, None], self.method)
         task = self.rates.driven(taken, self.method, self.stage, self.drive)
-        return task, np.zeros((len(scale), 0, self.method.steps))
+        return task, np.zeros((len(scale), 0, 1))
 
     def share_radii(self, share, Ts):
         """Spectral radii (k,) over the task's directions with shares (k,) of the gain."""

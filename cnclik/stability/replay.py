@@ -7,14 +7,14 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.pace import path_waits
-from cnclik.integrate.solve import piece_of, simulate
+from cnclik.integrate.solve import PIECE, simulate
 from cnclik.integrate.status import Status
 from cnclik.robot.chart import apart
 from cnclik.stability import trial
 
 STEPS = 32  # number of steps compared
 ROUNDINGS = 100.0  # tolerance in roundings of joint values, times the growth of a small difference at the start
-ROUGH = Status.NEAR_SINGULAR | Status.RESTARTED | Status.DIVERGED  # after such steps only rounding may be left
+ROUGH = Status.NEAR_SINGULAR | Status.DIVERGED  # after such steps only rounding may be left
 AT_A_PACE = 1e4  # the same at a pace, which divides differences by Ts once or twice
 
 
@@ -44,11 +44,11 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     roundings = ROUNDINGS if pace is None else AT_A_PACE
     floor = roundings * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
     stepped = np.abs(_apart(law, q[:k], q[1 : k + 1]) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
-    remembers = not (drive.absent and pace is None and method.steps == 1)
+    remembers = not (drive.absent and pace is None)
     if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
         return
     size = N if pace is not None or N >= trial.SHORTEST else trial.whole_trial(N)  # a pace looks N steps ahead
-    size = piece_of(method, size) if drive.absent and pace is None else size
+    size = min(size, PIECE) if drive.absent and pace is None else size
 
     def again(start):
         with jax.enable_x64(True) if eps < 1e-9 else contextlib.nullcontext():

@@ -14,7 +14,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.engine.plan import unless_chosen
 from cnclik.hints import LIGHT_COMPILE
-from cnclik.integrate.history import blank, primed
 from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, IE, MethodLike
 from cnclik.integrate.solve import solve
@@ -43,29 +42,17 @@ LANES = 128  # gains and sampling times looked at together: one shape for every 
 
 
 def one_step(law, reference, q, Ts, method, stage):
-    """∂q[k+1]/∂q[k] of the step from t = 0 in the chart at q (n, n), and the rows of the weighted task Jacobian (m, n).
-
-    Of a multistep method of p instants it is the map of all that they were, (q[k], …, q[k−p+1]), at rest at q:
-    (p·n, p·n), the newest first.
-    """
+    """∂q[k+1]/∂q[k] of the step from t = 0 in the chart at q (n, n), and the weighted rows of J (m, n)."""
     law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
     if law.null_velocity is None:  # with one an arm that is on its way to another posture has stages elsewhere
         law = replace(law, chain=standing(law.chain, q))
-    t, n, p, chain = jnp.zeros_like(Ts), len(q), method.steps, law.chain
+    t, chain = jnp.zeros_like(Ts), law.chain
 
-    def move(instants):
-        now, *past = (chart.out(chain, q, y) for y in instants.reshape(p, n))
-        history = blank(law, now, method)
-        if past:
-            history = primed(law, reference, past, t, Ts, method, history)
-        made = advance(law, reference, now, t, Ts, method, stage, history)
-        return chart.into(chain, q, made.q)
+    def move(y):
+        return chart.into(chain, q, advance(law, reference, chart.out(chain, q, y), t, Ts, method, stage).q)
 
     rows = evaluate(law, reference, t, q).rows
-    moved = jax.jacfwd(move)(jnp.tile(chart.centre(chain, q), p))
-    if p > 1:
-        moved = jnp.concatenate([moved, jnp.eye((p - 1) * n, p * n, dtype=q.dtype)])
-    return moved, rows
+    return jax.jacfwd(move)(chart.centre(chain, q)), rows
 
 
 def step_maps(law, reference, q, scale, Ts, method, stage, often=False):

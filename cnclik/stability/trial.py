@@ -11,9 +11,9 @@ import numpy as np
 
 from cnclik.integrate import stage as stages
 from cnclik.integrate.drive import Drive, white_noise
-from cnclik.integrate.method import Method, Multistep, named
+from cnclik.integrate.method import Method, named
 from cnclik.integrate.pace import Pace
-from cnclik.integrate.solve import in_pieces, joined, piece_of, simulate
+from cnclik.integrate.solve import PIECE, in_pieces, joined, simulate
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
@@ -54,7 +54,7 @@ class Run:
     reference: Reference | References
     q0: np.ndarray
     N: int
-    method: Method | Multistep
+    method: Method
     stage: Stage
     drive: Drive
     turn: Float[np.ndarray, "3 3"] | None = None
@@ -165,7 +165,7 @@ class Trials:
             whole = simulate(*how, t0=self.case.t[0], drive=made.drive, pace=made.pace, noise=noise)
             return jax.tree.map(np.asarray, whole)
         own = self.case.steps
-        size = piece_of(made.method, own if own >= SHORTEST and made.method.steps == 1 else steps)
+        size = min(own if own >= SHORTEST else steps, PIECE)
         return joined(in_pieces(*how, size=size, t0=self.case.t[0]), steps)
 
     def repeats(self, N) -> bool:
