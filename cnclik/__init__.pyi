@@ -13,14 +13,11 @@ from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
 from .hints import use_hints as use_hints
 from .integrate.drive import Drive as Drive
-from .integrate.history import History as History
 from .integrate.lanes import lanes as lanes
 from .integrate.method import (
-    CN as CN, EE as EE, EXP_AB2 as EXP_AB2, EXP_AB3 as EXP_AB3, EXP_AB4 as EXP_AB4, EXP_EE as EXP_EE,
-    EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4, HEUN as HEUN, IE as IE, METHODS as METHODS,
-    MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
+    CN as CN, EE as EE, EXP_EE as EXP_EE, EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4,
+    HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
 )
-from .integrate.method import AB2 as AB2, AB3 as AB3, AB4 as AB4, Multistep as Multistep
 from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard

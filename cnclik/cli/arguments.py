@@ -288,7 +288,7 @@ def _metavar(kind) -> str:
 
 
 class _Form(argparse.RawDescriptionHelpFormatter):
-    """Help without breaks within a name, such as EXP-AB3."""
+    """Help without breaks within a name, such as EXP-RK4."""
 
     def _split_lines(self, text, width):
         return textwrap.wrap(text, width, break_on_hyphens=False)

@@ -121,9 +121,9 @@ def _march(made, report):
     """
     import jax
 
-    from cnclik.integrate.solve import in_pieces, joined, piece_of, ran_in_c
+    from cnclik.integrate.solve import PIECE, in_pieces, joined, ran_in_c
 
-    size = piece_of(made.method, made.N) if made.alone else made.N
+    size = min(made.N, PIECE) if made.alone else made.N
 
     def run():
         return in_pieces(*made.loop, size=size) if made.alone else iter([made.run()])

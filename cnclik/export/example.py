@@ -35,10 +35,7 @@ def inputs(request, program) -> dict:
     made = {}
     for group, fields in program.inputs.items():
         for f in fields:
-            if group == "input":
-                value = known[f.name]
-            else:
-                value = np.broadcast_to(np.ravel(0 if group == "history" else f.value), (COUNT, f.size))
+            value = known[f.name] if group == "input" else np.broadcast_to(np.ravel(f.value), (COUNT, f.size))
             value = value.astype(request.dtype if f.kind == "real" else np.int32)
             made[f"{group}.{f.name}"] = value
     made["input.q"][-1, 0] = np.nan
@@ -75,8 +72,6 @@ def example(request, program, names) -> str:
     begin = [f"    {names.type(g)} {g};" for g in (*(g for g in GROUPS if program.inputs[g]), "output")]
     if program.inputs["parameters"]:
         begin.append(f"    {name}_defaults(&parameters);")
-    if program.inputs["history"]:
-        begin.append("    memset(&history, 0, sizeof history);")
     called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
     compare = _comparison(names, near) if any(f.kind == "real" for _, f in outputs) else ""
     return f"""/* Runs test vectors through {name} and returns 0 if all agree. Written by cnclik {__version__}. */
@@ -179,6 +174,5 @@ A call takes at most {ops} operations; sine and cosine count as library function
 {table}
 
 {_SINGLE if names.real == "float" and any(f.name == "qdot" for f in program.outputs["output"]) else ""}
-{"Fill `history` with zeros before the first call, and after every pause." if program.inputs["history"] else ""}
 Files: {", ".join(f"`{f}`" for f in files)}. `cnclik.export.load` reads `export.json`.
 """.replace("\n\n\n", "\n\n")

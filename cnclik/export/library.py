@@ -104,8 +104,7 @@ class Compiled:
         Args:
           q: (n,) joint values [rad, m].
           given, named: the other fields of the C function's `input`, in order or by name; omitted ones keep the
-            value of the previous call, at first that of the export. `history` of a multistep method is the one that
-            the previous step returned; None starts again.
+            value of the previous call, at first that of the export.
           N: steps, of "solve" alone.
 
         Returns: of a step `cnclik.Step`, of "solve" `cnclik.Trajectory`, of "reach" an `Answer`, of "fk" `cnclik.Pose`,
@@ -176,7 +175,6 @@ class _Buffer:
         for f in fields:
             if f["value"] is not None:
                 self.views[f["name"]][...] = f["value"]
-        self.bytes = self.record.reshape(1).view(np.uint8)
         self.address = self.record.ctypes.data
         # The numbers at the start of the struct in one array, and the place of each field in it.
         self.places, at = {}, 0
@@ -185,7 +183,7 @@ class _Buffer:
             if f["kind"] != "int":
                 self.places[f["name"]] = at, at + size, not f["shape"]
                 at += size
-        self.numbers = self.bytes[: at * dtype.itemsize].view(dtype)
+        self.numbers = self.record.reshape(1).view(np.uint8)[: at * dtype.itemsize].view(dtype)
 
 
 def _input(buffers):
@@ -239,23 +237,17 @@ jax.tree_util.register_pytree_node(
 def _stepper(made, function, addresses):
     buffers = made.buffers
     into, shape, write = _input(buffers)
-    numbers, places, history = buffers["output"].numbers, buffers["output"].places, buffers.get("history")
-    array = np.ndarray
-    past = None if history is None else history.bytes
+    numbers, places, array = buffers["output"].numbers, buffers["output"].places, np.ndarray
     new, copied = functools.partial(object.__new__, NativeStep), numbers.copy
 
-    def step(q, *given, history=None, **named):
+    def step(q, *given, **named):
         into[...] = q if type(q) is array and q.shape == shape else _joints(q, shape)
         if given or named:
             write(given, named)
-        if past is not None:
-            past[...] = 0 if history is None else history
         status = function(*addresses)
         made = new()  # without __init__, whose checks take longer than the step
         fields = made.__dict__
         fields["_numbers"], fields["_places"], fields["status"] = copied(), places, status
-        if past is not None:
-            fields["history"] = past.copy()
         return made
 
     return step
@@ -264,29 +256,22 @@ def _stepper(made, function, addresses):
 def _solver(made, function, addresses):
     buffers = made.buffers
     into, shape, write = _input(buffers)
-    output, history = buffers["output"].views, buffers.get("history")
+    output = buffers["output"].views
     names = ("q", "x", "e", "qdot", "residual", "contraction", "status")
 
     def solve(q, *given, N, **named):
         N = errors.integer("N", N, at_least=0)
         into[...] = _joints(q, shape)
         write(given, named)
-        if history is not None:
-            history.bytes[...] = 0
         run = {name: np.empty((N + (name in INSTANTS), *output[name].shape), output[name].dtype) for name in names}
         columns = (ctypes.c_void_p * len(names))(*(run[name].ctypes.data for name in names))
         function(*addresses, N, columns)
         t0, Ts = (buffers["input"].views[name] for name in ("t", "Ts"))
         t = t0 + np.arange(N + 1).astype(made.dtype) * Ts
-        count, tasks = made.manifest["evaluations"], tuple(map(tuple, made.manifest["tasks"]))
-        return Trajectory(t=t, **run, evaluations=np.asarray(_counted(count, N)), tasks=tasks)
+        evaluations, tasks = N * made.manifest["evaluations"], tuple(map(tuple, made.manifest["tasks"]))
+        return Trajectory(t=t, **run, evaluations=np.asarray(evaluations), tasks=tasks)
 
     return solve
-
-
-def _counted(first, N) -> int:
-    """Evaluations in N steps, extrapolated from the first few."""
-    return first[N] if len(first) > N else first[-1] + (N - len(first) + 1) * (first[-1] - first[-2])
 
 
 def _caller(made, function, addresses):

@@ -69,7 +69,7 @@ def trace_reach(request: Request, count: int) -> Reaching:
     return Reaching(
         asked=search,
         look=look_of(chain, task, request.dtype),
-        call=Routine({"parameters": parameters, "input": given, "history": []}, {"output": results}),
+        call=Routine({"parameters": parameters, "input": given}, {"output": results}),
         postures=seeds(chain).postures[:count],
         features=features.reshape(len(every), sets, -1, 13).transpose(0, 1, 3, 2),
         before=before,

@@ -51,24 +51,19 @@ def solve_source(program, growth, names: Names, n, m) -> tuple:
     """The loop, the function that tests whether a step grew, and the `functions` for `helpers`."""
     grown, used, functions = _grown(growth, names)
     given = ", ".join([*(g if g != "input" else "&at" for g in GROUPS if program.inputs[g]), "output"])
-    kept = keep = restore = ""
-    if program.inputs["history"]:
-        kept = f"\n  {names.type('history')} kept = *history;"
-        keep = "\n    kept = *history;"
-        restore = "\n  *history = kept;"
     of_growth = "".join(f"{'&at' if g == 'input' else g}, " for g in used)
     return (
         f"""{grown}
 {signature(program, names)}
 {{
-  {names.type("input")} at = *input;{kept}
+  {names.type("input")} at = *input;
   {names.real} t[2] = {{0}}, e[{2 * m}] = {{0}};
   int32_t all = 0, before = 0, k;
   int i;
   for (k = 0; k <= steps; ++k) {{
     int32_t status;
     at.t = input->t + ({names.real})k * input->Ts;
-    at.Ts = k < steps ? input->Ts : 0; /* the last one only looks where it is */{keep}
+    at.Ts = k < steps ? input->Ts : 0; /* the last one only looks where it is */
     status = {names.name}_step({given});
     t[0] = t[1];
     t[1] = at.t;
@@ -96,7 +91,7 @@ def solve_source(program, growth, names: Names, n, m) -> tuple:
       if (trajectory->contraction) trajectory->contraction[k] = output->contraction;
     }}
   }}
-  output->status = all;{restore}
+  output->status = all;
   return all;
 }}
 """,

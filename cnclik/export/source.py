@@ -11,7 +11,7 @@ from cnclik.integrate.status import Status
 from cnclik.reaching.result import ReachStatus
 from cnclik.version import __version__
 
-GROUPS = ("parameters", "input", "history")
+GROUPS = ("parameters", "input")
 REACHED = tuple(ReachStatus[name] for name in ("SOLVED", "OUT_OF_REACH", "OUT_OF_BUDGET", "NON_FINITE"))
 
 
@@ -64,8 +64,6 @@ def header(program, names, configuration, more="") -> str:
         bits = f"/* {'Bits of the' if names.statuses is Status else 'The'} status. */\nenum {{\n{inside}\n}};\n\n"
     calls = [f"{signature(program, names)};"]
     about = "One call; returns the status." if bits else "One call."
-    if program.inputs["history"]:
-        about += " Fill `history` with zeros to start: it is read and written."
     if program.inputs["parameters"]:
         calls.insert(0, f"/* The parameters as they were exported. */\n{defaults_signature(names)};\n")
     calls[-1] = f"/* {about} */\n{calls[-1]}"
@@ -109,8 +107,7 @@ def struct(names, group, fields) -> str:
 
 def arguments(program, names, ending=("output",)) -> str:
     given = [g for g in GROUPS if program.inputs[g]]
-    const = {"parameters": "const ", "input": "const "}
-    return ", ".join(f"{const.get(g, '')}{names.type(g)} *{g}" for g in (*given, *ending))
+    return ", ".join(f"{'const ' if g in GROUPS else ''}{names.type(g)} *{g}" for g in (*given, *ending))
 
 
 def signature(program, names) -> str:

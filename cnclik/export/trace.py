@@ -1,6 +1,5 @@
 """Trace: an export as a graph with named arguments and results: a step, a loop for many lanes, or geometry alone."""
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -10,9 +9,8 @@ import numpy as np
 from cnclik.engine.constants import of_the_model
 from cnclik.engine.routine import INT, REAL, Field, Routine, read
 from cnclik.export import fields
-from cnclik.integrate.history import blank
 from cnclik.integrate.loop import loop_of, one, start
-from cnclik.integrate.method import Method, Multistep
+from cnclik.integrate.method import Method
 from cnclik.integrate.solve import one_step
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import growing
@@ -35,7 +33,7 @@ _OVER_TIME = {  # results over all steps: how two values combine, and the initia
 class Request(NamedTuple):
     law: Law
     reference: Reference | References | None  # None: the target is an argument of the function
-    method: Method | Multistep
+    method: Method
     stage: Stage
     dtype: np.dtype
     what: str
@@ -47,7 +45,7 @@ def trace(request: Request) -> Routine:
     if request.what in ("fk", "jacobian"):
         return _of_chain(request)
     step = Stepping(request, timed=request.what == "solve")
-    return read_as(request, step.advance, step.groups, {"output": step.outputs, "history": step.groups["history"]})
+    return read_as(request, step.advance, step.groups, {"output": step.outputs})
 
 
 def read_as(request: Request, fn, groups, outputs) -> Routine:
@@ -76,12 +74,7 @@ class Stepping:
         if timed or request.reference is not None:
             given += [Field("t", (), about="time [s]", value=0.0)]
         given += [Field("Ts", (), about="sampling time [s]")]
-        start = jax.eval_shape(lambda q: blank(law, q, request.method), jax.ShapeDtypeStruct((n,), request.dtype))
-        past, self.past_def = jax.tree.flatten(start)
-        words = fields.names([path for path, _ in fields.leaves(start)])
-        kinds = [REAL if leaf.dtype.kind == "f" else INT for leaf in past]
-        history = [Field(word, leaf.shape, kind) for leaf, word, kind in zip(past, words, kinds, strict=True)]
-        self.groups = {"parameters": parameters, "input": given, "history": history}
+        self.groups = {"parameters": parameters, "input": given}
         self.outputs = [
             Field("q", (n,), about=f"joint values after the step [{units}]"),
             Field("qdot", (n,), about="joint velocities to send to the robot [rad/s, m/s]"),
@@ -101,11 +94,11 @@ class Stepping:
         return law, stage, others[0] if others else _target(law, inputs), inputs, list(values)
 
     def advance(self, *flat):
-        """A step: its results in the order of `outputs`, and its history."""
-        law, stage, reference, inputs, past = self.apart(flat)
-        memory, t = jax.tree.unflatten(self.past_def, past), inputs.get("t", _start(self.request.dtype))
-        made = one_step(law, reference, stage, self.request.method, inputs["q"], t, inputs["Ts"], memory)
-        return [getattr(made, f.name) for f in self.outputs], jax.tree.leaves(made.history)
+        """Return the results of a step in the order of `outputs`."""
+        law, stage, reference, inputs, _ = self.apart(flat)
+        t = inputs.get("t", _start(self.request.dtype))
+        made = one_step(law, reference, stage, self.request.method, inputs["q"], t, inputs["Ts"])
+        return [getattr(made, f.name) for f in self.outputs]
 
     def grown(self, *flat):
         """The GROWING bit of a step from its errors at both ends, (2, m), at two times (2,)."""
@@ -185,9 +178,9 @@ def trace_loop(request: Request, wanted=RESULTS) -> Routine:
         law, stage, reference, inputs, _ = step.apart(given)
         loop = loop_of(law, reference, inputs["q"], inputs["Ts"], steps, request.method, stage, t0=inputs["t"])
 
-        def advance(starting, k, carry):
+        def advance(k, carry):
             state, before = carry
-            state, made = one(loop, starting, state, k)
+            state, made = one(loop, state, k)
             both = {name: _OVER_TIME[name][0] if name in _OVER_TIME else lambda _, now: now for name in before}
             return state, {name: both[name](before[name], getattr(made, name)) for name in before}
 
@@ -196,11 +189,8 @@ def trace_loop(request: Request, wanted=RESULTS) -> Routine:
             return jnp.full(f.shape, _OVER_TIME.get(f.name, (None, 0))[1], dtype)
 
         carry = start(loop, inputs["q"]), {name: zeros(f) for name, f in outputs.items() if name not in ("q", "e", "x")}
-        early = jnp.minimum(request.method.steps - 1, steps)
-        if request.method.steps > 1:
-            carry = jax.lax.fori_loop(0, early, functools.partial(advance, True), carry)
-        state, found = jax.lax.fori_loop(early, steps, functools.partial(advance, False), carry)
-        end = one(loop, False, state, steps)[1]  # a step of length 0, of which only the observation is used
+        state, found = jax.lax.fori_loop(0, steps, advance, carry)
+        end = one(loop, state, steps)[1]  # a step of length 0, of which only the observation is used
         found = {"q": state.q, "e": end.e, "x": end.x} | found
         return [found[name] for name in RESULTS if name in wanted]
 
@@ -233,7 +223,7 @@ def _of_chain(request) -> Routine:
         for i in range(len(names)):
             at = frames(chain, q, i)
             made += [at.position, at.rotation] if poses else [jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))]
-        return made, []
+        return made
 
     outputs = []
     for name, own in zip(names, before, strict=True):
@@ -243,5 +233,5 @@ def _of_chain(request) -> Routine:
         turn = Field(f"{own}rotation", (3, 3), about=f"{of}, row by row")
         outputs += [place, turn] if poses else [Field(f"{own}jacobian", (6, chain.n), about=rows)]
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
-    groups = {"parameters": parameters, "input": given, "history": []}
-    return read_as(request, fn, groups, {"output": outputs, "history": []})
+    groups = {"parameters": parameters, "input": given}
+    return read_as(request, fn, groups, {"output": outputs})

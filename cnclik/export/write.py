@@ -18,7 +18,7 @@ from cnclik.export.reach_source import SEEDS, most_operations, reach_source, tra
 from cnclik.export.solve_source import solve_header, solve_source
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import RESULTS, WHAT, Request, trace, trace_growth, trace_loop
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_of, named
+from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.inverse import damped
 from cnclik.law.law import Law, check_loop
@@ -157,14 +157,6 @@ def configuration(request: Request) -> list:
     return [line.replace("−", "-").replace("…", "...").encode("ascii", "replace").decode() for line in lines]
 
 
-def _evaluations(request) -> list:
-    """Evaluations of f in a loop of 0, 1, 2 … steps, until each further one costs the same."""
-    if request.what not in ("step", "solve"):
-        return []
-    count = request.method.steps + 2
-    return [int(evaluations_of(request.method, request.stage, request.law.chain.n, N)) for N in range(count)]
-
-
 def _wanted(names) -> tuple:
     if not isinstance(names, (tuple, list)):
         raise errors.fail("batch", "be True or names of results such as q and e", f"is {names!r}")
@@ -180,6 +172,8 @@ def manifest(request, program, names, looped=None) -> dict:
         value = None if f.value is None else np.asarray(f.value).tolist()
         return {"name": f.name, "shape": list(f.shape), "kind": f.kind, "value": value}
 
+    loop = request.what in ("step", "solve")
+    evaluations = int(evaluations_per_step(request.method, request.stage, request.law.chain.n)) if loop else 0
     return {
         "cnclik": __version__,
         "name": names.name,
@@ -188,7 +182,7 @@ def manifest(request, program, names, looped=None) -> dict:
         "method": str(request.method),
         "inputs": {group: [row(f) for f in fields] for group, fields in program.inputs.items()},
         "outputs": [row(f) for f in program.outputs["output"]],
-        "evaluations": _evaluations(request),
+        "evaluations": evaluations,
         "tasks": [[name, at.start, at.stop] for name, at in request.law.task.each],
         "batch": looped
         and {

@@ -10,7 +10,6 @@ law's own chain. It is constant during a step, as for a controller that measures
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,9 +19,8 @@ import jax.numpy as jnp
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.drive import Drive, Sampled, moving
 from cnclik.integrate.driven import Driven, driven, reached, resting
-from cnclik.integrate.history import Begun, History, Stepped, blank, mark, over_history
 from cnclik.integrate.march import charted, exponential_march, march
-from cnclik.integrate.method import Method, Multistep, early_steps, evaluations_of, starter
+from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import Status, flags, growing, task_flags, too_fast
@@ -43,7 +41,7 @@ class Loop:
 
     law: Law
     reference: Reference | References
-    method: Method | Multistep
+    method: Method
     stage: Stage
     Ts: Float[Array, ""]
     t0: Float[Array, ""]
@@ -77,7 +75,6 @@ class State(NamedTuple):
     """The state of a loop."""
 
     q: Float[Array, " n"]  # the robot's joint values
-    history: History | None  # memory of a multistep method
     lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
     drives: Driven | None = None
     late: tuple[Array, ...] = ()  # measured errors on their way
@@ -110,7 +107,6 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
     first = observe(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
     return State(
         q0,
-        blank(loop.law, q0, loop.method),
         lost=jnp.zeros_like(q0) if compensated else None,
         drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
         late=() if first is None else (first,) * loop.late,
@@ -119,12 +115,10 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
     )
 
 
-def one(loop: Loop, starting, state: State, k):
+def one(loop: Loop, state: State, k):
     """(state after step k, `Step` with q, x and e before it). Pure.
 
     The extra step at the end, k = N, has length 0: it changes nothing and gives x and e at the last instant.
-
-    Args: starting: whether it is a step of the method that starts a multistep method.
     """
     law, Ts, q = loop.law, loop.Ts, state.q
     t = state.path if loop.waits else loop.t0 + k * Ts
@@ -132,7 +126,7 @@ def one(loop: Loop, starting, state: State, k):
     length = jnp.where(k < loop.N, part * Ts, 0.0)
     now = law if loop.gained is None else loop.gained(law, t)
     seen, aimed, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
-    made = advance(now, aimed, seen, t, length, loop.method, loop.stage, state.history, starting=starting)
+    made = advance(now, aimed, seen, t, length, loop.method, loop.stage)
     lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
     moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
     if loop.pace is not None:
@@ -144,12 +138,12 @@ def one(loop: Loop, starting, state: State, k):
         moved, drives = reached(law.chain, q, drives)
     elif lost is not None:
         moved, lost = summed(law.chain, q, length * made.qdot, lost, law if loop.pace is None else None)
-    after = State(moved, made.history, lost, drives, late, path, pacing)
+    after = State(moved, lost, drives, late, path, pacing)
     if drives is not None or seen is not q:
         made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
     if at is not None:
         made = replace(made, x=at.x(), e=at.e)
-    return after, replace(made, q=q, history=None)
+    return after, replace(made, q=q)
 
 
 def _measured(loop, state, t, k):
@@ -179,20 +173,14 @@ def _paced(loop, made, pacing, t, q):
     """(the step within the limits, the state of the pace, time on the path)
 
     If the path waits, the method makes a step over the path time of the last step, share·Ts. So methods keep their
-    order, and multistep methods remember even steps. Otherwise steps are made over Ts and then scaled, and a scaled
-    step starts a new memory.
+    order. Otherwise steps are made over Ts and then scaled.
     """
     stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
     s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q))
     status = made.status & ~int(Status.OVER_VELOCITY)
     status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
     status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
-    history = made.history
-    if history is not None:  # the past does not predict the path beyond a corner
-        new = s < 1 if not loop.waits else loop.ahead is not None and stop <= s * loop.Ts
-        count = history.count if new is False else jnp.where(new, 0, history.count)
-        history = replace(history, count=count, Ts=s * loop.Ts if loop.waits else history.Ts)
-    made = replace(made, qdot=pacing.velocity, status=status, history=history)
+    made = replace(made, qdot=pacing.velocity, status=status)
     return made, pacing, t + s * loop.Ts if loop.waits else None
 
 
@@ -200,28 +188,22 @@ def run(loop: Loop, q0, *, end=False):
     """The `Trajectory` of a loop from rest at q0 (n,). Pure. Args: end: (q, x, e) of the last instant alone."""
     k, m = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task.m
     single = q0.dtype == jnp.float32 and not loop.measured
-    state, early = start(loop, q0, compensated=single), early_steps(loop.method, loop.N)
+    state, none, empty = start(loop, q0, compensated=single), jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
 
-    def step(starting, state, k):
-        after, made = one(loop, starting, state, k)
+    def step(state, k):
+        after, made = one(loop, state, k)
         return after, (made, state.path)
 
     step = step if loop.measured else checkpointed(step)
 
     def with_last(carry, k):
-        after, found = step(False, carry[0], k)
+        after, found = step(carry[0], k)
         return (after, (found[0].q, found[0].x, found[0].e)), found
 
-    if early:
-        state, begun = jax.lax.scan(functools.partial(step, True), state, jax.lax.slice_in_dim(k, 0, early))
-    none, empty = jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
-    (_, last), found = jax.lax.scan(with_last, (state, (none, empty, empty)), jax.lax.slice_in_dim(k, early, None))
+    (_, last), (steps, path) = jax.lax.scan(with_last, (state, (none, empty, empty)), k)
     if end:
         return last
-    if early:
-        found = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, found)
-    cost = evaluations_of(loop.method, loop.stage, loop.law.chain.n, loop.N)
-    steps, path = found
+    cost = loop.N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)
     tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
     made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost, tasks)
     if loop.measured:  # with noise an error grows and shrinks at random
@@ -251,7 +233,6 @@ class Step:
       status: bits of `Status`.
       task_status: (tasks,) bits that each task of a stack has alone; None without a stack.
       walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
-      history: memory of a multistep method for its next step; None for one-step methods.
     """
 
     q: Float[Array, " n"]
@@ -264,36 +245,21 @@ class Step:
     status: Int[Array, ""]
     task_status: Int[Array, " tasks"] | None = None
     walls: Float[Array, " k"] | None = None
-    history: History | None = None
 
 
-def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False) -> Step:
-    """One step of the loop, of a law whose chain is a `Model`.
-
-    Args:
-      history: of a multistep method, see `cnclik.integrate.history.blank`; None for others.
-      starting: whether a multistep method makes a step of its `starter`, which it remembers.
-    """
+def advance(law: Law, reference, q, t, Ts, method, stage) -> Step:
+    """Make one step of the loop, of a law whose chain is a `Model`."""
     known = reference if reference.known else tangent(reference, law.task, t)
-    at, begun = observe(law, known, t, q), None
-    if method.steps == 1 or starting:
-        made_with = starter(method) if starting else method
-        # A loop over the stages compiles several times faster, but runs 15 to 25 % slower.
-        looped = starting or not (made_with.implicit or len(made_with.b) < 3)
-        looped = looped and made_with.c[0] == 0
-        begun = _of_tableau(law, known, q, at, t, Ts, made_with, stage, looped=looped)
-    if begun is not None and method.steps == 1:
-        one = Stepped(begun.moved)
+    at = observe(law, known, t, q)
+    if method.exponential:
+        made = exponential_march(law, known, q, at, t, Ts, method, stage)
     else:
-        one = over_history(law, known, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)
-    made = one.moved
+        made = _of_tableau(law, known, q, at, t, Ts, method, stage)
     if law.limits is not None:
         after, qdot = within(law, centre(law.chain, q), made.qdot, Ts)
         made = made._replace(q=after, qdot=qdot)
     made = made._replace(q=out(law.chain, q, made.q))
     status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
-    if one.restarted is not None:
-        status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
     return Step(
         q=made.q,
         x=made.first.x(),
@@ -305,7 +271,6 @@ def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, start
         status=status,
         task_status=task_flags(law, made.first),
         walls=made.first.walls,
-        history=one.history,
     )
 
 
@@ -321,13 +286,11 @@ def summed(chain, q, step, lost, law=None):
     return out(chain, q, after), jax.lax.stop_gradient(step - (after - y))
 
 
-def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:
-    """A step of a tableau, from the law's observation at q and t."""
-    if method.exponential:
-        return Begun(*exponential_march(law, reference, q, at, t, Ts, method, stage, looped=looped))
+def _of_tableau(law, reference, q, at, t, Ts, method, stage):
+    """Make a step of a tableau over the law's field, from its observation at q and t."""
 
     def field(c, q):
         return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
 
     field, y = charted(law.chain, q, field), centre(law.chain, q)
-    return Begun(march(field, y, Ts, method, stage, evaluate_at(law, q, at), looped=looped))
+    return march(field, y, Ts, method, stage, evaluate_at(law, q, at))

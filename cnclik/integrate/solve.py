@@ -18,9 +18,7 @@ from cnclik.engine.numbers import Numbers
 from cnclik.engine.plan import may_be_plain, unless_chosen
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
-from cnclik.integrate import history as memory
 from cnclik.integrate.drive import Drive, check_drive, moving
-from cnclik.integrate.history import History
 from cnclik.integrate.loop import Step, advance, loop_of, run
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.pace import Pace, check_pace
@@ -67,8 +65,7 @@ def solve(
       q0: (n,) joint values at t0 [rad, m].
       Ts: sampling time [s], positive.
       N: number of steps, a Python integer.
-      method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method` or `Multistep`. A multistep method
-        starts with RK4 (EXP-RK4) steps.
+      method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method`.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods ignore it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no resolution of 1 ms.
       drive: model of the drives between command and motion, see `Drive`; None: ideal.
@@ -122,22 +119,18 @@ def step(
     Ts: Number,
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
-    history: History | None = None,
 ) -> Step:
     """One step, for use in your own control loop: from q(t) to q(t + Ts).
 
-    Call it once before the loop starts: the first call compiles, for about a second. A multistep method compiles once
-    more with its second step, the first one with a history. From then on call `step(..., history=made.history)`; with
-    None it starts again with a step of RK4 (EXP-RK4).
+    Call it once before the loop starts: the first call compiles, for about a second.
 
     Args and raises: as `solve`, with q (n,) and t [s] in place of q0 and t0.
     Returns: `Step` with q (n,) after the step, qdot (n,) to send to the robot, e (m,) before the step.
     """
     q, method = check_arguments(law, reference, q, Ts, method, stage, name="q")
-    history = memory.checked(history, method, law)
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
-    known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q), history)
+    known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q))
     return _computed(a_step, known, given, step_soon)
 
 
@@ -237,21 +230,11 @@ def end(law, reference, q0, Ts, N, method, stage):
 solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), LRU()
 
 
-def one_step(law, reference, stage, method, q, t, Ts, history):
-    """The computation of `step`. Pure."""
+def one_step(law, reference, stage, method, q, t, Ts) -> Step:
+    """Make the step of `step`. Pure."""
     check(reference, law.task)
-    law, reference, history = cast((modelled(law), reference, history), q.dtype)
-    t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)
-
-    def one(starting, past):
-        return advance(law, reference, q, t, Ts, method, stage, past, starting=starting)
-
-    if method.steps == 1:
-        return one(False, None)
-    if history is None:
-        return one(True, memory.blank(law, q, method))
-    begins = history.made < method.steps - 1
-    return jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), history)
+    law, reference = cast((modelled(law), reference), q.dtype)
+    return advance(law, reference, q, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
 
 
 step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(one_step, lets_go=False)
@@ -263,15 +246,10 @@ step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(on
 PIECE = 2000  # steps of a piece, at most
 
 
-def piece_of(method, N: int) -> int:
-    """Steps per piece of a run of N; N for a multistep method, which would lose its memory."""
-    return N if method.steps > 1 else min(N, PIECE)
-
-
 def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
     """Yield runs of `size` steps each, which together are `solve`'s N steps and the rest of the last piece.
 
-    Args: as for `solve`, with concrete values; the method makes single steps, or `size` is at least N.
+    Args: as for `solve`, with concrete values.
     """
     part, q = None, q0
     for begun in range(0, N, size):

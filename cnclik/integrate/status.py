@@ -30,7 +30,6 @@ class Status(enum.IntFlag):
     OVER_VELOCITY = 16  # a joint faster than its velocity limit
     GROWING = 32  # the error grew by more than its target moved, see `growing`; not set by `step`
     TASK_TOO_LARGE = 64  # more task coordinates than joints: the remaining error is a compromise
-    RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
     DIVERGED = 256  # joint values too large to be meaningful, see `far`, but finite
     OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
     WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: see `Trajectory.walls`
@@ -39,7 +38,6 @@ class Status(enum.IntFlag):
 MISSED = 1e-4  # [m/s, rad/s] violation of a wall that exceeds rounding
 
 LOST = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
-NO_DEFECT = Status.RESTARTED
 OWN = Status.NEAR_SINGULAR | Status.GROWING  # the bits that each task of a stack has alone
 
 _REMEDY = {
@@ -69,7 +67,7 @@ def names(status: ArrayLike) -> str:
 def level(status: ArrayLike) -> np.ndarray:
     """The severity of each status, as an index of `cnclik.markup.LEVELS`: 0 fine, 1 warning, 2 lost."""
     status = np.asarray(status)
-    return np.where(status & LOST.value, 2, np.where(status & ~NO_DEFECT.value, 1, 0))
+    return np.where(status & LOST.value, 2, np.where(status, 1, 0))
 
 
 def count(status: ArrayLike) -> dict[str, int]:
@@ -87,14 +85,14 @@ def counted(status) -> str:
 @errors.renamed(trajectory="run")
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
-    """Return the run if no step has a status beyond `allow` and RESTARTED, which is no defect; or raise StepError.
+    """Return the run if no step has a status beyond `allow`; or raise StepError.
 
     The message names the first bad step (and lane), its time, and a remedy. The values are read, so this cannot be used
     under jit.
     """
     if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is in a later module
         raise errors.fail("run", "be a Trajectory", f"is {type(run).__name__}")
-    status = np.asarray(run.status) & ~int(allow | Status.RESTARTED)
+    status = np.asarray(run.status) & ~int(allow)
     if not status.any():
         return run
     # Earliest step over all lanes: the last axis is time.

@@ -182,8 +182,6 @@ class Evaluation(NamedTuple):
     newton: Callable  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `newton`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
     cut: bool | Bool[Array, ""] = False  # whether the search within limits was cut short
-    task_velocity: Float[Array, " m"] | None = None  # weighted task velocity
-    memory: Callable | None = None  # memory(): the memory of J#, see `cnclik.law.inverse.remembered`
     walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
@@ -221,8 +219,6 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         newton=lambda h, k: newton(law, q, rows, made, velocity, null, qdot, h, k),
         limited=getattr(made, "limited", False),
         cut=getattr(made, "cut", False),
-        task_velocity=velocity,
-        memory=getattr(made, "memory", None),
         walls=getattr(made, "walls", None),
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.driven import white_noise
-from cnclik.integrate.method import Method, Multistep, named
+from cnclik.integrate.method import Method, named
 from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.stage import Stage
@@ -49,7 +49,7 @@ class Problem:
     q0: Float[AnyArray, " n"]
     Ts: Number
     N: int
-    method: Method | Multistep
+    method: Method
     stage: Stage
     drive: Drive | None = None
     pace: Pace | None = None

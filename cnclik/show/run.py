@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from cnclik import errors, markup
-from cnclik.integrate.status import NO_DEFECT, OWN, Status, level
+from cnclik.integrate.status import OWN, Status, level
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
 from cnclik.measure.dataset import Axes, to_dataset
@@ -276,7 +276,7 @@ def _status_rows(data):
     found = []
     for bit in _BITS:
         words = bit.name.replace("_", " ").lower()
-        color = "0.6" if bit & NO_DEFECT else markup.LEVELS[level(bit)]
+        color = markup.LEVELS[level(bit)]
         own = data.task_status.values.T & bit.value if "task_status" in data and bit & OWN else np.zeros((0, 1))
         if own.any():
             found += [

@@ -48,14 +48,10 @@ METHODS = {
     "HEUN": Line(ORANGE, DASH, "v", 3.5),
     "MIDPOINT": Line(SKY, DASHDOT, "P", 3.6),
     "RK4": Line(PURPLE, DOT, "X", 3.7, 1.6),
-    "AB2": Line(ORANGE, DOT, "<", 3.2),
     "EXP-EE": Line(BLUE, "-", "o", 3.4),
     "EXP-HEUN": Line(ORANGE, "-", "v", 3.5),
     "EXP-MIDPOINT": Line(SKY, "-", "P", 3.6),
     "EXP-RK4": Line(PURPLE, "-", "X", 3.7),
-    "EXP-AB2": Line(VERMILION, "-", ">", 3.8),
-    "EXP-AB3": Line(GREEN, DOT, ">", 3.8),
-    "EXP-AB4": Line(BLACK, DOT, ">", 3.8),
 }
 OTHER = Line(BLACK, DASH, "o", 3.0)  # for a method without a style
 

@@ -10,7 +10,7 @@ A part is a record with
   motion(aim, rate)             (w,) the target's own velocity, from its derivative by time;
   velocity(robot, aim, motion)  (m,) what that adds to the error,
 
-and with what exponential and multistep methods ask of two targets, `between` and the rest. Where a target is a vector
+and with what exponential methods ask of two targets, `between` and the rest. Where a target is a vector
 that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied` change with
 the target: of one in the tip's own frame, where w is 3, and of functions of the target.
 """
@@ -148,10 +148,6 @@ class Vector:
         """How far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
-    def went(self, aim, before):
-        """A vector of the size of a target's way, for telling a jump from a motion."""
-        return aim - before
-
     def chart(self, aim):
         """A vector whose changes are no smaller than the target's way."""
         return aim
@@ -265,11 +261,6 @@ class Orientation(Vector):
         turn = aim @ before.T
         return log_of_step(turn)[places(self.axes)], turn if self.whole else None
 
-    def went(self, aim, before):
-        if self.whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
-            return (aim - before).ravel() * 0.5**0.5
-        return 0.5 * axial(aim @ before.T)[places(self.axes)]
-
     def chart(self, aim):
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
         return 1.111 * aim.ravel()
@@ -372,9 +363,6 @@ class OwnOrientation(Orientation):
 
     def mean(self, aim, before):
         return log_of_step(aim @ before.T), None
-
-    def went(self, aim, before):
-        return (aim - before).ravel() * 0.5**0.5
 
     def between(self, robot: At, aim, measured, model):
         own = turn_from(-measured, -model) if self.m == 3 else Orientation.spread(self, measured - model)

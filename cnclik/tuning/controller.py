@@ -52,11 +52,7 @@ def _rate_line(tuned) -> str:
     stage = f", ck.{tuned.stage}" if tuned.method.implicit else ""
     step = f'ck.step(law, path, q, t, {tuned.Ts:.6g}, "{tuned.method.name}"{stage}'
     about = f"law: J# (xdot_d + {product}), {when}; {formula}"
-    if tuned.method.steps == 1:
-        return f"qdot = {step}).qdot  # {about}"
-    return (
-        f"made = {step}, history=history); qdot, history = made.qdot, made.history  # history: None at first; {about}"
-    )
+    return f"qdot = {step}).qdot  # {about}"
 
 
 def _pink_mink_line(tuned) -> str:

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors
 from cnclik.hints import after
 from cnclik.integrate.drive import Drive
 from cnclik.law.law import weighted_gain
@@ -12,7 +11,7 @@ from cnclik.record import replace
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.driven import driven_limits, looked_at_drive, loop_matrix, noise_limit
 from cnclik.stability.drives import each_drive
-from cnclik.stability.linear import at_rest_as, stepped
+from cnclik.stability.linear import stepped
 from cnclik.stability.loop import loop_at_rest, parts_at_rest
 from cnclik.stability.spectrum import at_rest, of_error, one_step
 from cnclik.stability.tasks import bounded_rates
@@ -31,7 +30,7 @@ def maps_at_rest(law, q, Ts, method, stage):
     the share removed are 0 there, too. A stack
     removes most where all its tasks are fulfilled; errors that no joint can affect count as removed in the same way.
     """
-    (law, held), method = at_rest(law, None, q), _forgetful(method)
+    law, held = at_rest(law, None, q)
     if law.null_velocity is not None:
         moved, rows = one_step(law, held, q, Ts, method, stage)
         inverse = jnp.linalg.pinv(rows)  # computed once: LAPACK's threads may deadlock in two simultaneous batches
@@ -53,14 +52,6 @@ def maps_at_rest(law, q, Ts, method, stage):
 
 def _taken(found):
     return jnp.eye(len(found), dtype=found.dtype) - found
-
-
-def _forgetful(method):
-    """A one-step method with the same effect on a small error at rest."""
-    same = at_rest_as(method)
-    if same.steps > 1:
-        raise errors.fail("method", "be a one-step or an exponential method to be tuned", f"is {method}")
-    return same
 
 
 def driven_map(a, drive, Ts):
@@ -143,5 +134,5 @@ def radius_over(law, q, alpha, Ts, method, stage, *, drive=Drive()):
       alpha, Ts: (b,) largest |eigenvalue| of the gain [1/s], (a,) sampling times [s].
       method, stage: as for `solve`. drive: between command and motion.
     """
-    loop = loop_at_rest(law, None, q, _forgetful(method), stage, drive)
+    loop = loop_at_rest(law, None, q, method, stage, drive)
     return np.stack([loop.radii(np.asarray(alpha) * T, T)[0] for T in Ts])

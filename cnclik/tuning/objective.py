@@ -13,7 +13,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.hints import after
 from cnclik.integrate.drive import Drive, check_drive
-from cnclik.integrate.method import DEFAULT, Method, Multistep
+from cnclik.integrate.method import DEFAULT, Method
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop, metric
@@ -126,7 +126,7 @@ class LoopObjective:
     tolerance: Float[AnyArray, ""]
     N: int
     drive: Drive  # if joints differ, each drive counts for all joints
-    method: Method | Multistep
+    method: Method
     stage: Stage
     counts: Float[AnyArray, " m"] | None  # weight of each coordinate of a stack in the loss, from the original law; 0
     #                                       of postures that were not named

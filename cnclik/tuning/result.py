@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from cnclik.integrate.method import Method, Multistep
+from cnclik.integrate.method import Method
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law
@@ -116,7 +116,7 @@ class Tuned:
     q0: Float[np.ndarray, "*B n"]
     Ts: float
     N: int
-    method: Method | Multistep
+    method: Method
     stage: Stage
     schedule: Float[np.ndarray, " K"] | None
     conditions: Conditions

@@ -110,7 +110,6 @@ ROWS = [
     end("EE, float64", dtype="float64"),
     end("CN, picard(5)", "CN"),
     end("EXP-MIDPOINT", "EXP-MIDPOINT"),
-    end("EXP-AB2", "EXP-AB2"),
     end("RK4", "RK4"),
     end("TRAPEZOID, chord(2)", "TRAPEZOID", ck.chord(2)),
     end("EE, J#", of=lambda: case(inverse=ck.pseudoinverse())),

@@ -100,7 +100,7 @@ def test_a_servo_leaves_a_tenth_of_the_gain(capsys):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--method", "EULER"], "EXP-AB4, but is 'EULER' (did you mean 'EE'?)."),
+        (["--method", "EULER"], "EXP-RK4, but is 'EULER' (did you mean 'EE'?)."),
         (["--map", "--cells", "1"], "Option `--cells` must be at least 2, but is 1."),
         (["--Ts-range", "1ms", "9ms"], "Option `--Ts-range` must come with --map, which it is for, but comes without."),
         (["--gains", "a", "b"], "Option `--gains` must come with --map, which it is for, but comes without."),

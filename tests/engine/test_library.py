@@ -89,7 +89,6 @@ SLOPES = {
     "long": dict(N=90),
     "CN": dict(method="CN"),
     "CN implicit": IMPLICIT,
-    "AB2": dict(method="AB2"),
     "EXP-MIDPOINT": dict(method="EXP-MIDPOINT"),
     "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),

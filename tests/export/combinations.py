@@ -12,7 +12,6 @@ from cnclik.export.library import compiled
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
 
-SEVERAL = 6  # steps of a multistep method, one after the other
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
 CLOSELY = 40  # times as many repeats where those explain too little
 NEAR = {"float64": 1e-12, "float32": 1e-5}
@@ -113,13 +112,7 @@ def by_jax(combination):
 
     def one(q, position, rotation, velocity):
         reference = target(law, position, rotation, velocity)
-
-        def again(made, _):
-            return ck.step(law, reference, made.q, 0.0, combination.Ts, method, stage, history=made.history), None
-
         made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
-        if method.steps > 1:
-            made, _ = jax.lax.scan(again, made, None, length=SEVERAL - 1)
         return made.q, made.qdot, made.e, made.x, made.residual, made.status
 
     soon = known_options(QUICK_COMPILE)  # a few inputs: compiling is nearly all of the time
@@ -136,14 +129,11 @@ def by_c(combination, given, step=None):
     """The same by the exported step, lane by lane."""
     law, method, stage = combination.parts()
     step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
-    rounds, found = SEVERAL if method.steps > 1 else 1, []
+    found = []
     names = [row["name"] for row in step.manifest["inputs"]["input"]]
     for q, position, rotation, velocity in zip(*given, strict=True):
         known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
-        history = None
-        for _ in range(rounds):
-            made = step(q, *(known[name] for name in names[1:]), history=history)
-            q, history = made.q, made.history
+        made = step(q, *(known[name] for name in names[1:]))
         found.append((made.q, made.qdot, made.e, made.x, made.residual, made.status))
     return [np.array(v) for v in zip(*found, strict=True)]
 

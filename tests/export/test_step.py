@@ -13,13 +13,13 @@ SPREAD = [
     Combination("planar2", dtype="float32"),
     Combination("planar3", "pseudoinverse", "saturation"),
     Combination("planar2", "singular-damped", "weighted-least-norm", method="TRAPEZOID", stage="chord"),
-    Combination("planar2", "pseudoinverse", method="AB2"),
+    Combination("planar2", "pseudoinverse", method="EXP-RK4"),
     Combination("planar2", "damped", method="IE", stage="newton"),
     Combination("planar3", "damped", null="manipulability"),
     Combination("planar3", "damped", "bounded", "posture"),
     Combination("planar3", "manipulability-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
     Combination("planar2", "transpose", method="HEUN", dtype="float32"),
-    Combination("planar2", "damped", method="EXP-AB2", dtype="float32"),
+    Combination("planar2", "damped", method="EXP-EE", dtype="float32"),
     Combination("planar2", "damped", method="CN", dtype="float32"),
 ]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.solve import PIECE, in_pieces, joined, piece_of
+from cnclik.integrate.solve import in_pieces, joined
 
 ARM = ck.planar_arm([1.0, 0.8])
 XY = ck.position("xy")
@@ -36,7 +36,3 @@ def test_a_loop_that_is_lost_stays_lost():
     np.testing.assert_array_equal(np.isfinite(made.q), np.isfinite(whole.q))
     np.testing.assert_allclose(made.t, whole.t)
     assert made.status[-1] == whole.status[-1]
-
-
-def test_a_memory_is_not_begun_anew():
-    assert piece_of(ck.METHODS["AB2"], 3 * PIECE) == 3 * PIECE and piece_of(ck.METHODS["RK4"], 3 * PIECE) == PIECE

@@ -38,13 +38,10 @@ METHODS = {
     "IE picard": ("IE", ck.picard(2)),
     "CN chord": ("CN", ck.chord(2)),
     "IE newton": ("IE", ck.newton(2)),
-    "AB3": ("AB3", ck.picard(5)),
-    "ZNN4": ("ZNN4", ck.picard(5)),
     "EXP-EE": ("EXP-EE", ck.picard(5)),
     "EXP-MIDPOINT": ("EXP-MIDPOINT", ck.picard(5)),
-    "EXP-AB2": ("EXP-AB2", ck.picard(5)),
 }
-QUICK = {("weights", "EE"), ("saturation", "IE picard"), ("weights", "EXP-AB2"), ("saturation", "EXP-MIDPOINT")}
+QUICK = {("weights", "EE"), ("saturation", "IE picard"), ("weights", "EXP-EE"), ("saturation", "EXP-MIDPOINT")}
 QUICK |= {("scaling", "EXTREME"), ("bounded", "CN chord")}
 
 
@@ -202,7 +199,7 @@ def mirrored(i):
     [
         ("weights", 0, "EE"),
         ("saturation", 1, "EE"),
-        *(pytest.param(*of, "EXP-AB2", marks=pytest.mark.slow) for of in (("weights", 1), ("bounded", 0))),
+        *(pytest.param(*of, "EXP-MIDPOINT", marks=pytest.mark.slow) for of in (("weights", 1), ("bounded", 0))),
     ],
 )
 def test_a_mirrored_axis_gives_a_mirrored_run(limits, i, method):
