@@ -29,8 +29,8 @@ class Args(ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions)
     lag of 100 ms are assumed. Give --delay 0 for drives that follow at once."""
 
     robot: str | None = option(None, positional=True)
-    """A robot, as for `cnclik solve`: adds the share of its joints' velocity limits that --speed needs; --map needs one,
-    default there: planar-clockwise:1,1,1,1,1, the paper's arm."""
+    """A robot, as for `cnclik solve`: adds the share of its joints' velocity limits that --speed needs. --map runs its
+    loops; default there: planar-clockwise:1,1,1,1,1, the paper's arm."""
     target: tuple[float, ...] | None = option(None, unit="x")
     """--map: target at which the loops rest: position [m]; for a pose, optionally a quaternion w x y z after it."""
     speed: float = option(0.1, unit="m/s")
@@ -40,7 +40,7 @@ class Args(ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions)
     chart: bool = False
     """Draw the recommended gain over sampling time and dead time."""
     map: bool = False
-    """Simulate loops of a robot over a grid of alpha and Ts and draw how each ends; for implicit methods also over M."""
+    """Simulate loops over a grid of alpha and Ts and draw how each ends; for implicit methods also over M."""
     plane: bool = False
     """Draw stability regions of --methods and --passes in the complex z-plane; print the largest real z of each."""
     methods: tuple[str, ...] = ("EE", "HEUN", "MIDPOINT", "RK4", "IE", "CN", "TRAPEZOID")
@@ -233,7 +233,7 @@ def _yours(found, alpha, response, speed) -> str:
     if not alpha:
         return f"{yours} asks for no motion."
     if response is None:
-        return f"{yours} is UNSTABLE where J# gives all that it asks for: at most {found.largest_stable:.4g} 1/s is stable."
+        return f"{yours} is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit."
     over = f"overshoots by {100 * response.overshoot:.2g} % (ζ = {response.damping_ratio:.2g})"
     over = over if response.overshoot > 1e-3 else "does not overshoot"
     settles = f" and settles in {response.settling_time:.3g} s" * (response.settling_time < math.inf)
@@ -331,7 +331,10 @@ def _map(args, out, loop):
     begun, found = time.perf_counter(), problem(args, target=args.target)
     require_free(found.law.chain, found.law.task)
     rate, driven = float(np.max(np.asarray(found.law.alpha))), {} if found.drive is None else {"drive": found.drive}
-    limit = min(largest_stable(found.method, found.stage, **({"drive": loop["drive"]} if driven else {}), Ts=found.Ts), 20 / found.Ts)
+    limit = min(
+        largest_stable(found.method, found.stage, **({"drive": loop["drive"]} if driven else {}), Ts=found.Ts),
+        20 / found.Ts,
+    )
     # The gain and the sampling time each cover half the ratio to the limit, so that both reach it in the picture.
     half = np.sqrt(limit / rate)
     alphas, times = (
@@ -347,13 +350,23 @@ def _map(args, out, loop):
     _write(out, "map.nc", data, table(args))
     name = f"{found.name}, {describe(found.method, loop['M'])}"
     described = {"Description": as_json(table(args))}
-    drawn = drawn_by("stability", "stability_map", data, title=titled(f"{name}, N = {N}", found), operating=(rate, found.Ts))
+    drawn = drawn_by(
+        "stability", "stability_map", data, title=titled(f"{name}, N = {N}", found), operating=(rate, found.Ts)
+    )
     figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | described)}
     if _has_passes(loop):
         z, some = np.linspace(0.02, 3.0, 2 * args.cells), np.arange(max(args.passes) + 1)
         with progress.bar("loops") as report:
             strip = stability_map(
-                found.law, found.reference, found.q0, alpha=z / found.Ts, Ts=found.Ts, M=some, N=N, progress=report, **same
+                found.law,
+                found.reference,
+                found.q0,
+                alpha=z / found.Ts,
+                Ts=found.Ts,
+                M=some,
+                N=N,
+                progress=report,
+                **same,
             )
         _write(out, "passes.nc", strip, table(args))
         figures["passes.png"] = drawn_by("stability", "passes", {name: strip}), {"Title": name} | described

@@ -102,7 +102,9 @@ class Drive:
     def _check_filter(self):
         if self.cutoff is not None:
             if not _none(self.smoothing):
-                raise errors.fail("cutoff", "be left out where there is a smoothing: a filter has one of both", "is given")
+                raise errors.fail(
+                    "cutoff", "be left out where there is a smoothing: a filter has one of both", "is given"
+                )
             object.__setattr__(self, "cutoff", leaf(errors.number("cutoff", self.cutoff, positive=True)))
         elif not _none(self.smoothing):
             errors.number("smoothing", self.smoothing, at_least=0)

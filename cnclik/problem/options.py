@@ -107,8 +107,8 @@ DRIVE = {  # what lies between a command and its measured motion: fields of `Dri
     "command": Option(NAME, f"Command that the drives take: {_listed(words.COMMANDS)}. Default: velocity."),
     "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(words.FEEDBACKS)}. With rebased they "
                        "are measured, and each position command starts from them. Default: measured."),
-    "smoothing": Option(NUMBER, "Low-pass filter (also --filter): the share of the old value that an exponential moving "
-                        "average keeps, from 0 to below 1.", must="at least 0"),
+    "smoothing": Option(NUMBER, "Low-pass filter (also --filter): the share of the old value that a moving average "
+                        "keeps, from 0 to below 1.", must="at least 0"),
     "cutoff": Option(NUMBER, "Cut-off frequency of the filter [Hz], in place of --smoothing.", unit="Hz",
                      must="positive"),
     "smoothed": Option(NAME, f"Signal that the filter smooths: {_listed(words.SMOOTHED)}. Default: error."),

@@ -97,7 +97,9 @@ def gains(data, *, title="", operating=None):
     axis.clabel(lines, fmt=lambda v: f"{v:g}", fontsize=6.5)
     if operating is not None:
         Ts, late = operating
-        axis.plot(1e3 * Ts, 1e3 * late, "o", color="white", markeredgecolor="black", markersize=6, zorder=6, clip_on=False)
+        axis.plot(
+            1e3 * Ts, 1e3 * late, "o", color="white", markeredgecolor="black", markersize=6, zorder=6, clip_on=False
+        )
     style.log_scale(axis.xaxis, x)
     axis.set(xlabel="sampling time Ts [ms]", ylabel="dead time [ms]", title=title)
     return figure

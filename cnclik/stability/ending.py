@@ -25,7 +25,6 @@ from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64
 from cnclik.quantities import aloud, plainly
 from cnclik.record import ArrayLike, Number, record, replace
-from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability.advice import advise
@@ -200,7 +199,7 @@ class _Case:
         return bool(np.mean((self.status[-self.quarter :] & int(bit)) != 0) >= OFTEN)
 
     def unreachable(self) -> str:
-        """How far the nearest posture is from the last targets, in words; "" where they are reached or that is unknown."""
+        """How far the nearest posture is from the last targets, in words; "" where that is 0 or unknown."""
         from cnclik.reaching.public import reach  # most runs do not need it
         from cnclik.reaching.result import ReachStatus
         from cnclik.reaching.targets import wanted_at
@@ -264,7 +263,10 @@ class _Case:
         tasks = {} if self.lost is not None else {name: self._task(at) for name, at in self.law.task.each}
         words = "; ".join(filter(None, [what, *(f"{k} {v}" for k, v in tasks.items()), over]))
         if over and not remedy:
-            change, remedy = {"limits": "velocity_scaling"}, "velocity_scaling() or bounded() keeps joint velocities within limits"
+            change, remedy = (
+                {"limits": "velocity_scaling"},
+                "velocity_scaling() or bounded() keeps joint velocities within limits",
+            )
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
         return Verdict(
             kind=kind,
@@ -307,7 +309,9 @@ class _Case:
         if late.max() < STALL_RATIO * before.max():
             left = late.max() / before.max()
             goal = max(ARRIVED * self.size()[0], self.floor)
-            steps = self.N - self.quarter + self.quarter * math.log(goal / late.max()) / math.log(left) if left > 0 else 0
+            steps = (
+                self.N - self.quarter + self.quarter * math.log(goal / late.max()) / math.log(left) if left > 0 else 0
+            )
             more = math.ceil(1.01 * steps / 0.75)  # the last quarter then begins there
             what = f"{said}, {100 * left:.2g} % of that in the quarter before"
             longer = ({"N": more}, f"run {more} steps") if self.N < more <= errors.MOST else ({}, "")
@@ -322,7 +326,7 @@ class _Case:
             rests = late.max() >= STALL_RATIO * self.late()[1].max() and not self.arrived()
             return self.cause() if rests else ""
         size = self.size()[1:]
-        if not words or acted.all() and self.lag():
+        if not words or (acted.all() and self.lag()):
             return ""
         free = np.median(size[~acted]) if not acted.all() else 0.0
         if size[acted].max() <= max(2 * free, 10 * self.floor):
@@ -361,12 +365,14 @@ class _Case:
             return ""
         ratio = np.nan_to_num(np.abs(self.qdot) / np.maximum(np.array(self.law.chain.velocity_limit, float), 1e-12))
         steps = int(np.sum(self.status & int(Status.OVER_VELOCITY) != 0))
-        return f"{steps} of {self.N} steps exceed a joint's velocity limit, by up to {plainly(100 * (ratio.max() - 1))} %"
+        return (
+            f"{steps} of {self.N} steps exceed a joint's velocity limit, by up to {plainly(100 * (ratio.max() - 1))} %"
+        )
 
     # --- remedies: one, from a formula ----------------------------------------------------------------------
 
     def _lower(self):
-        """The recommended gain, where a gain is above the one without overshoot; else damping, next to a singularity."""
+        """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
         if self.advice is not None and self.advice.gains.recommended:
             tasks = [one for one in self.advice.rates if one.kind == "task"]
             most = self.advice.gains
@@ -403,12 +409,19 @@ class _Case:
         if self.advice is None or not self.advice.unstable:
             return {}, ""
         change, words = self._lower()
-        return change, f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow: {words}" if words else ""
+        return (
+            change,
+            f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow: {words}"
+            if words
+            else "",
+        )
 
 
 def _of_joints(task, at) -> bool:
     """Whether the coordinates of a task are joint values."""
-    return all(hasattr(p, "wanted") for p, own in zip(task.parts, task.slices, strict=True) if at.start <= own.start < at.stop)
+    return all(
+        hasattr(p, "wanted") for p, own in zip(task.parts, task.slices, strict=True) if at.start <= own.start < at.stop
+    )
 
 
 def _turns(values, least) -> int:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import MOST, Drive, sampled
+from cnclik.integrate.drive import MOST, Drive
 from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
 from cnclik.quantities import in_samples
 from cnclik.record import Number, replace
@@ -124,13 +124,11 @@ class Gains:
         return "\n".join([*lines, f"Recommended: {self.reason}."])
 
 
-def gains(
-    *, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAULT, M: int | None = None
-) -> Gains:
+def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAULT, M: int | None = None) -> Gains:
     """Return the gains that a loop tolerates on its drives, for any robot, posture, task and stack.
 
-    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof), so α ≤ `largest_stable`
-    is stable for every J# = Jᵀ(JJᵀ + D)⁻¹, and exactly the limit where J# is exact. With one gain for all tasks, joints
+    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof), so alpha ≤
+    `largest_stable` is stable for every J# = Jᵀ(JJᵀ + D)⁻¹, and exactly the limit where J# is exact. With one gain for all tasks, joints
     may have different drives. It is linear: nothing is said of large errors or of limits that switch.
 
     Args:
@@ -353,9 +351,11 @@ def drive_in_words(drive: Drive, Ts: float) -> str:
     if drive.order == 2:
         words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
     words += ["position commands"] * drive.steps_positions
-    words += {"measured": [], "commanded": ["own commands as feedback"], "rebased": ["commands from the measured joints"]}[
-        drive.feedback
-    ]
+    words += {
+        "measured": [],
+        "commanded": ["own commands as feedback"],
+        "rebased": ["commands from the measured joints"],
+    }[drive.feedback]
     if drive.filters:
         words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
     return ", ".join(words)
@@ -365,7 +365,7 @@ def _no_gain(drive: Drive, Ts: float) -> str:
     if drive.feedback == "rebased":
         return (
             "each position command starts at the measured joints, and with this servo and dead time the loop may swing "
-            "and grow however small alpha is, here or in a posture of other inertia. Start each command at the last one "
+            "and grow however small alpha is, here or in a posture of other inertia. Start commands at the last one "
             '(feedback="commanded"), or send velocities'
         )
     return f"the motion overshoots by more than {100 * OVERSHOOT:g} % with any, on {drive_in_words(drive, Ts)}"
@@ -397,7 +397,10 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
         return min(MOST_Z, limits(one, Ts)[2]) or None
 
     z = gain(measured)
-    first = "gain per step of {}, dt = Ts, where the configuration is measured" + f"; {OWN_COMMANDS} where it is the last command"
+    first = (
+        "gain per step of {}, dt = Ts, where the configuration is measured"
+        + f"; {OWN_COMMANDS} where it is the last command"
+    )
     made = {
         "pink": Setting(z, first.format("FrameTask and PostureTask")),
         "mink": Setting(z, first.format("FrameTask and PostureTask")),
@@ -408,7 +411,7 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
     }
     k_val, why = None, "each position target starts at the measured joints, and "
     if drive is None or (drive.order == 0 and not drive.prompt):
-        why += "servos with ζ below 0.71 and dead time may then run away: identify your servo first (cnclik diagnose --step)"
+        why += "servos with ζ below 0.71 and dead time may run away: identify yours first (cnclik diagnose --step)"
     elif drive.order and drive.command == "velocity":
         why += "the drive given is a velocity servo: identify it with position commands"
     else:
@@ -419,7 +422,10 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
         made["UR servoj"] = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
     else:
         z = gain(_of_servoj(drive, Ts))
-        meaning = f"alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, lookahead_time {LOOKAHEAD}"
+        meaning = (
+            "alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, "
+            f"lookahead_time {LOOKAHEAD}"
+        )
         made["UR servoj"] = Setting(z and z / Ts, meaning)
     return made
 

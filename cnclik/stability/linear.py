@@ -139,7 +139,12 @@ def stability_region(method: MethodLike, M=None, *, real=(-2.0, 4.0), imaginary=
             "im": ("im", y, {"units": "1", "long_name": "Im z"}),
         },
         name="amplification",
-        attrs={"units": "1", "long_name": "|R(z)|", "method": method.name, "stage": "exact" if M is None else f"M = {M}"},
+        attrs={
+            "units": "1",
+            "long_name": "|R(z)|",
+            "method": method.name,
+            "stage": "exact" if M is None else f"M = {M}",
+        },
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
@@ -158,7 +157,9 @@ def stability_map(
     grid = dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
     loops = outcomes(law, reference, q0, **(values | grid), method=method, stage=stage, drive=drive, N=N, **options)
     of_limit = [name for name in axes if name != "alpha"]
-    limit = np.vectorize(lambda M, Ts: largest_stable(method, stage if M is None else int(M), drive, Ts=Ts), otypes=[float])
+    limit = np.vectorize(
+        lambda M, Ts: largest_stable(method, stage if M is None else int(M), drive, Ts=Ts), otypes=[float]
+    )
     each = [values[name] for name in of_limit]
     at = dict(zip(of_limit, np.meshgrid(*each, indexing="ij"), strict=True))
     limits = limit(at.get("M", values.get("M")), at.get("Ts", values["Ts"]))

@@ -18,7 +18,6 @@ import os
 import pathlib
 import zlib
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -31,7 +30,7 @@ from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
-from cnclik.problem.names import robot_and_tip
+from cnclik.problem.names import robot_and_tip, stage_from
 from cnclik.problem.stack import Written, read_stack, tips_of
 from cnclik.stability.gain import stable_share
 from cnclik.stability.linear import gain_removing

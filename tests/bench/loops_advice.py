@@ -9,14 +9,14 @@ Where no gain is named the cell looks for one that would have been stable and wi
 import functools
 
 import numpy as np
+from cnclik.stability.recommend import recommend
+from cnclik.stability.settings import MOST_Z
 
 import cnclik as ck
 from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.record import replace
 from cnclik.stability.advice import advise
-from cnclik.stability.recommend import recommend
-from cnclik.stability.settings import MOST_Z
 from tests.bench.loops_arms import Servo, World
 from tests.bench.loops_mujoco import SHIFT, Setup, growth, run, step_responses
 

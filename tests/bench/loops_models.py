@@ -9,14 +9,14 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
+from cnclik.stability.driven import SLACK, SWING, driven_factors, increments, loop_matrix
+from cnclik.stability.drives import each_drive, longer, own_drives
+from cnclik.stability.recommend import recommend
 from scipy.linalg import block_diag, eigh, expm
 from scipy.optimize import least_squares
 
 from cnclik.integrate.drive import Drive, sampled
-from cnclik.stability.driven import SLACK, SWING, driven_factors, increments, loop_matrix
-from cnclik.stability.drives import each_drive, longer, own_drives
 from cnclik.stability.linear import first_above
-from cnclik.stability.recommend import recommend
 from tests.bench.loops_mujoco import LOST, SHIFT, Run, step_responses
 
 REACH, POINTS = 10.0, 40  # z up to which is looked, and at how many values together

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pink
 import pinocchio as pin
+from cnclik.stability.recommend import recommend
 
 from cnclik.integrate.drive import Drive
-from cnclik.stability.recommend import recommend
 from tests.bench.loops_arms import Arm
 
 DT = 0.005  # [s]

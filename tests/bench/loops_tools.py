@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from cnclik.stability.settings import ASSUMED_DELAY, LOOKAHEAD
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
 from cnclik.stability.advice import advise
-from cnclik.stability.settings import ASSUMED_DELAY, LOOKAHEAD
 from tests.integrate.test_real_robots import ROBOTS, folder
 
 FILE, TIP, _ = ROBOTS["Panda"]

@@ -95,10 +95,12 @@ def test_each_task_of_a_stack_has_its_line():
     tasks = ck.stack(hand=ck.position(), rest=ck.joints())
     levels = ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1))
     law = ck.Law(PANDA, tasks, alpha={"hand": 5.0, "rest": 1.0}, inverse=levels)
-    said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + [0.1, 0, 0])), QP, 0.01, 600)
-    assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], said  # a posture that yields is no error
+    said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
+    assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], (
+        said
+    )  # a posture that yields is no error
     law = ck.Law(PANDA, tasks, alpha=5.0, inverse=ck.damped(0.1))
-    said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + [0.1, 0, 0])), QP, 0.01, 600)
+    said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
     assert said.kind == Behaviour.HELD_BACK and "contradict" in str(said) and "(stays)" in said.tasks["hand"], said
 
 
@@ -107,7 +109,7 @@ def test_causes_are_those_of_the_run():
     said = judge(pulled, ck.hold(P0), QP, 0.01, 3000, "EXP-MIDPOINT")
     assert said.kind == Behaviour.HELD_BACK and "posture term" in str(said), said
     fast = ck.Law(PANDA, ck.position(), alpha=60.0)
-    said = judge(fast, ck.hold(P0 + [0.2, 0.2, 0]), QP, 0.01, 400)
+    said = judge(fast, ck.hold(P0 + np.array([0.2, 0.2, 0])), QP, 0.01, 400)
     assert "exceed a joint's velocity limit" in str(said) and said.change == {"limits": "velocity_scaling"}, said
     z = ck.Law(FIVE, ck.position("xyz"), alpha=5.0, inverse=ck.damped(0.01))
     said = judge(z, ck.hold([*(0.9 * TIP), 0.1]), Q5, 0.1, 100)

@@ -15,7 +15,12 @@ from cnclik.stability.poles import scalar_loop, within
 from tests.stability import plant
 
 Ts = 0.002
-CASES = [(name, M) for name in ck.METHODS if isinstance(ck.METHODS[name], ck.Method) for M in ((2, 5, None) if ck.METHODS[name].implicit else (None,))]
+CASES = [
+    (name, M)
+    for name in ck.METHODS
+    if isinstance(ck.METHODS[name], ck.Method)
+    for M in ((2, 5, None) if ck.METHODS[name].implicit else (None,))
+]
 DRIVES = {
     "ideal": Drive(),
     "dead time": Drive(delay=3),
@@ -110,7 +115,7 @@ def test_a_response_is_that_of_a_run():
     alpha = 2.0 * found.without_overshoot
     q0, step = np.array([0.3, 1.2]), 1e-5
     law = ck.Law(arm, ck.joints(), alpha=alpha)
-    run = ck.solve(law, ck.hold(values=q0 + [step, 0.0]), q0, 0.01, 400, drive=drive)
+    run = ck.solve(law, ck.hold(values=q0 + np.array([step, 0.0])), q0, 0.01, 400, drive=drive)
     away = np.asarray(run.e, float)[:, 0] / step
     predicted = found.at(alpha)
     assert -away.min() == pytest.approx(predicted.overshoot, abs=2e-3)
@@ -143,7 +148,9 @@ def drawn_drive(rng):
     if kind in (1, 3):
         numbers |= dict(lag=float(10 ** rng.uniform(-2.3, -0.7)))
     if kind in (2, 4, 5):
-        numbers |= dict(natural_frequency=float(10 ** rng.uniform(0.9, 2.1)), damping_ratio=float(rng.uniform(0.25, 1.4)))
+        numbers |= dict(
+            natural_frequency=float(10 ** rng.uniform(0.9, 2.1)), damping_ratio=float(rng.uniform(0.25, 1.4))
+        )
     if kind in (3, 4):
         numbers |= dict(command="position")
     if kind == 5:
@@ -168,7 +175,11 @@ def drawn_rates(rng, jacobian, task):
     if kind == "exact":
         inverse = np.linalg.pinv(J)
     else:
-        damping = np.full(len(J), rng.uniform(0.01, 0.5)) if kind == "damped" else np.sort(10 ** rng.uniform(-3, -0.3, 2))[task]
+        damping = (
+            np.full(len(J), rng.uniform(0.01, 0.5))
+            if kind == "damped"
+            else np.sort(10 ** rng.uniform(-3, -0.3, 2))[task]
+        )
         inverse = J.T @ np.linalg.inv(J @ J.T + np.diag(damping**2))
     posture = rng.uniform(0.02, 1) if rng.random() < 0.35 else 0.0
     M = inverse @ (gain[:, None] * J) + posture * (np.eye(n) - inverse @ J)
@@ -231,7 +242,9 @@ def test_joints_with_different_drives():
         assert plant.radius(np.eye(n) - 0.99 * share * P, each, Ts) < 1 + 1e-7
     several = ck.gains(Ts=Ts, drive=Drive(delay=2, lag=[0.2, 0.02, 0.02]))
     slowest = ck.gains(Ts=Ts, drive=Drive(delay=2, lag=0.2))
-    assert several.recommended == slowest.recommended and several.largest_stable == pytest.approx(slowest.largest_stable)
+    assert several.recommended == slowest.recommended and several.largest_stable == pytest.approx(
+        slowest.largest_stable
+    )
     assert len(several.drive.joints) == 2
     unlike = [
         Drive(delay=4, natural_frequency=9.0, damping_ratio=0.3, smoothing=0.7, smoothed="command"),
@@ -245,6 +258,7 @@ def test_joints_with_different_drives():
 
 def test_a_filter_lowers_gains_but_not_of_the_target():
     """10 ms of dead time at 4 ms, EXP: 24 1/s without a filter; 18.2, 9.97 and 5.58 with ρ = 0.5, 0.8, 0.9."""
+
     def recommended(**filters):
         return ck.gains(Ts=0.004, drive=Drive(delay=2.5, **filters)).recommended
 

@@ -30,7 +30,9 @@ def test_each_rate_of_a_law_is_beside_its_gains():
     drive = Drive(delay=3)
     said = advise(law, Ts=0.01, drive=drive)
     assert [one.name for one in said.rates] == ["hand", "turn", "rest", "joint limits", "wall table"]
-    assert said.gains == gains(Ts=0.01, drive=drive) or said.gains.recommended == gains(Ts=0.01, drive=drive).recommended
+    assert (
+        said.gains == gains(Ts=0.01, drive=drive) or said.gains.recommended == gains(Ts=0.01, drive=drive).recommended
+    )
     assert said.unstable == ("turn",) and said.above == ("turn", "joint limits")
     assert "turn: 80 1/s (z = 0.8), UNSTABLE" in str(said) and "rest: 0 asks for no motion" in str(said)
     euler = gains(Ts=0.01, drive=drive, method="EE")
@@ -68,7 +70,9 @@ def test_different_drives_and_different_gains_have_no_limit():
     with pytest.raises(ArgumentError, match="one gain for all"):
         advise(ck.Law(arm, tasks, alpha={"x": 1.147, "y": 0.014}), Ts=0.01, method="EE", drive=drive)
     said = advise(ck.Law(arm, tasks, alpha={"x": 1.0, "y": 1.0}), Ts=0.01, method="EE", drive=drive)
-    assert said.gains.recommended == pytest.approx(gains(Ts=0.01, method="EE", drive=Drive(delay=2, lag=0.2)).recommended)
+    assert said.gains.recommended == pytest.approx(
+        gains(Ts=0.01, method="EE", drive=Drive(delay=2, lag=0.2)).recommended
+    )
 
 
 # --- the spectrum, and the gains as its bound -------------------------------------------------------------
@@ -118,7 +122,7 @@ def test_it_is_differentiable_and_checks_rest():
 
 
 LAW = ck.Law(PLANAR, ck.position("xy"), alpha=5.0)
-TARGET = ck.hold(np.asarray(ck.forward(PLANAR, QP).position)[:2] + [0.05, -0.05])
+TARGET = ck.hold(np.asarray(ck.forward(PLANAR, QP).position)[:2] + np.array([0.05, -0.05]))
 
 
 @pytest.mark.parametrize(("method", "drive"), [("EE", Drive()), ("RK4", Drive()), ("EE", Drive(delay=2))])

@@ -4,11 +4,11 @@ import tomllib
 
 import numpy as np
 import pytest
+from cnclik.stability.driven import driven_limits
 
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
 from cnclik.stability import delay_limit
-from cnclik.stability.driven import driven_limits
 from cnclik.sweeps import check, run_spec
 from tests.specs import reaching
 
