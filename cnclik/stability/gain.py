@@ -307,6 +307,9 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     noisy = loop.disturbed - s * loop.b * loop.noise
     away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
     asked = np.r_[-s * loop.noise, loop.response(s, -s * loop.C, noisy[:, None], N - 2)[:, 0]]
+    if drive.filters == "command" and (kept := float(drive.kept(Ts))):
+        weights = (1 - kept) * kept ** np.arange(min(len(asked), int(np.log(TINY) / np.log(kept)) + 1))
+        asked = np.convolve(asked, weights)[: len(asked)]
     poles = inside.poles(s)
     slowest = np.log(poles[np.abs(poles) >= np.abs(poles).max() * (1 - SLOWEST)].astype(complex) + TINY)
     outside = np.flatnonzero(~(np.abs(away) <= WITHIN))

@@ -74,7 +74,7 @@ def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
     ],
 )
 def test_measured_boundary_is_the_linear_one(method, kind, limits):
-    """Whole nonlinear loops from a small error, outside a band of 3 %; the limits are those of docs/stability.md."""
+    """Whole nonlinear loops from a small error, outside a band of 3 %; the limits are those of docs/gains.md."""
     M = np.array(list(limits))[:, None]
     limit = np.array(list(limits.values()))[:, None]
     z = np.where(np.isfinite(limit), limit, 12.0) * np.linspace(0.1, 1.6, 41)
