@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import NoneType
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
 from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
-from cnclik.law.limits import Limited
+from cnclik.law.limits import Scaled
 from cnclik.law.null import Posture, evaluated
 from cnclik.precision import precise
 from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record, replace
@@ -44,8 +45,7 @@ class Law:
         gain}. It is a rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
       inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
         error_damped(...), levels(...).
-      limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), bounded(), or
-        None.
+      limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
       null_velocity: desired joint velocity q̇₀ in the null space: (n,) [rad/s, m/s], or a function of q.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
@@ -61,7 +61,7 @@ class Law:
     _: dataclasses.KW_ONLY
     alpha: Any  # an array, after the constructor
     inverse: Callable[..., Factored] = Pseudoinverse()
-    limits: Callable[..., Limited] | None = None
+    limits: Scaled | Bounded | None = None
     null_velocity: Callable[[Array], Array] | ArrayLike | None = None
     feedforward: Number = 1.0
     error_clamp: tuple[Number, Number] | Float[Array, " 2"] | None = None
@@ -72,7 +72,7 @@ class Law:
         if isinstance(self.chain, Chain):
             task = task.on(self.chain)
             object.__setattr__(self, "task", task)
-            if hasattr(self.limits, "on"):
+            if isinstance(self.limits, Bounded):
                 object.__setattr__(self, "limits", self.limits.on(self.chain))
         m = task.m
         if m > n and isinstance(self.inverse, Pseudoinverse):
@@ -92,9 +92,8 @@ class Law:
             object.__setattr__(self, "error_clamp", pair)
         if not callable(self.inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
-        if self.limits is not None and not callable(self.limits):
-            known = "velocity_scaling(), weighted_least_norm(), saturation() or bounded()"
-            raise errors.fail("limits", f"be None, {known}", f"is {self.limits!r}")
+        if not isinstance(self.limits, (Scaled, Bounded, NoneType)):
+            raise errors.fail("limits", "be None, velocity_scaling() or bounded()", f"is {self.limits!r}")
         if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
             raise undamped(self.inverse)
         if isinstance(self.null_velocity, Posture):

@@ -267,17 +267,15 @@ def limits_from(name="none", Ts=None, rate=None, walls=()):
         raise errors.fail("limits", "be bounded, or be left out, where there are walls", f"is {name!r}")
     name, walls = ("bounded", {"walls": walls}) if walls else (name, {})
     choice = words.LIMITS[errors.one_of("limits", name, words.LIMITS)]
-    if rate is not None:
-        if not choice.takes:
-            several = " or ".join(name for name, other in words.LIMITS.items() if other.takes)
-            raise errors.fail("limit_rate", f"come with limits {several}", f"comes with {name}")
-        return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
-    rate = 10.0
-    if Ts is not None:
-        rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
-    if not choice.maker:
-        return None
-    return choice.make(rate, **walls) if choice.takes else choice.make()
+    if name != "bounded":
+        if rate is not None:
+            raise errors.fail("limit_rate", "come with limits bounded", f"comes with {name}")
+        return choice.make() if choice.maker else None
+    if rate is None:
+        rate = 10.0
+        if Ts is not None:
+            rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
+    return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
 
 
 def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):

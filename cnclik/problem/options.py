@@ -73,8 +73,8 @@ OPTIONS = {
     "threshold": Option(NUMBER, "Manipulability (manipulability-damped) or least singular value (singular-damped) "
                         "below which the inverse is damped.", unit="w", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(words.LIMITS)}.", "none"),
-    "limit_rate": Option(NUMBER, "weighted-least-norm, saturation and bounded: rate at which a joint may approach its "
-                         "limit [1/s]; default: 1/Ts, at most 10.", unit="1/s", must="positive"),
+    "limit_rate": Option(NUMBER, "bounded: rate at which a joint may approach its limit [1/s]; default: 1/Ts, at most "
+                         "10.", unit="1/s", must="positive"),
     "error_clamp": Option(NUMBERS, "Limits of the position [m] and orientation [rad] error that the gain multiplies. "
                           "They keep joint velocities small when the target is far away.", unit="m, rad",
                           must="positive"),

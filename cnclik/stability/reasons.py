@@ -62,7 +62,7 @@ def slow(case) -> bool:
 
 def keeps_positions(law) -> bool:
     """Whether the law's limits are those of joint values, too."""
-    return bool(getattr(law.limits, "positions", law.limits is not None))
+    return law.limits is not None and law.limits.positions
 
 
 def outside(case) -> str:

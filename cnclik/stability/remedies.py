@@ -6,8 +6,7 @@ import numpy as np
 
 from cnclik.integrate.stage import Picard
 from cnclik.law.bounded import Bounded
-from cnclik.law.inverse import Damped, Levels, Transpose
-from cnclik.law.limits import Saturated
+from cnclik.law.inverse import Damped, Levels, Pseudoinverse, Transpose
 from cnclik.record import record, replace
 from cnclik.robot.model import forward
 from cnclik.robot.posture import arm_length, beyond_arm
@@ -35,7 +34,7 @@ class Remedy:
       change: {option: value}, by the names and in the units of `cnclik.problem.OPTIONS`, as plain data; also "speed",
         the share of the path's speed, "null_gain", that of the null-space velocity, and "shift", by which the whole
         path moves [m], and "damping_share", that of the damping of each level.
-      words: the same as a sentence's part; options are written as Python takes them, `N=400`, `limits=saturation()`.
+      words: the same as a sentence's part; options are written as Python takes them, `N=400`, `limits=bounded()`.
       mends: what gets better: "error", "motion" (shaking, swinging), "velocity" of joints, or "verdict", which a
         longer run decides, or "limits", which joints leave.
     """
@@ -294,7 +293,11 @@ def slower_path(case, share, mends="error") -> tuple:
 def slower_joints(case) -> tuple:
     """What to do about a loop that asks for more than its joints can."""
     law, excess = case.law, case.seen.excess
-    names = () if law.limits is not None else ("velocity-scaling",) * (not reasons.outside(case)) + ("saturation",)
+    names = (
+        ()
+        if law.limits is not None
+        else ("velocity-scaling",) * (not reasons.outside(case)) + ("bounded",) * _damped(law)
+    )
     found = [
         Remedy(change={"limits": name}, words=f"use limits={name.replace('-', '_')}()", mends="velocity")
         for name in names
@@ -315,8 +318,8 @@ def slower_joints(case) -> tuple:
 def freer(case) -> tuple:
     """What keeps the tasks of a stack nearer to their targets within the limits: joints that share the motion, or a
     path that asks for less."""
-    shared = Remedy(change={"limits": "saturation"}, words="use limits=saturation()")
-    slows = not isinstance(case.law.limits, (Saturated, Bounded)) and case.seen.at_velocity.any()
+    shared = Remedy(change={"limits": "bounded"}, words="use limits=bounded()")
+    slows = not isinstance(case.law.limits, Bounded) and _damped(case.law) and case.seen.at_velocity.any()
     slower = slower_path(case, 0.5) if case.moving and case.path and case.seen.at_velocity.any() else ()
     return ((shared,) if slows else ()) + slower
 
@@ -325,10 +328,15 @@ def inside(case) -> tuple:
     """Limits that keep joints inside theirs, where all of them began there and no drive carries them farther."""
     q, chain = case.q0, case.law.chain
     began = np.all((q >= np.array(chain.lower)) & (q <= np.array(chain.upper)))
-    if reasons.keeps_positions(case.law) or not (began and case.loop[-1].prompt):
+    if reasons.keeps_positions(case.law) or not (began and case.loop[-1].prompt and _damped(case.law)):
         return ()
-    words = "keep the joints inside with limits=saturation()"
-    return (Remedy(change={"limits": "saturation"}, words=words, mends="limits"),)
+    words = "keep the joints inside with limits=bounded()"
+    return (Remedy(change={"limits": "bounded"}, words=words, mends="limits"),)
+
+
+def _damped(law) -> bool:
+    """Whether `bounded`, which needs damping, works with the law's inverse."""
+    return not isinstance(law.inverse, (Pseudoinverse, Transpose))
 
 
 def less_damping(case) -> tuple:

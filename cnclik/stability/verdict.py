@@ -52,7 +52,7 @@ class Verdict:
       sentence: what it did, with the numbers, and the remedy.
       remedies: `Remedy` records, each an alternative; none where there is nothing to mend.
       radius: largest |eigenvalue| of one step over the task's directions, at rest where the run ended (diverged:
-        began); as for `advise`, a joint at its limit is free there, unless `weighted_least_norm` keeps it.
+        began); as for `advise`, a joint at its limit is free there.
       null_radius: the same over the null space of J; near 1 where nothing acts there.
       error: largest ‖e‖ in the last quarter [m, rad].
     """

@@ -41,8 +41,6 @@ INVERSES = {
 LIMITS = {
     "none": lambda: None,
     "velocity-scaling": ck.velocity_scaling,
-    "weighted-least-norm": ck.weighted_least_norm,
-    "saturation": ck.saturation,
     "bounded": ck.bounded,
 }
 NULL = {

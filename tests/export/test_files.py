@@ -44,7 +44,7 @@ def folders(tmp_path_factory):
         "reach": dict(what="reach", seeds=4),
         "reach_pose": dict(law=ck.panda(), what="reach", dtype="float32", seeds=4),
         "walled": dict(law=a_law(limits=ck.bounded(walls=[ck.wall(ck.position("y"), above=-1.0)])), method="EE"),
-        "saturated": dict(law=a_law(limits=ck.saturation()), method="EE", batch=("q", "e")),
+        "bounded": dict(law=a_law(limits=ck.bounded()), method="EE", batch=("q", "e")),
     }  # fmt: skip
     for name, options in every.items():
         law = options.pop("law", a_law())

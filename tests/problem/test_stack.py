@@ -370,12 +370,11 @@ def test_every_option_of_a_task_says_what_it_is():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limits", [ck.bounded(), ck.saturation()], ids=["bounded", "saturation"])
-def test_a_verdict_of_many_rows_within_limits_comes(limits):
+def test_a_verdict_of_many_rows_within_limits_comes():
     """Breaks where the maps of all gains are one batch of LAPACK, whose threads may wait for each other for good."""
     tasks = ck.stack(left=ck.pose(tip=GRIPPERS[0]), right=ck.pose(tip=GRIPPERS[1]), rest=ck.joints())
     inverse = ck.levels(["left", "right"], ["rest"], damping=(1e-2, 1.0))
-    law = ck.Law(ROBOT, tasks, alpha=10.0, inverse=inverse, limits=limits)
+    law = ck.Law(ROBOT, tasks, alpha=10.0, inverse=inverse, limits=ck.bounded())
     q0 = np.array([0, -0.5, 0, 1.2, 0, 0.8, 0] * 2)
     held = ck.hold_at(ROBOT, tasks, q0 + 0.05)
     assert "settled" in ck.verdict(law, held, ck.solve(law, held, q0, 0.01, 100), Ts=0.01).kind

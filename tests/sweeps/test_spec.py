@@ -116,7 +116,7 @@ def same(one, other):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
-LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "saturation"}
+LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "bounded"}
 TABLES = [
     {},
     {"from": [1, 1], "to": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "near_singular": 0.1},
