@@ -273,7 +273,7 @@ def exponential(method: MethodLike) -> Method | Multistep:
     R(z) = exp(−z) for every z and every tableau. For orders above two, w follows the decay within the step, see
     `cnclik.law.feedback.feedback_within`. With exact J# the order is that of the method; that of EXP-AB methods is two
     while an error decays. With a damped J# the error decays more slowly than assumed, and the order is one. Rotations
-    and gain matrices are explained in `cnclik.law.feedback`. An Adams-Bashforth formula becomes an EXP-AB method, with
+    are explained in `cnclik.law.feedback`. An Adams-Bashforth formula becomes an EXP-AB method, with
     one Jacobian per step and a memory, see `cnclik.integrate.history`.
 
     Args:

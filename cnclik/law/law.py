@@ -41,8 +41,8 @@ class Law:
       chain: the robot.
       task: what is controlled: position(...), orientation(...) or pose(...) of a tip, joints(...), several of them
         joined by `&`, or a stack(name=task, ...).
-      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix; for a stack also {name of a task:
-        gain}. It is a rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
+      alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. It is a
+        rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
       inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
         error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
@@ -59,7 +59,7 @@ class Law:
     chain: Chain
     task: Task
     _: dataclasses.KW_ONLY
-    alpha: Any  # an array, after the constructor
+    alpha: Any  # an array () or (m,), after the constructor
     inverse: Callable[..., Factored] = Pseudoinverse()
     limits: Scaled | Bounded | None = None
     null_velocity: Callable[[Array], Array] | ArrayLike | None = None
@@ -79,8 +79,10 @@ class Law:
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {m}: {', '.join(task.names)}")
         alpha = of_tasks(task, self.alpha) if isinstance(self.alpha, dict) else self.alpha
-        alpha = errors.array("alpha", alpha, (), (m,), (m, m))
-        object.__setattr__(self, "alpha", _within_tasks(task, _not_negative(alpha)))
+        alpha = errors.array("alpha", alpha, (), (m,))
+        if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
+            raise errors.fail("alpha", "not be negative", f"is {np.min(alpha):g}")
+        object.__setattr__(self, "alpha", alpha)
         if hasattr(self.inverse, "on"):
             object.__setattr__(self, "inverse", self.inverse.on(task))
         for name, least in (("feedforward", None), ("near_singular", 0)):
@@ -118,48 +120,12 @@ class Law:
         return f"<p>{markup.escaped(sentence)}</p>{markup.table((), parts, left=2)}"
 
 
-def _not_negative(alpha):
-    """The gain, checked not to push the error away from 0: entries, or real parts of eigenvalues, are at least 0."""
-    if errors.concrete(alpha):
-        rates = np.linalg.eigvals(np.asarray(alpha)).real if alpha.ndim == 2 else np.asarray(alpha)
-        rounding = 0.0 if alpha.ndim < 2 else 100 * np.finfo(rates.dtype).eps * np.abs(alpha).max()
-        if rates.min() < -rounding:
-            what = "have no eigenvalue of negative real part" if alpha.ndim == 2 else "not be negative"
-            raise errors.fail("alpha", what, f"{'has' if alpha.ndim == 2 else 'is'} {rates.min():g}")
-    return alpha
-
-
 def of_tasks(task: Task, values: dict):
-    """Gains of a stack's tasks, by their names, as those of its coordinates: (m,), or (m, m) where one is a matrix."""
+    """Return the gains (m,) of a stack's coordinates from those of its tasks, by name."""
     task.require_each("alpha", "have a gain for each task", values)
     sizes = {name: at.stop - at.start for name, at in task.each}
-    each = [errors.array(f"alpha[{k!r}]", values[k], (), (m,), (m, m)) for k, m in sizes.items()]
-    xp = np if all(map(errors.concrete, each)) else jnp
-    if all(one.ndim < 2 for one in each):
-        return xp.concatenate([one * xp.ones(sizes[name]) for name, one in zip(sizes, each, strict=True)])
-    blocks = [one if one.ndim == 2 else one * xp.eye(sizes[name]) for name, one in zip(sizes, each, strict=True)]
-    zeros = [[xp.zeros((len(a), len(b))) for b in blocks] for a in blocks]
-    return xp.block([[b if i == k else zeros[i][k] for k in range(len(blocks))] for i, b in enumerate(blocks)])
-
-
-def _within_tasks(task: Task, alpha):
-    """The gain of a stack: a symmetric matrix within each of its tasks, for rows of equal weight.
-
-    The loop's rates are then real and between 0 and the largest gain, for any tasks, weights and damping. A gain matrix
-    across tasks may be unstable in a conflict.
-    """
-    if not task.tasks or alpha.ndim < 2 or not all(map(errors.concrete, (alpha, task.weights))):
-        return alpha
-    left = np.array(alpha)
-    for name, at in task.each:
-        own, w = left[at, at].copy(), np.asarray(task.weight_of_each)[at]
-        left[at, at] = 0
-        mixed = np.ptp(w) > 0 and np.any(own - np.diag(np.diag(own)))
-        if not np.allclose(own, own.T) or mixed:
-            raise errors.fail("alpha", f"be symmetric in the task {name}, of equal weights there", "is not")
-    if np.any(left):
-        raise errors.fail("alpha", "act within each task of a stack", "connects tasks")
-    return alpha
+    gains = [errors.array(f"alpha[{name!r}]", values[name], (), (m,)) * np.ones(m) for name, m in sizes.items()]
+    return (np if all(map(errors.concrete, gains)) else jnp).concatenate(gains)
 
 
 def check_loop(law, *references) -> None:
@@ -193,7 +159,7 @@ def evaluate(law: Law, reference, t, q) -> Evaluation:
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
     """f at q, from an observation there."""
-    task_velocity = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
+    task_velocity = law.feedforward * at.xdot_d + law.alpha * clamped(law, at.e)
     return resolve(law, q, at, task_velocity, null_velocity(law, q))
 
 
@@ -281,8 +247,8 @@ def rows_at(law: Law, q, aims=None) -> Observation:
 def newton(law: Law, q, rows, made, v, null, f, h, k):
     """k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
 
-    With the weighted rows B = WJ, A = B# and C = WKW⁻¹ the derivative is −A C B, and by the push-through identity
-    (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. With scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹
+    With the weighted rows B = WJ and A = B# the derivative is −A K B, and by the push-through identity
+    (I + h A K B)⁻¹ = I − h A (I + h K B A)⁻¹ K B, an m×m system. With scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹
     the whole is Bᵀ (B Bᵀ + s λ² I)⁻¹ (s v + (1 − s) B k), s = 1/(1 + h alpha): one factor and one solve. For exact J#
     it is A (s v + (1 − s) B k). A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and the system is n×n.
 
@@ -295,29 +261,27 @@ def newton(law: Law, q, rows, made, v, null, f, h, k):
         s = 1.0 / (1.0 + h * law.alpha)
         again = apply if exact else damped_apply(rows, s * made.shift)[0]
         return through(again, rows, s * v + (1.0 - s) * (rows @ k), null)
-    c, task = weighted_gain(law), rows @ (f - k)
-    inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(task), dtype=task.dtype))
-    return f - h * apply(jnp.linalg.solve(dense.shifted(h * c @ rows @ inverse, 1.0), c @ task))
+    gains, change = gains_of(law), rows @ (f - k)
+    inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(change), dtype=change.dtype))
+    system = dense.shifted(h * gains[:, None] * (rows @ inverse), 1.0)
+    return f - h * apply(jnp.linalg.solve(system, gains * change))
 
 
 def _whole(law, q, rows, apply, h):
-    """I + h (A C B − (I − A B) ∂q̇₀/∂q), (n, n)."""
-    c = weighted_gain(law)
+    """I + h (A K B − (I − A B) ∂q̇₀/∂q), (n, n)."""
+    gains = gains_of(law)
     _, push = jax.linearize(lambda y: null_velocity(law, chart.out(law.chain, q, y)), chart.centre(law.chain, q))
 
     def column(unit):
         turned = push(unit)
-        return apply(c @ rows @ unit + rows @ turned) - turned
+        return apply(gains * (rows @ unit) + rows @ turned) - turned
 
     return dense.shifted(h * jax.vmap(column, out_axes=1)(jnp.eye(len(q), dtype=q.dtype)), 1.0)
 
 
-def weighted_gain(law):
-    """C = W K W⁻¹ (m, m): the gain as it acts on weighted errors."""
-    alpha, w = law.alpha, law.task.weights
-    if alpha.ndim < 2:
-        return alpha * jnp.eye(law.task.m, dtype=alpha.dtype)
-    return alpha if w is None else w[:, None] * alpha / w
+def gains_of(law):
+    """Return the gain of each task coordinate (m,)."""
+    return jnp.broadcast_to(law.alpha, (law.task.m,))
 
 
 def clamped(law: Law, e):
@@ -341,11 +305,6 @@ def clamped(law: Law, e):
 def _shortened(e, limit):
     """A vector of at most this length."""
     return limit / jnp.maximum(safe_norm(e), limit) * e
-
-
-def gain(alpha, e):
-    """K e for a scalar, per-axis or matrix gain."""
-    return alpha @ e if alpha.ndim == 2 else alpha * e
 
 
 def null_velocity(law: Law, q):

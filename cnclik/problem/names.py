@@ -236,8 +236,8 @@ def near_singular_start(chain: Chain, task, q0, below) -> str:
 
 def gain_from(alpha):
     """A gain [1/s], at least 0: a number, or one per task coordinate; a list of one is a number."""
-    alpha = errors.array("alpha", alpha)
-    if errors.concrete(alpha) and alpha.ndim < 2 and np.any(np.asarray(alpha) < 0):
+    alpha = errors.array("alpha", alpha, (), (None,))
+    if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
         raise errors.fail("alpha", "be at least 0", f"is {' '.join(f'{v:g}' for v in np.atleast_1d(alpha))}")
     return alpha[0] if alpha.shape == (1,) else alpha
 

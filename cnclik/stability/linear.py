@@ -50,7 +50,7 @@ def stepped(method, stage, through, gain, Ts):
     """
     eye = jnp.eye(len(gain), dtype=gain.dtype)
     if method.exponential:
-        return eye - Ts * through @ per_step(gain, Ts)
+        return eye - Ts * through * per_step(jnp.diagonal(gain), Ts)
     w = through @ gain
 
     def field(_, q):

@@ -14,7 +14,7 @@ from cnclik.integrate.method import EE, Method, Multistep
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.law.curves import Hold
-from cnclik.law.law import Law, check_loop, evaluate, weighted_gain
+from cnclik.law.law import Law, check_loop, evaluate
 from cnclik.law.null import MaximizeManipulability
 from cnclik.law.reference import Reference, of_each
 from cnclik.precision import of_numbers
@@ -227,7 +227,6 @@ def resting(law, q, method, stage, drive) -> LoopAtRest:
 # tests hold one to the other.
 
 
-_TURNED = 1e6  # condition of a gain matrix's eigenvectors, beyond which they are none
 _REAL = 1e-6  # share of rates up to which an imaginary part is rounding
 
 
@@ -302,11 +301,6 @@ def rates_of(law, held, q) -> Rates | None:
     rows, columns, shift = parts_of_numbers(law, held, q)
     rows, columns = np.asarray(rows, float), np.asarray(columns, float)
     m, alpha, turned = law.task.m, np.asarray(law.alpha, float), np.eye(law.task.m)
-    if alpha.ndim == 2:
-        blocks = [at for _, at in law.task.each] or [slice(None)]
-        alpha, turned = _diagonal(np.asarray(weighted_gain(law), float), blocks)
-        if np.linalg.cond(turned) > _TURNED:
-            return None
     return Rates(
         rows=np.linalg.solve(turned, rows),
         columns=columns @ turned,
@@ -315,12 +309,3 @@ def rates_of(law, held, q) -> Rates | None:
         turned=turned,
         along=directions(rows)[2],
     )
-
-
-def _diagonal(matrix, blocks):
-    """Eigenvalues (m,) and eigenvectors (m, m) of a matrix, of each block by itself."""
-    kind = float if np.array_equal(matrix, matrix.T) else complex
-    values, vectors = np.zeros(len(matrix), kind), np.zeros_like(matrix, kind)
-    for at in blocks:
-        values[at], vectors[at, at] = (np.linalg.eigh if kind is float else np.linalg.eig)(matrix[at, at])
-    return _real(values), _real(vectors)

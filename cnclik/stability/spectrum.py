@@ -385,9 +385,9 @@ def settle(law: Law, reference: ref.Reference, q0: Float[ArrayLike, " n"], *, N:
 
 @of_numbers
 def largest_rate(alpha) -> float:
-    """The rate of any gain, for z = alpha·Ts: its largest |eigenvalue| [1/s]."""
+    """The rate of any gain, for z = alpha·Ts: the largest of its numbers [1/s]."""
     alpha = np.asarray(alpha)
-    size = float(np.max(np.abs(np.linalg.eigvals(alpha) if alpha.ndim == 2 else alpha)))
+    size = float(np.max(np.abs(alpha)))
     if not size > 0:
         raise errors.fail("alpha", "not be 0", f"is {alpha}")
     return size

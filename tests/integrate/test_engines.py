@@ -70,7 +70,7 @@ def loop(arm, task, inverse, kept, null, number):
     law = ck.Law(
         arm,
         task,
-        alpha=np.diag([4.0] * task.m) + 0.5 if number % 3 == 0 else 4.0,
+        alpha=np.linspace(4.0, 5.0, task.m) if number % 3 == 0 else 4.0,
         inverse=INVERSES[inverse],
         limits=KEPT[kept],
         null_velocity=NULL[null](arm, task),

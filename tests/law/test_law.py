@@ -24,7 +24,7 @@ ARM = ck.planar_arm(LENGTHS.tolist())
 Q = np.array([0.3, -0.9, 0.6])
 TARGET, VELOCITY = np.array([0.5, 1.2]), np.array([0.3, -0.2])
 REFERENCE = ck.with_feedforward(ck.hold(TARGET), VELOCITY)
-GAINS = {"scalar": 5.0, "per axis": [5.0, 2.0], "matrix": [[5.0, 1.0], [-2.0, 3.0]]}
+GAINS = {"scalar": 5.0, "per axis": [5.0, 2.0]}
 
 
 def qdot(law, q=Q, reference=REFERENCE):
@@ -37,7 +37,7 @@ def oracle(alpha=5.0, q=Q, velocity=VELOCITY, **kwargs):
 
 @pytest.mark.parametrize(
     ("gain", "inverse"),
-    [*((gain, "pseudoinverse") for gain in GAINS), ("matrix", "damped"), ("per axis", "transpose")],
+    [*((gain, "pseudoinverse") for gain in GAINS), ("per axis", "damped"), ("per axis", "transpose")],
 )
 def test_gains_and_inverses(gain, inverse):
     alpha = GAINS[gain]
@@ -147,7 +147,7 @@ def test_single_precision_loop_in_a_double_precision_session():
 
 
 def test_gains_at_the_edge_and_traced_ones_pass():
-    for alpha in (0, [0.0, 1.0], [[0.0, 1.0], [-1.0, 0.0]], np.ones((2, 2), np.float32)):
+    for alpha in (0, [0.0, 1.0], np.ones(2, np.float32)):
         ck.Law(ARM, ck.position("xy"), alpha=alpha)
     jax.jit(lambda a: ck.Law(ARM, ck.position("xy"), alpha=a).alpha)(-1.0)
     ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
@@ -163,13 +163,13 @@ XY = ck.position("xy")
     [
         (lambda: ck.Law(3, XY, alpha=1.0), "`chain` must be a Chain, but is int"),
         (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
-        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), r"`alpha` must have shape \(\) or \(2,\) or \(2, 2\), but has"),
+        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), r"`alpha` must have shape \(\) or \(2,\), but has"),
         (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
         (lambda: ck.Law(ARM, XY, alpha="5"), "`alpha` must"),
         (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
         (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
         (lambda: ck.Law(ARM, XY, alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
-        (lambda: ck.Law(ARM, XY, alpha=[[1.0, 3.0], [3.0, 1.0]]), "`alpha` must have no eigenvalue of negative real"),
+        (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
         (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=-1.0), "`alpha` must not be negative"),
         (
             lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),

@@ -43,7 +43,6 @@ def finite(found):
 def inside(found):
     for p in found.parameters:
         value = found.values[p.name]
-        value = np.linalg.eigvalsh(value) if p.kind == pm.SPD else value
         assert np.all(value >= p.lower * (1 - 1e-12)) and np.all(value <= p.upper * (1 + 1e-12)), (p.name, value)
 
 
@@ -408,16 +407,6 @@ def test_one_gain_per_axis_with_an_optimizer_of_optax():
 
 
 @pytest.mark.slow
-def test_matrix_gain_is_better_than_one_number():
-    alpha = np.array([[5.0, 1.0], [1.0, 3.0]])
-    scalar = 0.000326587  # what one gain for both axes reaches on this line
-    found = at(law=ck.replace(LAW, alpha=alpha), steps=80, ringing=True)
-    assert found.values["alpha"].shape == alpha.shape and found.satisfied
-    assert found.after.loss < scalar
-    inside(found)
-
-
-@pytest.mark.slow
 def test_many_starts_and_other_parameters_in_reverse_mode():
     law = ck.replace(LAW, inverse=ck.damped(0.1))
     over = ("schedule", "Ts", "damping", "feedforward")
@@ -449,7 +438,6 @@ def test_panda_on_a_circle_does_not_ring():
         ({"loss": {"tracking": -1.0}}, "weight of tracking"),
         ({"over": ("links", "tool")}, "links"),
         ({"over": "null_gain"}, "null_velocity"),
-        ({"over": "schedule", "law": ck.replace(LAW, alpha=np.array([[5.0, 0.0], [3.0, 5.0]]))}, "symmetric matrix"),
         ({"margin": 1.5}, "margin"),
         *(({"ringing": value}, "`ringing` must be True or False") for value in (-1, 2, "no", None, [True])),
         ({"bounds": {"alpha": (5, 1)}}, "increase"),
@@ -488,7 +476,7 @@ def test_conditions_that_can_not_be_are_named(name, value):
     ids=["explicit", "pass by pass", "implicit"],
 )
 def test_forward_reverse_and_finite_differences_agree(method, stage):
-    law = ck.replace(LAW, alpha=np.array([[5.0, 1.0], [1.0, 3.0]]))
+    law = ck.replace(LAW, alpha=np.array([5.0, 3.0]))
     losses = {"tracking": 1.0, "jerk": 1e-5, "noise": 1e-3, "delay": 1e-3}
     objective = loop_objective(law, LINE, Q0, Ts=0.1, N=4, method=method, stage=stage, loss=losses, margin=0.9)
     assert len(objective.postures) == 9
