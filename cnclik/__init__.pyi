@@ -34,7 +34,7 @@ from .law.inverse import (
 )
 from .law.law import Law as Law
 from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
-from .law.null import maximize_manipulability as maximize_manipulability, posture as posture
+from .law.null import posture as posture
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
     lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,

@@ -26,8 +26,8 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     N: int = 200
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
-    parameters of one task, as in hands.alpha; of a posture only so."""
+    """What to tune: alpha, schedule, damping, posture_rate, feedforward, links, tool, Ts. With --stack also weights,
+    and parameters of one task, as in hands.alpha; of a posture only so."""
     shape: str = "as-given"
     """Form of the gain: scalar, per-axis, or as-given, the form of --alpha."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")

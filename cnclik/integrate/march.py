@@ -9,9 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.integrate.method import Method
-from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over_step
-from cnclik.law.law import null_velocity, resolve, rows_at
-from cnclik.law.null import Posture
+from cnclik.law.feedback import ahead, feedback_within, held_feedback, held_null
+from cnclik.law.law import resolve, rows_at
 from cnclik.law.reference import sample
 from cnclik.record import Array, Float
 from cnclik.robot import chart
@@ -126,18 +125,17 @@ class Start(NamedTuple):
     feedback: Float[Array, " m"]  # constant over the step
     velocity: Float[Array, " m"]  # φ ẋ_d at the start
     mean: Float[Array, " m"]  # φ times the target's mean velocity over the step
-    null: Float[Array, " n"] | None  # null-space velocity, constant over the step for a posture
+    null: Float[Array, " n"] | None  # pull of the posture, constant over the step
 
 
 def start(law, reference, q, at, t, Ts) -> Start:
     """The parts of a step's exact solution, from the law's observation at q and t."""
     to = ahead(law, reference, at, t, Ts)
-    null, factor = null_velocity(law, q), null_over_step(law, Ts)
     return Start(
         feedback=held_feedback(law, at.e, to.turns, Ts),
         velocity=law.feedforward * at.xdot_d,
         mean=law.feedforward * to.mean,
-        null=null if factor is None else factor * null,
+        null=held_null(law, q, Ts),
     )
 
 
@@ -176,9 +174,8 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage, *, looped=Fal
 
     def field(stage, q):
         aims, motion, correction = stage
-        null = to.null if isinstance(law.null_velocity, Posture) else null_velocity(law, q)
         there = rows_at(law, q, aims)._replace(e=at.e)
-        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, null)
+        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, to.null)
 
     first = resolve(law, q, at, to.velocity + feedback[0], to.null)
     field, y = charted(law.chain, q, field), centre(law.chain, q)

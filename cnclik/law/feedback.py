@@ -17,8 +17,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from cnclik.law.curves import Tangent
-from cnclik.law.law import Law, clamped
-from cnclik.law.null import Posture
+from cnclik.law.law import Law, clamped, null_velocity
 from cnclik.law.reference import aims_of, by_target
 from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3
@@ -86,9 +85,10 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
     return [_along(law, rate, turn, 1.0) for rate, turn in zip(rates, turns, strict=True)]
 
 
-def null_over_step(law: Law, Ts):
-    """Factor of a posture term over a step, (1 − e^{−rate·Ts})/(rate·Ts); None where the term isn't linear."""
-    return _share(law.null_velocity.rate * Ts) if isinstance(law.null_velocity, Posture) else None
+def held_null(law: Law, q, Ts):
+    """Return the pull (n,) of the law's posture over a step, (1 − e^{−rate·Ts})/(rate·Ts) q̇₀; None without one."""
+    posture = law.null_velocity
+    return None if posture is None else _share(posture.rate * Ts) * null_velocity(law, q)
 
 
 # --- the target's motion ------------------------------------------------------------------------------

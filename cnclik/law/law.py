@@ -1,7 +1,7 @@
 """Law: what the loop does at each instant, q̇ = f(q, t).
 
 f(q, t) = J#(q) (ẋ_d + K e) + (I − J# J) q̇₀, the closed-loop inverse kinematics of Drexler (2016), eqs. 1-2,
-with K the gain and q̇₀ an optional joint velocity in the null space of the task (Siciliano et al. 2009,
+with K the gain and q̇₀ the pull of an optional posture in the null space of the task (Siciliano et al. 2009,
 eq. 3.54).
 """
 
@@ -22,9 +22,9 @@ from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
 from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
 from cnclik.law.limits import Scaled
-from cnclik.law.null import Posture, evaluated
+from cnclik.law.null import Posture
 from cnclik.precision import precise
-from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record, replace
+from cnclik.record import Array, Bool, Float, Number, brief, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
@@ -46,7 +46,7 @@ class Law:
       inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
         error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
-      null_velocity: desired joint velocity q̇₀ in the null space: (n,) [rad/s, m/s], or a function of q.
+      null_velocity: posture(q_rest, rate), whose joint velocity q̇₀ acts in the null space, or None.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
         far away or out of reach then acts like one at that distance; see `clamped`.
@@ -62,7 +62,7 @@ class Law:
     alpha: Any  # an array () or (m,), after the constructor
     inverse: Callable[..., Factored] = Pseudoinverse()
     limits: Scaled | Bounded | None = None
-    null_velocity: Callable[[Array], Array] | ArrayLike | None = None
+    null_velocity: Posture | None = None
     feedforward: Number = 1.0
     error_clamp: tuple[Number, Number] | Float[Array, " 2"] | None = None
     near_singular: Number = 0.01
@@ -98,10 +98,11 @@ class Law:
             raise errors.fail("limits", "be None, velocity_scaling() or bounded()", f"is {self.limits!r}")
         if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
             raise undamped(self.inverse)
-        if isinstance(self.null_velocity, Posture):
-            object.__setattr__(self, "null_velocity", self.null_velocity.on(self.chain))
-        if self.null_velocity is not None and not callable(self.null_velocity):
-            object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
+        if not isinstance(self.null_velocity, (Posture, NoneType)):
+            raise errors.fail("null_velocity", "be None or posture(...)", f"is {self.null_velocity!r}")
+        if self.null_velocity is not None and np.shape(self.null_velocity.rest) != (n,):
+            has = f"has shape {np.shape(self.null_velocity.rest)}"
+            raise errors.fail("rest", f"have shape ({n},), a value of each joint", has)
 
     def __repr__(self):
         lines = [f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"]
@@ -183,7 +184,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         rows=rows,
         apply=made.apply,
         least=made.least if not task.tasks else least_of_tasks(task, at.rows),
-        newton=lambda h, k: newton(law, q, rows, made, velocity, null, qdot, h, k),
+        newton=lambda h, k: newton(law, rows, made, velocity, qdot, h, k),
         limited=getattr(made, "limited", False),
         cut=getattr(made, "cut", False),
         task_velocity=velocity,
@@ -244,39 +245,29 @@ def rows_at(law: Law, q, aims=None) -> Observation:
     return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
-def newton(law: Law, q, rows, made, v, null, f, h, k):
+def newton(law: Law, rows, made, velocity, f, h, k):
     """k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
 
-    With the weighted rows B = WJ and A = B# the derivative is −A K B, and by the push-through identity
-    (I + h A K B)⁻¹ = I − h A (I + h K B A)⁻¹ K B, an m×m system. With scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹
-    the whole is Bᵀ (B Bᵀ + s λ² I)⁻¹ (s v + (1 − s) B k), s = 1/(1 + h alpha): one factor and one solve. For exact J#
-    it is A (s v + (1 − s) B k). A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and the system is n×n.
+    With the weighted rows B = WJ, A = B# and a posture's rate r, the slope is −A K B − r (I − A B). With s = 1 + h r
+    and C = (h/s)(K − r), the push-through identity (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s leaves an m×m
+    system. Without a posture, and with scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹, the whole is
+    Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k), t = 1/(1 + h alpha): one factor and one solve. For exact J# it is
+    A (t v + (1 − t) B k).
 
-    Args: v: weighted task velocity (m,). null: q̇₀ (n,) or None. f: joint velocities (n,).
+    Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
     """
-    apply, exact = made.apply, isinstance(law.inverse, Pseudoinverse)
-    if callable(law.null_velocity):
-        return k + jnp.linalg.solve(_whole(law, q, rows, apply, h), f - k)
-    if np.ndim(law.alpha) == 0 and law.limits is None and (exact or made.shift is not None):
-        s = 1.0 / (1.0 + h * law.alpha)
-        again = apply if exact else damped_apply(rows, s * made.shift)[0]
-        return through(again, rows, s * v + (1.0 - s) * (rows @ k), null)
-    gains, change = gains_of(law), rows @ (f - k)
-    inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(change), dtype=change.dtype))
-    system = dense.shifted(h * gains[:, None] * (rows @ inverse), 1.0)
-    return f - h * apply(jnp.linalg.solve(system, gains * change))
-
-
-def _whole(law, q, rows, apply, h):
-    """I + h (A K B − (I − A B) ∂q̇₀/∂q), (n, n)."""
-    gains = gains_of(law)
-    _, push = jax.linearize(lambda y: null_velocity(law, chart.out(law.chain, q, y)), chart.centre(law.chain, q))
-
-    def column(unit):
-        turned = push(unit)
-        return apply(gains * (rows @ unit) + rows @ turned) - turned
-
-    return dense.shifted(h * jax.vmap(column, out_axes=1)(jnp.eye(len(q), dtype=q.dtype)), 1.0)
+    exact, posture = isinstance(law.inverse, Pseudoinverse), law.null_velocity
+    plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
+    if plain and (exact or made.shift is not None):
+        t = 1.0 / (1.0 + h * law.alpha)
+        apply = made.apply if exact else damped_apply(rows, t * made.shift)[0]
+        return apply(t * velocity + (1.0 - t) * (rows @ k))
+    rate = 0.0 if posture is None else posture.rate
+    s = 1.0 + h * rate
+    gains, change = h / s * (gains_of(law) - rate), (f - k) / s
+    inverse = jax.vmap(made.apply, out_axes=1)(jnp.eye(len(rows), dtype=rows.dtype))
+    system = dense.shifted(gains[:, None] * (rows @ inverse), 1.0)
+    return k + change - made.apply(jnp.linalg.solve(system, gains * (rows @ change)))
 
 
 def gains_of(law):
@@ -308,8 +299,9 @@ def _shortened(e, limit):
 
 
 def null_velocity(law: Law, q):
-    """q̇₀ (n,), or None, see `evaluated`."""
-    return None if law.null_velocity is None else evaluated(law.null_velocity, q)
+    """Return the pull q̇₀ (n,) of the law's posture, or None."""
+    posture = law.null_velocity
+    return None if posture is None else posture.rate * chart.between(law.chain, q, posture.rest)
 
 
 def weighted(task: Task, items):

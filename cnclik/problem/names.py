@@ -278,23 +278,14 @@ def limits_from(name="none", Ts=None, rate=None, walls=()):
     return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
 
 
-def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):
-    """The null-space term, or None: towards a `posture` (n,) at `posture_rate` (default 1/s), or up the manipulability
-    with the gain `manipulability`.
-    """
-    if posture is None and posture_rate is not None:
-        raise errors.fail("posture_rate", "come with `posture`", "comes without")
-    if manipulability is None:
-        rest = None if posture is None else errors.array("posture", posture, (chain.n,))
-        rate = 1.0 if posture_rate is None else errors.number("posture_rate", posture_rate, positive=True)
-        return None if rest is None else null.posture(rest, rate)
-    if posture is not None:
-        raise errors.fail("manipulability", "be left out where `posture` is given", f"is {manipulability!r}")
-    tips = tuple(part for part in task.parts if hasattr(part, "axes"))
-    if not tips:
-        raise errors.fail("manipulability", "be left out for a task without a tip", f"is {manipulability!r}")
-    task = Task(parts=tips, weights=None)
-    return null.maximize_manipulability(chain, task, errors.number("manipulability", manipulability, positive=True))
+def null_from(chain: Chain, posture=None, posture_rate=None):
+    """The null-space term, or None: towards a `posture` (n,) at `posture_rate` (default 1/s)."""
+    if posture is None:
+        if posture_rate is not None:
+            raise errors.fail("posture_rate", "come with `posture`", "comes without")
+        return None
+    rate = 1.0 if posture_rate is None else errors.number("posture_rate", posture_rate, positive=True)
+    return null.posture(errors.array("posture", posture, (chain.n,)), rate)
 
 
 # --- loop ---------------------------------------------------------------------------------------------

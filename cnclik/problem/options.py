@@ -85,8 +85,6 @@ OPTIONS = {
     "posture": Option(NUMBERS, "Preferred joint values, approached in the null space [rad, m].", unit="q"),
     "posture_rate": Option(NUMBER, "Rate at which the posture is approached [1/s]; default: 1.", unit="1/s",
                            must="positive"),
-    "manipulability": Option(NUMBER, "Gain with which the null-space motion increases the manipulability.",
-                             must="positive"),
     "q0": Option(NUMBERS, "Joint values at the start [rad, m]; default: a posture within the limits and away from "
                  "singularities.", unit="q"),
     "begin": Option(NAME, "Where the loop starts: at q0, or on-path, at the path's first point with the joint values "

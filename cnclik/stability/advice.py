@@ -218,7 +218,7 @@ def removing(loop, share: float, Ts: float) -> float:
 def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
     """What a gain of z does in a loop at rest, see `loop_at_rest`. Args: z_largest: the largest stable one."""
     (steps,), (null,) = loop.prompt.modes(np.array([z]), Ts)  # of a square arm each joint is one
-    return gain_of(steps, loop.drive, Ts, z, z_largest, null if callable(loop.law.null_velocity) else ())
+    return gain_of(steps, loop.drive, Ts, z, z_largest, null if loop.law.null_velocity is not None else ())
 
 
 def _null_growth(loop, drive, z: float, Ts: float) -> float:

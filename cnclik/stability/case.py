@@ -117,7 +117,7 @@ class Case:
 
     @property
     def null_unstable(self):
-        return callable(self.law.null_velocity) and self.null_radius > UNSTABLE
+        return self.law.null_velocity is not None and self.null_radius > UNSTABLE
 
     @property
     def moving(self):

@@ -15,7 +15,6 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.law.curves import Hold
 from cnclik.law.law import Law, check_loop, evaluate
-from cnclik.law.null import MaximizeManipulability
 from cnclik.law.reference import Reference, of_each
 from cnclik.precision import of_numbers
 from cnclik.record import AnyArray, Float, cast, replace
@@ -120,7 +119,7 @@ class LoopAtRest(NamedTuple):
             return tuple(largest(moved, basis) for basis in directions(rows)[2:])
         task, null = self.modes(z, Ts)
         Ts = 1.0 if Ts is None else Ts  # of prompt drives, which know none
-        moves = callable(self.law.null_velocity)
+        moves = self.law.null_velocity is not None
         return radius(task, self.drive, Ts), radius(null, self.drive, Ts) if moves else np.zeros(len(task))
 
     def modes(self, z, Ts=None):
@@ -204,18 +203,13 @@ def loop_at_rest(law, reference, q, method, stage, drive=Drive()) -> LoopAtRest:
     """Args: as for `recommend`."""
     method, stage = checked(method, stage)
     (law, held), drive = at_rest(law, reference, q), check_drive(drive, law.chain)
-    made = LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
-    if isinstance(getattr(law.null_velocity, "base", None), MaximizeManipulability):
-        rows = made.flow()[1]
-        if directions(rows)[2].shape[1] < len(rows):
-            raise errors.fail("q", "be no singular posture to climb the manipulability from", "is: it has no slope")
-    return made
+    return LoopAtRest(law, held, as_joint_values(law.chain, q), method, stage, largest_rate(law.alpha), drive, {})
 
 
 def resting(law, q, method, stage, drive) -> LoopAtRest:
     """The same of a checked loop at any instant of a run, the error being what it is there; a gain of 0 is one, too."""
     rate, q = largest_rate(law.alpha) if np.any(law.alpha) else 1.0, as_joint_values(law.chain, q)
-    leads = callable(law.null_velocity)  # to another posture, which one that is constant does not
+    leads = law.null_velocity is not None  # to another posture
     known = {} if leads else {"growing": np.zeros((len(q), len(q)))}
     return LoopAtRest(*at_rest(law, None, q), q, method, stage, rate, drive, known)
 

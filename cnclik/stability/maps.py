@@ -178,7 +178,7 @@ def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5), drive
     A hyperbola, unless a null-space velocity acts or drives have a time of their own.
     """
     Ts = np.asarray(Ts, float)
-    some = Ts if callable(law.null_velocity) or drive.order else Ts[:1]
+    some = Ts if law.null_velocity is not None or drive.order else Ts[:1]
     loop = loop_at_rest(law, reference, rest, method, stage, drive)
     return np.asarray([largest_stable(loop, float(T)) for T in some]) / Ts
 

@@ -290,7 +290,7 @@ def _what_limits(loop, beyond, z_largest, astray, Ts) -> str:
             through, radii = "through dead time and drive ", (v[0] for v in loop.radii(np.array([1e-9]), Ts))
         (factor, what) = max(zip(radii, ("an error, through this J#,", "a motion"), strict=True))
         return f"none is stable: {through}the null-space velocity multiplies {what} by {factor:.4g} each step"
-    if callable(loop.law.null_velocity) and beyond.null_radius > max(beyond.radius, 1.0):
+    if loop.law.null_velocity is not None and beyond.null_radius > max(beyond.radius, 1.0):
         return "limited by the null-space velocity"
     if not loop.drive.prompt and loop.drive.feedback != "commanded":
         return "limited by dead time and drive: beyond this limit the error oscillates and grows"

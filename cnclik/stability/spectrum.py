@@ -22,7 +22,6 @@ from cnclik.integrate.stage import Stage, chord, picard
 from cnclik.law import reference as ref
 from cnclik.law.inverse import Pseudoinverse
 from cnclik.law.law import Law, check_loop, evaluate
-from cnclik.law.null import without
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64, in_float64_if_known, of_numbers
 from cnclik.record import ArrayLike, Float, Number, cast, record, replace
@@ -315,14 +314,21 @@ def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
     drift = (drift_of_numbers if known else _drift)(law, held, q)
     if known and not np.isfinite(drift).all():
         raise errors.fail("null_velocity", "give a finite velocity at q", f"is {np.asarray(drift).tolist()}")
-    return replace(law, null_velocity=without(law.null_velocity, drift)), held
+    return _without(law, q, drift), held
+
+
+def _without(law, q, drift):
+    """The law with a posture whose pull at q is less by a constant part (n,)."""
+    null, chain = law.null_velocity, law.chain
+    rest = chart.moved(chain, q, chart.between(chain, q, null.rest) - drift / null.rate)
+    return replace(law, null_velocity=replace(null, rest=rest))
 
 
 def _drift(law, held, q):
     """The part (n,) of q̇₀ that moves the arm at rest at q."""
     (law, held), drift = cast((modelled(law), held), q.dtype), jnp.zeros_like(q)
     for limits in (None, law.limits):  # without them first: they may shorten what they are given
-        now = replace(law, limits=limits, null_velocity=without(law.null_velocity, drift))
+        now = replace(_without(law, q, drift), limits=limits)
         drift = drift + evaluate(now, held, jnp.zeros_like(q[0]), q).qdot
     return drift
 

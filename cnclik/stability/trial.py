@@ -93,7 +93,8 @@ def changed(run: Run, change: dict) -> Run:
     if "limits" in change:
         law = replace(law, limits=getattr(limits, change.pop("limits").replace("-", "_"))())
     if "null_gain" in change:
-        law = replace(law, null_velocity=_slower(law.null_velocity, change.pop("null_gain")))
+        null: typing.Any = law.null_velocity
+        law = replace(law, null_velocity=replace(null, rate=null.rate * change.pop("null_gain")))
     numbers = ("alpha", "error_clamp", "feedforward")
     law = replace(law, **{name: np.asarray(change.pop(name), float) for name in numbers if name in change})
     assert not change, change
@@ -127,16 +128,6 @@ def _changed_path(reference, shift=None, speed=np.ones(()), period=None):
         field = "period" if hasattr(curve, "period") else "duration"
         curve = replace(curve, **{field: period})
     return replace(reference, curve=curve)
-
-
-def _slower(null, share):
-    if hasattr(null, "rate"):
-        return replace(null, rate=null.rate * share)
-    return functools.partial(_times, null, share) if callable(null) else np.asarray(null) * share
-
-
-def _times(null, share, *q):
-    return jax.tree.map(lambda v: share * v, null(*q))
 
 
 class Trials:

@@ -16,7 +16,6 @@ from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
 from cnclik.law.law import Law, gains_of, metric
-from cnclik.law.null import ScaledNullVelocity
 from cnclik.record import AnyArray, Float, record, replace
 from cnclik.robot.fixed import Offset, scale
 from cnclik.robot.mounted import with_tip
@@ -210,10 +209,11 @@ def _with_damping(law, task, value):
     return {"inverse": replace(law.inverse, damping=tuple(each))}
 
 
-def _null_gain(law, Ts, task):
+def _posture_rate(law, Ts, task):
     if law.null_velocity is None:
-        raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
-    return 1.0, 0.0, 10.0
+        raise errors.fail("over", "name posture_rate for a law with a posture", "names it for one without")
+    rate = float(law.null_velocity.rate)
+    return rate, 0.0, 10.0 * rate
 
 
 def _tool(law, Ts, task):
@@ -243,7 +243,11 @@ _KNOWN = {
     "alpha": _OF_TASK["alpha"],
     "schedule": (_schedule, None, "1/s"),  # of the loop, as Ts is
     "damping": _OF_TASK["damping"],
-    "null_gain": (_null_gain, lambda law, _, v: {"null_velocity": ScaledNullVelocity(law.null_velocity, v)}, "1"),
+    "posture_rate": (
+        _posture_rate,
+        lambda law, _, v: {"null_velocity": replace(law.null_velocity, rate=v)},
+        "1/s",
+    ),
     "feedforward": (lambda law, *_: (float(law.feedforward), 0.0, 2.0), lambda law, _, v: {"feedforward": v}, "1"),
     "links": (
         lambda law, *_: (np.ones(len(law.chain.joints) + 1), 0.5, 2.0),
@@ -302,14 +306,14 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     """A parameter by name, starting at the loop's own value.
 
     alpha: the gain in the shape the law has it: a number, or one per axis [1/s]. schedule: K = 5 gains over the horizon
-    [1/s]; it scales the gains of all tasks. damping: λ of damped(λ). null_gain: factor of the null-space velocity.
+    [1/s]; it scales the gains of all tasks. damping: λ of damped(λ). posture_rate: that of the law's posture [1/s].
     feedforward: factor of ẋ_d. links: factors (n + 1,) of the links' offsets, the tip's last. tool: offset (3,) of the
     tip in the last frame [m]. Ts: sampling time [s]. Of a task of a stack: hands.alpha; hands.damping, λ of its level;
     hands.weights, one number if they are equal.
 
     Args:
       bounds: (lower, upper), or None: z = alpha·Ts from 0.001 to 10, damping and Ts up to a factor 1000 and 4 around
-        their start, factors from 0 to 2 (null_gain 10, links 0.5 to 2), the tool within 0.5 m.
+        their start, factors from 0 to 2 (links 0.5 to 2), posture_rate up to a factor 10, the tool within 0.5 m.
     """
     task, what = str(name).rpartition(".")[0], kind_of(str(name))
     if task and loop.law.task.tasks:

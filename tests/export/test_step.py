@@ -15,7 +15,6 @@ SPREAD = [
     Combination("planar2", "singular-damped", "bounded", method="TRAPEZOID", stage="chord"),
     Combination("planar2", "pseudoinverse", method="AB2"),
     Combination("planar2", "damped", method="IE", stage="newton"),
-    Combination("planar3", "damped", null="manipulability"),
     Combination("planar3", "damped", "bounded", "posture"),
     Combination("planar3", "manipulability-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
     Combination("planar2", "transpose", method="HEUN", dtype="float32"),

@@ -88,8 +88,8 @@ LAWS = {
     "damped by singular value": dict(alpha=15.0, inverse=ck.singular_damped(0.4, 20.0)),
     "damped weighted per axis": dict(alpha=GAIN, inverse=ck.damped(0.4), weights=jnp.array([1.0, 3.0])),
     "transpose": dict(alpha=15.0, inverse=ck.transpose()),
-    "null space": dict(alpha=GAIN, null_velocity=lambda q: jnp.array([1.0, 4.0, 9.0]) * (Q - q)),
-    "damped null space": dict(alpha=15.0, inverse=ck.damped(0.4), null_velocity=lambda q: 4.0 * (Q - q)),
+    "null space": dict(alpha=GAIN, null_velocity=ck.posture(Q, 4.0)),
+    "damped null space": dict(alpha=15.0, inverse=ck.damped(0.4), null_velocity=ck.posture(Q, 4.0)),
 }
 
 
@@ -114,9 +114,9 @@ def test_correction_inverts_the_linearised_law_at_rest(kind):
 
 
 @pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.4)])
-def test_a_constant_null_space_velocity_passes_a_newton_step(inverse):
+def test_a_posture_passes_a_newton_step(inverse):
     """Away from rest, by the matrix (n, n) that the formula avoids."""
-    one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=np.array([0.3, -0.2, 0.5]))
+    one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=ck.posture([0.3, -0.2, 0.5], 4.0))
     h, k = 0.3, np.array([0.7, -0.2, 1.1])
 
     @jax.jit
@@ -125,7 +125,8 @@ def test_a_constant_null_space_velocity_passes_a_newton_step(inverse):
         return at.newton(h, k), at.qdot, at.rows, jax.vmap(at.apply, out_axes=1)(jnp.eye(2))
 
     found, f, J, inverted = map(np.asarray, step(Q))
-    np.testing.assert_allclose(found, k + np.linalg.solve(np.eye(3) + h * 15.0 * inverted @ J, f - k), atol=1e-12)
+    slope = 15.0 * inverted @ J + 4.0 * (np.eye(3) - inverted @ J)
+    np.testing.assert_allclose(found, k + np.linalg.solve(np.eye(3) + h * slope, f - k), atol=1e-12)
 
 
 def test_masked_passes_equal_compiled_ones():

@@ -219,8 +219,6 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"damping": 0.1, "threshold": 0.1}, "`threshold` must be left out"),
         ({"limits": "sns"}, "limits"),
         ({"posture": [0] * 6}, "posture"),
-        ({"posture": [0] * 7, "manipulability": 1}, "manipulability"),
-        ({"manipulability": -1}, "`manipulability`"),
         ({"damping_ratio": 1.0}, "`damping_ratio` must come with `natural_frequency`, but comes without"),
         ({"posture_rate": 2.0}, "`posture_rate` must come with `posture`, but comes without"),
         ({"posture": [0] * 7, "posture_rate": 0}, "`posture_rate` must be positive"),

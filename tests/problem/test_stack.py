@@ -134,15 +134,6 @@ def test_a_path_in_a_file_lies_beside_the_stack(tmp_path):
     close(p.reference["a"].curve(1.0)[0], [0.7, 0.4, 0.2], atol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_stack_climbs_the_manipulability_of_its_tips():
-    tables = {"hands": {"task": "position", "tip": GRIPPERS}, "one": {"task": "joints", "joints": ["left_s0"]}}
-    p = made(tables, damping=0.05, manipulability=2.0, N=60)
-    task = ck.position(tip=GRIPPERS[0]) & ck.position(tip=GRIPPERS[1])
-    first, last = (float(ck.manipulability(ROBOT, q, task)) for q in (p.q0, p.run().q[-1]))
-    assert last > 1.01 * first
-
-
 def test_a_task_in_the_tips_own_frame():
     p = made({"drill": {"task": "xy", "tip": GRIPPERS[0], "frame": "tip", "reference": "circle"}}, damping=0.05)
     by_hand = ck.stack(drill=ck.position("xy", tip=GRIPPERS[0], frame="tip")).on(ROBOT)
@@ -248,7 +239,6 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND}, {"posture": [0] * 14}, "`posture` must be left out .*: a posture is one of its"),
         ({"hands": HAND | {"alpha": 1}}, {"alpha": (3.0,)}, "`alpha` must be left out where every task has its own"),
         ({"hands": HAND | {"damping": 1}}, {"damping": 0.1}, "`damping` must be left out where every task has its own"),
-        ({"rest": REST}, {"manipulability": 1.0}, "`manipulability` must be left out for a task without a tip"),
         ({"hands": HAND | {"frame": "tool"}}, {}, "`tasks.hands.frame` must be one of base, tip"),
         ({"rest": REST | {"frame": "tip"}}, {}, "`tasks.rest.frame` must be left out for the task 'joints'"),
         ({"hands": HAND}, {"stack": "a.toml"}, "`tasks` must be left out where `stack` is given"),

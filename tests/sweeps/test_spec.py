@@ -130,7 +130,7 @@ TABLES = [
         "stage": "chord",
         "M": 2,
     },
-    {"target": [1, 0.5], "manipulability": 0.5, "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
+    {"target": [1, 0.5], "posture": [0.1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
     {"robot": "planar-clockwise", "lengths": [1.0, 2.0], "task": "xy"},
 ]
 

@@ -20,7 +20,7 @@ def test_every_parameter_goes_where_it_belongs():
         "alpha": lambda made: made.law.alpha,
         "schedule": lambda made: made.schedule,
         "damping": lambda made: made.law.inverse.damping,
-        "null_gain": lambda made: jnp.asarray(made.law.null_velocity((0.0, 0.0)))[1],
+        "posture_rate": lambda made: made.law.null_velocity.rate,
         "feedforward": lambda made: made.law.feedforward,
         "links": lambda made: ck.forward(made.law.chain, np.zeros(2)).position[1] / 2,
         "tool": lambda made: jnp.asarray(made.law.chain.tip.position),
