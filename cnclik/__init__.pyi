@@ -30,11 +30,8 @@ from .law.inverse import (
     singular_damped as singular_damped, transpose as transpose,
 )
 from .law.law import Law as Law
-from .law.limits import (
-    exponential_rate as exponential_rate, saturation as saturation, velocity_scaling as velocity_scaling,
-    weighted_least_norm as weighted_least_norm,
-)
-from .law.null import maximize_manipulability as maximize_manipulability, posture as posture
+from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
+from .law.null import posture as posture
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
     lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,

@@ -48,7 +48,6 @@ SMALLER = {
 }
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
-HEAVY = ("saturation",)  # linear programs of seven joints compile for half a minute: with `-m slow` only
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
 LONG = [
     "bases",
@@ -182,8 +181,6 @@ def read_aloud(page, folder, less):
         if argv[0] == "view" and "--html" not in argv:  # it would wait for Ctrl-C
             argv += ["--html", "view.html"]
         if argv[0] in ELSEWHERE or any(word.isupper() and word.isalpha() for word in argv[:2]) or argv in done:
-            continue
-        if less and set(argv) & set(HEAVY):
             continue
         done.append(argv)
         try:

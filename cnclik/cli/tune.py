@@ -16,7 +16,7 @@ from cnclik.show.output import draw, load_ahead
 from cnclik.version import __version__
 from cnclik.writing import output_folder
 
-_SHAPES = ("as-given", "scalar", "per-axis", "matrix")
+_SHAPES = ("as-given", "scalar", "per-axis")
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -26,10 +26,10 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     N: int = 200
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
-    parameters of one task, as in hands.alpha; of a posture only so."""
+    """What to tune: alpha, schedule, damping, posture_rate, feedforward, links, tool, Ts. With --stack also weights,
+    and parameters of one task, as in hands.alpha; of a posture only so."""
     shape: str = "as-given"
-    """Form of the gain: scalar, per-axis, matrix (symmetric positive definite), or as-given, the form of --alpha."""
+    """Form of the gain: scalar, per-axis, or as-given, the form of --alpha."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")
     """What to minimize: tracking (RMS), worst, settling, effort, jerk, noise, delay. Several have weights, as in
     tracking=1 jerk=1e-4."""
@@ -162,11 +162,8 @@ def _problem(args):
     alpha, m = np.asarray(made.law.alpha), made.law.task.m
     if args.shape == "scalar" and alpha.ndim:
         raise errors.fail("alpha", "be one number for --shape scalar", f"holds {alpha.size}")
-    if args.shape in ("per-axis", "matrix"):
-        alpha = np.broadcast_to(alpha, (m,)).astype(float)
-        made = dataclasses.replace(
-            made, law=replace(made.law, alpha=np.diag(alpha) if args.shape == "matrix" else alpha)
-        )
+    if args.shape == "per-axis":
+        made = dataclasses.replace(made, law=replace(made.law, alpha=np.broadcast_to(alpha, (m,)).astype(float)))
     return made
 
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik.integrate.method import Method
-from cnclik.law.feedback import ahead, feedback_within, held_feedback, null_over_step
-from cnclik.law.law import null_velocity, resolve, rows_at
+from cnclik.law.feedback import ahead, feedback_within, held_feedback, held_null
+from cnclik.law.law import resolve, rows_at
 from cnclik.law.reference import sample
 from cnclik.record import Array, Float
 from cnclik.robot import chart
@@ -133,11 +133,8 @@ def closure(law, mean, quadrature, turns):
 def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
     """Make one step of the exponential form of a tableau, from the law's observation at q and t."""
     task, target, feedforward = law.task, ahead(law, reference, at, t, Ts), law.feedforward
-    null, factor = null_velocity(law, q), null_over_step(law, Ts)
-    held = held_feedback(law, at.e, target.turns, Ts)
+    held, null = held_feedback(law, at.e, target.turns, Ts), held_null(law, q, Ts)
     xdot_d, mean = feedforward * at.xdot_d, feedforward * target.mean
-    if factor is not None:  # a posture's velocity, constant over the step
-        null = factor * null
     targets = {0.0: (at.aims, feedforward * at.motion)}
     for c in method.c:
         if c not in targets:
@@ -156,9 +153,8 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
 
     def field(stage, q):
         aims, motion, correction = stage
-        own = null if factor is not None else null_velocity(law, q)
         there = rows_at(law, q, aims)._replace(e=at.e)
-        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, own)
+        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, null)
 
     first = resolve(law, q, at, xdot_d + feedback[0], null)
     field, y = charted(law.chain, q, field), centre(law.chain, q)

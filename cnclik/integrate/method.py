@@ -159,8 +159,7 @@ def exponential(method: MethodLike) -> Method:
 
     R(z) = exp(−z) for every z and every tableau. For orders above two, w follows the decay within the step, see
     `cnclik.law.feedback.feedback_within`. With exact J# the order is that of the method. With a damped J# the error
-    decays more slowly than assumed, and the order is one. Rotations and gain matrices are explained in
-    `cnclik.law.feedback`.
+    decays more slowly than assumed, and the order is one. Rotations are explained in `cnclik.law.feedback`.
 
     Args:
       method: an explicit `Method`, or its name.

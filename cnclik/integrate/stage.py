@@ -172,8 +172,8 @@ def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, impl
     −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; the law knows
     it, see `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. With exact J# and
     scalar gain, (I + h J#KJ)⁻¹ r = r − (a z/(1 + a z)) J#(J r). It starts from the law linearised at q, and costs
-    M evaluations of f and as many products with J and J#. Gain matrices, damping, weights and null-space
-    velocities that depend on q are in it.
+    M evaluations of f and as many products with J and J#. Gains per axis, damping, weights and a
+    posture are in it.
 
     Args:
       M, maximum, tolerance: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.

@@ -48,7 +48,7 @@ _REMEDY = {
     Status.NOT_CONVERGED: "reduce alpha·Ts, raise M (of bounded limits: passes), or use an explicit method",
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",
-    Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or saturation()",
+    Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or bounded()",
     Status.OVER_ACCELERATION: "round the path's corners, make targets jump less (resampled), or allow more",
     Status.WALLS_CONTRADICT: "move apart the walls whose `walls` of the run are negative, or allow faster joints",
 }

@@ -278,6 +278,7 @@ def on_face(of: Problem, walls: Rows | None, shut, push, qdot):
 class Bounded:
     """See `bounded`."""
 
+    positions = True
     rate: Number
     passes: int
     walls: tuple[Wall, ...] = ()
@@ -354,7 +355,10 @@ def undamped(inverse):
 def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:
     """Bounded least squares: the joint velocities within bounds that have the least weighted error.
 
-    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`; q̇₀ is the null-space velocity.
+    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds ±Vᵢ and rate·(limit − qᵢ) of q̇ᵢ; q̇₀ is the
+    null-space velocity. A joint approaches its limit exponentially, and one outside its limits comes back, whatever the
+    task asks for.
+
     Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
     possible, in a direction that may differ. With `levels` the lower levels give way first, and the first level by
     about (λ₁/λ₂)². The minimum is found by a descent from face to face of the box, by projected Newton steps (Bertsekas
@@ -368,7 +372,7 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
     A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 
     Args:
-      rate: see `saturation` [1/s].
+      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit, see `exponential_rate`.
       passes: largest number of Newton steps. Up to three are usual; of 60,000 postures of an arm and of a humanoid none
         took more than 13, and at levels of λ = 1e-4 and 0.1 none of 8,000 more than 19. With too few passes the
         velocities are still within bounds and cost no more than clipped ones, but are not the minimum.

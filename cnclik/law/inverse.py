@@ -136,13 +136,6 @@ class Levels:
         spread = (level[name] for name, at in task.each for _ in range(at.start, at.stop))
         return replace(self, level=tuple(spread))
 
-    def upto(self, count: int) -> tuple[np.ndarray, Levels]:
-        """Indices of the rows of the first levels, and the inverse of those alone."""
-        which = np.flatnonzero(np.array(self.level) < count)
-        level = tuple(self.level[i] for i in which)
-        e = None if self.e is None else self.e[which]
-        return which, replace(self, names=self.names[:count], damping=self.damping[:count], level=level, e=e)
-
     def __call__(self, rows) -> Factored:
         level, shifts = np.array(self.level), []
         sizes = jnp.stack([jnp.asarray(one.damping, rows.dtype) for one in self.damping])

@@ -170,7 +170,7 @@ def _law(chain, task, v, Ts, stack) -> Law:
         alpha=alpha,
         inverse=inverse,
         limits=names.limits_from(v["limits"], Ts, v["limit_rate"], walls),
-        null_velocity=names.null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
+        null_velocity=names.null_from(chain, v["posture"], v["posture_rate"]),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
 

@@ -96,7 +96,7 @@ def _of_stack(made, name, table) -> str:
     tips = " and ".join(path[-1] for path, _ in own.targets)
     what = f"{own.m} joint{'s' * (own.m > 1)}" if tips == "joints" else f"{' '.join(own.targets[0][1].names)} of {tips}"
     alpha = np.asarray(law.alpha, float)
-    alpha = alpha if alpha.ndim == 0 else alpha[(law.task.of(name),) * alpha.ndim]
+    alpha = alpha if alpha.ndim == 0 else alpha[law.task.of(name)]
     alpha, z = (in_words(v[0] if v.ndim == 1 and np.ptp(v) == 0 else v) for v in (alpha, alpha * made.Ts))
     gain = f"alpha = {alpha.removesuffix('.')} 1/s{'' if 'alpha' in table else ' (of all)'}, z = {z.removesuffix('.')}"
     paths = "; ".join(_path_of_stack(made, name, one) for one in own.targets)

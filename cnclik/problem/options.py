@@ -73,8 +73,8 @@ OPTIONS = {
     "threshold": Option(NUMBER, "Manipulability (manipulability-damped) or least singular value (singular-damped) "
                         "below which the inverse is damped.", unit="w", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(words.LIMITS)}.", "none"),
-    "limit_rate": Option(NUMBER, "weighted-least-norm, saturation and bounded: rate at which a joint may approach its "
-                         "limit [1/s]; default: 1/Ts, at most 10.", unit="1/s", must="positive"),
+    "limit_rate": Option(NUMBER, "bounded: rate at which a joint may approach its limit [1/s]; default: 1/Ts, at most "
+                         "10.", unit="1/s", must="positive"),
     "error_clamp": Option(NUMBERS, "Limits of the position [m] and orientation [rad] error that the gain multiplies. "
                           "They keep joint velocities small when the target is far away.", unit="m, rad",
                           must="positive"),
@@ -85,8 +85,6 @@ OPTIONS = {
     "posture": Option(NUMBERS, "Preferred joint values, approached in the null space [rad, m].", unit="q"),
     "posture_rate": Option(NUMBER, "Rate at which the posture is approached [1/s]; default: 1.", unit="1/s",
                            must="positive"),
-    "manipulability": Option(NUMBER, "Gain with which the null-space motion increases the manipulability.",
-                             must="positive"),
     "q0": Option(NUMBERS, "Joint values at the start [rad, m]; default: a posture within the limits and away from "
                  "singularities.", unit="q"),
     "begin": Option(NAME, "Where the loop starts: at q0, or on-path, at the path's first point with the joint values "

@@ -48,8 +48,6 @@ INVERSES = {
 LIMITS = {  # `rate` [1/s]: how quickly a joint may near its limit
     "none": Takes(),
     "velocity-scaling": Takes("law.limits:velocity_scaling"),
-    "weighted-least-norm": Takes("law.limits:weighted_least_norm", takes=("rate",)),
-    "saturation": Takes("law.limits:saturation", takes=("rate",)),
     "bounded": Takes("law.bounded:bounded", takes=("rate",)),
 }
 REFERENCES = {

@@ -34,7 +34,7 @@ def controller_lines(tuned) -> dict:
 def _rate_line(tuned) -> str:
     law, alpha = tuned.law, np.asarray(tuned.law.alpha)
     name, formula, _ = _inverse(law.inverse)
-    product = f"{'alpha' if law.task.tasks else in_words(alpha, 6)} {'*' if alpha.ndim < 2 else '@'} e"
+    product = f"{'alpha' if law.task.tasks else in_words(alpha, 6)} * e"
     when = f"alpha [1/s], every Ts = {tuned.Ts:.6g} s"
     if law.task.tasks:
         when += f"; alpha: {_of_each(law, lambda task: pm.gain_of(law, task))}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from cnclik.hints import after
 from cnclik.integrate.drive import Drive
-from cnclik.law.law import weighted_gain
+from cnclik.law.law import gains_of
 from cnclik.record import replace
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.driven import driven_limits, looked_at_drive, loop_matrix, noise_limit
@@ -38,7 +38,7 @@ def maps_at_rest(law, q, Ts, method, stage):
         found = of_error(moved, rows, inverse=inverse)
         return found, across @ moved @ across, _taken(found), across @ _taken(moved) @ across
     rows, columns, _ = parts_at_rest(law, held, q)
-    gain = jnp.asarray(weighted_gain(law), q.dtype)
+    gain = jnp.diag(jnp.asarray(gains_of(law), q.dtype))
     found = stepped(method, stage, rows @ columns, gain, Ts)
     inverse = jnp.linalg.pinv(after(rows, found))
     across = jnp.eye(len(q), dtype=q.dtype) - inverse @ rows

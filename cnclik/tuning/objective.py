@@ -41,9 +41,9 @@ class Goal:
     """The tuned parameters, the loss, and the constraints.
 
     Attributes:
-      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, null_gain, feedforward, links, tool,
-        Ts), or your own `parameters.Parameter`s. Of a stack, the postures (tasks of joint values that give way to
-        others) are tuned, and count in the loss, only if they are named: "rest.alpha".
+      over: what is tuned: names of `parameters.named` (alpha, schedule, damping, posture_rate, feedforward, links,
+        tool, Ts), or your own `parameters.Parameter`s. Of a stack, the postures (tasks of joint values that give way
+        to others) are tuned, and count in the loss, only if they are named: "rest.alpha".
       bounds: {name: (lower, upper)} in place of the defaults.
       loss: a name of `losses.LOSSES`, {name: weight}, or a function of a `losses.View`.
       delay_margin: further dead time [samples] with which a step still must not overshoot. With A the one-step map of
@@ -134,7 +134,7 @@ class LoopObjective:
 
     @property
     def moves_null_space(self) -> bool:
-        return callable(self.loop.law.null_velocity)
+        return self.loop.law.null_velocity is not None
 
     @property
     def constraints(self) -> int:

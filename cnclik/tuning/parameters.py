@@ -1,7 +1,6 @@
 """Parameters of a loop that can be tuned, and the transforms that keep them inside their bounds.
 
-An optimizer moves free numbers u. For any u their values stay within the bounds: numbers by a logistic function,
-symmetric positive definite gains by one of their eigenvalues.
+An optimizer moves free numbers u. For any u their values stay within the bounds, by a logistic function.
 """
 
 from __future__ import annotations
@@ -16,15 +15,13 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.law import inverse as inverses
-from cnclik.law.law import Law, metric
-from cnclik.law.null import ScaledNullVelocity
+from cnclik.law.law import Law, gains_of, metric
 from cnclik.record import AnyArray, Float, record, replace
 from cnclik.robot.fixed import Offset, scale
 from cnclik.robot.mounted import with_tip
 from cnclik.stability.spectrum import largest_rate
 from cnclik.task.values import Joints
 
-BOX, SPD = "box", "spd"
 INSIDE = 1e-6  # fraction of the range by which a start on a bound moves inside, where derivatives are not 0
 
 
@@ -34,16 +31,13 @@ class Parameter:
 
     Attributes:
       name: its name in results.
-      kind: "box": every entry lies between `lower` and `upper`; "spd": a symmetric positive definite matrix whose
-        eigenvalues do.
       start: where tuning starts; its shape is the parameter's.
-      lower, upper: bounds, numbers or arrays of that shape.
+      lower, upper: bounds of each of its numbers, arrays of that shape.
       put: function (loop, value) -> loop with the value in it.
       unit: its unit.
     """
 
     name: str
-    kind: str
     start: AnyArray
     lower: AnyArray
     upper: AnyArray
@@ -51,16 +45,14 @@ class Parameter:
     unit: str = "1"
 
 
-def parameter(name, start, lower, upper, put, *, kind=BOX, unit="1") -> Parameter:
+def parameter(name, start, lower, upper, put, *, unit="1") -> Parameter:
     """A checked `Parameter`. Raises: ArgumentError for bounds that leave no room."""
     start = np.asarray(errors.array(name, start, finite=False), float)
-    shapes = ((), start.shape) if kind == BOX else ((),)
-    lower, upper = (np.asarray(errors.array(f"bounds of {name}", v, *shapes), float) for v in (lower, upper))
+    ends = (np.asarray(errors.array(f"bounds of {name}", v, (), start.shape), float) for v in (lower, upper))
+    lower, upper = (np.broadcast_to(end, start.shape) for end in ends)
     if not np.all(lower < upper):
         raise errors.fail(f"bounds of {name}", "increase", f"are {lower.tolist()} and {upper.tolist()}")
-    if kind == BOX:
-        lower, upper = np.broadcast_to(lower, start.shape), np.broadcast_to(upper, start.shape)
-    return Parameter(name=name, kind=kind, start=start, lower=lower, upper=upper, put=put, unit=unit)
+    return Parameter(name=name, start=start, lower=lower, upper=upper, put=put, unit=unit)
 
 
 # --- transforms ---------------------------------------------------------------------------------------
@@ -68,40 +60,20 @@ def parameter(name, start, lower, upper, put, *, kind=BOX, unit="1") -> Paramete
 
 def size(p: Parameter) -> int:
     """Number of free numbers of the parameter."""
-    m = np.shape(p.start)[-1] if np.ndim(p.start) else 1
-    return m * (m + 1) // 2 if p.kind == SPD else int(np.prod(np.shape(p.start), dtype=int))
+    return int(np.prod(np.shape(p.start), dtype=int))
 
 
 def bounded(p: Parameter, u):
-    """The value for the free numbers u (size,); within its bounds for every finite u.
-
-    box: lower + (upper − lower)/(1 + exp(−u)). spd: lower I + (upper − lower)(I − (I + S)⁻¹) with S = LLᵀ and L lower
-    triangular with diagonal exp(u/2): an eigenvalue s of S gives lower + (upper − lower) s/(1 + s).
-    """
-    if p.kind == BOX:
-        value = p.lower + (p.upper - p.lower) * jax.nn.sigmoid(u.reshape(np.shape(p.start)))
-        return jnp.clip(value, p.lower, p.upper)
-    m = np.shape(p.start)[0]
-    rows, columns = np.tril_indices(m)
-    entries = jnp.where(rows == columns, jnp.exp(0.5 * jnp.clip(u, -60.0, 60.0)), u)
-    factor = jnp.zeros((m, m), u.dtype).at[rows, columns].set(entries)
-    left = jnp.linalg.inv(jnp.eye(m, dtype=u.dtype) + factor @ factor.T)
-    share = jnp.eye(m, dtype=u.dtype) - 0.5 * (left + left.T)
-    return p.lower * jnp.eye(m, dtype=u.dtype) + (p.upper - p.lower) * share
+    """Return lower + (upper − lower)/(1 + exp(−u)) for free numbers u (size,): within its bounds for every finite u."""
+    value = p.lower + (p.upper - p.lower) * jax.nn.sigmoid(u.reshape(np.shape(p.start)))
+    return jnp.clip(value, p.lower, p.upper)
 
 
 def free(p: Parameter, value):
     """The free numbers of a value, which is moved inside its bounds if necessary; the inverse of `bounded`."""
     value = np.nan_to_num(np.asarray(value, float), nan=1.0)
-    if p.kind == BOX:
-        share = np.clip((value - p.lower) / (p.upper - p.lower), INSIDE, 1 - INSIDE)
-        return np.log(share / (1 - share)).ravel()
-    eigenvalues, vectors = np.linalg.eigh(0.5 * (value + value.T))
-    share = np.clip((eigenvalues - p.lower) / (p.upper - p.lower), INSIDE, 1 - INSIDE)
-    factor = np.linalg.cholesky((vectors * (share / (1 - share))) @ vectors.T)
-    m = len(share)
-    u = np.where(np.eye(m, dtype=bool), 2 * np.log(np.where(np.eye(m, dtype=bool), factor, 1.0)), factor)
-    return u[np.tril_indices(m)]
+    share = np.clip((value - p.lower) / (p.upper - p.lower), INSIDE, 1 - INSIDE)
+    return np.log(share / (1 - share)).ravel()
 
 
 def values_of(parameters, u):
@@ -150,7 +122,7 @@ def put(loop: Adjustable, parameters, values) -> Adjustable:
 
 
 def gain_per_step(loop: Adjustable) -> float:
-    """z = alpha·Ts of the loop, for the largest |eigenvalue| of a gain matrix or the largest gain of a schedule."""
+    """z = alpha·Ts of the loop, for its largest gain, of a schedule too."""
     if loop.schedule is not None:
         return float(np.max(loop.schedule)) * float(loop.Ts)
     return largest_rate(loop.law.alpha) * float(loop.Ts) if np.any(loop.law.alpha) else 0.0
@@ -163,8 +135,7 @@ def scheduled(loop: Adjustable, share):
     schedule = jnp.asarray(loop.schedule)
     rate = jnp.interp(share, jnp.linspace(0.0, 1.0, len(schedule), dtype=schedule.dtype), schedule)
     alpha = jnp.asarray(loop.law.alpha)
-    size = jnp.max(jnp.abs(jnp.linalg.eigvalsh(alpha) if alpha.ndim == 2 else alpha))
-    return replace(loop.law, alpha=alpha * (rate / size))
+    return replace(loop.law, alpha=alpha * (rate / jnp.max(jnp.abs(alpha))))
 
 
 def scaled_links(chain, factors):
@@ -185,33 +156,26 @@ KNOTS = 5  # of a gain schedule
 
 def even(values):
     """A task's values as one number if they are equal."""
-    first = values.flat[0]
-    return first if np.all(values == first * (np.eye(len(values)) if values.ndim == 2 else 1.0)) else values
+    return values[0] if np.all(values == values[0]) else values
 
 
 def gain_of(law, task):
     alpha = np.asarray(law.alpha, float)
-    return alpha if alpha.ndim == 0 or task is None else even(alpha[(law.task.of(task),) * alpha.ndim])
+    return alpha if alpha.ndim == 0 or task is None else even(alpha[law.task.of(task)])
 
 
 def _alpha(law, Ts, task=None):
-    alpha = np.asarray(law.alpha, float)
-    if alpha.ndim == 2 and not np.allclose(alpha, alpha.T):
-        raise errors.fail("alpha", "be a symmetric matrix to be tuned", "is not symmetric")
     return gain_of(law, task), 1e-3 / Ts, 10.0 / Ts
 
 
 def _with_alpha(law, task, value):
     if task is None:
         return {"alpha": value}
-    alpha, at = jnp.asarray(law.alpha), law.task.of(task)
-    alpha = alpha if alpha.ndim else jnp.full(law.task.m, alpha)
-    own = value * jnp.eye(at.stop - at.start) if value.ndim < alpha.ndim == 2 else value
-    return {"alpha": alpha.at[(at,) * alpha.ndim].set(own)}
+    return {"alpha": gains_of(law).at[law.task.of(task)].set(value)}
 
 
 def _schedule(law, Ts, task):
-    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` needs a symmetric matrix
+    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]
 
 
 def _level(law, task):
@@ -245,10 +209,11 @@ def _with_damping(law, task, value):
     return {"inverse": replace(law.inverse, damping=tuple(each))}
 
 
-def _null_gain(law, Ts, task):
+def _posture_rate(law, Ts, task):
     if law.null_velocity is None:
-        raise errors.fail("over", "name null_gain for a law with a null_velocity", "names it for one without")
-    return 1.0, 0.0, 10.0
+        raise errors.fail("over", "name posture_rate for a law with a posture", "names it for one without")
+    rate = float(law.null_velocity.rate)
+    return rate, 0.0, 10.0 * rate
 
 
 def _tool(law, Ts, task):
@@ -278,7 +243,11 @@ _KNOWN = {
     "alpha": _OF_TASK["alpha"],
     "schedule": (_schedule, None, "1/s"),  # of the loop, as Ts is
     "damping": _OF_TASK["damping"],
-    "null_gain": (_null_gain, lambda law, _, v: {"null_velocity": ScaledNullVelocity(law.null_velocity, v)}, "1"),
+    "posture_rate": (
+        _posture_rate,
+        lambda law, _, v: {"null_velocity": replace(law.null_velocity, rate=v)},
+        "1/s",
+    ),
     "feedforward": (lambda law, *_: (float(law.feedforward), 0.0, 2.0), lambda law, _, v: {"feedforward": v}, "1"),
     "links": (
         lambda law, *_: (np.ones(len(law.chain.joints) + 1), 0.5, 2.0),
@@ -336,15 +305,15 @@ def kind_of(name: str) -> str:
 def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     """A parameter by name, starting at the loop's own value.
 
-    alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
-    [1/s]. schedule: K = 5 gains over the horizon [1/s]; it scales the gains of all tasks. damping: λ of damped(λ).
-    null_gain: factor of the null-space velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links'
-    offsets, the tip's last. tool: offset (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a
-    stack: hands.alpha; hands.damping, λ of its level; hands.weights, one number if they are equal.
+    alpha: the gain in the shape the law has it: a number, or one per axis [1/s]. schedule: K = 5 gains over the horizon
+    [1/s]; it scales the gains of all tasks. damping: λ of damped(λ). posture_rate: that of the law's posture [1/s].
+    feedforward: factor of ẋ_d. links: factors (n + 1,) of the links' offsets, the tip's last. tool: offset (3,) of the
+    tip in the last frame [m]. Ts: sampling time [s]. Of a task of a stack: hands.alpha; hands.damping, λ of its level;
+    hands.weights, one number if they are equal.
 
     Args:
       bounds: (lower, upper), or None: z = alpha·Ts from 0.001 to 10, damping and Ts up to a factor 1000 and 4 around
-        their start, factors from 0 to 2 (null_gain 10, links 0.5 to 2), the tool within 0.5 m.
+        their start, factors from 0 to 2 (links 0.5 to 2), posture_rate up to a factor 10, the tool within 0.5 m.
     """
     task, what = str(name).rpartition(".")[0], kind_of(str(name))
     if task and loop.law.task.tasks:
@@ -357,8 +326,7 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
         if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
             raise errors.fail(f"bounds of {name}", "be (lower, upper)", f"are {bounds!r}")
         lower, upper = bounds
-    kind = SPD if what == "alpha" and np.ndim(start) == 2 else BOX
-    made = parameter(name, start, lower, upper, _putting(what, task), kind=kind, unit=unit)
+    made = parameter(name, start, lower, upper, _putting(what, task), unit=unit)
     if what in _POSITIVE and not np.all(made.lower > 0):
         raise errors.fail(f"bounds of {name}", "be positive", f"start at {lower}")
     return made

@@ -67,7 +67,7 @@ class Performance:
       speed: |q̇| over its limit; 0 without limits.
       violation: relative amount by which the worst constraint is exceeded; at most 0 if all are kept.
       worst: name of this constraint.
-      z: alpha·Ts (largest |eigenvalue| of a gain matrix, largest gain of a schedule).
+      z: alpha·Ts, of the largest gain.
       errors: {"hand [m]": RMS error of this task of a stack in this unit}; {} of one task.
       run: `Trajectory` of the first scenario.
     """

@@ -60,8 +60,7 @@ def tune(
     Joint velocities keep their limits. Computed in float64, whatever JAX's setting is.
 
     Args:
-      law: where tuning starts. Its alpha is tuned in the shape that it has: a number, one per axis (m,), or a symmetric
-        positive definite matrix (m, m).
+      law: where tuning starts. Its alpha is tuned in the shape that it has: a number, or one per axis (m,).
       reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n); the loss is the mean over them.
       Ts: sampling time [s]. N: number of steps; N·Ts is the horizon, even where Ts is tuned.
       method, stage: as for `solve`.
@@ -148,7 +147,7 @@ def _gains(objective) -> list:
 def _gains_over_z(objective):
     """Values to fall back on: gains spread over z = alpha·Ts, all else unchanged (inside its bounds)."""
     start = {p.name: _bounded(p, p.start) for p in objective.parameters}
-    even = {p.name: np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)) for p in _gains(objective)}
+    even = {p.name: np.ones(np.shape(p.start)) for p in _gains(objective)}
     Ts = float(start.get("Ts", objective.loop.Ts))
     made = [
         start | {p.name: _bounded(p, z / Ts * even[p.name]) for p in _gains(objective)}

@@ -50,7 +50,7 @@ def table(spec=None) -> list[Line]:
         *(_verb(f"solve {_CIRCLE} --method {name} {solve}", 4, 2) for name in SOLVED),
         _verb(f"solve {_CIRCLE} --method CN --stage chord {solve}", 4, 2),
         _verb(f"solve {_CIRCLE} --method CN --inverse singular-damped --damping 0.1 --threshold 0.05 {solve}", 4, 2),
-        _verb(f"solve {_CIRCLE} --method CN --limits saturation {solve}", 4, 2),
+        _verb(f"solve {_CIRCLE} --method CN --inverse damped --damping 0.05 --limits bounded {solve}", 4, 2),
         _verb(f"solve {_CIRCLE} --method CN --N 400", 6, 4),
         _verb(f"stability {ROBOT} --method EE", 6, 2.5),
         _verb(f"stability {ROBOT} --method TRAPEZOID --stage chord", 6, 2.5),

@@ -113,7 +113,7 @@ ROWS = [
     end("RK4", "RK4"),
     end("TRAPEZOID, chord(2)", "TRAPEZOID", ck.chord(2)),
     end("EE, J#", of=lambda: case(inverse=ck.pseudoinverse())),
-    end("saturation", of=lambda: case(limits=ck.saturation())),
+    end("bounded", of=lambda: case(limits=ck.bounded())),
     end("velocity scaling", of=lambda: case(limits=ck.velocity_scaling())),
     end("posture, J#", of=lambda: case(inverse=ck.pseudoinverse(), null_velocity=ck.posture(case().posture))),
     row("drive of two samples and a lag", solved(last, drive=ck.Drive(**DRIVEN)), FEW, STEPS),

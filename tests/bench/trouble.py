@@ -52,8 +52,6 @@ def methods(chain, q0) -> dict:
         "manipulability-damped": (weak, CLAMP, None),
         "singular-damped": (singular, CLAMP, None),
         "same, velocity scaling": (singular, CLAMP, ck.velocity_scaling()),
-        "same, weighted": (singular, CLAMP, ck.weighted_least_norm()),
-        "same, saturation": (singular, CLAMP, ck.saturation()),
         "same, bounded": (singular, CLAMP, ck.bounded()),
         "damped, bounded": (damped, CLAMP, ck.bounded()),
     }

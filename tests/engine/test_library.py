@@ -59,7 +59,7 @@ AROUND = {
     "long": dict(N=90, path=line),
     "joint limits, posture, a servo of second order": dict(
         drive=ck.Drive(delay=1, natural_frequency=60.0),
-        law=ck.replace(LAW, limits=ck.saturation(), null_velocity=ck.posture(np.full(3, 0.3))),
+        law=ck.replace(LAW, inverse=ck.damped(0.01), limits=ck.bounded(), null_velocity=ck.posture(np.full(3, 0.3))),
     ),
 }
 

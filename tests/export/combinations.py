@@ -40,14 +40,11 @@ INVERSES = {
 LIMITS = {
     "none": lambda: None,
     "velocity-scaling": ck.velocity_scaling,
-    "weighted-least-norm": ck.weighted_least_norm,
-    "saturation": ck.saturation,
     "bounded": ck.bounded,
 }
 NULL = {
-    "none": lambda chain, task: None,
-    "posture": lambda chain, task: ck.posture(np.full(chain.n, 0.3)),
-    "manipulability": lambda chain, task: ck.maximize_manipulability(chain, task, 0.5),
+    "none": lambda chain: None,
+    "posture": lambda chain: ck.posture(np.full(chain.n, 0.3)),
 }
 STAGES = {"picard": lambda: ck.picard(3), "chord": lambda: ck.chord(2), "newton": lambda: ck.newton(2)}
 
@@ -76,7 +73,7 @@ class Combination(NamedTuple):
             alpha=5.0,
             inverse=INVERSES[self.inverse](),
             limits=LIMITS[self.limits](),
-            null_velocity=NULL[self.null](chain, task),
+            null_velocity=NULL[self.null](chain),
         )
         return law, ck.METHODS[self.method], STAGES[self.stage]()
 

@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -27,7 +26,14 @@ COMPILERS = {
 
 
 def a_law(**changes):
-    return ck.Law(arm(3), ck.position("xy"), **{"alpha": 5.0, "inverse": ck.damped(0.1)} | changes)
+    task = changes.pop("task", ck.position("xy"))
+    return ck.Law(arm(3), task, **{"alpha": 5.0, "inverse": ck.damped(0.1)} | changes)
+
+
+def of_joints(value):
+    """A law of a function (robot, q) of three joint values, whose rows are given."""
+    own = {"names": list("abc"), "units": ["1"] * 3, "rows": lambda robot, q, target: jnp.eye(3, dtype=q.dtype)}
+    return a_law(task=ck.function(value, **own))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +50,7 @@ def folders(tmp_path_factory):
         "reach": dict(what="reach", seeds=4),
         "reach_pose": dict(law=ck.panda(), what="reach", dtype="float32", seeds=4),
         "walled": dict(law=a_law(limits=ck.bounded(walls=[ck.wall(ck.position("y"), above=-1.0)])), method="EE"),
-        "saturated": dict(law=a_law(limits=ck.saturation()), method="EE", batch=("q", "e")),
+        "bounded": dict(law=a_law(limits=ck.bounded()), method="EE", batch=("q", "e")),
     }  # fmt: skip
     for name, options in every.items():
         law = options.pop("law", a_law())
@@ -101,9 +107,9 @@ def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
 @pytest.mark.parametrize(
     ("make", "named"),
     [
-        (lambda: a_law(null_velocity=lambda q: lax.lgamma(q)), "`lgamma`"),
-        (lambda: a_law(null_velocity=lambda q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0]), "`eigh`"),
-        (lambda: a_law(null_velocity=_halving), "`while` loop"),
+        (lambda: of_joints(lambda _, q: lax.lgamma(q)), "`lgamma`"),
+        (lambda: of_joints(lambda _, q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0]), "`eigh`"),
+        (lambda: of_joints(_halving), "`while` loop"),
     ],
 )
 def test_what_has_no_c_form_is_refused_in_a_line_that_names_it(make, named, tmp_path):
@@ -112,7 +118,7 @@ def test_what_has_no_c_form_is_refused_in_a_line_that_names_it(make, named, tmp_
     assert "\n" not in str(refused.value) and not (tmp_path / "never").exists()
 
 
-def _halving(q):
+def _halving(_, q):
     return lax.while_loop(lambda v: jnp.sum(v) > 0.1, lambda v: v / 2, q)
 
 
@@ -177,13 +183,13 @@ def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice(tmp_path):
 
 
 def test_loops_that_stack_up_what_they_find_are_written_out():
-    def wanted(q):
+    def wanted(_, q):
         return lax.scan(lambda total, x: (total + x, 2.0 * total + x), 0.0 * q[0], q)[1]
 
-    law = a_law(null_velocity=wanted)
-    q = np.array([0.3, 0.5, -0.4])
-    made = ck.export.compiled(law, method="EE")(q, [0.9, 1.2], Ts=0.01)
-    assert np.allclose(made.q, ck.step(law, ck.hold([0.9, 1.2]), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
+    law = of_joints(wanted)
+    q, target = np.array([0.3, 0.5, -0.4]), [0.9, 1.2, 0.1]
+    made = ck.export.compiled(law, method="EE")(q, target, Ts=0.01)
+    assert np.allclose(made.q, ck.step(law, ck.hold(values=target), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
 
 
 def test_a_robots_own_names_stay_in_the_comment(tmp_path):
@@ -255,10 +261,10 @@ def test_what_a_users_record_calls_its_numbers_is_no_word_of_c():
         double: object
         größe: object
 
-        def __call__(self, q):
-            return jax.tree.map(lambda v: self.double * v + self.größe, q)
+        def __call__(self, robot, q):
+            return self.double * q + self.größe
 
-    law = a_law(null_velocity=Drawn(double=np.array(-1.0), größe=np.array(0.5)))
+    law = of_joints(Drawn(double=np.array(-1.0), größe=np.array(0.5)))
     step = ck.export.compiled(law, method="EE")
     assert {"own_double", "own_gr__e"} < set(step.parameters)
 

@@ -11,11 +11,10 @@ from tests.export.combinations import INVERSES, LIMITS, NULL, STAGES, Combinatio
 SPREAD = [
     Combination("planar3"),
     Combination("planar2", dtype="float32"),
-    Combination("planar3", "pseudoinverse", "saturation"),
-    Combination("planar2", "singular-damped", "weighted-least-norm", method="TRAPEZOID", stage="chord"),
+    Combination("planar3", "pseudoinverse"),
+    Combination("planar2", "singular-damped", "bounded", method="TRAPEZOID", stage="chord"),
     Combination("planar2", "pseudoinverse", method="EXP-RK4"),
     Combination("planar2", "damped", method="IE", stage="newton"),
-    Combination("planar3", "damped", null="manipulability"),
     Combination("planar3", "damped", "bounded", "posture"),
     Combination("planar3", "manipulability-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
     Combination("planar2", "transpose", method="HEUN", dtype="float32"),
@@ -34,7 +33,7 @@ def test_the_exported_step_is_jaxs(combination):
 @NEEDS_C
 @pytest.mark.parametrize("count", [5, 300])  # of five, repeats nearby are looked at as well
 def test_a_gain_that_is_off_in_its_ninth_digit_is_found(count):
-    combination = Combination("planar3", "pseudoinverse", "saturation")
+    combination = Combination("planar3", "pseudoinverse")
     law, method, stage = combination.parts()
     wrong = compiled(ck.replace(law, alpha=5.0 * (1 + 1e-9)), method=method, stage=stage, dtype=combination.dtype)
     off, _ = compare(combination, count, step=wrong)

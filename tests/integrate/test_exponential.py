@@ -45,17 +45,14 @@ def rate(coarse, fine):
 
 @pytest.mark.parametrize(
     ("method", "alpha"),
-    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0]), ("EXP-MIDPOINT", [[2.0, 1.0], [-1.0, 30.0]])],
-    ids=["number", "axes", "matrix"],
+    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0])],
+    ids=["number", "axes"],
 )
 def test_decays_by_the_exact_factor(method, alpha):
-    import scipy.linalg
-
     law = ck.Law(SLIDERS, ck.position("xy"), alpha=np.array(alpha))
-    k = np.diag(np.broadcast_to(alpha, 2)) if np.ndim(alpha) < 2 else np.array(alpha)
     for Ts in (0.01, 0.5, 25.0):
         e = by_steps(law, ck.hold([1.0, -2.0]), np.zeros(2), Ts, 3, method)[1]
-        close(e[2], scipy.linalg.expm(-2 * Ts * k) @ e[0], atol=1e-12)
+        close(e[2], np.exp(-2 * Ts * np.array(alpha)) * e[0], atol=1e-12)
 
 
 def test_a_posture_decays_by_its_own_factor():

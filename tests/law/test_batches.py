@@ -17,7 +17,7 @@ import jax, numpy as np, cnclik as ck
 from tests.robot.test_trees import BAXTER, GRIPPERS
 robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
 task = ck.pose(tip=GRIPPERS[0]) & ck.pose(tip=GRIPPERS[1])
-law = ck.Law(robot, task, alpha=10.0, inverse=ck.damped(0.05), limits=ck.saturation())
+law = ck.Law(robot, task, alpha=10.0, inverse=ck.damped(0.05), limits=ck.bounded())
 q = np.array([0, -0.5, 0, 1.2, 0, 0.8, 0] * 2) + 0.1 * np.random.default_rng(0).normal(size=(1024, 14))
 held = ck.hold_at(robot, task, q[0])
 with ck.use_engine("plain"):

@@ -116,7 +116,7 @@ def same(one, other):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
-LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "saturation"}
+LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "bounded"}
 TABLES = [
     {},
     {"from": [1, 1], "to": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "near_singular": 0.1},
@@ -130,7 +130,7 @@ TABLES = [
         "stage": "chord",
         "M": 2,
     },
-    {"target": [1, 0.5], "manipulability": 0.5, "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
+    {"target": [1, 0.5], "posture": [0.1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
     {"robot": "planar-clockwise", "lengths": [1.0, 2.0], "task": "xy"},
 ]
 

@@ -45,7 +45,7 @@ def test_pink_and_mink_let_an_error_decay_as_an_exponential_method_does():
 def test_a_line_names_what_it_leaves_out_of_the_law():
     shelf = ck.wall(ck.position("y"), below=1.5, name="shelf")
     limited = dict(inverse=ck.damped(0.02), limits=ck.bounded(rate=4.0, walls=[shelf]), error_clamp=(0.1, 0.5))
-    law = ck.replace(LAW, null_velocity=np.zeros(3), alpha=10.0, **limited)
+    law = ck.replace(LAW, null_velocity=ck.posture(np.zeros(3)), alpha=10.0, **limited)
     lines = controller_lines(tuned("EE", law=law))
     left = "not in this line: joint limits (rate·Ts = 0.2), wall shelf, error clamp"
     assert lines["rate"].endswith(left)

@@ -20,7 +20,7 @@ def test_every_parameter_goes_where_it_belongs():
         "alpha": lambda made: made.law.alpha,
         "schedule": lambda made: made.schedule,
         "damping": lambda made: made.law.inverse.damping,
-        "null_gain": lambda made: jnp.asarray(made.law.null_velocity((0.0, 0.0)))[1],
+        "posture_rate": lambda made: made.law.null_velocity.rate,
         "feedforward": lambda made: made.law.feedforward,
         "links": lambda made: ck.forward(made.law.chain, np.zeros(2)).position[1] / 2,
         "tool": lambda made: jnp.asarray(made.law.chain.tip.position),
@@ -44,10 +44,7 @@ def test_scaled_links_are_longer_links():
 @pytest.mark.parametrize("far", [0.0, 3.0, 50.0, 1e3, 1e9])
 def test_values_never_leave_their_bounds(far):
     rng = np.random.default_rng(2)
-    box = pm.parameter("k", np.array([1.0, 2.0]), 0.5, 20.0, None)
-    matrix = pm.parameter("K", np.diag([1.0, 2.0, 3.0]), 0.5, 20.0, None, kind=pm.SPD)
-    for p in (box, matrix):
-        np.testing.assert_allclose(pm.bounded(p, jnp.asarray(pm.free(p, p.start))), p.start, rtol=1e-9)
-        value = np.asarray(pm.bounded(p, jnp.asarray(rng.normal(size=pm.size(p)) * far)))
-        value = np.linalg.eigvalsh(value) if p is matrix else value
-        assert np.all(value >= 0.5 - 1e-9) and np.all(value <= 20 + 1e-9)
+    p = pm.parameter("k", np.array([1.0, 2.0]), 0.5, 20.0, None)
+    np.testing.assert_allclose(pm.bounded(p, jnp.asarray(pm.free(p, p.start))), p.start, rtol=1e-9)
+    value = np.asarray(pm.bounded(p, jnp.asarray(rng.normal(size=pm.size(p)) * far)))
+    assert np.all(value >= 0.5 - 1e-9) and np.all(value <= 20 + 1e-9)

@@ -73,7 +73,7 @@ CHOICES = {
     },
     **{
         "set": ("alpha=5", "axes.M=[1,2]", "N=3", "alpha=9**9**9", "method=CN"),
-        "shape": ("scalar", "per-axis", "matrix"),
+        "shape": ("scalar", "per-axis"),
     },
     "name": ("clik_step", "example", "NULL", "int", "a/b"),
     "near": ("0", "-90", "1e9", "90deg", "nan", "3.2", "previous"),

@@ -54,7 +54,7 @@ def _told(kind, m, run):
     if lost.any():
         return f"{m.about}: |q| = {size[lost][0]:.3g} without a word"
     explicit = kind.method in ("EE", "EXP-EE") and 10.0 * m.Ts <= 1  # of which these promise it
-    if kind.limits in ("saturation", "bounded") and explicit and finite.all():
+    if kind.limits == "bounded" and explicit and finite.all():
         speed, inside = (
             np.abs(np.asarray(run.qdot, float)),
             np.abs(q).max(0) <= np.maximum(2, np.abs(q[0])) * (1 + 1e-5),
