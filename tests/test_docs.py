@@ -53,7 +53,6 @@ HEAVY = ("saturation",)  # linear programs of seven joints compile for half a mi
 LONG = [
     "bases",
     "drives",
-    "pace",
     "reach",
     "stability",
     "stack-file",

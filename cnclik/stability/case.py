@@ -7,7 +7,6 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.pace import path_waits
 from cnclik.integrate.status import Status, rounding_of
 from cnclik.law import reference as ref
 from cnclik.law.law import Law
@@ -125,7 +124,7 @@ class Case:
 
     @property
     def pace(self):
-        return self.more["pace"]
+        return None
 
     @property
     def noise(self):
@@ -145,7 +144,7 @@ class Case:
 
     @property
     def waits(self):
-        return self.moving and path_waits(self.pace, self.reference)
+        return False
 
     @property
     def covered(self):
@@ -194,8 +193,8 @@ class Case:
 
 def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Case:
     """The evidence of one lane's run that was computed in a dtype."""
-    seen = observe(law, run, Ts, dtype, brief(reference, run, Ts, more["pace"]))
-    t, q, e = (np.asarray(v, float) for v in (run.target_time, run.q, run.e))
+    seen = observe(law, run, Ts, dtype, 0)
+    t, q, e = (np.asarray(v, float) for v in (run.t, run.q, run.e))
     wild = seen.bad is not None or np.abs(q[-1]).max() > WILD
     last = 0 if wild else len(run.residual)
     until = 0 if seen.bad is not None else len(run.residual)
@@ -206,7 +205,7 @@ def case_of(law, reference, run, dtype, Ts, method, stage, drive, **more) -> Cas
     weighted = e[last] * np.asarray(law.task.weight_of_each, float)
     end = resting(law, q[last], method, stage, drive)
     rest = _at_rest(end, weighted, Ts)
-    advance = 1.0 if run.path_time is None else _advance(t, len(seen.late), Ts)  # times are rounded
+    advance = 1.0
     return Case(
         law=law,
         reference=reference,
@@ -243,20 +242,8 @@ def held_by(law, run, late) -> list:
     return [f"wall {name} {'gives way' if lost else 'holds'}" for name, there, lost in each if there]
 
 
-def _advance(t, late, Ts) -> float:
-    """How far the path's time got in the last quarter's steps, of theirs: paced steps are shorter."""
-    steps = min(late, len(t) - 1)
-    return min(max(1 / SLOWEST, float(t[-1] - t[-1 - steps]) / (steps * Ts)), 1.0)
-
-
 def brief(reference, run, Ts, pace) -> int:
-    """Steps over which the joint velocities of a run at a pace are averaged to see what goes back and forth; else 0."""
-    if pace is None or not np.isfinite(run.target_time[-1]):
-        return 0
-    steps, path = len(run.residual) // 2, reference.duration
-    passed = float(run.target_time[-1] - run.target_time[-1 - steps]) / max(steps * Ts, 1e-300)
-    around = path / (Ts * max(passed, 1e-9)) if path else steps
-    return int(min(around, 8 * steps) / BRIEF)
+    return 0
 
 
 def farthest(law, places) -> int:

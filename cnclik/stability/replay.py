@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.pace import path_waits
 from cnclik.integrate.solve import PIECE, simulate
 from cnclik.integrate.status import Status
 from cnclik.robot.chart import apart
@@ -15,21 +14,9 @@ from cnclik.stability import trial
 STEPS = 32  # number of steps compared
 ROUNDINGS = 100.0  # tolerance in roundings of joint values, times the growth of a small difference at the start
 ROUGH = Status.NEAR_SINGULAR | Status.DIVERGED  # after such steps only rounding may be left
-AT_A_PACE = 1e4  # the same at a pace, which divides differences by Ts once or twice
 
 
-def check_path(pace, reference, run) -> None:
-    """Raise ArgumentError where the record of a run contradicts the pace."""
-    waited, waits = run.path_time is not None, path_waits(pace, reference)
-    if waits and not waited:
-        must = "be left out, or have wait=False, as the path of the run did not wait for the robot"
-        raise errors.fail("pace", must, "is one with which it waits")
-    if waited and not waits:
-        found = "is left out" if pace is None else "has wait=False"
-        raise errors.fail("pace", "be the run's, in which the path waited for the robot", found)
-
-
-def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
+def check_made(law, reference, run, Ts, method, stage, drive) -> None:
     """Raise ArgumentError where the first steps of a run without noise, one lane, are not the loop's own.
 
     The steps are made in the run's precision, by the program that has made it where `solve` did. What can't be judged
@@ -41,18 +28,17 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     k = min(N, STEPS)
     rough = np.flatnonzero(np.asarray(run.status)[:k] & int(ROUGH))
     k = int(rough[0]) if len(rough) else k
-    roundings = ROUNDINGS if pace is None else AT_A_PACE
-    floor = roundings * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
+    floor = ROUNDINGS * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
     stepped = np.abs(_apart(law, q[:k], q[1 : k + 1]) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
-    remembers = not (drive.absent and pace is None)
+    remembers = not drive.absent
     if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
         return
-    size = N if pace is not None or N >= trial.SHORTEST else trial.whole_trial(N)  # a pace looks N steps ahead
-    size = min(size, PIECE) if drive.absent and pace is None else size
+    size = N if N >= trial.SHORTEST else trial.whole_trial(N)
+    size = min(size, PIECE) if drive.absent else size
 
     def again(start):
         with jax.enable_x64(True) if eps < 1e-9 else contextlib.nullcontext():
-            made = simulate(law, reference, start, Ts, size, method, stage, t0=t[0], drive=drive, pace=pace)
+            made = simulate(law, reference, start, Ts, size, method, stage, t0=t[0], drive=drive)
         return np.asarray(made.q)[: k + 1]
 
     made = again(q[0])
@@ -63,9 +49,9 @@ def check_made(law, reference, run, Ts, method, stage, drive, pace) -> None:
     signs = 1, 1 - 2 * (np.arange(len(nudge), dtype=q.dtype) % 2)  # in one direction what grows may cancel
     beside = [np.abs(_apart(law, made, again(q[0] + sign * nudge))).max(axis=1) for sign in signs]
     spread = np.maximum.accumulate(np.max(beside, axis=0))
-    if (other := np.isfinite(spread + off) & (off > floor + roundings * spread)).any():
+    if (other := np.isfinite(spread + off) & (off > floor + ROUNDINGS * spread)).any():
         first = int(np.argmax(other))
-        must = "be made by the loop that is described, with its drive, pace, noise, method and stage"
+        must = "be made by the loop that is described, with its drive, noise, method and stage"
         found = f"at t = {t[first]:.4g} s its joints differ from that loop's by {off[first]:.2g} [rad, m]"
         raise errors.fail("run", must, found)
 

@@ -12,7 +12,6 @@ import numpy as np
 from cnclik.integrate import stage as stages
 from cnclik.integrate.drive import Drive, white_noise
 from cnclik.integrate.method import Method, named
-from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import PIECE, in_pieces, joined, simulate
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
@@ -58,7 +57,6 @@ class Run:
     stage: Stage
     drive: Drive
     turn: Float[np.ndarray, "3 3"] | None = None
-    pace: Pace | None = None
     noise: ArrayLike | None = None
 
 
@@ -160,9 +158,9 @@ class Trials:
     def _run(self, made, steps):
         """The run of so many steps: by the program that the given run used, where that is one of single steps."""
         how = made.law, made.reference, made.q0, self.Ts, steps, made.method, made.stage
-        if not (made.drive.absent and made.pace is made.noise is None):
+        if not (made.drive.absent and made.noise is None):
             noise = None if made.noise is None else white_noise(made.noise, steps, made.law.task.m)
-            whole = simulate(*how, t0=self.case.t[0], drive=made.drive, pace=made.pace, noise=noise)
+            whole = simulate(*how, t0=self.case.t[0], drive=made.drive, noise=noise)
             return jax.tree.map(np.asarray, whole)
         own = self.case.steps
         size = min(own if own >= SHORTEST else steps, PIECE)
@@ -296,7 +294,7 @@ class Trials:
         return times(min(before, HUGE), min(after, HUGE), least / self.Ts)
 
     def _back_and_forth(self, reference, run):
-        return back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, self.case.pace))
+        return back_and_forth(run.qdot[len(run.qdot) // 2 - 1 :], brief(reference, run, self.Ts, None))
 
 
 def _nudge(case) -> tuple:

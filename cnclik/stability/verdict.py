@@ -11,7 +11,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, MethodLike
-from cnclik.integrate.pace import Pace
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import Law, check_loop
@@ -25,7 +24,7 @@ from cnclik.stability.judged import Behaviour, Judged, judged, restless
 from cnclik.stability.linear import checked
 from cnclik.stability.loop import UNSTABLE, resting
 from cnclik.stability.observed import FALLEN
-from cnclik.stability.replay import check_made, check_path
+from cnclik.stability.replay import check_made
 from cnclik.stability.stacked import largest_in_words
 from cnclik.stability.trial import Trials, only_longer, whole_trial
 
@@ -83,7 +82,6 @@ def verdict(
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     drive: Drive = Drive(),
-    pace: Pace | None = None,
     noise: ArrayLike | None = None,
 ) -> Verdict:
     """What a run did, why, and what to do about it. In float64.
@@ -94,9 +92,9 @@ def verdict(
     Args:
       law, reference, Ts, method, stage, drive: what was run, see `solve`.
       run: its `Trajectory`, one lane.
-      pace: what it was run at, see `solve`. noise: standard deviation of its measured error, a number or (m,).
+      noise: standard deviation of its measured error, a number or (m,).
     Raises: ArgumentError for a run of several lanes or of no step, or one whose record, or whose first steps made
-      again, show that it is of another loop: another Ts, a pace, a drive or noise that is not given.
+      again, show that it is of another loop: another Ts, a drive or noise that is not given.
     """
     dtype = np.asarray(errors.kind("run", run, Trajectory).e).dtype
     check_loop(law, reference)
@@ -109,10 +107,9 @@ def verdict(
     if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
     loop = law, reference, run, float(Ts), method, stage, check_drive(Drive() if drive is None else drive, law.chain)
-    check_path(pace, reference, run)
     if noise is None:
-        check_made(*loop, pace)
-    return _verdict(*loop, dtype=dtype, pace=pace, noise=noise)
+        check_made(*loop)
+    return _verdict(*loop, dtype=dtype, noise=noise)
 
 
 @in_float64
