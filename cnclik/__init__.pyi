@@ -18,7 +18,6 @@ from .integrate.method import (
     CN as CN, EE as EE, EXP_EE as EXP_EE, EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4,
     HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
 )
-from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok

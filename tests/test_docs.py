@@ -52,7 +52,6 @@ ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 LONG = [
     "bases",
     "drives",
-    "pace",
     "reach",
     "stability",
     "stack-file",

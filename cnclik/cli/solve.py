@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, problem, table
+from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
@@ -15,7 +15,7 @@ from cnclik.writing import Refused, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
+class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did. The loop
     has one task, or several:
 
@@ -52,8 +52,7 @@ def run(args: Args) -> None:
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
     late = heading.drive_words(made) or heading.dead_time(made)
-    said = heading.loop_in_words(made, args.written), along, late, heading.pace_words(made)
-    loop = "; ".join(filter(None, said))
+    loop = "; ".join(filter(None, (heading.loop_in_words(made, args.written), along, late)))
     where = heading.start_and_target(made, table(args))
     facts = _summary(made, trajectory, time_per_step)
     answer = as_options(f"{judged.sentence[0].upper()}{judged.sentence[1:]}")
@@ -117,7 +116,7 @@ def _kept(made, args, config):
 def _march(made, report):
     """The whole trajectory, run in pieces that report progress, and the time per step without compiling, in words.
 
-    Through drives or at a pace it is one piece: each piece would begin with drives at rest.
+    Through drives it is one piece: each piece would begin with drives at rest.
     """
     import jax
 
@@ -187,14 +186,10 @@ def _summary(made, trajectory, time_per_step):
         each = [("", trajectory, law.task)]
     rows = [row for one in each for row in task_rows(*one)]
     rows += [] if trajectory.walls is None else _of_walls(trajectory, law)
-    if trajectory.path_time is not None:
-        done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
-        rows.append(("path", f"{done:.4g} s of the path in {whole:.4g} s; the path waits for the robot"))
     rows.append(("steps", counted(trajectory.status)))
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
-    if made.pace is None or not made.pace.smooth:  # at a smooth pace no step reverses a velocity
-        rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
+    rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
     rows.append(("time per step", time_per_step))
     return rows
 

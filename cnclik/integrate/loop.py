@@ -1,7 +1,7 @@
-"""Loop: the loop in time, as a state and a step that measures, advances, paces, and passes the robot's drives.
+"""Loop: the loop in time, as a state and a step that measures, advances, and passes the robot's drives.
 
 `solve` runs it and keeps the trajectory, `outcome` reduces it, tuning differentiates it, sweeps run many. Without
-drive, noise and pace a step is `advance`.
+drive and noise a step is `advance`.
 
 A measurement acts through one vector per step, w[k], the difference between the measured error and the error of the
 law's own chain. It is constant during a step, as for a controller that measures once per sample.
@@ -10,6 +10,7 @@ law's own chain. It is constant during a step, as for a controller that measures
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -21,14 +22,13 @@ from cnclik.integrate.drive import Drive, Sampled, moving
 from cnclik.integrate.driven import Driven, driven, reached, resting
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
-from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import Status, flags, growing, task_flags, too_fast
+from cnclik.integrate.status import flags, growing, task_flags
 from cnclik.integrate.trajectory import assemble
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
-from cnclik.law.limits import inside, room, within
+from cnclik.law.limits import inside, within
 from cnclik.law.paths import shifted
-from cnclik.law.reference import Corners, Reference, References, check, corners, tangent
+from cnclik.law.reference import Reference, References, check, tangent
 from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out
@@ -51,9 +51,6 @@ class Loop:
     noise: Float[Array, "N m"] | None  # added to the measured error
     plant: Model | None  # the real chain, if it is not the law's
     gained: Callable | None  # gained(law, t): the law at time t
-    pace: Pace | None  # limits that the loop keeps by slowing down
-    waits: bool  # whether the path waits for the robot
-    ahead: Corners | None  # the path's corners, if known
 
     @property
     def measured(self) -> bool:
@@ -78,14 +75,11 @@ class State(NamedTuple):
     lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
     drives: Driven | None = None
     late: tuple[Array, ...] = ()  # measured errors on their way
-    path: Float[Array, ""] | None = None  # time on the path, if it waits
-    pacing: Pacing | None = None
 
 
 def loop_of(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None, plant=None, gained=None,
-    pace=None,
-) -> Loop:  # fmt: skip
+    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None, plant=None, gained=None
+) -> Loop:
     """A loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
 
     Args: as for `solve`, and for the attributes; `model` if the drive is already sampled.
@@ -93,13 +87,10 @@ def loop_of(
     check(reference, law.task)
     drive = drive or Drive()
     model = moving(drive, Ts) if model is None else model
-    given = modelled(law), modelled(plant), reference, noise, drive, model, pace
-    law, plant, reference, noise, drive, model, pace = cast(given, q0.dtype)
+    given = modelled(law), modelled(plant), reference, noise, drive, model
+    law, plant, reference, noise, drive, model = cast(given, q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-    waits = path_waits(pace, reference)
-    looks = waits and reference.known and N > 1 and pace.smooth
-    ahead = corners(reference, law.task, t0 + jnp.arange(N + 1).astype(q0.dtype) * Ts) if looks else None
-    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained, pace, waits, ahead)
+    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained)
 
 
 def start(loop: Loop, q0, *, compensated=False) -> State:
@@ -110,8 +101,6 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
         lost=jnp.zeros_like(q0) if compensated else None,
         drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
         late=() if first is None else (first,) * loop.late,
-        path=loop.t0 if loop.waits else None,
-        pacing=None if loop.pace is None else pace_at_rest(q0),
     )
 
 
@@ -121,24 +110,19 @@ def one(loop: Loop, state: State, k):
     The extra step at the end, k = N, has length 0: it changes nothing and gives x and e at the last instant.
     """
     law, Ts, q = loop.law, loop.Ts, state.q
-    t = state.path if loop.waits else loop.t0 + k * Ts
-    part = jnp.clip(state.pacing.share, jnp.finfo(q.dtype).eps ** (1 / 3), 1.0) if loop.waits and state.pacing else 1
-    length = jnp.where(k < loop.N, part * Ts, 0.0)
+    t = loop.t0 + k * Ts
+    length = jnp.where(k < loop.N, Ts, 0.0)
     now = law if loop.gained is None else loop.gained(law, t)
     seen, aimed, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
     made = advance(now, aimed, seen, t, length, loop.method, loop.stage)
-    lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
+    lost, drives = state.lost, state.drives
     moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
-    if loop.pace is not None:
-        made, pacing, path = _paced(loop, made, pacing, t, seen)
-        length, moved = Ts, chart.moved(law.chain, q, Ts * made.qdot)
     if loop.model is not None and drives is not None:
-        requested = chart.between(law.chain, seen, made.q) if loop.pace is None else Ts * made.qdot
-        drives = driven(law.chain, loop.drive, loop.model, drives, seen, requested, Ts)
+        drives = driven(law.chain, loop.drive, loop.model, drives, seen, chart.between(law.chain, seen, made.q), Ts)
         moved, drives = reached(law.chain, q, drives)
     elif lost is not None:
-        moved, lost = summed(law.chain, q, length * made.qdot, lost, law if loop.pace is None else None)
-    after = State(moved, lost, drives, late, path, pacing)
+        moved, lost = summed(law.chain, q, length * made.qdot, lost, law)
+    after = State(moved, lost, drives, late)
     if drives is not None or seen is not q:
         made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
     if at is not None:
@@ -169,46 +153,27 @@ def _between(task, measured, at):
     return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
 
 
-def _paced(loop, made, pacing, t, q):
-    """(the step within the limits, the state of the pace, time on the path)
-
-    If the path waits, the method makes a step over the path time of the last step, share·Ts. So methods keep their
-    order. Otherwise steps are made over Ts and then scaled.
-    """
-    stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
-    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q))
-    status = made.status & ~int(Status.OVER_VELOCITY)
-    status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
-    status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
-    made = replace(made, qdot=pacing.velocity, status=status)
-    return made, pacing, t + s * loop.Ts if loop.waits else None
-
-
 def run(loop: Loop, q0, *, end=False):
     """The `Trajectory` of a loop from rest at q0 (n,). Pure. Args: end: (q, x, e) of the last instant alone."""
     k, m = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task.m
     single = q0.dtype == jnp.float32 and not loop.measured
     state, none, empty = start(loop, q0, compensated=single), jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
-
-    def step(state, k):
-        after, made = one(loop, state, k)
-        return after, (made, state.path)
-
+    step = functools.partial(one, loop)
     step = step if loop.measured else checkpointed(step)
 
     def with_last(carry, k):
-        after, found = step(carry[0], k)
-        return (after, (found[0].q, found[0].x, found[0].e)), found
+        after, made = step(carry[0], k)
+        return (after, (made.q, made.x, made.e)), made
 
-    (_, last), (steps, path) = jax.lax.scan(with_last, (state, (none, empty, empty)), k)
+    (_, last), steps = jax.lax.scan(with_last, (state, (none, empty, empty)), k)
     if end:
         return last
     cost = loop.N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)
     tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
-    made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost, tasks)
+    made = assemble(loop.t0 + k * loop.Ts, steps, last, cost, tasks)
     if loop.measured:  # with noise an error grows and shrinks at random
         return made
-    grown, each = growing(loop.law, loop.reference, made.target_time, made.e)
+    grown, each = growing(loop.law, loop.reference, made.t, made.e)
     if made.task_status is not None:
         made = replace(made, task_status=made.task_status | each)
     return replace(made, status=made.status | grown)
@@ -274,15 +239,15 @@ def advance(law: Law, reference, q, t, Ts, method, stage) -> Step:
     )
 
 
-def summed(chain, q, step, lost, law=None):
-    """q + step, and the rounding error of the sum, to be added with the next step (Kahan 1965). `lost`: that of the
-    last step. With a law, within its position limits. Rotations have no rounding error to carry.
+def summed(chain, q, step, lost, law):
+    """q + step within the law's position limits, and the rounding error of the sum, to be added with the next step
+    (Kahan 1965). `lost`: that of the last step. Rotations have no rounding error to carry.
 
     In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
     target by ulp(q)/2/(alpha·Ts). The rounding error has no derivatives.
     """
     step, y = step + lost, centre(chain, q)
-    after = y + step if law is None else inside(law, y, y + step)
+    after = inside(law, y, y + step)
     return out(chain, q, after), jax.lax.stop_gradient(step - (after - y))
 
 

@@ -15,13 +15,12 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import LRU
 from cnclik.engine.numbers import Numbers
-from cnclik.engine.plan import may_be_plain, unless_chosen
+from cnclik.engine.plan import may_be_plain
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
 from cnclik.integrate.drive import Drive, check_drive, moving
 from cnclik.integrate.loop import Step, advance, loop_of, run
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
-from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import INSTANTS, Trajectory, join, steps_of, truncate
 from cnclik.law.law import Law
@@ -51,7 +50,6 @@ def solve(
     *,
     t0: Number = 0.0,
     drive: Drive | None = None,
-    pace: Pace | None = None,
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
@@ -69,16 +67,15 @@ def solve(
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods ignore it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no resolution of 1 ms.
       drive: model of the drives between command and motion, see `Drive`; None: ideal.
-      pace: limits of velocity, acceleration and jerk that the loop keeps by slowing down, see `Pace`; None: none.
 
     Returns: `Trajectory`. Nothing is raised during the run: check `status`, or pass the run to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, pace=pace)
+    return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive)
 
 
 def simulate(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, pace=None, noise=None, plant=None, gained=None
+    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, noise=None, plant=None, gained=None
 ) -> Trajectory:
     """`solve` on a robot that differs from the law's model: `q`, `e` and `qdot` are those of the real robot.
 
@@ -91,24 +88,20 @@ def simulate(
       gained: the law at time t, gained(law, t), where it changes; None: the same.
     """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
-    N, n = errors.integer("N", N, at_least=0, at_most=errors.MOST), law.chain.n
+    N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
     drive = None if drive is None or check_drive(drive, law.chain).prompt else drive
-    pace = None if pace is None else check_pace(pace, n, law.chain)
-    if pace is not None and drive is not None and drive.feedback == "rebased":
-        raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
     model = None if drive is None else moving(drive, Ts)  # in NumPy if Ts is known
-    known, given = (law, reference, stage, drive, plant, pace, method), (q0, _number(Ts, q0), _number(t0, q0))
+    known, given = (law, reference, stage, drive, plant, method), (q0, _number(Ts, q0), _number(t0, q0))
     if gained is not None:
         return whole_run(*known, *given, model, noise, N=N, gained=gained)
     loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
     if len(loops) > 1:  # each has its own programs
         loops.within(lambda loop: len(loop.entries))
-    with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace ten times faster than C
-        return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
+    return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
 
 
 def step(
@@ -213,8 +206,8 @@ def ran_in_c(N) -> bool:
     return N in loops and loops[N].ran_in_c
 
 
-def whole_run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, model, noise, *, N, gained=None):
-    more = dict(drive=drive, plant=plant, pace=pace, model=model, noise=noise, gained=gained)
+def whole_run(law, reference, stage, drive, plant, method, q0, Ts, t0, model, noise, *, N, gained=None):
+    more = dict(drive=drive, plant=plant, model=model, noise=noise, gained=gained)
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)
 
 

@@ -31,7 +31,6 @@ class Status(enum.IntFlag):
     GROWING = 32  # the error grew by more than its target moved, see `growing`; not set by `step`
     TASK_TOO_LARGE = 64  # more task coordinates than joints: the remaining error is a compromise
     DIVERGED = 256  # joint values too large to be meaningful, see `far`, but finite
-    OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
     WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: see `Trajectory.walls`
 
 
@@ -49,7 +48,6 @@ _REMEDY = {
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",
     Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or bounded()",
-    Status.OVER_ACCELERATION: "round the path's corners, make targets jump less (resampled), or allow more",
     Status.WALLS_CONTRADICT: "move apart the walls whose `walls` of the run are negative, or allow faster joints",
 }
 

@@ -30,7 +30,6 @@ class Trajectory:
       contraction: (N,) ratio of the last two changes; at 1 or more the iteration diverges.
       status: (N,) bits of `Status`.
       evaluations: number of evaluations of f(q, t) in the whole run, each with a Jacobian and an inverse.
-      path_time: (N + 1,) time on the path where the path waits for the robot, see `Pace` [s]; None where it equals t.
       tasks: for a stack: (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is the run of one
         task.
       task_status: (N, tasks) bits of `Status` that each task has alone, NEAR_SINGULAR and GROWING; None without a
@@ -49,7 +48,6 @@ class Trajectory:
     contraction: Float[Array, "*lanes N"]
     status: Int[Array, "*lanes N"]
     evaluations: Int[Array, "*lanes"]
-    path_time: Float[Array, "*lanes N+1"] | None = None
     tasks: tuple[tuple[str, int, int], ...] = ()
     task_status: Int[Array, "*lanes N tasks"] | None = None
     walls: Float[Array, "*lanes N k"] | None = None
@@ -66,11 +64,6 @@ class Trajectory:
             status = (status & ~int(OWN)) | self.task_status[..., i]
         return replace(self, x=self.x[..., own], e=self.e[..., own], status=status, tasks=(), task_status=None)
 
-    @property
-    def target_time(self) -> Float[Array, "*lanes N+1"]:
-        """(N + 1,) times at which the reference gave the targets [s]."""
-        return self.t if self.path_time is None else self.path_time
-
     def __repr__(self):
         *lanes, N = np.shape(self.status)
         of = f"{' × '.join(map(str, lanes))} lanes, each of " if lanes else ""
@@ -82,8 +75,6 @@ class Trajectory:
         lines[0] += f", {e.dtype}"
         if t.size:
             lines.append(f"  t       {t.min():.6g} to {t.max():.6g} s")
-        if self.path_time is not None:
-            lines.append(f"  path    {np.min(self.path_time):.6g} to {np.max(self.path_time):.6g} s")
         if size.size:
             first, last = size[..., 0].max(), size[..., -1].max()
             lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
@@ -122,11 +113,11 @@ def one_lane(run) -> None:
         raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
 
 
-def assemble(t, steps, path, last, evaluations, tasks=()) -> Trajectory:
+def assemble(t, steps, last, evaluations, tasks=()) -> Trajectory:
     """A trajectory at t (N + 1,) [s]. Pure.
 
     Args:
-      steps, path: `Step`s at all instants, and the time on a path that waits, or None.
+      steps: `Step`s at all instants.
       last: (q, x, e) at the last instant.
       tasks: as in `Trajectory`.
     """
@@ -140,7 +131,6 @@ def assemble(t, steps, path, last, evaluations, tasks=()) -> Trajectory:
         **{k: jnp.concatenate([first(k), end[None]]) for k, end in zip(("q", "x", "e"), last, strict=True)},
         **{name: first(name) for name in steps_of(steps)},
         evaluations=jnp.asarray(evaluations),
-        path_time=path,
         tasks=tasks,
     )
 
@@ -148,7 +138,7 @@ def assemble(t, steps, path, last, evaluations, tasks=()) -> Trajectory:
 def truncate(run: Trajectory, N: int) -> Trajectory:
     """The first N steps of a run, one lane; every step costs the same number of evaluations."""
     made = run.status.shape[0]
-    points = {name: getattr(run, name)[: N + 1] for name in (*INSTANTS, *_path_time(run))}
+    points = {name: getattr(run, name)[: N + 1] for name in INSTANTS}
     steps = {name: getattr(run, name)[:N] for name in steps_of(run)}
     return replace(run, **points, **steps, evaluations=run.evaluations * min(N, made) // max(made, 1))
 
@@ -156,10 +146,6 @@ def truncate(run: Trajectory, N: int) -> Trajectory:
 def steps_of(run):
     """Names of the fields per step of a run or a step."""
     return STEPS + tuple(name for name in ("task_status", "walls") if getattr(run, name) is not None)
-
-
-def _path_time(run):
-    return () if run.path_time is None else ("path_time",)
 
 
 def join(parts) -> Trajectory:
@@ -174,7 +160,7 @@ def join(parts) -> Trajectory:
         return np.concatenate([*(v[:-1] for v in values), values[-1][-1:]])
 
     return Trajectory(
-        **{name: instants(name) for name in (*INSTANTS, *_path_time(parts[0]))},
+        **{name: instants(name) for name in INSTANTS},
         **{name: steps(name) for name in steps_of(parts[0])},
         evaluations=sum(np.asarray(p.evaluations) for p in parts),  # type: ignore[arg-type, misc]
         tasks=parts[0].tasks,

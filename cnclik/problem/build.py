@@ -7,13 +7,10 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.driven import white_noise
 from cnclik.integrate.method import Method, named
-from cnclik.integrate.pace import Pace
 from cnclik.integrate.solve import simulate
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
@@ -24,7 +21,7 @@ from cnclik.law.reference import Reference, References, of_each
 from cnclik.problem import names
 from cnclik.problem import stack as stacks
 from cnclik.problem.magnitudes import check_units
-from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
+from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
 from cnclik.record import AnyArray, ArrayLike, Float, Number
@@ -38,7 +35,7 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed to the law u
 class Problem:
     """A loop, `solve(*p.loop)`, with the robot's name, drives and noise; `run()` uses all of it.
 
-    `drive` and `pace` are None if no such option was given. `noise`, a number or (m,), is the standard deviation of the
+    `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the
     measured error, or None; `seed` is the seed of random numbers. `tip` is the name of the robot's tip. `tables` are
     the given tables of a stack's tasks, and `walls` those of its walls.
     """
@@ -52,7 +49,6 @@ class Problem:
     method: Method
     stage: Stage
     drive: Drive | None = None
-    pace: Pace | None = None
     noise: ArrayLike | None = None
     seed: int = 0
     tip: str = ""
@@ -68,14 +64,14 @@ class Problem:
         return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
 
     def run(self) -> Trajectory:
-        """Run the loop on its robot: with its drives, pace and noise."""
+        """Run the loop on its robot: with its drives and noise."""
         noise = None if self.noise is None else white_noise(self.noise, self.N, self.law.task.m, self.seed)
-        return simulate(*self.loop, drive=self.drive, pace=self.pace, noise=noise)
+        return simulate(*self.loop, drive=self.drive, noise=noise)
 
     @property
     def alone(self) -> bool:
-        """Whether the robot does exactly what the law asks for: no drives, no noise, no pace."""
-        return self.noise is self.pace is None and (self.drive is None or self.drive.prompt)
+        """Whether the robot does exactly what the law asks for: no drives, no noise."""
+        return self.noise is None and (self.drive is None or self.drive.prompt)
 
 
 def problem_from(
@@ -92,7 +88,7 @@ def problem_from(
       tasks: for a stack {name of a task: {option: value}}, with options of `cnclik.problem.OF_TASK`, like the tables in
         the file that `stack` names.
       walls: for a stack {name of a wall: {option: value}}, with options of `cnclik.problem.OF_WALL`.
-      options: names and values of `cnclik.problem.OPTIONS`, `cnclik.problem.MEASURED` and `cnclik.problem.PACE`, which
+      options: names and values of `cnclik.problem.OPTIONS` and `cnclik.problem.MEASURED`, which
         have their meaning and default; None is the default. In Python `start` and `end` stand for `from` and `to`. A
         method or a stage may be the record itself. Numbers may be traced.
 
@@ -142,7 +138,6 @@ def problem_from(
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
         drive=drive_from(given, chain),
-        pace=_pace(chain, given),
         noise=v["noise"],
         seed=seed,
         **{} if stack is None else {"tables": _as_given(stack.tasks), "walls": _as_given(stack.walls) or None},
@@ -181,14 +176,6 @@ def drive_from(given, chain=None) -> Drive | None:
     if "damping_ratio" in made and "natural_frequency" not in made:
         raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
     return Drive(**made) if made else None
-
-
-def _pace(chain, given) -> Pace | None:
-    made = _per_joint(chain, given, PACE)
-    for name, value in made.items():
-        if errors.concrete(value):
-            check_values(name, name, np.atleast_1d(errors.array(name, value, (), (chain.n,))))
-    return Pace(**{name.removeprefix("max_"): value for name, value in made.items()}) if made else None
 
 
 def _per_joint(chain, given, names) -> dict:

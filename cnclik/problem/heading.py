@@ -68,12 +68,6 @@ def drive_words(made) -> str:
     return ", ".join(said)
 
 
-def pace_words(made) -> str:
-    """The limits to which steps are scaled, in words; "" without any."""
-    named = [name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name, None) is not None]
-    return f"steps scaled along the path to limits of {', '.join(named)}" if named else ""
-
-
 def start_and_target(made, given: dict) -> list:
     """Sentences: the joint values at the start, the first point of the path, and the tasks of a stack; and where it is
     so, that the start is near a singularity.

@@ -116,17 +116,8 @@ NOISE = {
                     "task coordinate.", unit="m, rad", must="at least 0"),
     "seed": Option(INTEGER, "Seed of the random numbers; default: 0.", must="at least 0"),
 }  # fmt: skip
-PACE = {  # limits that the loop keeps by moving more slowly along its path: fields of `Pace`
-    "max_velocity": Option(NUMBERS, "Joint velocity limit [rad/s, m/s] that the motion keeps by slowing down along "
-                           "the path, one number or one per joint. Default with --max-acceleration or --max-jerk: the "
-                           "robot's own.", unit="q/s", must="positive"),
-    "max_acceleration": Option(NUMBERS, "Joint acceleration limit that is kept in the same way [rad/s², m/s²].",
-                               unit="q/s²", must="positive"),
-    "max_jerk": Option(NUMBERS, "Joint jerk limit that is kept in the same way [rad/s³, m/s³].", unit="q/s³",
-                       must="positive"),
-}  # fmt: skip
 MEASURED = DRIVE | NOISE  # what a robot adds to a loop
-SWEPT = OPTIONS | MEASURED | PACE
+SWEPT = OPTIONS | MEASURED
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in words.REFERENCES.values() for option in choice.options))

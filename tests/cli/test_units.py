@@ -40,10 +40,6 @@ NUMBERS = [  # verb, arguments, option, values
     (solve, "--phase 90deg", "phase", (math.pi / 2,)),
     (solve, "--natural-frequency 5Hz", "natural_frequency", (10 * math.pi,)),
     (solve, "--error-clamp 10mm 5deg", "error_clamp", (0.01, math.radians(5))),
-    (solve, "--max-velocity 90 deg/s", "max_velocity", (math.pi / 2,)),
-    (solve, "--max-acceleration 90deg/s²", "max_acceleration", (math.pi / 2,)),
-    (solve, "--max-acceleration 90deg/s^2", "max_acceleration", (math.pi / 2,)),
-    (solve, "--max-jerk 100mm/s3", "max_jerk", (0.1,)),
     (solve, "--alpha 5 1/s", "alpha", (5.0,)),
     (reach, "--random 1 --tolerance 1mm 0.1deg", "tolerance", (1e-3, math.radians(0.1))),
     (reach, "--random 1 --near 0 90 deg --jump 30deg", "jump", math.radians(30)),
@@ -107,7 +103,6 @@ def said(capsys, *argv):
 def test_units_fit_what_they_stand_behind(capsys, tmp_path):
     run = ["solve", "planar:1,1", "--N", "2", "--out", str(tmp_path / "out"), "--no-figures"]
     assert "joint 'q1' is in rad, and m is given" in said(capsys, *run, "--q0", "100mm", "0.2m")
-    assert "joint 'q1' is in rad, and m/s is given" in said(capsys, *run, "--max-velocity", "1m/s")
     assert "number 1 is in m, and rad is given" in said(capsys, *run, "--noise", "5deg")
     assert "number 1 is in m, and rad is given" in said(
         capsys, "reach", "planar:1,1", "--random", "1", "--tolerance", "1deg", "1mm"

@@ -55,7 +55,6 @@ AROUND = {
             delay=1, lag=0.02, drive_velocity=1.0, drive_acceleration=9.0, measurement_delay=2, resolution=1e-3
         )
     ),
-    "pace": dict(pace=ck.Pace(acceleration=10.0, jerk=200.0), path=line),
     "long": dict(N=90, path=line),
     "joint limits, posture, a servo of second order": dict(
         drive=ck.Drive(delay=1, natural_frequency=60.0),

@@ -505,18 +505,6 @@ def test_what_a_loop_leaves_as_it_was_is_no_part_of_it():
     assert 0 < text.index("sincos_F64(t") < text.rindex("< 6; ++j")
 
 
-def test_a_paced_loop_is_no_longer_for_more_steps():
-    """Corners of its path were looked for instant by instant: 300 steps were 49,000 lines of C."""
-    law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=5.0)
-    path, pace = ck.circle([0.9, 0.9], 0.2, period=2.0), ck.Pace(acceleration=5.0, jerk=300.0)
-    avals, count = [jax.ShapeDtypeStruct((2,), "float64")], []
-    for N in (30, 90):
-        with to_be_read():
-            graph = read(lambda q, N=N: ck.solve(law, path, q, 0.01, N, "EE", pace=pace).q[-1], *avals)
-        count.append(write(*graph[:3], avals)[1])
-    assert count[1] < 1.05 * count[0]  # a bisection has a step more
-
-
 def test_metrics_are_no_longer_for_more_steps():
     """The least singular value was taken posture by posture: 200 steps were 48,000 lines of C, and no compiler's."""
     law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=5.0)

@@ -455,11 +455,6 @@ def test_the_arm_is_in_the_middle_of_the_page(kind, tmp_path):
     assert arm.mean() > 0.005
 
 
-def test_a_paced_problem_is_shown_as_it_runs():
-    made = ck.problem.problem_from("planar:1,1", reference="circle", N=20, max_velocity=(0.05,))
-    assert np.abs(look.look(made, look.loop_of(made)).run.qdot).max() <= 0.05 * (1 + 1e-9)
-
-
 def test_a_name_that_is_too_long_is_refused_in_a_line(capsys):
     with pytest.raises(SystemExit) as left:
         main(["view", "x" * 5000, "--html", "out.html"])

@@ -52,13 +52,6 @@ def test_noise_at_rest_is_as_large_as_theory_says():
         assert len(np.unique(found)) == found.size  # every seed its own
 
 
-def test_a_pace_is_an_option_like_the_others():
-    at = {"alpha": 9.0, "target": [0.5, 1.2]}
-    found = run_spec(spec(["max_qdot"], 30, at, max_acceleration=[0.1, 0.4]))
-    assert found.max_acceleration.attrs["units"] == "rad/s²"
-    assert 0 < found.max_qdot[0] < found.max_qdot[1] / 1.5
-
-
 def test_drives_are_options_like_the_others():
     """Loops with a lag, on an axis and fixed, beside the limits of theory; half a sample of dead time has one too."""
     limits = [driven_limits("EE", Ts=0.1, drive=Drive(lag=lag, delay=1)).stable for lag in (0.05, 0.3)]

@@ -122,7 +122,7 @@ class Live:
         made, run = with_loop(self.problem, seen.loop), seen.run
         self._tell("Judging …")
         loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
-        self._tell(str(verdict(made.law, made.reference, run, **loop, pace=made.pace, noise=made.noise)))
+        self._tell(str(verdict(made.law, made.reference, run, **loop, noise=made.noise)))
 
     def end(self) -> None:
         """No run from here on."""
