@@ -10,7 +10,6 @@ import pytest
 from cnclik.stability.loop import parts_at_rest
 
 import cnclik as ck
-from cnclik.stability.loop import parts_at_rest
 from cnclik.stability.spectrum import at_rest, of_error, step_map
 from cnclik.tuning import Conditions, Descent, controller_lines, tune
 from cnclik.tuning import parameters as pm
