@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.export.library import compiled
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
+from tests.export.native import native
 
 SEVERAL = 6  # steps of a multistep method, one after the other
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
@@ -135,14 +135,13 @@ def by_jax(combination):
 def by_c(combination, given, step=None):
     """The same by the exported step, lane by lane."""
     law, method, stage = combination.parts()
-    step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
+    step = native(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
     rounds, found = SEVERAL if method.steps > 1 else 1, []
-    names = [row["name"] for row in step.manifest["inputs"]["input"]]
     for q, position, rotation, velocity in zip(*given, strict=True):
         known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
         history = None
         for _ in range(rounds):
-            made = step(q, *(known[name] for name in names[1:]), history=history)
+            made = step(q, *(known[name] for name in step.names[1:]), history=history)
             q, history = made.q, made.history
         found.append((made.q, made.qdot, made.e, made.x, made.residual, made.status))
     return [np.array(v) for v in zip(*found, strict=True)]
@@ -153,7 +152,7 @@ def plainly(combination):
     law, method, stage = combination.parts()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CFLAGS", "-O1 -ffp-contract=off")
-        return compiled(law, method=method, stage=stage, dtype=combination.dtype)
+        return native(law, method=method, stage=stage, dtype=combination.dtype)
 
 
 def moved(given, by):
