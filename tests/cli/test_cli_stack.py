@@ -231,21 +231,19 @@ def test_the_nearest_pose_keeps_upper_levels(tmp_path, capsys):
         ([*["--tip", GRIPPERS[0], "--tip", GRIPPERS[1]], "--target", "1", "0", "0"],
          f"`--target` must be given once for each tip ({', '.join(GRIPPERS)}), but is given 1 times"),
         (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "TABLE"], "have columns for each tip, such as left_gripper.x"),
-        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "--map", "xy"], "`--map` must be left out for several tips"),
-        (["--stack", "STACK", "--map", "xy"], "`--map` must be left out for several tips"),
         (["--stack", "STACK", "--tip", GRIPPERS[0]], "`--tip` must be left out with a stack"),
         (["--stack", "STACK", "--target", "1", "2", "3"], "`--target` must be left out with a stack"),
         (["--stack", "STACK", "--near", "0", "0"], "`--near` must have shape (14,), but has shape (2,)"),
         (["--stack", "HELD", "--points", "3"], "`--points` must be left out where targets stand still"),
         (["--tip", GRIPPERS[0], "--random", "1", "--points", "3"], "`--points` must come with the paths of a stack"),
-        ([], "--map PLANE and --stack FILE must be given, but there is none of them"),
+        ([], "--random N and --stack FILE must be given, but there is none of them"),
     ],
 )  # fmt: skip
 def test_what_reach_refuses(argv, told, stack, tmp_path, capsys):
     (tmp_path / "held.toml").write_text('[tasks.a]\ntip = "left_gripper"\n')
     (tmp_path / "table.csv").write_text("x,y,z\n1,2,3\n")
     known = {"STACK": stack, "HELD": tmp_path / "held.toml", "TABLE": tmp_path / "table.csv"}
-    more = [] if {"--stack", "--random", "--map", "TABLE", "--target"} & {*argv} or not argv else ["--random", "1"]
+    more = [] if {"--stack", "--random", "TABLE", "--target"} & {*argv} or not argv else ["--random", "1"]
     assert told in said(capsys, "reach", BAXTER, *(known.get(word, word) for word in argv), *more)
 
 
