@@ -43,7 +43,7 @@ FEWER = {
     "view": ["--N", "5"],
 }
 SMALLER = {
-    "reach": {"--random": ["--random", "12"], "--map": ["--cells", "3", "--orientations", "2"]},
+    "reach": {"--random": ["--random", "12"]},
     "stability": {"--map": ["--cells", "3"]},
 }
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in

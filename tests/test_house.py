@@ -264,9 +264,9 @@ def test_rooms_are_reached_in_a_process_of_their_own():
 
 def test_a_name_is_what_a_room_offers_where_a_module_is_called_alike():
     code = (
-        "import cnclik.export.library, cnclik.reaching.public, cnclik.tuning.tune, cnclik.stability.verdict\n"
+        "import cnclik.export.write, cnclik.reaching.public, cnclik.tuning.tune, cnclik.stability.verdict\n"
         "import cnclik as ck\n"
-        "offered = [ck.export.load, ck.reaching.reach, ck.tuning.tune, ck.stability.verdict, ck.reach, ck.tune]\n"
+        "offered = [ck.export.c, ck.reaching.reach, ck.tuning.tune, ck.stability.verdict, ck.reach, ck.tune]\n"
         "print([type(one).__name__ for one in offered])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent)

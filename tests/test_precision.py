@@ -54,7 +54,6 @@ DOORS = {  # what is traced of each, and how it is called
     ("reach", "tolerance"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", tolerance=x),
     ("reach", "accept"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", accept=(x[0], 0.1)),
     ("reach", "seed"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", seed=x[0]),
-    ("reachability", "chain"): lambda x: ck.reachability(ck.planar_arm([x[0], x[1]]), "xy", task="position"),
 }
 
 

@@ -122,11 +122,6 @@ def test_reach(capsys):
     assert json.loads(shown)["targets"] == 5
 
 
-def test_reach_map(capsys):
-    text, _ = page(["reach", ARM, "--map", "xy", "--cells", "3", "--out", "out"], capsys)
-    assert "of the positions can be reached" in text and text.count("image/svg+xml") == 1
-
-
 def test_sweep_and_its_best_and_worst_loop(tmp_path, capsys):
     from cnclik.show.viewer.swept import best_and_worst
 

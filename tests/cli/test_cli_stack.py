@@ -127,19 +127,19 @@ def test_export(stack, tmp_path, capsys):
     for name in ("hands_left_gripper_position[3]", "hands_right_gripper_rotation[9]", "rest_values[14]"):
         assert name in header, name
     for folder in ("paths", "free"):
-        build = BUILD.format(sources="clik_step.c example.c") + " && ./example"
+        build = BUILD.format(name="clik_step") + " && ./example"
         subprocess.run(build, shell=True, cwd=tmp_path / folder, check=True, capture_output=True)
 
 
 @NEEDS_C
-def test_kinematics_of_all_tips(stack, tmp_path):
-    robot, q = ck.load_urdf(BAXTER, tips=GRIPPERS), np.linspace(-0.5, 0.5, 14)
-    for what in ("fk", "jacobian"):
-        main(["export", str(BAXTER), "--stack", stack, "--what", what, "--out", str(tmp_path / what)])
-        made = ck.export.load(tmp_path / what)(q)
-        for tip in GRIPPERS:
-            wanted = ck.forward(robot, q, tip=tip).rotation if what == "fk" else ck.jacobian(robot, q, tip=tip)
-            np.testing.assert_allclose(made[tip].rotation if what == "fk" else made[tip], wanted, atol=1e-6)
+def test_kinematics_of_all_tips(stack, tmp_path, capsys):
+    main(["export", str(BAXTER), "--stack", stack, "--kinematics", "--out", str(tmp_path)])
+    assert "baxter: kinematics in double" in capsys.readouterr().out
+    header = (tmp_path / "clik_kinematics.h").read_text()
+    for tip in GRIPPERS:
+        assert f"{tip}_rotation[9]" in header and f"{tip}_jacobian[84]" in header
+    build = BUILD.format(name="clik_kinematics") + " && ./example"
+    subprocess.run(build, shell=True, cwd=tmp_path, check=True, capture_output=True)
 
 
 # --- reach --------------------------------------------------------------------------------------------
@@ -231,21 +231,19 @@ def test_the_nearest_pose_keeps_upper_levels(tmp_path, capsys):
         ([*["--tip", GRIPPERS[0], "--tip", GRIPPERS[1]], "--target", "1", "0", "0"],
          f"`--target` must be given once for each tip ({', '.join(GRIPPERS)}), but is given 1 times"),
         (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "TABLE"], "have columns for each tip, such as left_gripper.x"),
-        (["--tip", GRIPPERS[0], "--tip", GRIPPERS[1], "--map", "xy"], "`--map` must be left out for several tips"),
-        (["--stack", "STACK", "--map", "xy"], "`--map` must be left out for several tips"),
         (["--stack", "STACK", "--tip", GRIPPERS[0]], "`--tip` must be left out with a stack"),
         (["--stack", "STACK", "--target", "1", "2", "3"], "`--target` must be left out with a stack"),
         (["--stack", "STACK", "--near", "0", "0"], "`--near` must have shape (14,), but has shape (2,)"),
         (["--stack", "HELD", "--points", "3"], "`--points` must be left out where targets stand still"),
         (["--tip", GRIPPERS[0], "--random", "1", "--points", "3"], "`--points` must come with the paths of a stack"),
-        ([], "--map PLANE and --stack FILE must be given, but there is none of them"),
+        ([], "--random N and --stack FILE must be given, but there is none of them"),
     ],
 )  # fmt: skip
 def test_what_reach_refuses(argv, told, stack, tmp_path, capsys):
     (tmp_path / "held.toml").write_text('[tasks.a]\ntip = "left_gripper"\n')
     (tmp_path / "table.csv").write_text("x,y,z\n1,2,3\n")
     known = {"STACK": stack, "HELD": tmp_path / "held.toml", "TABLE": tmp_path / "table.csv"}
-    more = [] if {"--stack", "--random", "--map", "TABLE", "--target"} & {*argv} or not argv else ["--random", "1"]
+    more = [] if {"--stack", "--random", "TABLE", "--target"} & {*argv} or not argv else ["--random", "1"]
     assert told in said(capsys, "reach", BAXTER, *(known.get(word, word) for word in argv), *more)
 
 

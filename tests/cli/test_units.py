@@ -43,7 +43,6 @@ NUMBERS = [  # verb, arguments, option, values
     (solve, "--alpha 5 1/s", "alpha", (5.0,)),
     (reach, "--random 1 --tolerance 1mm 0.1deg", "tolerance", (1e-3, math.radians(0.1))),
     (reach, "--random 1 --near 0 90 deg --jump 30deg", "jump", math.radians(30)),
-    (reach, "--map xy --at 250mm", "at", 0.25),
     (stability, "--speed 100mm/s", "speed", 0.1),
     (stability, "--Ts-range 1 10 ms", "Ts_range", (1e-3, 1e-2)),
     (tune, "--velocity-limit 90deg/s", "velocity_limit", math.pi / 2),

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.export.library import compiled
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
+from tests.export.native import native
 
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
 CLOSELY = 40  # times as many repeats where those explain too little
@@ -33,8 +33,6 @@ ROBOTS = {
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse,
     "damped": lambda: ck.damped(0.1),
-    "transpose": ck.transpose,
-    "manipulability-damped": lambda: ck.manipulability_damped(0.1, 0.2),
     "singular-damped": lambda: ck.singular_damped(0.1, 0.2),
 }
 LIMITS = {
@@ -43,8 +41,8 @@ LIMITS = {
     "bounded": ck.bounded,
 }
 NULL = {
-    "none": lambda chain: None,
-    "posture": lambda chain: ck.posture(np.full(chain.n, 0.3)),
+    "none": lambda chain, task: None,
+    "posture": lambda chain, task: ck.posture(np.full(chain.n, 0.3)),
 }
 STAGES = {"picard": lambda: ck.picard(3), "chord": lambda: ck.chord(2), "newton": lambda: ck.newton(2)}
 
@@ -73,7 +71,7 @@ class Combination(NamedTuple):
             alpha=5.0,
             inverse=INVERSES[self.inverse](),
             limits=LIMITS[self.limits](),
-            null_velocity=NULL[self.null](chain),
+            null_velocity=NULL[self.null](chain, task),
         )
         return law, ck.METHODS[self.method], STAGES[self.stage]()
 
@@ -109,6 +107,7 @@ def by_jax(combination):
 
     def one(q, position, rotation, velocity):
         reference = target(law, position, rotation, velocity)
+
         made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
         return made.q, made.qdot, made.e, made.x, made.residual, made.status
 
@@ -125,12 +124,11 @@ def by_jax(combination):
 def by_c(combination, given, step=None):
     """The same by the exported step, lane by lane."""
     law, method, stage = combination.parts()
-    step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
+    step = native(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
     found = []
-    names = [row["name"] for row in step.manifest["inputs"]["input"]]
     for q, position, rotation, velocity in zip(*given, strict=True):
         known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
-        made = step(q, *(known[name] for name in names[1:]))
+        made = step(q, *(known[name] for name in step.names[1:]))
         found.append((made.q, made.qdot, made.e, made.x, made.residual, made.status))
     return [np.array(v) for v in zip(*found, strict=True)]
 
@@ -140,7 +138,7 @@ def plainly(combination):
     law, method, stage = combination.parts()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CFLAGS", "-O1 -ffp-contract=off")
-        return compiled(law, method=method, stage=stage, dtype=combination.dtype)
+        return native(law, method=method, stage=stage, dtype=combination.dtype)
 
 
 def moved(given, by):
