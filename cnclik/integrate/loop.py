@@ -12,14 +12,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.drive import Drive, Sampled, moving
-from cnclik.integrate.driven import Driven, driven, reached, resting
+from cnclik.integrate.driven import Driven, averaged, driven, reached, resting
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
@@ -33,6 +33,7 @@ from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out
 from cnclik.robot.model import Model, modelled
+from cnclik.task.task import error
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,6 +76,7 @@ class State(NamedTuple):
     lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
     drives: Driven | None = None
     late: tuple[Array, ...] = ()  # measured errors on their way
+    smooth: Any = None  # the filtered error (m,), or the filtered target of each part of the task
 
 
 def loop_of(
@@ -101,7 +103,19 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
         lost=jnp.zeros_like(q0) if compensated else None,
         drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
         late=() if first is None else (first,) * loop.late,
+        smooth=_unfiltered(loop, q0),
     )
+
+
+def _unfiltered(loop, q0):
+    """The state of a filter of the error or the target, at rest at q0."""
+    if loop.drive.filters == "error":
+        return jnp.zeros(loop.law.task.m, q0.dtype)
+    if loop.drive.filters != "target":
+        return None
+    at = observe(loop.law, loop.reference, loop.t0, q0)
+    here = (part.here(at.robot) for part in loop.law.task.parts)
+    return tuple(aim if own is None else own for aim, own in zip(at.aims, here, strict=True))
 
 
 def one(loop: Loop, state: State, k):
@@ -113,7 +127,9 @@ def one(loop: Loop, state: State, k):
     t = loop.t0 + k * Ts
     length = jnp.where(k < loop.N, Ts, 0.0)
     now = law if loop.gained is None else loop.gained(law, t)
-    seen, aimed, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
+    seen, aimed, at, late, smooth = (
+        _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, (), None)
+    )
     made = advance(now, aimed, seen, t, length, loop.method, loop.stage)
     lost, drives = state.lost, state.drives
     moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
@@ -122,7 +138,7 @@ def one(loop: Loop, state: State, k):
         moved, drives = reached(law.chain, q, drives)
     elif lost is not None:
         moved, lost = summed(law.chain, q, length * made.qdot, lost, law)
-    after = State(moved, lost, drives, late)
+    after = State(moved, lost, drives, late, smooth)
     if drives is not None or seen is not q:
         made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
     if at is not None:
@@ -131,20 +147,27 @@ def one(loop: Loop, state: State, k):
 
 
 def _measured(loop, state, t, k):
-    """(joint values the controller uses, its reference then, the true observation, errors still on their way)"""
+    """(joint values the controller uses, its reference then, the true observation, errors on their way, the filter)"""
     law, reference, q = loop.law, loop.reference, state.q
     at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
     seen = state.drives.sent if commanded else q
     # A camera sees the real tip; from its own commands a controller knows only the model's tip.
-    found = at.e if seen is q else observe(law if commanded else loop.truth, reference, t, seen).e
+    view = at if seen is q else observe(law if commanded else loop.truth, reference, t, seen)
+    found, smooth, filters, kept = view.e, state.smooth, loop.drive.filters, loop.drive.kept(loop.Ts)
+    if filters == "target":
+        parts = zip(law.task.parts, smooth, at.aims, strict=True)
+        smooth = tuple(part.averaged(kept, before, aim) for part, before, aim in parts)
+        found = error(law.task, view.robot, smooth)
     measured = (found, *state.late)[loop.late]
     if loop.noise is not None:
         measured = measured + loop.noise[k.astype(int)]
-    exact = loop.noise is None and loop.plant is None and not loop.late
+    if filters == "error":
+        measured = smooth = averaged(kept, smooth, measured)
+    exact = loop.noise is None and loop.plant is None and not loop.late and filters not in ("error", "target")
     if not exact:
         believed = observe(law, reference, t, seen)
         reference = shifted(reference, law.task, _between(law.task, measured, believed))
-    return seen, reference, at, (found, *state.late)[: loop.late]
+    return seen, reference, at, (found, *state.late)[: loop.late], smooth
 
 
 def _between(task, measured, at):

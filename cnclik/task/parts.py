@@ -148,6 +148,10 @@ class Vector:
         """How far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
+    def averaged(self, kept, before, aim):
+        """One sample of a low-pass filter of the target, which keeps a share of what was before."""
+        return kept * before + (1 - kept) * aim
+
     def chart(self, aim):
         """A vector whose changes are no smaller than the target's way."""
         return aim
@@ -260,6 +264,9 @@ class Orientation(Vector):
     def mean(self, aim, before):
         turn = aim @ before.T
         return log_of_step(turn)[places(self.axes)], turn if self.whole else None
+
+    def averaged(self, kept, before, aim):
+        return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
 
     def chart(self, aim):
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
