@@ -45,7 +45,7 @@ def test_a_filtered_target_turns_and_lags():
         run = ck.solve(ck.Law(panda, ck.pose(), alpha=2000.0), target, q, 0.01, 40, "EXP-RK4", drive=drive)
         size = np.linalg.norm(np.asarray(run.e), axis=1)
         np.testing.assert_allclose(size[1:], 0.5 * 0.8 ** np.arange(1, 41), atol=2e-4)
-        line = ck.line(place, place + np.array([0.1, 0, 0]), period=2.0)
+        line = ck.line(place, place + np.array([0.1, 0, 0]), duration=2.0)
         run = ck.solve(ck.Law(panda, ck.position(), alpha=20.0), line, q, 0.01, 150, "EXP-MIDPOINT", drive=drive)
     np.testing.assert_allclose(np.asarray(run.e)[-1], [0.05 * 0.01 * 0.8 / 0.2, 0, 0], atol=1e-6)
 
