@@ -26,7 +26,7 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     N: int = 200
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
+    """What to tune: alpha, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
     parameters of one task, as in hands.alpha; of a posture only so."""
     shape: str = "as-given"
     """Form of the gain: scalar, per-axis, matrix (symmetric positive definite), or as-given, the form of --alpha."""
@@ -47,10 +47,8 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
     """Bounds of the sampling time [s] where it is tuned; default: --Ts/4 to 4·--Ts."""
     velocity_limit: float | None = option(None, unit="q/s")
     """Velocity limit [rad/s, m/s] of all joints, in place of the robot's own limits; 0: no limit."""
-    model_error: float = 0.0
-    """Relative error of the link lengths in the law's model of the robot."""
     draws: int = 1
-    """Number of random scenarios of noise and model error."""
+    """Number of random scenarios of noise."""
     tolerance: float = 1e-3
     """For the loss `settling`: error below which the tip has settled [m, rad]."""
     steps: int = 100
@@ -133,8 +131,7 @@ def _asked(args, made) -> dict:
     """The conditions of the loop, as `tune` takes them."""
     from cnclik.tuning import Conditions, Descent
 
-    gain = "schedule" if "schedule" in args.over and "alpha" not in args.over else "alpha"
-    bounds = {name: b for name, b in ((gain, args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
+    bounds = {name: b for name, b in (("alpha", args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
     limit = args.velocity_limit
     return dict(
         over=args.over,
@@ -143,7 +140,7 @@ def _asked(args, made) -> dict:
         **{name: getattr(args, name) for name in ("delay_margin", "noise_gain", "ringing", "margin")},
         velocity_limit="chain" if limit is None else None if limit == 0 else limit,
         conditions=Conditions(
-            **{name: getattr(args, name) for name in ("model_error", "draws", "tolerance")},
+            **{name: getattr(args, name) for name in ("draws", "tolerance")},
             **{} if made.drive is None else {"drive": made.drive},
             noise=0.0 if made.noise is None else made.noise,
             seed=int(made.seed),

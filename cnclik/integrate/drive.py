@@ -7,7 +7,6 @@ the same matrices.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from typing import NamedTuple, Self
 
@@ -25,10 +24,7 @@ MOST = 101  # samples of dead time and measurement delay together, the number of
 LARGEST = 1e12  # a quantity of a drive, or its inverse, at most: products of larger ones overflow
 TERMS = 15  # terms of the exponential's series: 0.5^16/16! is below rounding
 FASTEST = 5e4  # rates of a drive times Ts, at most: faster drives are at rest within a sample anyway
-_ABSENT = ("lag", "joint_noise", "resolution")  # absent if they are 0
-_QUANTITIES = (  # shared by all joints or one per joint
-    *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
-)
+_QUANTITIES = ("lag", "natural_frequency", "damping_ratio")  # shared by all joints or one per joint
 
 
 @record
@@ -49,12 +45,8 @@ class Drive:
       command: "velocity", or "position": the controller sums up its steps and sends joint values. Without lag both are
         the same.
       feedback: joint values that the controller uses. "measured": the robot's own, while commands are summed up
-        separately; "commanded": its own commands, so that drive, dead time, joint noise and measurement delay do not
-        enter the loop; "rebased": measured, and each position command starts from them instead of the last command.
-      drive_velocity, drive_acceleration: largest velocity and acceleration that the drive reaches, a number or (n,)
-        [rad/s, m/s], [rad/s², m/s²]; None: no limit.
-      joint_noise: standard deviation of measured joint values, a number or (n,) [rad, m]. resolution: of the encoders
-        [rad, m]. seed: of the noise.
+        separately; "commanded": its own commands, so that drive, dead time and measurement delay do not enter the
+        loop; "rebased": measured, and each position command starts from them instead of the last command.
 
     Raises: ArgumentError for values that do not fit.
     """
@@ -66,11 +58,6 @@ class Drive:
     damping_ratio: ArrayLike = 1.0
     command: str = "velocity"
     feedback: str = "measured"
-    drive_velocity: ArrayLike | None = None
-    drive_acceleration: ArrayLike | None = None
-    joint_noise: ArrayLike = 0.0
-    resolution: ArrayLike = 0.0
-    seed: int = 0
 
     def __post_init__(self):
         if isinstance(self.delay, str):
@@ -94,15 +81,14 @@ class Drive:
         if self.feedback == "rebased" and not self.steps_positions:
             must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
             raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
-        errors.seed(self.seed)
         for name in _QUANTITIES:
             value = getattr(self, name)
             if name == "damping_ratio" and self.natural_frequency is None:
                 continue
-            if value is None and name in _ABSENT:
-                raise errors.fail(name, "be a number, 0 for none", "is None")
-            if value is not None and not (_none(value) and name in _ABSENT):
-                known = _check(name, value, zero=name in ("joint_noise", "resolution"))
+            if value is None and name == "lag":
+                raise errors.fail("lag", "be a number, 0 for none", "is None")
+            if value is not None and not (name == "lag" and _none(value)):
+                known = _check(name, value)
                 object.__setattr__(self, name, known if np.ndim(known) else leaf(value))
 
     @property
@@ -122,8 +108,8 @@ class Drive:
 
     @property
     def ideal(self) -> bool:
-        """Whether the motion equals the command; the measurement may still be noisy."""
-        return self.order == 0 and self.delay == 0 and self.drive_velocity is self.drive_acceleration is None
+        """Whether the motion equals the command."""
+        return self.order == 0 and self.delay == 0
 
     @property
     def prompt(self) -> bool:
@@ -131,19 +117,9 @@ class Drive:
         return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded"
 
     @property
-    def absent(self) -> bool:
-        """Whether the loop equals the one without drives, and the measurement equals the motion."""
-        return self.prompt and self.exact
-
-    @property
     def lumped(self) -> Self:
         """The drive with all delays lumped into the dead time; stability is the same."""
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
-
-    @property
-    def exact(self) -> bool:
-        """Whether the measurement equals the motion."""
-        return _none(self.joint_noise) and _none(self.resolution)
 
     def late_by(self, Ts):
         """Delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
@@ -159,14 +135,14 @@ def _none(value) -> bool:
     return is_literal(value) and value == 0
 
 
-def _check(name, value, *, zero):
+def _check(name, value):
     value = errors.array(name, value, (), (None,), (None, 1), most=LARGEST)
     if not errors.concrete(value):
         return value
     known = np.asarray(value, float)
-    if np.any(known < 0 if zero else known <= 0):
-        raise errors.fail(name, "be at least 0" if zero else "be positive", f"is {known.min():g}")
-    if not zero and np.any(known < 1 / LARGEST):
+    if np.any(known <= 0):
+        raise errors.fail(name, "be positive", f"is {known.min():g}")
+    if np.any(known < 1 / LARGEST):
         raise errors.fail(name, f"be at least {1 / LARGEST:g}", f"is {known.min():g}")
     return value
 
@@ -243,11 +219,6 @@ def sampled(drive: Drive, Ts) -> Sampled:
     return Sampled(phi=phi @ first, now=gamma, late=(phi @ late[..., None])[..., 0], whole=whole)
 
 
-def moving(drive: Drive, Ts):
-    """`sampled`, or None if the motion is the controller's own step."""
-    return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
-
-
 def _continuous(drive, Ts, xp):
     """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis, if any, is that of the joints.
 
@@ -301,76 +272,26 @@ class Driven(NamedTuple):
     x: Float[Array, "n s"]
     line: Float[Array, "d n"]  # commands that still act, newest first
     sent: Float[Array, " n"]  # the sum of the controller's steps
-    limited: tuple[Array, Array] | None  # (n,), (n,): the last limited command, and its rate of change
+    late: tuple[Array, ...] = ()  # measured errors on their way, newest first
 
 
-def resting(chain, drive: Drive, model: Sampled, q) -> Driven:
-    """Drives at rest at q (n,), commanded to stay there."""
+def resting(chain, drive: Drive, model: Sampled, q, late=()) -> Driven:
+    """Return drives at rest at q (n,), commanded to stay there. Args: late: the errors on their way."""
     x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
     held = q if drive.steps_positions else jnp.zeros_like(q)
-    bounded = not (drive.drive_velocity is drive.drive_acceleration is None)
-    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, (held, jnp.zeros_like(q)) if bounded else None)
+    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, late)
 
 
-def reached(chain, q, at: Driven):
-    """The joint values (n,) after a sample that starts at q (n,), and the drives in the chart centred there."""
-    after = chart.out(chain, q, at.x[:, 0])
-    return after, at._replace(x=at.x.at[:, 0].set(chart.centre(chain, after))) if chain.balls else at
+def driven(chain, drive: Drive, model: Sampled, at: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
+    """Return the joint values (n,) one sample after q (n,), and the drives then.
 
-
-def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
-    """The drives one sample later, after the controller's step (n,) from the joint values q (n,) that it used."""
-    sent = chart.moved(chain, q if drive.feedback == "rebased" else at.sent, step)
-    u = sent if drive.steps_positions else step / Ts
-    limited = at.limited
-    if limited is not None:
-        u, limited = _within_limits(drive, u, limited, Ts)
-    line = jnp.concatenate([u[None], at.line])[: len(at.line)]
-    return Driven(model.moved(at.x, at.line, u), line, sent, limited)
-
-
-def _within_limits(drive, u, before, Ts):
-    """The command within the drive's limits of velocity and acceleration."""
-    last, speed = before
-    wanted = (u - last) / Ts if drive.steps_positions else u
-    if drive.drive_acceleration is not None:
-        most = drive.drive_acceleration * Ts
-        wanted = jnp.clip(wanted, speed - most, speed + most)
-    if drive.drive_velocity is not None:
-        wanted = jnp.clip(wanted, -drive.drive_velocity, drive.drive_velocity)
-    u = last + wanted * Ts if drive.steps_positions else wanted
-    return u, (u, wanted)
-
-
-def measured_joints(drive, q, k):
-    """The controller's measurement of joint values q (n,) at step k, with noise and encoder resolution."""
-    if not _none(drive.joint_noise):
-        key = jax.random.fold_in(_key(drive.seed), jnp.asarray(k).astype(jnp.int32))
-        q = q + drive.joint_noise * jax.random.normal(key, q.shape, q.dtype)
-    if not _none(drive.resolution):
-        steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)
-        q = jnp.where(drive.resolution > 0, steps * jnp.round(q / steps), q)
-    return q
-
-
-def white_noise(sigma, N: int, m: int, seed=0):
-    """(N, m) independent normal measurement errors; the same seed gives the same numbers.
-
-    Args:
-      sigma: standard deviation, a number or one per task coordinate (m,) [m, rad]; it may be traced, as may the seed.
+    Args: seen, step: (n,) the joint values that the controller used, and its step from there.
     """
-    sigma = errors.array("noise", sigma, (), (1,), (m,))
-    if errors.concrete(sigma) and (sigma < 0).any():
-        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
-    errors.seed(seed)
-    dtype = jnp.asarray(sigma).dtype
-    # With a known seed the numbers are drawn outside of the traced program.
-    with jax.ensure_compile_time_eval() if errors.concrete(seed) else contextlib.nullcontext():
-        drawn = jax.random.normal(_key(seed), (N, m), dtype)
-    if errors.concrete(sigma) and errors.concrete(drawn):
-        return np.asarray(sigma, dtype) * np.asarray(drawn)
-    return sigma * drawn
-
-
-def _key(seed):
-    return jax.random.key(jnp.asarray(seed).astype(jnp.uint32))
+    sent = chart.moved(chain, seen if drive.feedback == "rebased" else at.sent, step)
+    u = sent if drive.steps_positions else step / Ts
+    line = jnp.concatenate([u[None], at.line])[: len(at.line)]
+    x = model.moved(at.x, at.line, u)
+    after = chart.out(chain, q, x[:, 0])
+    if chain.balls:
+        x = x.at[:, 0].set(chart.centre(chain, after))
+    return after, at._replace(x=x, line=line, sent=sent)

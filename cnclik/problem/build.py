@@ -7,10 +7,12 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from cnclik import errors
-from cnclik.integrate.drive import Drive, white_noise
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import Method, named
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
@@ -23,7 +25,7 @@ from cnclik.problem.magnitudes import check_units
 from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
-from cnclik.record import AnyArray, ArrayLike, Float, Number
+from cnclik.record import AnyArray, Float, Number
 from cnclik.robot.chain import Chain
 
 LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
@@ -48,7 +50,7 @@ class Problem:
     method: Method
     stage: Stage
     drive: Drive | None = None
-    noise: ArrayLike | None = None
+    noise: AnyArray | None = None
     seed: int = 0
     tip: str = ""
     tables: Mapping[str, Mapping[str, Any]] | None = None
@@ -62,15 +64,21 @@ class Problem:
         """(law, reference, q0, Ts, N, method, stage), as `solve` takes them."""
         return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
 
-    def run(self) -> Trajectory:
-        """Run the loop on its robot: with its drives and noise."""
-        noise = None if self.noise is None else white_noise(self.noise, self.N, self.law.task.m, self.seed)
-        return simulate(*self.loop, drive=self.drive, noise=noise)
+    def run(self, draws: Float[AnyArray, "N m"] | None = None) -> Trajectory:
+        """Run the loop on its robot: with its drives and noise.
+
+        Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
+        """
+        if self.noise is None:
+            return solve(*self.loop, drive=self.drive)
+        if draws is None:
+            draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
+        return solve(*self.loop, drive=self.drive, noise=self.noise * draws)
 
     @property
     def alone(self) -> bool:
         """Whether the robot does exactly what the law asks for: no drives, no noise."""
-        return self.noise is None and (self.drive is None or self.drive.absent)
+        return self.noise is None and (self.drive is None or self.drive.prompt)
 
 
 def problem_from(
@@ -117,7 +125,6 @@ def problem_from(
     check_units(chain, task, written)
     law = _law(chain, task, v, Ts, stack)
     q0 = names.start_from(chain, task, v["q0"])
-    seed = errors.seed(given.get("seed", 0))
     begin = errors.one_of("begin", v["begin"], BEGINS)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     if stack is None:
@@ -136,9 +143,9 @@ def problem_from(
         N=N,
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
-        drive=_drive(chain, given, seed),
-        noise=v["noise"],
-        seed=seed,
+        drive=_drive(chain, given),
+        noise=_noise(v["noise"], task.m),
+        seed=errors.seed(given.get("seed", 0)),
         **{} if stack is None else {"tables": _as_given(stack.tasks), "walls": _as_given(stack.walls) or None},
     )
 
@@ -169,11 +176,21 @@ def _law(chain, task, v, Ts, stack) -> Law:
     )
 
 
-def _drive(chain, given, seed) -> Drive | None:
+def _drive(chain, given) -> Drive | None:
     made = _per_joint(chain, given, DRIVE)
     if "damping_ratio" in made and "natural_frequency" not in made:
         raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
-    return Drive(**made, seed=seed) if made else None
+    return Drive(**made) if made else None
+
+
+def _noise(sigma, m):
+    """The standard deviation of the measured error, checked; an array."""
+    if sigma is None:
+        return None
+    sigma = errors.array("noise", sigma, (), (1,), (m,))
+    if errors.concrete(sigma) and (sigma < 0).any():
+        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
+    return sigma
 
 
 def _per_joint(chain, given, names) -> dict:

@@ -54,7 +54,7 @@ def dead_time(made) -> str:
 def drive_words(made) -> str:
     """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
     drive = made.drive
-    if drive is None or drive.absent:
+    if drive is None or drive.prompt:
         return ""
     said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
     measured = drive.measurement_delay

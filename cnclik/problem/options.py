@@ -107,13 +107,6 @@ DRIVE = {  # what lies between a command and its measured motion: fields of `Dri
     "command": Option(NAME, f"Command that the drives take: {_listed(words.COMMANDS)}. Default: velocity."),
     "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(words.FEEDBACKS)}. With rebased they "
                        "are measured, and each position command starts from them. Default: measured."),
-    "drive_velocity": Option(NUMBERS, "Largest joint velocity that the drives reach [rad/s, m/s].", unit="q/s",
-                             must="positive"),
-    "drive_acceleration": Option(NUMBERS, "Largest joint acceleration that the drives reach [rad/s², m/s²].",
-                                 unit="q/s²", must="positive"),
-    "joint_noise": Option(NUMBERS, "Standard deviation of the noise in measured joint values [rad, m].", unit="q",
-                          must="at least 0"),
-    "resolution": Option(NUMBERS, "Resolution of measured joint values [rad, m].", unit="q", must="at least 0"),
 }  # fmt: skip
 NOISE = {
     "noise": Option(NUMBERS, "Standard deviation of white noise in the measured error [m, rad], one number or one per "

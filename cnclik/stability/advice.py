@@ -311,8 +311,6 @@ def _notes(loop, drive, chosen, Ts):
             "The gain matrix rotates the error (complex eigenvalues), so that overshoot means little. Keep well below "
             "the largest stable gain."
         )
-    if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
-        yield "This linear answer ignores limits, noise and resolution of the drives; `cnclik solve` simulates them."
     if own := around_formula(loop.law, Ts):
         yield f"The settings for other libraries are gains only. There, set what this law has as well: {own}."
     if drive is not None and drive.feedback == "rebased":

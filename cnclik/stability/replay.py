@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.solve import PIECE, simulate
+from cnclik.integrate.solve import PIECE, solve
 from cnclik.integrate.status import Status
 from cnclik.robot.chart import apart
 from cnclik.stability import trial
@@ -30,15 +30,15 @@ def check_made(law, reference, run, Ts, method, stage, drive) -> None:
     k = int(rough[0]) if len(rough) else k
     floor = ROUNDINGS * eps * (1 + np.abs(q[: k + 1]).max(axis=1))
     stepped = np.abs(_apart(law, q[:k], q[1 : k + 1]) - Ts * np.asarray(run.qdot)[:k]).max(axis=1)
-    remembers = not drive.absent
+    remembers = not drive.prompt
     if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
         return
     size = N if N >= trial.SHORTEST else trial.whole_trial(N)
-    size = min(size, PIECE) if drive.absent else size
+    size = min(size, PIECE) if drive.prompt else size
 
     def again(start):
         with jax.enable_x64(True) if eps < 1e-9 else contextlib.nullcontext():
-            made = simulate(law, reference, start, Ts, size, method, stage, t0=t[0], drive=drive)
+            made = solve(law, reference, start, Ts, size, method, stage, t0=t[0], drive=drive)
         return np.asarray(made.q)[: k + 1]
 
     made = again(q[0])

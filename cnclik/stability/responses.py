@@ -10,13 +10,13 @@ from cnclik import errors
 from cnclik.engine.plan import unless_chosen
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.law import reference as ref
 from cnclik.law.law import check_loop
 from cnclik.law.paths import shifted
 from cnclik.precision import in_float64
-from cnclik.record import Array, Float, record, replace
+from cnclik.record import Array, Float, record
 from cnclik.robot.model import as_joint_values, one_off
 from cnclik.stability.linear import checked
 from cnclik.stability.spectrum import at_rest
@@ -44,7 +44,7 @@ def _responses(law, curve, q, Ts, stage, units, omega, drive, *, N, method):
     def one(unit, omega):
         probe = _Probe(unit=unit, omega=omega)
         target = shifted(ref.Reference(curve=curve), law.task, probe)
-        run = simulate(law, target, q, Ts, N, method, stage, drive=drive)
+        run = solve(law, target, q, Ts, N, method, stage, drive=drive)
         wanted = probe.wanted(run.t)
         return wanted, wanted - (run.e / SIZE) @ unit
 
@@ -67,7 +67,6 @@ def responses(law, reference, q, *, Ts, method=DEFAULT, stage=picard(5), drive=D
     check_loop(law)
     errors.number("Ts", Ts, positive=True)
     check_drive(drive, law.chain)
-    drive = replace(drive, drive_velocity=None, drive_acceleration=None, joint_noise=0.0, resolution=0.0)
     long = int(np.ceil(10 * np.max(drive.late_by(float(Ts))) / float(Ts)))
     N = errors.integer("N", max(2 * PERIOD, long) if N is None else N, at_least=1, at_most=errors.MOST)
     law, held = at_rest(law, reference, q)

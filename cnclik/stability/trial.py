@@ -10,9 +10,9 @@ import jax
 import numpy as np
 
 from cnclik.integrate import stage as stages
-from cnclik.integrate.drive import Drive, white_noise
+from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import Method, named
-from cnclik.integrate.solve import PIECE, in_pieces, joined, simulate
+from cnclik.integrate.solve import PIECE, in_pieces, joined, solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
@@ -158,9 +158,10 @@ class Trials:
     def _run(self, made, steps):
         """The run of so many steps: by the program that the given run used, where that is one of single steps."""
         how = made.law, made.reference, made.q0, self.Ts, steps, made.method, made.stage
-        if not (made.drive.absent and made.noise is None):
-            noise = None if made.noise is None else white_noise(made.noise, steps, made.law.task.m)
-            whole = simulate(*how, t0=self.case.t[0], drive=made.drive, noise=noise)
+        if not (made.drive.prompt and made.noise is None):
+            draws = np.random.default_rng(0).standard_normal((steps, made.law.task.m))
+            noise = None if made.noise is None else made.noise * draws
+            whole = solve(*how, t0=self.case.t[0], drive=made.drive, noise=noise)
             return jax.tree.map(np.asarray, whole)
         own = self.case.steps
         size = min(own if own >= SHORTEST else steps, PIECE)

@@ -177,8 +177,6 @@ def scaled_links(chain, factors):
     return with_tip(replace(chain, joints=joints), stretch(chain.tip, factors[len(joints)]))
 
 
-KNOTS = 5  # of a gain schedule
-
 # Start and default bounds of each name, as functions of (law, Ts, task); what a value changes of the law, as functions
 # of (law, task, value); and its unit. The task is None, or one of a stack, as in "hands.alpha".
 
@@ -208,10 +206,6 @@ def _with_alpha(law, task, value):
     alpha = alpha if alpha.ndim else jnp.full(law.task.m, alpha)
     own = value * jnp.eye(at.stop - at.start) if value.ndim < alpha.ndim == 2 else value
     return {"alpha": alpha.at[(at,) * alpha.ndim].set(own)}
-
-
-def _schedule(law, Ts, task):
-    return np.full(KNOTS, largest_rate(law.alpha)), *_alpha(law, Ts)[1:]  # `scheduled` needs a symmetric matrix
 
 
 def _level(law, task):
@@ -276,7 +270,6 @@ _OF_TASK = {
 }
 _KNOWN = {
     "alpha": _OF_TASK["alpha"],
-    "schedule": (_schedule, None, "1/s"),  # of the loop, as Ts is
     "damping": _OF_TASK["damping"],
     "null_gain": (_null_gain, lambda law, _, v: {"null_velocity": ScaledNullVelocity(law.null_velocity, v)}, "1"),
     "feedforward": (lambda law, *_: (float(law.feedforward), 0.0, 2.0), lambda law, _, v: {"feedforward": v}, "1"),
@@ -289,7 +282,7 @@ _KNOWN = {
     "Ts": (lambda law, Ts, _: (Ts, Ts / 4, Ts * 4), None, "s"),
 }
 NAMES = tuple(_KNOWN)
-_POSITIVE = ("alpha", "schedule", "damping", "weights", "Ts")
+_POSITIVE = ("alpha", "damping", "weights", "Ts")
 
 
 @functools.cache  # the same function for the same name, as it is a key of programs
@@ -337,7 +330,7 @@ def named(name: str, loop: Adjustable, bounds=None) -> Parameter:
     """A parameter by name, starting at the loop's own value.
 
     alpha: the gain in the shape the law has it: a number, one per axis, or a symmetric positive definite matrix
-    [1/s]. schedule: K = 5 gains over the horizon [1/s]; it scales the gains of all tasks. damping: λ of damped(λ).
+    [1/s]. damping: λ of damped(λ).
     null_gain: factor of the null-space velocity. feedforward: factor of ẋ_d. links: factors (n + 1,) of the links'
     offsets, the tip's last. tool: offset (3,) of the tip in the last frame [m]. Ts: sampling time [s]. Of a task of a
     stack: hands.alpha; hands.damping, λ of its level; hands.weights, one number if they are equal.
