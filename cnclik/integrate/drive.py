@@ -271,11 +271,6 @@ def sampled(drive: Drive, Ts) -> Sampled:
     return Sampled(phi=phi @ first, now=gamma, late=(phi @ late[..., None])[..., 0], whole=whole)
 
 
-def moving(drive: Drive, Ts):
-    """`sampled`, or None if the motion is the controller's own step."""
-    return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
-
-
 def _continuous(drive, Ts, xp):
     """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis, if any, is that of the joints.
 

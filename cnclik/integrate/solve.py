@@ -18,7 +18,7 @@ from cnclik.engine.numbers import Numbers
 from cnclik.engine.plan import may_be_plain
 from cnclik.engine.tracing import is_read
 from cnclik.hints import quick_jit
-from cnclik.integrate.drive import Drive, check_drive, moving
+from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.loop import Step, advance, loop_of, run
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
@@ -50,6 +50,7 @@ def solve(
     *,
     t0: Number = 0.0,
     drive: Drive | None = None,
+    noise: Float[ArrayLike, "N m"] | None = None,
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
@@ -66,42 +67,28 @@ def solve(
       method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method`.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods ignore it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no resolution of 1 ms.
-      drive: model of the drives between command and motion, see `Drive`; None: ideal.
+      drive: model of the drives between command and motion, at rest at t0, see `Drive`; None: ideal.
+      noise: (N, m) added to the measured error at each step [m, rad], such as rng.normal(0, 1e-3, (N, m)); None: none.
+        `q`, `e` and `qdot` are the robot's own. No step is then marked GROWING, nor through a drive: errors grow and
+        shrink by themselves.
 
     Returns: `Trajectory`. Nothing is raised during the run: check `status`, or pass the run to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
-    """
-    return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive)
-
-
-def simulate(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, noise=None, plant=None, gained=None
-) -> Trajectory:
-    """`solve` on a robot that differs from the law's model: `q`, `e` and `qdot` are those of the real robot.
-
-    The controller steps from the joint values that it gets. `Drive` describes them, and the drives between its step and
-    the motion, from rest at q0 on. No step is marked GROWING: with noise an error grows and shrinks at random.
-
-    Args:
-      noise: (N, m) added to the measured error at each step [m, rad], or None.
-      plant: the real chain, of which the law's chain is a model; None: the same.
-      gained: the law at time t, gained(law, t), where it changes; None: the same.
     """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
-    drive = None if drive is None or check_drive(drive, law.chain).prompt else drive
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    model = None if drive is None else moving(drive, Ts)  # in NumPy if Ts is known
-    known, given = (law, reference, stage, drive, plant, method), (q0, _number(Ts, q0), _number(t0, q0))
-    if gained is not None:
-        return whole_run(*known, *given, model, noise, N=N, gained=gained)
+    if drive is not None:
+        drive = None if check_drive(drive, law.chain).prompt else drive
+    model = None if drive is None else sampled(drive, Ts)  # in NumPy if Ts is known
+    known, given = (law, reference, stage, drive, method), (q0, _number(Ts, q0), _number(t0, q0), model, noise)
     loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
     if len(loops) > 1:  # each has its own programs
         loops.within(lambda loop: len(loop.entries))
-    return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
+    return _computed(loop, known, given, solve_soon, lambda: _is_soon(law, method, stage, N))
 
 
 def step(
@@ -206,9 +193,9 @@ def ran_in_c(N) -> bool:
     return N in loops and loops[N].ran_in_c
 
 
-def whole_run(law, reference, stage, drive, plant, method, q0, Ts, t0, model, noise, *, N, gained=None):
-    more = dict(drive=drive, plant=plant, model=model, noise=noise, gained=gained)
-    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)
+def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *, N):
+    """Compute `solve`. Pure."""
+    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
 
 
 def end(law, reference, q0, Ts, N, method, stage):

@@ -11,7 +11,6 @@ import pathlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.driven import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
 from cnclik.problem.options import OF_STACK
@@ -298,8 +297,6 @@ def _check_loops(spec: Spec):
         for last in (False, True):
             lane = program | spec.first(last=last)
             made = spec.build(**lane)
-            if made.noise is not None:
-                white_noise(made.noise, 1, made.law.task.m, made.seed)
             ref.check(made.reference, made.law.task)
             metrics.check(spec.metrics, made.law)
 

@@ -1,4 +1,4 @@
-"""Conditions: what disturbs a loop that is judged (noise, drives, a wrong model), and the runs drawn from them."""
+"""Conditions: what disturbs a loop that is judged (noise, drives), and the runs drawn from them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import solve
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop
 from cnclik.law.reference import Reference
-from cnclik.record import AnyArray, Array, ArrayLike, Float, Int, cast, record, replace, stack
-from cnclik.robot.chain import Chain
+from cnclik.record import AnyArray, Array, ArrayLike, Float, record, stack
 from cnclik.robot.model import as_joint_values
-from cnclik.tuning.parameters import Adjustable, scaled_links, scheduled
+from cnclik.tuning.parameters import Adjustable
 
 
 @record
@@ -24,17 +23,15 @@ class Conditions:
     Attributes:
       noise: standard deviation of the measured error, a number or (m,) [m, rad].
       drive: model of the drives, see `Drive`. It enters the loss and the constraints.
-      model_error: relative error of the link lengths in the law's model.
-      draws: number of random scenarios of noise and model error for each path.
+      draws: number of random scenarios of noise for each path.
       tolerance: error below which the tip has settled, for the loss "settling" [m, rad].
-      seed: of noise and model error; joint noise has the seed of the drive.
+      seed: of noise.
 
     Raises: ArgumentError for values that do not fit.
     """
 
     noise: ArrayLike = 0.0
     drive: Drive = Drive()
-    model_error: float = 0.0
     draws: int = 1
     tolerance: float = 1e-3
     seed: int = 0
@@ -43,7 +40,6 @@ class Conditions:
         if np.any(np.asarray(errors.array("noise", self.noise, (), (None,)), float) < 0):
             raise errors.fail("noise", "be at least 0", f"is {np.asarray(self.noise).tolist()}")
         errors.kind("drive", self.drive, Drive, "be Drive(...)")
-        errors.number("model_error", self.model_error, at_least=0)
         errors.integer("draws", self.draws, at_least=1)
         errors.number("tolerance", self.tolerance, positive=True)
         errors.seed(self.seed)
@@ -51,13 +47,11 @@ class Conditions:
 
 @record
 class Scenario:
-    """One run of a tuning: `reference` and `q0` as for `solve`, `noise` and `plant` as for `simulate`."""
+    """One run of a tuning: `reference`, `q0` and `noise` as for `solve`."""
 
     reference: Reference
     q0: Float[Array, " n"]
     noise: Float[AnyArray, "N m"] | None = None
-    plant: Chain | None = None
-    seed: int | Int[AnyArray, ""] = 0  # of the drive's joint noise
 
 
 def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
@@ -77,37 +71,20 @@ def scenarios(law, reference, q0, N: int, conditions: Conditions) -> Scenario:
     sigma = np.broadcast_to(np.asarray(errors.array("noise", conditions.noise, (), (m,)), float), (m,))
     rng = np.random.default_rng(int(conditions.seed))
 
-    def perturbed():  # scales every link's offset by a normal relative error
-        factors = 1.0 + conditions.model_error * rng.standard_normal(len(law.chain.joints) + 1)
-        return scaled_links(law.chain, [float(f) for f in factors])
-
-    def drawn(i, seed):
+    def drawn(i):
         return Scenario(
             reference=references[i % len(references)],
             q0=as_joint_values(law.chain, q0[i % len(q0)]),
             noise=sigma * rng.standard_normal((N, m)) if np.any(sigma > 0) else None,
-            plant=perturbed() if conditions.model_error > 0 else None,
-            seed=int(seed),
         )
 
-    seeds = np.random.default_rng(int(conditions.drive.seed)).integers(1 << 30, size=count * conditions.draws)
-    seeds[0] = conditions.drive.seed  # a single run equals `solve` with this drive
-    return stack(drawn(k // conditions.draws, seed) for k, seed in enumerate(seeds))
+    return stack(drawn(k // conditions.draws) for k in range(count * conditions.draws))
 
 
-def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, drive=Drive(), horizon=None) -> Trajectory:
+def rollout(loop: Adjustable, scenario: Scenario, N: int, method, stage, *, drive=Drive()) -> Trajectory:
     """Run the loop for N steps. Pure, for jit, vmap and grad.
 
-    Args: N, method, stage: as for `solve`. drive: as for `simulate`. horizon: [s] over which a gain schedule is spread,
-      N·Ts by default.
+    Args: N, method, stage, drive: as for `solve`.
     """
-    drive = drive if drive.exact else replace(drive, seed=scenario.seed)
-    horizon = N * loop.Ts if horizon is None else horizon
-    schedule = cast(loop.schedule, scenario.q0.dtype)
-
-    def gained(law, t):
-        return scheduled(replace(loop, law=law, schedule=schedule), t / horizon)
-
     run = loop.law, scenario.reference, scenario.q0, loop.Ts, N, method, stage
-    changes = {} if loop.schedule is None else {"gained": gained}
-    return simulate(*run, drive=drive, noise=scenario.noise, plant=scenario.plant, **changes)
+    return solve(*run, drive=drive, noise=scenario.noise)

@@ -160,7 +160,7 @@ class LoopObjective:
 
     def _runs(self, loop):
         def run(scenario):
-            return rollout(loop, scenario, self.N, self.method, self.stage, drive=self.drive, horizon=self.horizon)
+            return rollout(loop, scenario, self.N, self.method, self.stage, drive=self.drive)
 
         return jax.vmap(run)(self.scenarios)
 

@@ -303,7 +303,6 @@ def test_odd_arguments_and_results():
     case = {"x": batch(2, 2), "k": np.arange(SIZE, dtype=np.int64) - 3}
     check(fn, case, batch(4) > 0)
     check(lambda x: (x, (x > 0, None)), batch(dtype="float32"))
-    check(lambda x: x + jax.random.normal(jax.random.key(3), (4,)), batch(4))
 
 
 @NEEDS_C
@@ -387,7 +386,7 @@ def test_zeros_of_a_model_vanish_and_others_stay():
     ("fn", "name"),
     [
         (lambda x: jnp.linalg.svd(x.reshape(2, 2))[1], "svd"),
-        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int), impl="rbg"), (4,)) + x, "random_seed"),
+        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int)), (4,)) + x, "key<fry>"),
         (lambda x: x.view("uint32"), "bitcast_convert_type"),
         (lambda x: (jax.debug.print("here"), x)[1], "effects"),
         (lambda x: x + 1j, "complex"),

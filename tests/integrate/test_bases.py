@@ -187,7 +187,7 @@ def test_a_posture_draws_a_base_the_shorter_way():
 
 def test_drives_move_a_base():
     law = ck.replace(LAW, alpha=2.0)
-    run = ck.solve(law, PATH, start(0.1), 0.01, 300, "EE", drive=ck.Drive(delay=1.5, lag=0.02, joint_noise=1e-5))
+    run = ck.solve(law, PATH, start(0.1), 0.01, 300, "EE", drive=ck.Drive(delay=1.5, lag=0.02))
     assert np.abs(np.asarray(run.e)[-50:]).max() < 0.03
     with pytest.raises(ck.ArgumentError, match="take velocities on a free base"):
         ck.solve(law, PATH, start(), 0.01, 3, drive=ck.Drive(lag=0.02, command="position"))

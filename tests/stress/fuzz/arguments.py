@@ -63,7 +63,7 @@ CHOICES = {
         "command": words.COMMANDS,
         "feedback": words.FEEDBACKS,
         "out": OUT,
-        "over": ("alpha", "damping", "links", "tool", "Ts", "schedule", "feedforward"),
+        "over": ("alpha", "damping", "links", "tool", "Ts", "feedforward"),
     },
     **{
         "loss": ("tracking", "jerk=1e-4", "worst=2", "settling"),
