@@ -6,7 +6,7 @@ import numpy as np
 
 from cnclik.integrate.stage import Picard
 from cnclik.law.bounded import Bounded
-from cnclik.law.inverse import Damped, Levels, Pseudoinverse, Transpose
+from cnclik.law.inverse import Damped, Levels, Pseudoinverse
 from cnclik.record import record, replace
 from cnclik.robot.model import forward
 from cnclik.robot.posture import arm_length, beyond_arm
@@ -111,7 +111,7 @@ def lower(case) -> tuple:
             return *made, Remedy(change={"stage": "chord", "M": 2}, words=words, mends="motion")
         words = 'use method="EXP-MIDPOINT", which has no such limit'
         other = Remedy(change={"method": "EXP-MIDPOINT"}, words=words, mends="motion")
-        return made if method.exponential or isinstance(law.inverse, Transpose) else (*made, other)
+        return made if method.exponential else (*made, other)
     if leaky(law) and case.radius <= 1:  # more damping lets it pull more
         return less_null()
     return within or (() if case.moving else gentle(case, "motion"))  # what it clamps may not keep up with a path
@@ -169,7 +169,7 @@ def quicker(case) -> tuple:
     weak = float(f"{np.linalg.svd(case.rows, compute_uv=False)[-1]:.2g}")
     rate = float(np.max(np.abs(np.asarray(law.alpha, float))))
     share = GENTLE / ((Ts + float(np.max(drive.late_by(Ts)))) * rate)
-    other = weak < float(np.max(getattr(law.inverse, "damping", np.inf * isinstance(law.inverse, Transpose) or 0.0)))
+    other = weak < float(np.max(getattr(law.inverse, "damping", 0.0)))
     if other and weak < float(law.near_singular):
         return ()
     share = min(share, max(share / 100, 1.0)) if other else share  # as it is, where that is neither much nor nothing
@@ -336,7 +336,7 @@ def inside(case) -> tuple:
 
 def _damped(law) -> bool:
     """Whether `bounded`, which needs damping, works with the law's inverse."""
-    return not isinstance(law.inverse, (Pseudoinverse, Transpose))
+    return not isinstance(law.inverse, Pseudoinverse)
 
 
 def less_damping(case) -> tuple:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik.integrate.drive import Drive
-from cnclik.law.inverse import Levels, Transpose
+from cnclik.law.inverse import Levels
 from cnclik.record import AnyArray, Float, record
 from cnclik.stability.driven import SLACK, increments, least_limits, radius
 from cnclik.stability.drives import each_drive
@@ -187,7 +187,7 @@ def _powers(steps):
 
 def bounded_rates(law) -> bool:
     """Whether it is a stack of tasks whose rates are between 0 and the largest gain: not by the transpose."""
-    return bool(law.task.tasks) and law.null_velocity is None and not isinstance(law.inverse, Transpose)
+    return bool(law.task.tasks) and law.null_velocity is None
 
 
 def at_any_posture(loop, Ts: float, share: float | None = None) -> tuple:

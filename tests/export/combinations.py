@@ -34,8 +34,6 @@ ROBOTS = {
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse,
     "damped": lambda: ck.damped(0.1),
-    "transpose": ck.transpose,
-    "manipulability-damped": lambda: ck.manipulability_damped(0.1, 0.2),
     "singular-damped": lambda: ck.singular_damped(0.1, 0.2),
 }
 LIMITS = {

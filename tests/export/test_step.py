@@ -16,8 +16,8 @@ SPREAD = [
     Combination("planar2", "pseudoinverse", method="AB2"),
     Combination("planar2", "damped", method="IE", stage="newton"),
     Combination("planar3", "damped", "bounded", "posture"),
-    Combination("planar3", "manipulability-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
-    Combination("planar2", "transpose", method="HEUN", dtype="float32"),
+    Combination("planar3", "singular-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
+    Combination("planar2", "damped", method="HEUN", dtype="float32"),
     Combination("planar2", "damped", method="EXP-AB2", dtype="float32"),
     Combination("planar2", "damped", method="CN", dtype="float32"),
 ]
