@@ -24,9 +24,8 @@ from .integrate.status import Status as Status, StepError as StepError, require_
 from .integrate.trajectory import Trajectory as Trajectory
 from .law.bounded import bounded as bounded
 from .law.inverse import (
-    damped as damped, error_damped as error_damped, levels as levels,
-    manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,
-    singular_damped as singular_damped, transpose as transpose,
+    damped as damped, error_damped as error_damped, levels as levels, pseudoinverse as pseudoinverse,
+    singular_damped as singular_damped,
 )
 from .law.law import Law as Law
 from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling

@@ -72,21 +72,6 @@ class Damped(ByShift):
 
 
 @record
-class ManipulabilityDamped(ByShift):
-    """See `manipulability_damped`."""
-
-    always = False
-    damping: Number  # λ₀, never λ₀²
-    threshold: Number  # w₀
-
-    def shift(self, rows):
-        factor, tiny = gram_factor(rows)
-        w = jnp.sqrt(jnp.prod(jnp.maximum(jnp.diagonal(factor) ** 2, tiny)))
-        below = self.damping * jnp.maximum(1.0 - w / self.threshold, 0.0)
-        return jnp.maximum(below * below, tiny), _least(factor, tiny)
-
-
-@record
 class SingularDamped(ByShift):
     """See `singular_damped`."""
 
@@ -119,7 +104,7 @@ class Levels:
     """See `levels`."""
 
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
-    damping: tuple[Damped | ManipulabilityDamped | SingularDamped | ErrorDamped, ...]
+    damping: tuple[Damped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
     e: Any = None  # (m,) the weighted error, if known and needed
     floor: float = 0.0  # the least λ² over the trace of the first level's J Jᵀ, at least
@@ -157,7 +142,9 @@ def _by_shift(rows, shift, least=None) -> Factored:
 
 def least_of(rows):
     """Estimate of the least singular value of some rows: from below, and within √m."""
-    return _least(*gram_factor(rows))
+    wide = dense.wide_side(rows)
+    shift = tiny_shift(wide)
+    return _least(dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift)
 
 
 def damped_apply(rows, shift):
@@ -192,22 +179,6 @@ def tiny_shift(rows):
     """A shift at the rounding of J Jᵀ: negligible away from singularities, and no division by 0 at one."""
     trace = jnp.sum(rows**2)
     return lax.stop_gradient(64 * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
-
-
-def gram_factor(rows, shift=None):
-    """The Cholesky factor of J Jᵀ + shift I, or of JᵀJ where that is smaller, and the shift, by default tiny."""
-    wide = dense.wide_side(rows)
-    shift = tiny_shift(wide) if shift is None else shift
-    return dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift
-
-
-@record
-class Transpose:
-    """See `transpose`."""
-
-    def __call__(self, rows) -> Factored:
-        least = _least(*gram_factor(rows, 1e-12))  # which prevents a division by 0
-        return Factored(lambda t: t @ rows, least)
 
 
 def _least(factor, shift):
@@ -258,9 +229,9 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
 
     Args:
       names: names of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
-      damping: for each level λ (not λ²), or its own damped(...), singular_damped(...), manipulability_damped(...) or
-        error_damped(...). It grows from level to level, as a smaller damping is what makes a level come first.
-        singular_damped and manipulability_damped have none away from singularities: they fit the first level alone.
+      damping: for each level λ (not λ²), or its own damped(...), singular_damped(...) or error_damped(...). It grows
+        from level to level, as a smaller damping is what makes a level come first. singular_damped has none away from
+        singularities: it fits the first level alone.
 
     Raises: ArgumentError if the damping does not grow from one level to the next.
     """
@@ -270,7 +241,7 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
     several = isinstance(damping, (list, tuple)) or getattr(damping, "ndim", 0) == 1
     if not several or len(damping) != len(names):
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
-    kinds = (Damped, ManipulabilityDamped, SingularDamped, ErrorDamped)
+    kinds = (Damped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
     if wrong := not_growing(each):
         raise errors.fail(f"damping[{wrong.level}]", wrong.must, wrong.found)
@@ -304,19 +275,6 @@ def by_damping(each: dict[Any, Any]) -> list:
     return sorted(each, key=lambda name: (each[name].always, float(each[name].damping)))
 
 
-def manipulability_damped(damping: Number, threshold: Number) -> ManipulabilityDamped:
-    """Singularity-robust inverse: damped only where the manipulability w = √det(J Jᵀ) is low.
-
-    λ = λ₀ (1 − w/w₀) for w < w₀, else 0, in Jᵀ (J Jᵀ + λ² I)⁻¹ (Nakamura & Hanafusa 1986, eq. 18, who write
-    the factor of the identity, λ² here, as k = k₀ (1 − w/w₀)²). Exact where w ≥ w₀.
-
-    Args:
-      damping: λ₀ (not λ₀²), reached at the singularity; in the unit of J's singular values; positive.
-      threshold: w₀, in the unit of w: for a task of r rotations and p positions m^p.
-    """
-    return ManipulabilityDamped(damping=positive("damping", damping), threshold=positive("threshold", threshold))
-
-
 def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
     """Damped only where the least singular value σ_m of J is below a threshold.
 
@@ -334,8 +292,3 @@ def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
 def positive(name, value):
     """A positive number as a field of a record."""
     return leaf(errors.number(name, value, positive=True))
-
-
-def transpose() -> Transpose:
-    """Jacobian transpose, J# = Jᵀ: stable for alpha·Ts < 2/σ_max² (Sciavicco & Siciliano 1988)."""
-    return Transpose()

@@ -20,7 +20,7 @@ from cnclik import errors, markup
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
-from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
+from cnclik.law.inverse import Factored, Levels, Pseudoinverse, damped_apply, least_of, through
 from cnclik.law.limits import Scaled
 from cnclik.law.null import Posture
 from cnclik.precision import precise
@@ -43,8 +43,7 @@ class Law:
         joined by `&`, or a stack(name=task, ...).
       alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. It is a
         rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
-      inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
-        error_damped(...), levels(...).
+      inverse: J#: pseudoinverse(), damped(λ), singular_damped(...), error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
       null_velocity: posture(q_rest, rate), whose joint velocity q̇₀ acts in the null space, or None.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
@@ -93,10 +92,10 @@ class Law:
                 raise errors.fail("error_clamp", "be positive", f"is {np.asarray(pair).tolist()}")
             object.__setattr__(self, "error_clamp", pair)
         if not callable(self.inverse):
-            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
+            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or levels(...)", f"is {self.inverse!r}")
         if not isinstance(self.limits, (Scaled, Bounded, NoneType)):
             raise errors.fail("limits", "be None, velocity_scaling() or bounded()", f"is {self.limits!r}")
-        if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
+        if isinstance(self.limits, Bounded) and isinstance(self.inverse, Pseudoinverse):
             raise undamped(self.inverse)
         if not isinstance(self.null_velocity, (Posture, NoneType)):
             raise errors.fail("null_velocity", "be None or posture(...)", f"is {self.null_velocity!r}")

@@ -248,7 +248,7 @@ def inverse_from(name=None, damping=None, threshold=None):
     Args:
       name: the default is damped if `damping` is given, else pseudoinverse.
       damping: λ of the damped ones (never λ²).
-      threshold: manipulability or least singular value below which the last two are damped.
+      threshold: least singular value below which singular-damped is damped.
     """
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"

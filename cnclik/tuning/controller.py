@@ -113,6 +113,4 @@ def _inverse(inverse):
     if isinstance(inverse, inverses.Damped):
         size = float(inverse.damping)
         return "J_damped", f"J_damped = J.T @ inv(J @ J.T + {size:.6g}**2 * I)", size**2
-    if isinstance(inverse, inverses.Transpose):
-        return "J.T", "transpose (J.T)", None
     return "J_inverse", f"{type(inverse).__name__} (its J#)", None

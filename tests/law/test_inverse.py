@@ -1,6 +1,4 @@
-"""damped and transpose against NumPy; what each inverse says of singularity."""
-
-import itertools
+"""pseudoinverse and damped against NumPy; what each inverse says of singularity."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ import pytest
 import cnclik as ck
 from tests.oracles import close
 
-INVERSES = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.2), "transpose": ck.transpose()}
+INVERSES = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.2)}
 
 
 @jax.jit
@@ -22,8 +20,6 @@ def apply(inverse, a, v):
 def wanted_matrix(name, a):
     if name == "pseudoinverse":
         return np.linalg.pinv(a)
-    if name == "transpose":
-        return a.T
     return a.T @ np.linalg.inv(a @ a.T + 0.2**2 * np.eye(len(a)))
 
 
@@ -35,7 +31,7 @@ LONG = {(6, 6), (6, 4)}  # compile for seconds as a pseudoinverse; those of 3 ro
     ("name", "shape"),
     [
         *(pytest.param("pseudoinverse", s, marks=pytest.mark.slow if s in LONG else ()) for s in SHAPES),
-        *itertools.product(("damped", "transpose"), [(1, 3), (2, 2), (3, 2), (6, 6)]),
+        *(("damped", s) for s in [(1, 3), (2, 2), (3, 2), (6, 6)]),
     ],
     ids=str,
 )

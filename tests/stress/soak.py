@@ -30,7 +30,7 @@ from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
 from cnclik.tuning import Descent
 
-INVERSES = (ck.pseudoinverse, lambda: ck.damped(0.05), ck.transpose)
+INVERSES = (ck.pseudoinverse, lambda: ck.damped(0.05))
 GROWTH = 1.05  # of the median of the last third over that of the second
 
 
