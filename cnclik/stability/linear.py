@@ -130,7 +130,7 @@ def stability_region(method: MethodLike, M=None, *, real=(-2.0, 4.0), imaginary=
     method, M = named(method), passes_of(M)
     points = errors.integer("points", points, at_least=2, at_most=10_000)
     ends = (np.asarray(errors.array(name, v, (2,)), float) for name, v in (("real", real), ("imaginary", imaginary)))
-    x, y = (np.linspace(*pair, points) for pair in ends)
+    x, y = (np.linspace(low, high, points) for low, high in ends)
     return xr.DataArray(
         np.abs(amplification(method, x + 1j * y[:, None], M)),
         dims=("im", "re"),
