@@ -20,7 +20,7 @@ from cnclik.writing import output_folder
 
 GAINS = ("largest_stable", "without_overshoot", "recommended")
 CHART_TS = (1e-3, 2e-2)  # [s], of --chart
-CHART_POINTS = 9
+CHART_POINTS = 13
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -302,7 +302,7 @@ def _chart(args, out, loop):
         )  # fmt: skip
     _write(out, "gains.nc", data, table(args))
     lag = drive_in_words(dataclasses.replace(drive, delay=0.0, measurement_delay=0), Ts)
-    title = f"{describe(loop['method'], loop['M'])}, {lag}"
+    title = textwrap.fill(f"{describe(loop['method'], loop['M'])}, {lag}", 60)
     operating = (Ts, drive.lumped.delay * Ts)
     return {"gains.png": (drawn_by("stability", "gains", data, title=title, operating=operating), {"Title": title})}
 
@@ -369,6 +369,7 @@ def _map(args, out, loop):
                 **same,
             )
         _write(out, "passes.nc", strip, table(args))
+        name = f"{found.name}, {found.method.name}"
         figures["passes.png"] = drawn_by("stability", "passes", {name: strip}), {"Title": name} | described
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
