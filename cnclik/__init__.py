@@ -1,8 +1,8 @@
 """cnclik: closed-loop inverse kinematics as a time-stepping problem.
 
-A robot (`load_urdf`, `planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), many of them
-studied (`sweep`), judged (`recommend`) and tuned (`tune`); and joint values for targets (`reach`). Pure functions over
-frozen records; jit, vmap and grad go through everything.
+A robot (`load_urdf`, `planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), gains that are
+safe (`gains`, `advise`), many loops at once (`sweep`), loops that are tuned (`tune`); and joint values for targets
+(`reach`). Pure functions over frozen records; jit, vmap and grad go through everything.
 """
 
 import lazy_loader

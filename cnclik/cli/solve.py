@@ -51,8 +51,7 @@ def run(args: Args) -> None:
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
-    late = heading.drive_words(made) or heading.dead_time(made)
-    loop = "; ".join(filter(None, (heading.loop_in_words(made, args.written), along, late)))
+    loop = "; ".join(filter(None, (heading.loop_in_words(made, args.written), along, heading.drive_words(made))))
     where = heading.start_and_target(made, table(args))
     facts = _summary(made, trajectory, time_per_step)
     answer = as_options(f"{judged.sentence[0].upper()}{judged.sentence[1:]}")

@@ -20,7 +20,7 @@ from cnclik.writing import output_folder
 
 GAINS = ("largest_stable", "without_overshoot", "recommended")
 CHART_TS = (1e-3, 2e-2)  # [s], of --chart
-CHART_POINTS = 9
+CHART_POINTS = 13
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -142,7 +142,8 @@ def _loop(args) -> dict:
 
 def _answer(args, loop) -> None:
     """Print the gains, what the recommended one costs, what the given one does, and the same loop elsewhere."""
-    from cnclik.stability.gain import drive_in_words, gains, in_words
+    from cnclik.integrate.drive import drive_in_words
+    from cnclik.stability.gain import gains, in_words
     from cnclik.stability.linear import describe
 
     found = gains(**loop)
@@ -288,7 +289,8 @@ def _plane(args, out, loop):
 def _chart(args, out, loop):
     import numpy as np
 
-    from cnclik.stability.gain import assumed_drive, drive_in_words, gain_table
+    from cnclik.integrate.drive import drive_in_words
+    from cnclik.stability.gain import assumed_drive, gain_table
     from cnclik.stability.linear import describe
 
     Ts, drive = loop["Ts"], loop["drive"] or assumed_drive(loop["Ts"])
@@ -302,7 +304,7 @@ def _chart(args, out, loop):
         )  # fmt: skip
     _write(out, "gains.nc", data, table(args))
     lag = drive_in_words(dataclasses.replace(drive, delay=0.0, measurement_delay=0), Ts)
-    title = f"{describe(loop['method'], loop['M'])}, {lag}"
+    title = textwrap.fill(f"{describe(loop['method'], loop['M'])}, {lag}", 60)
     operating = (Ts, drive.lumped.delay * Ts)
     return {"gains.png": (drawn_by("stability", "gains", data, title=title, operating=operating), {"Title": title})}
 
@@ -312,64 +314,45 @@ def _has_passes(loop):
     return loop["method"].implicit and loop["drive"] is None
 
 
-def titled(words, found):
-    """The title of a map: these words, and the drives of its loops."""
-    from cnclik.problem.heading import drive_words
-
-    return f"{words}\n{textwrap.fill(drive_words(found) or 'drives without delay', 60)}"
-
-
 def _map(args, out, loop):
     import numpy as np
 
+    from cnclik.integrate.drive import Drive, drive_in_words
     from cnclik.measure.dataset import as_json
     from cnclik.problem.names import require_free
     from cnclik.stability.linear import describe
     from cnclik.stability.maps import largest_stable, stability_map
 
     args.robot = args.robot or "planar-clockwise:1,1,1,1,1"
-    begun, found = time.perf_counter(), problem(args, target=args.target)
+    begun, found, drive = time.perf_counter(), problem(args, target=args.target), loop["drive"] or Drive()
     require_free(found.law.chain, found.law.task)
-    rate, driven = float(np.max(np.asarray(found.law.alpha))), {} if found.drive is None else {"drive": found.drive}
-    limit = min(
-        largest_stable(found.method, found.stage, **({"drive": loop["drive"]} if driven else {}), Ts=found.Ts),
-        20 / found.Ts,
-    )
+    rate, N = float(np.max(np.asarray(found.law.alpha))), args.N or (400 if loop["drive"] else 100)
+    limit = min(largest_stable(found.method, found.stage, drive, Ts=found.Ts), 20 / found.Ts)
     # The gain and the sampling time each cover half the ratio to the limit, so that both reach it in the picture.
     half = np.sqrt(limit / rate)
     alphas, times = (
         np.geomspace(*(given or (now * min(1, half) / 3, now * max(1, half) * 3)), args.cells)
         for given, now in ((args.alpha_range, rate), (args.Ts_range, found.Ts))
     )
-    same = dict(method=found.method, stage=found.stage, tolerance=args.tolerance)
-    N = args.N or (400 if driven else 100)
-    with progress.bar("loops") as report:
-        data = stability_map(
-            found.law, found.reference, found.q0, alpha=alphas, Ts=times, N=N, progress=report, **same, **driven
-        )
-    _write(out, "map.nc", data, table(args))
-    name = f"{found.name}, {describe(found.method, loop['M'])}"
-    described = {"Description": as_json(table(args))}
-    drawn = drawn_by(
-        "stability", "stability_map", data, title=titled(f"{name}, N = {N}", found), operating=(rate, found.Ts)
-    )
-    figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | described)}
-    if _has_passes(loop):
-        z, some = np.linspace(0.02, 3.0, 2 * args.cells), np.arange(max(args.passes) + 1)
+
+    def simulated(file, **axes):
         with progress.bar("loops") as report:
-            strip = stability_map(
-                found.law,
-                found.reference,
-                found.q0,
-                alpha=z / found.Ts,
-                Ts=found.Ts,
-                M=some,
-                N=N,
-                progress=report,
-                **same,
-            )
-        _write(out, "passes.nc", strip, table(args))
-        figures["passes.png"] = drawn_by("stability", "passes", {name: strip}), {"Title": name} | described
+            data = stability_map(
+                found.law, found.reference, found.q0, method=found.method, stage=found.stage, drive=drive, N=N,
+                tolerance=args.tolerance, progress=report, **axes,
+            )  # fmt: skip
+        _write(out, file, data, table(args))
+        return data
+
+    data, about = simulated("map.nc", alpha=alphas, Ts=times), {"Description": as_json(table(args))}
+    title = f"{found.name}, {describe(found.method, loop['M'])}, N = {N}\n"
+    title += textwrap.fill(drive_in_words(drive, found.Ts), 60)
+    drawn = drawn_by("stability", "stability_map", data, title=title, operating=(rate, found.Ts))
+    figures = {"map.png": (drawn, {"Title": f"stability map, {found.name}"} | about)}
+    if _has_passes(loop):
+        z, title = np.linspace(0.02, 3.0, 2 * args.cells), f"{found.name}, {found.method.name}"
+        strip = simulated("passes.nc", alpha=z / found.Ts, Ts=found.Ts, M=np.arange(max(args.passes) + 1))
+        figures["passes.png"] = drawn_by("stability", "passes", {title: strip}), {"Title": title} | about
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     print(f"{endings.size:,} loops in {time.perf_counter() - begun:.1f} s.")

@@ -67,7 +67,7 @@ def run(args: Args) -> None:
     made = _problem(args)
     asked = _asked(args, made)
     from cnclik import tuning
-    from cnclik.problem.heading import dead_time, name_and_tip, robot_and_task, start_and_target
+    from cnclik.problem.heading import drive_words, name_and_tip, robot_and_task, start_and_target
     from cnclik.tuning.page import CAPTIONS, page_rows
 
     if args.figures:
@@ -91,7 +91,7 @@ def run(args: Args) -> None:
         text = tuning.page(found, name, seconds=seconds, figures=shown)
         folder.write_text("summary.md", text)
     heading = [
-        f"{robot_and_task(made.name, made.tip, made.law.task)}, Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
+        f"{robot_and_task(made.name, made.tip, made.law.task)}, Ts {1e3 * made.Ts:g} ms, {drive_words(made)}.",
         *start_and_target(made, table(args)),
         *_assumed(made),
     ]

@@ -223,6 +223,30 @@ def check_drive(drive, chain) -> Drive:
     return drive
 
 
+def drive_in_words(drive: Drive, Ts: float) -> str:
+    """Return a drive in words: "17 samples (34 ms) of dead time, a lag of 100 ms"."""
+    words = [f"{quantities.in_samples(drive.delay, Ts)} of dead time"] * bool(drive.delay)
+    words += [f"measured {quantities.in_samples(drive.measurement_delay, Ts)} late"] * bool(drive.measurement_delay)
+
+    def span(value, unit, scale=1.0):
+        low, high = (scale * float(pick(np.asarray(value, float))) for pick in (np.min, np.max))
+        return f"{low:.4g}{'' if low == high else f' to {high:.4g}'} {unit}".rstrip()
+
+    if drive.order == 1:
+        words.append(f"a lag of {span(drive.lag, 'ms', 1e3)}")
+    if drive.order == 2:
+        words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
+    words += ["position commands"] * drive.steps_positions
+    words += {
+        "measured": [],
+        "commanded": ["own commands as feedback"],
+        "rebased": ["commands from the measured joints"],
+    }[drive.feedback]
+    if drive.filters:
+        words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
+    return ", ".join(words) or "ideal drives"
+
+
 # --- sampled ------------------------------------------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ from cnclik import errors
 from cnclik.record import with_jax
 
 if TYPE_CHECKING:
-    from cnclik.integrate.stage import Count
+    from cnclik.integrate.stage import Count  # a method alone needs no JAX
 
 ROUNDING = 1e-9  # rounding of weights written as decimals
 

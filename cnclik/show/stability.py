@@ -89,12 +89,16 @@ def gains(data, *, title="", operating=None):
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
     x, y, values = 1e3 * data.Ts.values, 1e3 * data.dead_time.values, data.recommended.values.T
-    shown = axis.pcolormesh(x, y, values, norm=LogNorm(), cmap=RATES, shading="gouraud", rasterized=True)
-    figure.colorbar(shown, ax=axis, label="recommended gain α [1/s]", fraction=0.05)
-    low, high = values.min(), values.max()
-    levels = [m * 10.0**k for k in range(-3, 4) for m in (1, 2, 5) if low < m * 10.0**k < high]
-    lines = axis.contour(x, y, values, levels=levels, colors="black", linewidths=0.8)
-    axis.clabel(lines, fmt=lambda v: f"{v:g}", fontsize=6.5)
+    values = np.ma.masked_equal(values, 0.0)  # no gain is recommended there
+    low, high = (values.min(), values.max()) if values.count() else (1.0, 1.0)
+    levels = sorted({v for gain in np.geomspace(low, high, 8) if low < (v := float(f"{gain:.2g}")) < high})
+    shown = axis.pcolormesh(x, y, values, norm=LogNorm(), cmap=RATES, shading="nearest", rasterized=True)
+    bar = figure.colorbar(shown, ax=axis, label="recommended gain α [1/s]", fraction=0.05)
+    bar.set_ticks(levels, labels=[f"{v:g}" for v in levels])
+    bar.minorticks_off()
+    if levels:
+        lines = axis.contour(x, y, values, levels=levels, colors="black", linewidths=0.8)
+        axis.clabel(lines, fmt=lambda v: f"{v:g}", fontsize=6.5)
     if operating is not None:
         Ts, late = operating
         axis.plot(
@@ -118,7 +122,7 @@ def passes(panels):
         for row, limit in zip(rows, data.limit.values * float(data.Ts), strict=True):
             if np.isfinite(limit):
                 axis.plot([limit, limit], [row - 0.5, row + 0.5], **style.OUTLINED)
-        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values, xlim=z[[0, -1]])
+        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values.astype(int), xlim=z[[0, -1]])
     axes[0, 0].set_ylabel("iterations M")
     figure.colorbar(mesh, ax=axes[0, -1], label="error factor per step", fraction=0.05)
     _legend(figure, panels.values())

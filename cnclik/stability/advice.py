@@ -15,6 +15,7 @@ from cnclik.law.walls import names_of, rate_of
 from cnclik.precision import of_numbers
 from cnclik.record import Number, record
 from cnclik.stability.gain import Gains, Response, gains, in_words
+from cnclik.stability.linear import passes_of
 
 ROUNDING = 1e-9  # relative excess of a gain that is none
 
@@ -119,7 +120,7 @@ def advise(
             "tasks, posture and limits, or give the fast joints the slow joints' lag"
         )
         raise errors.fail("drive", must, "differs from joint to joint")
-    loop = gains(Ts=Ts, drive=drive, method=method, M=stage)
+    loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
     euler = gains(Ts=Ts, drive=drive, method="EE") if any(kind in _OF_VELOCITIES for _, kind, _ in rates) else loop
     return Advice(
         gains=loop,

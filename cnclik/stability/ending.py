@@ -265,7 +265,7 @@ class _Case:
         if over and not remedy:
             change, remedy = (
                 {"limits": "velocity_scaling"},
-                "velocity_scaling() or bounded() keeps joint velocities within limits",
+                "limits=velocity_scaling() or limits=bounded() keeps joint velocities within their limits",
             )
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
         return Verdict(
@@ -388,8 +388,8 @@ class _Case:
             if len(near):
                 speed = float(np.max(np.asarray(self.law.alpha, float)) * self.size()[near[0]])
                 damping = float(f"{speed / (2 * np.min(np.array(self.law.chain.velocity_limit, float))):.1g}")
-                words = f"near the singularity use damped({damping:g}), which keeps joint velocities below |v|/(2 λ)"
-                return {"damping": damping}, words
+                words = f"near the singularity use inverse=damped({damping:g})"
+                return {"damping": damping}, f"{words}, which keeps joint velocities below |v|/(2 λ)"
         return {}, ""
 
     def _calmer(self, error):

@@ -2,7 +2,7 @@
 
 No robot is asked: each rate of the loop is a weighted mean of its gains, so one scalar loop decides for every robot,
 posture, task and stack, see `cnclik.stability.poles`. A drive limits the share s = 1 − R(z) of an error that a step may
-remove, and a method says which gain removes it.
+remove, and a method gives the gain that removes it.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import MOST, Drive
+from cnclik.integrate.drive import MOST, Drive, drive_in_words
 from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
-from cnclik.quantities import in_samples
 from cnclik.record import Number, replace
 from cnclik.stability.linear import REACH, describe, first_beyond, gain_removing, passes_of, removed
 from cnclik.stability.poles import LONGEST, SETTLED, ScalarLoop, crossings, frequencies, scalar_loop, within
@@ -140,6 +139,9 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
     Returns: `Gains`; one with a recommended gain of 0 where no gain is safe, see its `reason`.
     Raises: ArgumentError for values that do not fit.
     """
+    for name, values in (("Ts", [Ts]), ("drive", vars(drive).values() if isinstance(drive, Drive) else [])):
+        if not all(map(errors.concrete, values)):
+            raise errors.fail(name, "hold numbers", "is traced by JAX: call gains outside of jit, vmap and grad")
     Ts, method, M = float(errors.number("Ts", Ts, positive=True)), named(method), passes_of(M)
     assumed = drive is None
     drive = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
@@ -337,31 +339,6 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
 def in_words(alpha: float) -> str:
     """Return a gain as text: "10.04", "any" or "none"."""
     return "none" if alpha == 0 else f"{alpha:.4g}" if alpha < np.inf else "any"
-
-
-def drive_in_words(drive: Drive, Ts: float) -> str:
-    """Return a drive in words: "17 samples (34 ms) of dead time, a lag of 100 ms"."""
-    late, words = drive.lumped.delay, []
-    if late or drive.prompt:
-        words.append(f"{in_samples(late, Ts)} of dead time" if late else "ideal drives")
-
-    def span(value, unit, scale=1.0):
-        low, high = (scale * float(pick(np.asarray(value, float))) for pick in (np.min, np.max))
-        return f"{low:.4g}{'' if low == high else f' to {high:.4g}'} {unit}".rstrip()
-
-    if drive.order == 1:
-        words.append(f"a lag of {span(drive.lag, 'ms', 1e3)}")
-    if drive.order == 2:
-        words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
-    words += ["position commands"] * drive.steps_positions
-    words += {
-        "measured": [],
-        "commanded": ["own commands as feedback"],
-        "rebased": ["commands from the measured joints"],
-    }[drive.feedback]
-    if drive.filters:
-        words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
-    return ", ".join(words)
 
 
 def _no_gain(drive: Drive, Ts: float) -> str:

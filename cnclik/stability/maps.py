@@ -82,7 +82,7 @@ def outcomes(
     start = flat(q0, tail=q0.shape[-1:])
     if M is not None:
         M = flat(M, int)
-        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))
+        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))  # type: ignore[attr-defined]
 
     def one(q0, factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
@@ -159,7 +159,8 @@ def stability_map(
     loops = outcomes(law, reference, q0, **(values | grid), method=method, stage=stage, drive=drive, N=N, **options)
     of_limit = [name for name in axes if name != "alpha"]
     limit = np.vectorize(
-        lambda M, Ts: largest_stable(method, stage if M is None else int(M), drive, Ts=Ts), otypes=[float]
+        lambda M, Ts: largest_stable(method, stage if M is None else replace(stage, M=int(M)), drive, Ts=Ts),
+        otypes=[float],
     )
     each = [values[name] for name in of_limit]
     at = dict(zip(of_limit, np.meshgrid(*each, indexing="ij"), strict=True))
