@@ -69,7 +69,7 @@ class Problem(NamedTuple):
         """
         across, squares = step.between(walls.rows, walls.rows), walls.rows * walls.rows
         alone = squares @ (1.0 / (jnp.sum(self.b * self.b, axis=0) + self.shift)) + _LEVER**2 / self.shift
-        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.diagonal(across), alone) * walls.slack
+        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.diagonal(across), alone)
         return self._replace(walls=walls, soft=soft, raised=soft * push), across
 
     def missing(self, qdot):
@@ -267,10 +267,10 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
 
 
-def on_face(of: Problem, walls: Rows | None, shut, push, qdot):
+def on_face(of: Problem, walls: Rows | None, shut, push):
     """(violations, as a function of q̇; Newton's step) with these joints locked, behind the walls that push."""
     step = newton(of.hessian(), shut)
-    face, across = (of, None) if walls is None else of.behind(walls.holding(lax.stop_gradient(qdot)), step)
+    face, across = (of, None) if walls is None else of.behind(walls, step)
     return face.missing, face.newton(step, push, across)
 
 
@@ -318,7 +318,7 @@ class Bounded:
             # walls. Multipliers of walls that contradict grow in each round, so it makes its own, with derivatives.
             # After a descent that was cut short only its derivatives are used.
             qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
-            missing, solve = on_face(of, walls, shut, push, found.qdot)
+            missing, solve = on_face(of, walls, shut, push)
             step, _ = solve(of.slope(qdot), missing(qdot), _ROUNDS)
             step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
             return of.clip(qdot + step), shut.astype(unlimited.dtype), ~found.settled, push
@@ -326,7 +326,7 @@ class Bounded:
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
             (even, of), locks = scaled(), shut > 0
-            _, step = on_face(of, walls, locks, push, qdot)
+            _, step = on_face(of, walls, locks, push)
             first, _ = step((even * t) @ of.b, still)
             missing = None if walls is None else -walls.rows @ first
             return first + step((even * t - of.b @ first) @ of.b - of.shift * first, missing)[0]

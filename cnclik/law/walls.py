@@ -10,14 +10,12 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import positive
-from cnclik.record import AnyArray, Array, ArrayLike, Float, Number, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import modelled, one_off
 from cnclik.task.build import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows
-
-SLACK = {8: 1e4, 4: 10.0}  # of level 2, by the bytes of a float: with more, multipliers would need more descents
 
 
 class Rows(NamedTuple):
@@ -25,22 +23,15 @@ class Rows(NamedTuple):
 
     rows: Float[Array, "k n"]
     floor: Float[Array, " k"]
-    slack: Float[AnyArray, " k"]  # factor of each softness, by the wall's level
 
     def size(self, qdot):
         """(k,) size of the terms of each violation, for its rounding."""
         return jnp.abs(self.floor) + jnp.abs(self.rows) @ jnp.abs(qdot)
 
     def missed(self, qdot):
-        """(k,) whether walls are violated by more than the softness of level 1 allows."""
+        """(k,) whether walls are violated by more than their softness allows."""
         size = self.size(qdot)
         return self.floor - self.rows @ qdot > 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
-
-    def holding(self, qdot):
-        """With the softness of level 1 for walls of level 2 that hold: they give way to none."""
-        if np.all(self.slack == 1):
-            return self
-        return self._replace(slack=jnp.where(self.missed(qdot), self.slack, np.ones_like(self.slack)))
 
 
 @record
@@ -51,7 +42,6 @@ class Wall:
     normal: Float[Array, " m"]
     offset: Number
     rate: Number | None
-    level: int = 1
     name: str = ""
 
     def on(self, chain) -> Wall:
@@ -80,8 +70,7 @@ def rows_at(walls, rate, chain, q) -> Rows:
     """The rows of all walls at q. Args: rate: for walls without their own."""
     robot = At(modelled(chain), q)
     floor = jnp.stack([-rate_of(wall, rate) * wall.distance(robot) for wall in walls])
-    slack = np.array([SLACK[floor.dtype.itemsize] ** (wall.level - 1) for wall in walls], floor.dtype)
-    return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor, slack)
+    return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
 
 
 def wall(
@@ -91,7 +80,6 @@ def wall(
     below: Number | None = None,
     normal: Float[ArrayLike, " m"] | None = None,
     rate: Number | None = None,
-    level: int = 1,
     name: str = "",
 ) -> Wall:
     """A wall for `bounded(walls=[...])`: the coordinate of a task stays above, or below, a number.
@@ -110,8 +98,6 @@ def wall(
       above, below: one of them [unit of the coordinate].
       normal: (m,) for several coordinates: the wall is about normal·x; with unit length h is a distance.
       rate: [1/s], at most 1/Ts; None: the rate of `bounded`. See `exponential_rate`.
-      level: 1 or 2. Where walls contradict each other, those of level 2 give way: one is missed by 10,000 times as much
-        as the opposite wall of level 1 (in float32 by 10 times).
       name: name of the wall in messages and results; default: its number.
     """
     task = errors.kind("task", task, Task)
@@ -128,8 +114,7 @@ def wall(
     offset = errors.number("above", above) if below is None else -errors.number("below", below)
     normal = normal if below is None else -normal
     rate = None if rate is None else positive("rate", rate)
-    level = errors.integer("level", level, at_least=1, at_most=2)
-    return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, level=level, name=str(name))
+    return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
 
 
 def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray, "*lanes k"]:
@@ -148,7 +133,6 @@ def support_polygon(
     relative_to: str | None = None,
     margin: Number = 0.0,
     rate: Number | None = None,
-    level: int = 1,
     name: str = "",
 ) -> tuple[Wall, ...]:
     """Walls that keep the centre of mass above the feet: one for each edge of the convex hull of their corners.
@@ -160,7 +144,7 @@ def support_polygon(
       corners: (k, 2) corners of all feet on the ground [m], in any order.
       relative_to: the tip in whose frame they are given; None: the base.
       margin: distance that is kept from the edges [m].
-      rate, level: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
+      rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
     """
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
     hull = _hull(points)
@@ -174,7 +158,7 @@ def support_polygon(
     found = []
     for i, (normal, a) in enumerate(zip(normals, hull, strict=True)):
         edge = f"{name}_{i + 1}" if name else ""
-        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, level=level, name=edge))
+        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, name=edge))
     return tuple(found)
 
 

@@ -151,7 +151,6 @@ OF_WALL = {  # one wall of a stack: a table in the stack's file
     "margin": Option(NUMBER, "Additional distance from the bound [rad, m].", unit="q", must="at least 0"),
     "rate": Option(NUMBER, "Rate at which the wall may be approached [1/s]; default: --limit-rate.", unit="1/s",
                    must="positive"),
-    "level": Option(INTEGER, "1, or 2 for a wall that gives way where walls contradict; default: 1.", must="positive"),
 }  # fmt: skip
 OF_SHAPE = {  # a point, a sphere, a capsule, or a half-space
     "tip": Option(NAME, "Tip that carries the shape; without one it is fixed in the base frame."),

@@ -295,7 +295,7 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
     for kind, others in _EXTRA.items():
         if kind in given and (extra := [key for key in others if key in given]):
             raise errors.fail(extra[0], f"be left out of a wall with `{kind}`", f"is {given[extra[0]]!r}")
-    kept = {key: given[key] for key in ("rate", "level") if key in given}
+    kept = {"rate": given["rate"]} if "rate" in given else {}
     margin = errors.number("margin", given.get("margin", 0.0), at_least=0)
     if "corners" in given:
         corners = errors.array("corners", given["corners"], (None, 2), (None,))

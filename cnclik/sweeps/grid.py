@@ -23,7 +23,7 @@ MOST_PROGRAMS = 1000  # combinations of compiled-in values, at most; each takes 
 MOST_BLOCKS = 1_000_000  # at most; each is some files in a store
 LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
 COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
-LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level and walls.NAME.level
+LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level
 COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
 
