@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
+from cnclik.cli.common import ComputeOptions, as_options, print_table
 from cnclik.cli.problem import DriveOptions, LoopOptions, RobotOptions, TaskOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.problem.options import DRIVE
@@ -19,7 +19,7 @@ from cnclik.writing import output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, DriveOptions, LoopOptions, TaskOptions, RobotOptions):
     """Without any option of the drives, 30 ms of dead time and a lag of 100 ms are assumed. Give --delay 0 for drives
     that follow at once."""
 
@@ -63,12 +63,10 @@ def run(args: Args) -> None:
     _check(args)
     folder = args.out or pathlib.Path("stability-out")
     if not (args.plane or args.map):
-        advised = _advice(args, *_loop(args))
-        _tell(args, advised)
-        _report(args, {}, advised)
+        _tell(args, _advice(args, *_loop(args)))
         return
     load_ahead("cnclik.show.style")
-    figures, advised = {}, None
+    figures = {}
     loop: tuple = _loop(args) if args.map else ()
     files = ["plane.nc", "plane.md", "plane.png"] * args.plane + ["map.nc", "map.png"] * args.map
     if args.map and not loop[0].law.task.tasks and _has_passes(loop[0]):
@@ -77,13 +75,9 @@ def run(args: Args) -> None:
         if args.plane:
             figures |= _plane(args, out)
         if args.map:
-            drawn, advised = (_map_of_gains if loop[0].law.task.tasks else _map)(args, out, *loop)
-            figures |= drawn
-    written = out.made
-    with args.figures_first():
-        written += draw(figures, folder, overwrite=args.overwrite)
+            figures |= (_map_of_gains if loop[0].law.task.tasks else _map)(args, out, *loop)
+    written = out.made + draw(figures, folder, overwrite=args.overwrite)
     print(f"Wrote {', '.join(sorted(written))} to {folder}/.")
-    _report(args, figures, advised)
 
 
 def _check(args):
@@ -254,7 +248,7 @@ def _map(args, out, found, rest):
     inside = agreement(endings, data.alpha.values, data.limit.values[:, None])
     seconds = time.perf_counter() - begun
     print(f"{endings.size:,} loops in {seconds:.1f} s; {inside:.2%} end as the linear stability limit predicts.")
-    return figures, advised
+    return figures
 
 
 def _map_of_gains(args, out, found, rest):
@@ -279,7 +273,7 @@ def _map_of_gains(args, out, found, rest):
     title = titled(f"{answer.name_of(found)}, Ts = {1e3 * found.Ts:g} ms", found)
     drawn = drawn_by("stability", "gains", data, title=title, operating=now)
     about = {"Title": f"map of gains, {found.name}", "Description": as_json(table(args))}
-    return {"map.png": (drawn, about)}, advised
+    return {"map.png": (drawn, about)}
 
 
 def _with_gains(names, said):
@@ -299,41 +293,3 @@ def _with_gains(names, said):
 def _range(given, now, half):
     """The given range, or from a third of the present value to three times the value half the way to the boundary."""
     return given if given is not None else (now * min(1, half) / 3, now * max(1, half) * 3)
-
-
-# --- the report ---------------------------------------------------------------------------------------
-
-
-def _report(args, figures, advised):
-    """The page: the advice, and the recommended gain beside one that is too large, on the robot."""
-    if args.report is None:
-        return
-    if advised is None:
-        args.write_report("Stability regions", "A step is stable where |R(z)| ≤ 1, z = alpha·Ts.", figures=figures)
-        return
-    from cnclik.show.viewer.advised import advised_runs
-    from cnclik.stability import answer
-
-    found, _, said = advised
-    best = f"Recommended: alpha = {answer.or_any(said.recommended_alpha)} 1/s: {said.reason}."
-    with progress.bar("runs"):
-        runs = advised_runs(*advised)
-        motions = args.motions(found.law, *((run, {"name": name, "radius": radius}) for name, run, radius in runs))
-    if not figures:
-        from cnclik.show.report_figures import errors_beside
-
-        figures = {"errors.svg": (lambda: errors_beside(motions), {"Title": "errors"})}
-    lines = (line for line in answer.lines_of(found, said, args.written) if not line.startswith("Recommended"))
-    args.write_report(
-        answer.title_of(found),
-        best,
-        tables=answer.tables_of(found, said, args.written),
-        lines=[*map(as_options, (*said.notes, *lines))],
-        figures=figures,
-        captions={
-            "errors": "The errors of all tasks, each joint begun a little away from where the loop rests."
-            if said.stack
-            else "The error of a step to the target."
-        },
-        motions=lambda: motions,
-    )

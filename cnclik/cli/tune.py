@@ -9,7 +9,7 @@ from pathlib import Path
 from cnclik import errors
 from cnclik.cli import common, progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.quantities import SAMPLES
 from cnclik.show.output import draw, load_ahead
@@ -20,7 +20,7 @@ _SHAPES = ("as-given", "scalar", "per-axis", "matrix")
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Tune the loop that these options describe. Writes tuned.json, figures and summary.md."""
 
     N: int = 200
@@ -68,7 +68,7 @@ def run(args: Args) -> None:
     asked = _asked(args, made)
     from cnclik import tuning
     from cnclik.problem.heading import dead_time, name_and_tip, robot_and_task, start_and_target
-    from cnclik.tuning.page import CAPTIONS, page_rows
+    from cnclik.tuning.page import CAPTIONS
 
     if args.figures:
         load_ahead("cnclik.show.style")
@@ -83,12 +83,11 @@ def run(args: Args) -> None:
         data = {"cnclik": __version__} | tuning.to_json(found, config=_config(args))
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
         drawn = {}
-        if args.figures or args.report:
+        if args.figures:
             from cnclik.show.tuning import drawings
 
             drawn = drawings(found)
-        name, shown = name_and_tip(made.name, made.tip), tuple(drawn) if args.figures else ()
-        text = tuning.page(found, name, seconds=seconds, figures=shown)
+        text = tuning.page(found, name_and_tip(made.name, made.tip), seconds=seconds, figures=tuple(drawn))
         folder.write_text("summary.md", text)
     heading = [
         f"{robot_and_task(made.name, made.tip, made.law.task)}, Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
@@ -99,22 +98,9 @@ def run(args: Args) -> None:
     print(text.split("\n## Figures")[0].rstrip().replace(found.why, common.as_options(found.why)))
     about = json.dumps(data["config"])
     figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
-    written = []
-    with args.figures_first(), progress.bar("figures") as report:
-        written = draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
+    with progress.bar("figures") as report:
+        written = draw(figures, args.out, progress=report, overwrite=args.overwrite)
     print(f"\nWrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
-    facts = page_rows(found, seconds)
-    values = "; ".join(f"{name} = {text}" for name, text in facts[: len(found.parameters)])
-    args.write_report(
-        f"{'Tuned' if found.satisfied else 'Not tuned'}: {made.name}",
-        f"{found.why} {values}.",
-        facts=[("asked", " ".join(heading)), *facts],
-        figures=figures,
-        captions=CAPTIONS,
-        motions=lambda: args.motions(
-            found.law, (found.after.run, {"name": "as tuned"}), (found.before.run, {"name": "before"})
-        ),
-    )
     if not found.satisfied:
         sys.exit(1)
 
