@@ -24,7 +24,7 @@ VERBS = {
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
     "tune": "tune gains by gradient under a stability margin: tuned.json, figures, one-page summary",
-    "view": "show a robot and its loop in a browser with sliders, play a finished run, or write a moving page",
+    "view": "play a run in a browser: the robot by its meshes, targets, walls, a slider over time",
     "export": "write a step of the loop as C for a controller: header, source, test vectors, README",
 }
 

@@ -5,7 +5,6 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
-from cnclik import markup
 from cnclik.measure.outcome import Ending
 from cnclik.show import style
 from cnclik.show.sweeps.panels import geometric
@@ -120,7 +119,7 @@ def gains(data, *, title="", operating=None):
     radii(axis, x, y, np.maximum(data.radius.values, 1e-12), limit)
     line = plt.Line2D([], [], color="black", linewidth=1.4, label="stability limit at this posture")
     drawn = [line] if len(limit) else []
-    bounds = (("stable", markup.LOST, "stability limit at any"), ("recommended", markup.FINE, "recommended at any"))
+    bounds = (("stable", style.LOST, "stability limit at any"), ("recommended", style.FINE, "recommended at any"))
     for name, color, label in bounds:
         most = data.attrs[name]
         if np.isfinite(most):

@@ -77,7 +77,6 @@ CHOICES = {
     },
     "name": ("clik_step", "example", "NULL", "int", "a/b"),
     "near": ("0", "-90", "1e9", "90deg", "nan", "3.2", "previous"),
-    "html": ("one.html", "none/one.html"),
     "reading": ("on-path/once/consistent", "printed/twice/printed"),
 }
 
@@ -206,7 +205,7 @@ def _until_traced():
     try:
         with (
             mock.patch("cnclik.show.output.draw", reached),
-            mock.patch("cnclik.show.viewer.need.server", reached),
+            mock.patch("cnclik.show.viewer.front._server", reached),
             mock.patch("cnclik.sweeps.program.fit", reached),
         ):
             yield
