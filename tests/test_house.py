@@ -16,7 +16,7 @@ import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
-    *("errors", "markup", "record", "programs", "cache", "hints", "precision", "threads"),
+    *("errors", "record", "programs", "cache", "hints", "precision", "threads"),
     *("reading", "writing", "version", "quantities"),
 )
 BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone

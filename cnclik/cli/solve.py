@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
+from cnclik.cli.common import ComputeOptions, as_options, print_table
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud, plainly
@@ -15,7 +15,7 @@ from cnclik.writing import Refused, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did. The loop
     has one task, or several:
 
@@ -63,36 +63,21 @@ def run(args: Args) -> None:
         print_table(facts, box=None, padding=(0, 2, 0, 0))
     if refused is not None:
         raise refused
-    figures = _figures(data, made) if args.figures or args.report else {}
-    with args.figures_first(), progress.bar("figures") as report:
-        written += draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
+    with progress.bar("figures") as report:
+        figures = _figures(data, made) if args.figures else {}
+        written += draw(figures, args.out, progress=report, overwrite=args.overwrite)
     if not args.json:
         print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
-    args.write_report(
-        title,
-        answer,
-        facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
-        figures=figures,
-        captions=_CAPTIONS,
-        motions=lambda: args.motions(made.law, (trajectory, {"note": answer})),
-        dtype=str(trajectory.q.dtype),
-    )
 
 
-_CAPTIONS = {
-    "joints": "Joint values over time; dashed: a limit that is near.",
-    "error": "Norm of the error over time.",
-    "velocities": "Joint velocities, constant during each step; dashed: a limit that is near.",
-    "status": "Status of each step; an empty row means that no step had it.",
-    "tip": "Path of the tip and of its target in the base frame.",
-}
+_FIGURES = ("joints", "error", "velocities", "status", "tip")
 
 
 def _kept(made, args, config):
     """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
 
-    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
+    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _FIGURES]
     whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
     data = refused = None
     try:
@@ -166,7 +151,7 @@ def _figures(data, made) -> dict:
             functools.partial(pictures.KINDS[kind], data, made.law.chain),
             {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
         )
-        for kind in _CAPTIONS
+        for kind in _FIGURES
     }
 
 

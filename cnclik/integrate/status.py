@@ -63,7 +63,7 @@ def names(status: ArrayLike) -> str:
 
 
 def level(status: ArrayLike) -> np.ndarray:
-    """The severity of each status, as an index of `cnclik.markup.LEVELS`: 0 fine, 1 warning, 2 lost."""
+    """Return the severity of each status: 0 fine, 1 warning, 2 lost."""
     status = np.asarray(status)
     return np.where(status & LOST.value, 2, np.where(status, 1, 0))
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik import errors, markup
-from cnclik.integrate.status import OWN, counted, level
+from cnclik import errors
+from cnclik.integrate.status import OWN, counted
 from cnclik.record import Array, Float, Int, record, replace
 
 INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
@@ -86,15 +86,6 @@ class Trajectory:
                 own = np.linalg.norm(e[..., a:b], axis=-1)[..., -1].max()
                 lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {counted(self[name].status)}")
         return "\n".join(lines)
-
-    def _repr_html_(self):
-        """For notebooks: its text and, for one lane, a plot of the error that marks the steps that are not OK."""
-        text = f"<pre>{markup.escaped(repr(self))}</pre>"
-        known = all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self))
-        if not known or np.ndim(self.status) != 1 or len(self.status) == 0:
-            return text
-        size = np.linalg.norm(np.asarray(self.e), axis=-1)
-        return text + markup.error_plot(self.t, size, np.append(level(self.status), 0))
 
 
 def check_run(run, law) -> None:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors, markup
+from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
@@ -111,13 +111,6 @@ class Law:
             if getattr(self, name) is not None:
                 lines.append(f"  {name} {brief(getattr(self, name))}")
         return "\n".join(lines)
-
-    def _repr_html_(self):
-        """For notebooks: its sentence and its parts."""
-        sentence, *lines = repr(self).splitlines()
-        rows = [line.strip().partition(" ")[::2] for line in lines[2:]]
-        parts = [("task", brief(self.task)), ("chain", brief(self.chain)), *rows]
-        return f"<p>{markup.escaped(sentence)}</p>{markup.table((), parts, left=2)}"
 
 
 def of_tasks(task: Task, values: dict):

@@ -11,15 +11,15 @@ from matplotlib import patheffects, ticker
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.transforms import Affine2D
 
-from cnclik.markup import BLUE, FINE, LEAST_ERROR, WARNING
-
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
 LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
+LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
+
 # Okabe & Ito (2008): distinguishable with any colour vision.
-# FINE, WARNING and LOST (green, amber, red) are defined in `markup`; every figure uses them for these meanings.
-BLACK, SKY, VERMILION, PURPLE = "#000000", "#56B4E9", "#D55E00", "#CC79A7"
+BLUE, BLACK, SKY, VERMILION, PURPLE = "#0072B2", "#000000", "#56B4E9", "#D55E00", "#CC79A7"
+LEVELS = FINE, WARNING, LOST = "#009E73", "#E69F00", "#CC3311"  # the last by Tol (2021); see `status.level`
 GREEN, ORANGE = FINE, WARNING  # for lines, where the colour has no meaning
 WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))

@@ -3,14 +3,13 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cnclik import markup
 from cnclik.show import style
 from cnclik.show.stability import radii
 
 _LEAST = 1e-16  # a loss below it is rounding
 _APART = 1e-3  # of the step: what is less is within the width of a line
 _BEFORE = {"color": "0.7", "linewidth": 2.6, "label": "before"}  # visible behind a coinciding one
-_AFTER = {"color": markup.BLUE, "linewidth": 1.2, "label": "after"}
+_AFTER = {"color": style.BLUE, "linewidth": 1.2, "label": "after"}
 
 
 def history(tuned):
@@ -18,11 +17,11 @@ def history(tuned):
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(style.COLUMN, 3.2), sharex=True)
     loss, violation = np.asarray(tuned.history["loss"]), np.asarray(tuned.history["violation"])
     count = np.arange(1, len(loss) + 1)
-    upper.plot(count, np.where(loss > _LEAST, loss, np.nan), color=markup.BLUE)
+    upper.plot(count, np.where(loss > _LEAST, loss, np.nan), color=style.BLUE)
     style.log_scale(upper.yaxis, loss)
     upper.set_ylabel("loss")
     upper.set_title(tuned.loss, loc="left")
-    lower.plot(count, 100 * np.clip(violation, -1, 1), color=markup.BLUE)
+    lower.plot(count, 100 * np.clip(violation, -1, 1), color=style.BLUE)
     lower.axhline(0.0, **style.GUIDE)
     above = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right"}
     lower.annotate("bound", (1, 0.0), xycoords=("axes fraction", "data"), **above, **style.NOTE)
@@ -68,7 +67,7 @@ def operating(field, tuned):
     point = {"linestyle": "none", "markeredgecolor": "white", "zorder": 5, "clip_on": False}
     for x, y, marker, size, color, label in (
         (tuned.before.z / field.attrs["Ts_before"], field.attrs["Ts_before"], "o", 9, "0.35", "before"),
-        (tuned.after.z / tuned.Ts, tuned.Ts, "D", 5, markup.FINE if tuned.satisfied else markup.WARNING, "after"),
+        (tuned.after.z / tuned.Ts, tuned.Ts, "D", 5, style.FINE if tuned.satisfied else style.WARNING, "after"),
     ):
         if low <= x <= high:
             axis.plot(x, y, marker=marker, markersize=size, color=color, label=label, **point)
@@ -91,10 +90,10 @@ def front(tuned):
         x = np.where(np.isfinite(data[name]), data[name], np.nan)
         y = np.where(np.isfinite(data["loss"]), data["loss"], np.nan)
         panel.plot(x, y, color="0.6", linewidth=0.8, zorder=1)
-        for some, look, word in ((kept, markup.BLUE, "constraints kept"), (~kept, "white", "violated")):
-            panel.plot(x[some], y[some], "o", color=look, markeredgecolor=markup.BLUE, markersize=4, label=word)
+        for some, look, word in ((kept, style.BLUE, "constraints kept"), (~kept, "white", "violated")):
+            panel.plot(x[some], y[some], "o", color=look, markeredgecolor=style.BLUE, markersize=4, label=word)
         after, word = getattr(tuned.after, name), "recommended" if tuned.satisfied else "least violation"
-        color = markup.FINE if tuned.satisfied else markup.WARNING
+        color = style.FINE if tuned.satisfied else style.WARNING
         panel.plot([after], [tuned.after.loss], "D", color=color, markersize=6, label=word, zorder=5)
         panel.set_xlabel(label)
         style.log_scale(panel.xaxis, x, decades=4)

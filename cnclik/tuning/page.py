@@ -32,7 +32,7 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     what = f"tasks {', '.join(stack)}" if stack else f"task {' '.join(task.names)}"
     loop = f"{method}, {what}, N = {tuned.N} steps of Ts = {1e3 * tuned.Ts:g} ms."
     title = f"# {'Tuned' if tuned.satisfied else 'Not tuned'}: {name}"
-    text = [title, "", tuned.why, "", loop, "", markdown(("", ""), page_rows(tuned, seconds), left=2)]
+    text = [title, "", tuned.why, "", loop, "", markdown(("", ""), _rows(tuned, seconds), left=2)]
     lines = controller_lines(tuned)
     if tuned.satisfied:
         text += ["## For a controller", "", "```python", lines["rate"], "```", ""]
@@ -46,7 +46,7 @@ def page(tuned, name: str, *, seconds=None, figures=()) -> str:
     return "\n".join(text).rstrip() + "\n"
 
 
-def page_rows(tuned, seconds=None) -> list:
+def _rows(tuned, seconds=None) -> list:
     """[(name, text)]: the result in numbers with their units. Args: as for `page`."""
     before, after = tuned.before, tuned.after
     rows = [

@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from cnclik import errors, markup
+from cnclik import errors
 from cnclik.hints import quick_jit
 from cnclik.integrate.solve import solve
 from cnclik.measure.files import markdown
@@ -210,7 +210,7 @@ _WAYS = {
     "hand": ("0.45", "s"),
     "grid": (style.ORANGE, "^"),
     "Nelder": (style.GREEN, "v"),
-    "gradient": (markup.BLUE, "D"),
+    "gradient": (style.BLUE, "D"),
 }
 
 
