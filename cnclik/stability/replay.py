@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.solve import PIECE, solve
+from cnclik.integrate.solve import solve
 from cnclik.integrate.status import Status
 from cnclik.robot.chart import apart
 from cnclik.stability import trial
@@ -34,7 +34,6 @@ def check_made(law, reference, run, Ts, method, stage, drive) -> None:
     if N > trial.MOST_TRIED or not (stepped <= floor[1:]).all() or (remembers and t[0] != 0):
         return
     size = N if N >= trial.SHORTEST else trial.whole_trial(N)
-    size = min(size, PIECE) if drive.prompt else size
 
     def again(start):
         with jax.enable_x64(True) if eps < 1e-9 else contextlib.nullcontext():

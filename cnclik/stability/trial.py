@@ -12,7 +12,7 @@ import numpy as np
 from cnclik.integrate import stage as stages
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import Method, named
-from cnclik.integrate.solve import PIECE, in_pieces, joined, solve
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import truncate
 from cnclik.law import inverse, limits
@@ -163,9 +163,7 @@ class Trials:
             noise = None if made.noise is None else made.noise * draws
             whole = solve(*how, t0=self.case.t[0], drive=made.drive, noise=noise)
             return jax.tree.map(np.asarray, whole)
-        own = self.case.steps
-        size = min(own if own >= SHORTEST else steps, PIECE)
-        return joined(in_pieces(*how, size=size, t0=self.case.t[0]), steps)
+        return jax.tree.map(np.asarray, solve(*how, t0=self.case.t[0]))
 
     def repeats(self, N) -> bool:
         """Whether a run of N steps is the loop's own: that of a chaotic one depends on roundings."""
