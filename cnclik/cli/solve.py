@@ -82,8 +82,8 @@ def _kept(made, args, config):
     data = refused = None
     try:
         with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
-            with progress.bar("steps") as report:
-                trajectory, time_per_step = _march(made, report)
+            with progress.bar("steps"):
+                trajectory, time_per_step = _march(made)
             from cnclik.measure.dataset import to_dataset
 
             data = to_dataset(trajectory, made.law, config=config)
@@ -97,28 +97,17 @@ def _kept(made, args, config):
     return trajectory, time_per_step, data, folder.made, refused
 
 
-def _march(made, report):
-    """The whole trajectory, run in pieces that report progress, and the time per step without compiling, in words.
-
-    Through drives it is one piece: each piece would begin with drives at rest.
-    """
+def _march(made):
+    """The trajectory, and the time per step without compiling, in words."""
     import jax
 
-    from cnclik.integrate.solve import PIECE, in_pieces, joined, ran_in_c
+    from cnclik.integrate.solve import ran_in_c
 
-    size = min(made.N, PIECE) if made.alone else made.N
-
-    def run():
-        return in_pieces(*made.loop, size=size) if made.alone else iter([made.run()])
-
-    report(0, made.N)
-    jax.block_until_ready(next(run()))  # compiles
-    parts, begun = [], time.perf_counter()
-    for part in run():
-        parts.append(jax.block_until_ready(part))
-        report(min(len(parts) * size, made.N), made.N)
-    each = 1e6 * (time.perf_counter() - begun) / (len(parts) * size)
-    return joined(parts, made.N), f"{plainly(each)} µs{'' if ran_in_c(size) else ' (by XLA, not C)'}"
+    trajectory = jax.block_until_ready(made.run())  # compiles
+    begun = time.perf_counter()
+    jax.block_until_ready(made.run())
+    each = 1e6 * (time.perf_counter() - begun) / made.N
+    return trajectory, f"{plainly(each)} µs{'' if ran_in_c(made.N) else ' (by XLA, not C)'}"
 
 
 def _rows(data):

@@ -23,7 +23,7 @@ from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import flags, growing, task_flags
-from cnclik.integrate.trajectory import assemble
+from cnclik.integrate.trajectory import Trajectory, steps_of
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
 from cnclik.law.paths import shifted
@@ -145,24 +145,30 @@ def _between(task, measured, at):
     return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
 
 
-def run(loop: Loop, q0, *, end=False):
-    """Return the `Trajectory` of a loop from rest at q0 (n,). Pure. Args: end: (q, x, e) of the last instant alone."""
-    k, m = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task.m
+def run(loop: Loop, q0) -> Trajectory:
+    """Return the `Trajectory` of a loop from rest at q0 (n,). Pure."""
+    k, task, N = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task, loop.N
     state = start(loop, q0, compensated=q0.dtype == jnp.float32 and loop.direct)
     step = functools.partial(one, loop)
     step = checkpointed(step) if loop.direct else step
 
-    def with_last(carry, k):
+    def with_last(carry, k):  # beside the rows: a program that asks for the end alone then stores none
         after, made = step(carry[0], k)
         return (after, (made.q, made.x, made.e)), made
 
-    none, empty = jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
-    (_, last), steps = jax.lax.scan(with_last, (state, (none, empty, empty)), k)
-    if end:
-        return last
-    cost = loop.N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)
-    tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
-    made = assemble(loop.t0 + k * loop.Ts, steps, last, cost, tasks)
+    empty = jnp.zeros(task.m, q0.dtype)
+    (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
+
+    def rows(name):
+        return jax.lax.slice_in_dim(getattr(steps, name), 0, N)
+
+    made = Trajectory(
+        t=loop.t0 + k * loop.Ts,
+        **{name: jnp.concatenate([rows(name), end[None]]) for name, end in zip(("q", "x", "e"), last, strict=True)},
+        **{name: rows(name) for name in steps_of(steps)},
+        evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
+        tasks=tuple((name, at.start, at.stop) for name, at in task.each),
+    )
     if not loop.direct:  # with noise an error grows and shrinks at random
         return made
     grown, each = growing(loop.law, loop.reference, made.t, made.e)

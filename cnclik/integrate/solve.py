@@ -22,17 +22,17 @@ from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.loop import Step, advance, loop_of, run
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
-from cnclik.integrate.trajectory import INSTANTS, Trajectory, join, steps_of, truncate
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
-from cnclik.record import ArrayLike, Float, Number, cast, on_device, replace
+from cnclik.record import ArrayLike, Float, Number, cast, on_device
 from cnclik.robot.model import modelled
 
 SOON = 1 << 14  # evaluations of f, per joint and task coordinate, up to which XLA answers sooner
 
 
 def answers_soon(evaluations, law) -> bool:
-    """Whether so few evaluations of f are done sooner by XLA with few passes than by C, compilation included."""
+    """Return whether so few evaluations of f are done sooner by XLA with few passes than by C, compilation included."""
     return evaluations <= SOON * law.chain.n * law.task.m
 
 
@@ -100,7 +100,7 @@ def step(
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
 ) -> Step:
-    """One step, for use in your own control loop: from q(t) to q(t + Ts).
+    """Make one step, for use in your own control loop: from q(t) to q(t + Ts).
 
     Call it once before the loop starts: the first call compiles, for about a second.
 
@@ -120,7 +120,7 @@ def _is_soon(law, method, stage, N) -> bool:
 
 
 def _computed(fn, known, given, soon, is_soon=lambda: True):
-    """fn(*known, *given): as C for numbers, otherwise by JAX, in the array type of the joint values.
+    """Return fn(*known, *given): as C for numbers, otherwise by JAX, in the array type of the joint values.
 
     Args:
       fn: `Numbers`.
@@ -128,14 +128,14 @@ def _computed(fn, known, given, soon, is_soon=lambda: True):
     """
     if is_read():  # the engine reads the source itself
         return fn.source(known, given)
-    if (found := fn(known, given)) is not None:
-        return found
+    if (result := fn(known, given)) is not None:
+        return result
     *records, method = known
     if may_be_plain() and all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
-        found = soon(*(r and on_device(modelled(r)) for r in records), method, *given, **fn.static)
+        result = soon(*(r and on_device(modelled(r)) for r in records), method, *given, **fn.static)
     else:
-        found = fn.native(known, given)
-    return jax.tree.map(_as_numpy, found) if isinstance(given[0], np.ndarray) else found
+        result = fn.native(known, given)
+    return jax.tree.map(_as_numpy, result) if isinstance(given[0], np.ndarray) else result
 
 
 def _as_numpy(x):
@@ -143,12 +143,12 @@ def _as_numpy(x):
 
 
 def _number(value, q):
-    """A known number in the dtype of the joint values, so that one program serves all number types."""
+    """Return a known number in the dtype of the joint values, so that one program serves all number types."""
     return q.dtype.type(value) if errors.concrete(value) else value
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
-    """q as an array (n,) and the method as a `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
+    """Return q as an array (n,), and the `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
     errors.kind("law", law, Law)
     method = named(method)
     errors.kind("reference", reference, REFERENCE, A_REFERENCE)
@@ -189,22 +189,13 @@ def _eps(dtype):
 
 
 def ran_in_c(N) -> bool:
-    """Whether the last run of N steps with numbers was C: XLA, with few passes, answers sooner and runs slower."""
+    """Return whether the last run of N steps with numbers was C: XLA with few passes answers sooner, runs slower."""
     return N in loops and loops[N].ran_in_c
 
 
 def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *, N):
     """Compute `solve`. Pure."""
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
-
-
-def end(law, reference, q0, Ts, N, method, stage):
-    """(q (n,), e (m,)) after N steps, without a trajectory. Pure; the arguments of `solve`, unchecked.
-
-    If `lanes` returns `solve(...).e[-1]`, each step's e is stored on the way, which costs a tenth of an explicit step.
-    """
-    q, _, e = run(loop_of(law, reference, q0, Ts, N, method, stage, t0=np.zeros((), q0.dtype)), q0, end=True)
-    return q, e
 
 
 solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), LRU()
@@ -218,31 +209,3 @@ def one_step(law, reference, stage, method, q, t, Ts) -> Step:
 
 
 step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(one_step, lets_go=False)
-
-
-# --- a long run in pieces of equal length, so that one program serves runs of any number of steps -----
-
-
-PIECE = 2000  # steps of a piece, at most
-
-
-def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
-    """Yield runs of `size` steps each, which together are `solve`'s N steps and the rest of the last piece.
-
-    Args: as for `solve`, with concrete values.
-    """
-    part, q = None, q0
-    for begun in range(0, N, size):
-        if part is None or np.isfinite(q).all():
-            part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
-        else:  # lost for good
-            last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *steps_of(part))}
-            last = {name: np.broadcast_to(value[-1:], value.shape) for name, value in last.items()}
-            part = replace(part, t=np.asarray(part.t) + size * Ts, **last)
-        yield part
-        q = part.q[-1]
-
-
-def joined(parts, N: int):
-    """Their first N steps as one `Trajectory`, of NumPy arrays."""
-    return truncate(join(parts), N)

@@ -75,11 +75,6 @@ class Problem:
             draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
         return solve(*self.loop, drive=self.drive, noise=self.noise * draws)
 
-    @property
-    def alone(self) -> bool:
-        """Whether the robot does exactly what the law asks for: no drives, no noise."""
-        return self.noise is None and (self.drive is None or self.drive.prompt)
-
 
 def problem_from(
     robot: str | os.PathLike | Chain,
