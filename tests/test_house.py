@@ -294,8 +294,6 @@ def test_a_name_that_has_moved_says_where_to():
         assert ck.pose_task is ck.pose
     with pytest.warns(DeprecationWarning, match="cnclik.stability.practice is cnclik.stability.advise now"):
         assert ck.stability.practice is ck.advise
-    with pytest.raises(ck.ArgumentError, match=r"`axes` .*ck\.forward\(robot, q\)"):
-        ck.pose(ck.planar_arm([1.0, 1.0]), [0.1, 0.2])
     run = ck.solve(ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([1.0, 1.0]), [0, 1], 0.1, 1)
     with pytest.warns(DeprecationWarning, match="the argument trajectory of require_ok is run now"):
         assert ck.require_ok(trajectory=run) is run

@@ -53,9 +53,8 @@ def trace_reach(request: Request, count: int) -> Reaching:
     ]
     given = [Field("q", (n,), about=f"joint values to search from first, such as where the arm is [{units}]")]
     for word, aim in zip(before, every, strict=True):
-        of, p = f" of {word[:-1]}" if word else "", len(_axes(aim))
-        frame = "in the base frame" if aim.own[0] else "in the task's coordinates"
-        about = f"the target's{of}, {frame} [m]"
+        of, p = f" of {word[:-1]}" if word else "", len(aim.linear)
+        about = f"the target's{of}, in the task's coordinates [m]"
         given += [Field(f"{word}position", (p,), about=about)] * bool(p)
         turn = Field(f"{word}rotation", (3, 3), about=f"the target's{of}, row by row", value=np.eye(3))
         given += [turn] * bool(aim.angular)
@@ -74,11 +73,6 @@ def trace_reach(request: Request, count: int) -> Reaching:
         features=features.reshape(len(every), sets, -1, 13).transpose(0, 1, 3, 2),
         before=before,
     )
-
-
-def _axes(aim) -> tuple:
-    """The coordinates of a target's position that are given."""
-    return (0, 1, 2) if aim.own[0] and aim.linear else aim.linear
 
 
 def most_operations(reaching: Reaching) -> dict:
@@ -111,7 +105,7 @@ def _call(reaching, names) -> str:
     pose = []
     for a, (word, aim) in enumerate(zip(reaching.before, aims(of.task), strict=True)):
         at = WIDTH * a
-        pose += [f"  pose[{at + i}] = input->{word}position[{k}] * {c(1 / of.unit)};" for k, i in enumerate(_axes(aim))]
+        pose += [f"  pose[{at + i}] = input->{word}position[{k}] * {c(1 / of.unit)};" for k, i in enumerate(aim.linear)]
         turn = f"input->{word}rotation[i]" if aim.angular else "i % 4 == 0"
         pose.append(f"  for (int i = 0; i < 9; ++i) pose[{at + 3} + i] = {turn};")
     arrays = {name: name for name in (*tables, "features", "factors", "pose", "near") if name != "own"}
@@ -167,10 +161,10 @@ def _far(reaching, names) -> str:
     for a, aim in enumerate(aims(of.task)):
         number = chain.tip_number(aim.tip)
         way = [chain.joints[i] for i in chain.way(number)]
-        if not aim.placed or aim.to is not None or not all(joint.kind == REVOLUTE for joint in way):
+        if not aim.linear or aim.to is not None or not all(joint.kind == REVOLUTE for joint in way):
             continue
         center, length = way[0].origin.position, c((1 + least) * float(arm_length(chain, number=number)))
-        off = [f"(pose[{WIDTH * a + k}] - {c(float(center[k]))})" for k in aim.placed]
+        off = [f"(pose[{WIDTH * a + k}] - {c(float(center[k]))})" for k in aim.linear]
         away = " + ".join(f"{one} * {one}" for one in off).replace("- -", "+ ")
         lines.append(f"  far |= LIBM(sqrt)({away}) > {length} + a.tolerance[0];")
     return "\n".join(lines)

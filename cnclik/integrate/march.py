@@ -143,8 +143,8 @@ def closure(law, mean, quadrature, turns, *, remembered=False):
     """The part of the target's motion that a quadrature of ẋ_d misses, as a velocity (m,).
 
     Rotations are included if `turns` is 1, not 0: log(R_d(t + Ts) R_d(t)ᵀ) and Σ bᵢ ω_d·Ts differ by commutators
-    (Magnus 1954), so including them helps up to order 2 and harms beyond. Parts in a tip's own frame omit what is
-    `remembered`, as it is in the frames of other instants.
+    (Magnus 1954), so including them helps up to order 2 and harms beyond. Functions of the target omit
+    what is `remembered`, as it belongs to other instants.
     """
     missed, task, found = mean - quadrature, law.task, []
     for part, where in zip(task.parts, task.slices, strict=True):

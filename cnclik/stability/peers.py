@@ -89,7 +89,7 @@ def _frame(one, robot, **about):
     for kind, cost in ((position, one.cost[:3]), (orientation, one.cost[3:])):
         axes = "".join(axis for axis, c in zip("xyz", cost, strict=True) if c > 0)
         if axes:
-            parts.append(kind(axes, tip=name, frame="tip", weights=cost[cost > 0], **about))
+            parts.append(kind(axes, tip=name, weights=cost[cost > 0], **about))
     if not parts:
         raise errors.fail("tasks", f"have a cost for {name}", "have none")
     return name, functools.reduce(operator.and_, parts)
