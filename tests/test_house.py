@@ -292,8 +292,6 @@ def test_a_name_that_has_moved_says_where_to():
 
     with pytest.warns(DeprecationWarning, match="cnclik.pose_task is cnclik.pose now"):
         assert ck.pose_task is ck.pose
-    with pytest.raises(ck.ArgumentError, match=r"`axes` .*ck\.forward\(robot, q\)"):
-        ck.pose(ck.planar_arm([1.0, 1.0]), [0.1, 0.2])
     run = ck.solve(ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([1.0, 1.0]), [0, 1], 0.1, 1)
     with pytest.warns(DeprecationWarning, match="the argument trajectory of require_ok is run now"):
         assert ck.require_ok(trajectory=run) is run

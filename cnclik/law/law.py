@@ -207,7 +207,7 @@ class Observation(NamedTuple):
     x: Callable | None = None  # x(): task coordinates (m,)
     xdot_d: Float[Array, " m"] | None = None
     aims: tuple[Array, ...] = ()  # the targets, of each part of the task
-    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for parts in a tip's own frame
+    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for functions of the target
 
 
 @precise

@@ -202,8 +202,6 @@ def path(fn: Callable) -> Reference:
 def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
     """The same path with another feed-forward: a constant task velocity (m,) in place of the path's own.
 
-    For a part in its tip's own frame the velocity has all three components, in the base frame.
-
     It changes the feed-forward, not the target's motion: zeros for pure feedback, or a deliberate error.
     """
     errors.kind("reference", reference, Reference, A_REFERENCE)

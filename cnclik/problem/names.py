@@ -138,7 +138,7 @@ def task_from(text, chain: Chain | None = None, **of) -> Task:
     On a planar arm the three words mean its plane: xy with rz, xy, rz. The default is `pose` if the chain has
     the joints for it, else `position`.
 
-    Args: of: `tip`, `relative_to`, `frame` and `weights`, as `cnclik.pose` takes them.
+    Args: of: `tip`, `relative_to` and `weights`, as `cnclik.pose` takes them.
     """
     if isinstance(text, Task):
         return text

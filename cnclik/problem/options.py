@@ -128,7 +128,6 @@ OF_TASK = {  # one task of a stack: a table in the stack's file
     "tip": Option(NAMES, "The tip; several names make the same task for each."),
     "relative_to": Option(NAME, "Tip in whose frame the task is expressed, and relative to which it moves; default: "
                           "the base."),
-    "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(words.FRAMES)}. Default: base."),
     "joints": Option(NAMES, "joints: names of the joints; default: all."),
     "axes": Option(NAME, "center_of_mass: letters of xyz, such as xy for balance; default: all."),
     "weights": Option(NUMBERS, "Least-squares weights: one, or one per coordinate (of each tip).", must="positive"),

@@ -33,7 +33,7 @@ _DAMPING = ("inverse", "damping", "threshold")  # options of the loop, or of one
 # Options of a loop with one task, and what replaces them in a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
 _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
-_NOT_OF = {"joints": ("tip", "relative_to", "frame", "axes"), "center_of_mass": ("tip", "frame", "joints")}
+_NOT_OF = {"joints": ("tip", "relative_to", "axes"), "center_of_mass": ("tip", "joints")}
 
 
 class Written(NamedTuple):
@@ -170,9 +170,11 @@ def task_of(one: Table, chain: Chain) -> Task:
         return joints(one.given.get("joints"), weights=weights).on(chain)
     if kind == "center_of_mass":
         return center_of_mass(one.given.get("axes", "xyz"), relative_to=to, weights=weights).on(chain)
-    about = {"relative_to": to, "frame": one.given.get("frame", "base"), "weights": weights}
-    tips = _several(one.given.get("tip"))
-    return functools.reduce(operator.and_, (task_from(kind or None, chain, tip=t, **about).on(chain) for t in tips))
+    each = (
+        task_from(kind or None, chain, tip=tip, relative_to=to, weights=weights).on(chain)
+        for tip in _several(one.given.get("tip"))
+    )
+    return functools.reduce(operator.and_, each)
 
 
 def gains_from(tables, task: Task, alpha):

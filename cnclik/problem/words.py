@@ -36,7 +36,6 @@ ROBOTS = {
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
-FRAMES = ("base", "tip")
 STACKED = (*TASKS, "joints", "center_of_mass")  # kinds of task in a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),

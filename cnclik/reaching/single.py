@@ -76,7 +76,7 @@ def refined(chain, task, target, q, held, found):
     held_chain, held_target = lax.stop_gradient((chain, target))
     e, _ = look(chain, task, q, in_parts(task, target))
     some = any(len(aim.angular) in (1, 2) for aim in aims(task))  # what is left about other axes turns these with it
-    if some or task.tied:
+    if some:
         j = -jax.jacfwd(lambda v: look(held_chain, task, v, in_parts(task, held_target))[0])(q)
     else:
         j = rows(task, At(held_chain, q))

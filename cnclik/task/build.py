@@ -12,12 +12,11 @@ from cnclik.record import Array, ArrayLike, Float, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.masses import shares
 from cnclik.robot.model import as_joint_values, mass_frames, modelled
-from cnclik.task.parts import AXES, At, Orientation, OwnOrientation, OwnPosition, Position, Vector, places
+from cnclik.task.parts import AXES, At, Orientation, Position, Vector, places
 from cnclik.task.task import Task, joined, with_weights
 from cnclik.task.values import Function, Joints
 
 Weights = Float[ArrayLike, " m"] | None
-_PLACES, _TURNS = {"base": Position, "tip": OwnPosition}, {"base": Orientation, "tip": OwnOrientation}  # by `frame`
 
 
 def position(
@@ -25,7 +24,6 @@ def position(
     *,
     tip: str | None = None,
     relative_to: str | None = None,
-    frame: str = "base",
     weights: Weights = None,
 ) -> Task:
     """Position of a tip along some of the axes of a frame [m].
@@ -34,12 +32,9 @@ def position(
       axes: letters of "xyz" in that order, such as "xy".
       tip: its name; None: the robot's only one.
       relative_to: name of the tip in whose frame the position is expressed; None: the base.
-      frame: whose axes are used: "base", or that of `relative_to`; "tip": the tip's own. In the tip's frame e = Rᵀ(p_d
-        − p) is the target as the tip sees it: with the axes "xy" the target gets onto the tip's z axis. Targets are
-        given as with "base".
       weights: (m,) positive least-squares weights of the coordinates, one number for all, or None for ones.
     """
-    return _task(weights, _part(_PLACES, "axes", axes, tip, relative_to, frame))
+    return _task(weights, _part(Position, "axes", axes, tip, relative_to))
 
 
 def orientation(
@@ -47,18 +42,16 @@ def orientation(
     *,
     tip: str | None = None,
     relative_to: str | None = None,
-    frame: str = "base",
     weights: Weights = None,
 ) -> Task:
-    """Orientation of a tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
+    """Orientation of a tip: error log(R_d Rᵀ) as a rotation vector in the base frame, or that of `relative_to` [rad].
 
     Args:
       axes: components of the rotation vector that count, such as "z" for a planar arm.
       tip, relative_to: as for `position`.
-      frame: "base", or "tip": the error is log(Rᵀ R_d), in the tip's own frame.
       weights: (m,) positive weights, or one for all.
     """
-    return _task(weights, _part(_TURNS, "axes", axes, tip, relative_to, frame))
+    return _task(weights, _part(Orientation, "axes", axes, tip, relative_to))
 
 
 def pose(
@@ -67,19 +60,17 @@ def pose(
     *,
     tip: str | None = None,
     relative_to: str | None = None,
-    frame: str = "base",
     weights: Weights = None,
 ) -> Task:
     """Position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
 
     Args: as for `position` and `orientation`.
     """
-    place = _part(_PLACES, "axes", axes, tip, relative_to, frame)
-    return _task(weights, place, _part(_TURNS, "rotation_axes", rotation_axes, tip, relative_to, frame))
+    place = _part(Position, "axes", axes, tip, relative_to)
+    return _task(weights, place, _part(Orientation, "rotation_axes", rotation_axes, tip, relative_to))
 
 
-def _part(kinds, name, axes, tip, to, frame):
-    kind = kinds[errors.one_of("frame", frame, kinds)]
+def _part(kind, name, axes, tip, to):
     if to is not None and to == tip:
         raise errors.fail("relative_to", "be another tip than `tip`", f"is {to!r}, too")
     return kind(axes=letters_of(name, axes), tip=tip, to=to)
@@ -160,8 +151,6 @@ def _names(name, value):
 
 
 def letters_of(name, axes):
-    if hasattr(axes, "joints"):  # of a robot, whose tip's pose `ck.pose` was until 0.2
-        raise errors.fail(name, 'be letters of "xyz"', "is a robot: its tip's pose is ck.forward(robot, q)")
     if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):
         raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
     return axes

@@ -11,8 +11,8 @@ A part is a record with
   velocity(robot, aim, motion)  (m,) what that adds to the error,
 
 and with what exponential methods ask of two targets, `between` and the rest. Where a target is a vector
-that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied` change with
-the target: of one in the tip's own frame, where w is 3, and of functions of the target.
+that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied`, a
+function of joint values and target, change with the target.
 """
 
 from __future__ import annotations
@@ -169,10 +169,6 @@ class Position(Vector):
     tip: str | None = None
     to: str | None = None
 
-    def of_target(self):
-        """The coordinates that a target has."""
-        return Position(axes=self.axes)
-
     @property
     def names(self):
         return tuple(self.axes)
@@ -212,9 +208,6 @@ class Orientation(Vector):
     tip: str | None = None
     to: str | None = None
     turns, shape = True, (3, 3)
-
-    def of_target(self):
-        return Orientation(axes=self.axes)
 
     @property
     def width(self):
@@ -286,91 +279,3 @@ def log_of_step(turn):
     """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
     return log_quaternion(w, 0.25 / w * axial(turn))
-
-
-# --- in the frame of the tip itself -------------------------------------------------------------------
-
-
-@record
-class OwnPosition(Position):
-    """Coordinates of the target's position in the frame of the tip itself [m].
-
-    e = Rᵀ (p_d − p), x = Rᵀ p. Its rows are those of the tip's Jacobian in its own frame, of the point of the tip that
-    is where the target is: so the error of each axis decays by itself, whatever the others miss.
-    """
-
-    tied, shape = True, (3,)
-    aim = Vector.aim
-    moved = Vector.moved
-
-    def check(self, position, rotation):
-        if position is None or len(position) != 3:
-            size = "none" if position is None else f"{len(position)}"
-            raise errors.fail("reference", "give positions of 3 coordinates in the tip's own frame", f"gives {size}")
-
-    def of_target(self):
-        return Position(axes="xyz")
-
-    def own(self, robot: At, v):
-        return (v @ robot.rotation(self.tip, self.to))[places(self.axes)]
-
-    def here(self, robot: At):
-        return robot.position(self.tip, self.to)
-
-    def x(self, robot: At):
-        return self.own(robot, self.here(robot))
-
-    def error(self, robot: At, aim):
-        return self.own(robot, aim - self.here(robot))
-
-    def velocity(self, robot: At, aim, motion):
-        return self.own(robot, motion)
-
-    def rows(self, robot: At, aim=None):
-        every = (0, 1, 2)
-        both = robot.rows(self.tip, self.to, every, () if aim is None else every)
-        v = both[..., :3, :]
-        if aim is not None:
-            away = (aim - self.here(robot))[..., None]
-            v = v - library(both).cross(away, both[..., 3:, :], axis=-2)
-        return (robot.rotation(self.tip, self.to).mT @ v)[..., places(self.axes), :]
-
-    def between(self, robot: At, aim, measured, model):
-        return robot.rotation(self.tip, self.to)[:, places(self.axes)] @ (measured - model)
-
-
-@record
-class OwnOrientation(Orientation):
-    """Components of a tip's rotation vector in the frame of the tip itself [rad].
-
-    e = log(Rᵀ R_d), x = log R. Where all three are controlled it decays along a fixed axis of the tip, so that no turn
-    of the target takes it along.
-    """
-
-    tied, whole, width = True, False, 3
-
-    def of_target(self):
-        return Orientation(axes="xyz")
-
-    def error(self, robot: At, aim):
-        return log_so3(self.here(robot).T @ aim)[places(self.axes)]
-
-    def rows(self, robot: At, aim=None):
-        angular = robot.rows(self.tip, self.to, (), (0, 1, 2))
-        return (self.here(robot).mT @ angular)[..., places(self.axes), :]
-
-    def spread(self, w):
-        return w
-
-    def motion(self, aim, rate):
-        return spin(aim, rate)
-
-    def velocity(self, robot: At, aim, motion):
-        return (motion @ self.here(robot))[places(self.axes)]
-
-    def mean(self, aim, before):
-        return log_of_step(aim @ before.T), None
-
-    def between(self, robot: At, aim, measured, model):
-        own = turn_from(-measured, -model) if self.m == 3 else Orientation.spread(self, measured - model)
-        return self.here(robot) @ own

@@ -1,8 +1,7 @@
 """Task: what the loop controls, as parts; x are its coordinates, e = x_d − x their error.
 
 Of a pose they are positions along chosen axes [m], then components of the rotation vector [rad] that turns the tip
-into the desired orientation, in the base frame, another tip's, or its own. Tasks are joined by `&`, and given names by
-`stack`.
+into the desired orientation, in the base frame or another tip's. Tasks are joined by `&`, and given names by `stack`.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class Task:
 
     @property
     def width(self) -> int:
-        """Number of velocities that its targets have: m, but three of each part in its tip's own frame."""
+        """Number of velocities that its targets have: m, unless a function's target has another size."""
         return sum(part.width for part in self.parts)
 
     @property
