@@ -287,20 +287,6 @@ def test_the_version_is_one():
     assert said == {cnclik.__version__}
 
 
-def test_a_name_that_has_moved_says_where_to():
-    import cnclik as ck
-
-    with pytest.warns(DeprecationWarning, match="cnclik.pose_task is cnclik.pose now"):
-        assert ck.pose_task is ck.pose
-    run = ck.solve(ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([1.0, 1.0]), [0, 1], 0.1, 1)
-    with pytest.warns(DeprecationWarning, match="the argument trajectory of require_ok is run now"):
-        assert ck.require_ok(trajectory=run) is run
-    with pytest.raises(AttributeError, match=r"gone since 0\.2\.0: there is one form; use_engine chooses"):
-        ck.use_form
-    with pytest.raises(AttributeError):
-        ck.poses
-
-
 def test_methods_have_names_of_their_own():
     import cnclik as ck
 

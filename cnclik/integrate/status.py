@@ -80,7 +80,6 @@ def counted(status) -> str:
     return ", ".join(f"{name} {steps}" for name, steps in count(status).items() if steps)
 
 
-@errors.renamed(trajectory="run")
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
     """Return the run if no step has a status beyond `allow`; or raise StepError.
