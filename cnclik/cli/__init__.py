@@ -23,7 +23,7 @@ VERBS = {
     "diagnose": "read a recording: does the loop ring, what is its dead time, which gain stops it; or fit its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
-    "tune": "tune gains by gradient under a stability margin: tuned.json, figures, one-page summary",
+    "tune": "tune gains by gradient, between bounds that the drives allow: tuned.json and a figure",
     "view": "play a run in a browser: the robot by its meshes, targets, walls, a slider over time",
     "export": "write a step of the loop as C for a controller: header, source, test vectors, README",
 }

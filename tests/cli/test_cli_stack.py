@@ -85,10 +85,10 @@ def test_tune(stack, tmp_path, capsys):
     told = json.loads((tmp_path / "tuned" / "tuned.json").read_text())
     assert sorted(told["values"]) == ["hands.alpha"] and told["satisfied"]
     most = 27 / 256  # of an error that a step may take: no overshoot, even with three samples
-    assert 1 - np.exp(-0.01 * max(told["values"].values())) <= most * (1 + 1e-6)
-    assert {"error.png", "operating.png"} <= {file.name for file in (tmp_path / "tuned").iterdir()}
+    assert 1 - np.exp(-0.01 * told["values"]["hands.alpha"]) <= most * (1 + 1e-6)
     printed = capsys.readouterr().out
-    assert "tasks hands, rest, N = 20" in printed and "alpha: 10 of hands, 1 of rest" in printed
+    assert "tasks hands, rest, EXP-MIDPOINT, Ts 10 ms, N 20.\n" in printed and "RMS error of rest: " in printed
+    assert "error.png" in {file.name for file in (tmp_path / "tuned").iterdir()}
 
 
 def test_what_is_wrong_is_one_line(stack, tmp_path, capsys):

@@ -141,7 +141,7 @@ def test_a_lag_is_said_and_that_joints_have_their_own(capsys):
 def test_a_tip_that_was_chosen_is_named_once_by_tune(tmp_path, capsys):
     (file := tmp_path / "hand.urdf").write_text(JAWED.format(joint="j3", jaw="flange"))
     main(["tune", str(file), "--tip", "flange", "--task", "xy", "--out", str(tmp_path / "tuned"), *VERBS["tune"][:-2]])
-    assert "uned: hand, tip flange\n" in capsys.readouterr().out
+    assert "hand, tip flange, task x y, " in capsys.readouterr().out
 
 
 def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
