@@ -48,13 +48,12 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
 def run(args: Args) -> None:
     bounds, loss = _pairs("bounds", args.bounds, 2), _pairs("loss", args.loss, 1)
     made = problem(args)
-    from cnclik.integrate.driven import white_noise
     from cnclik.problem.heading import robot_and_task, start_and_target
     from cnclik.tuning import tune
 
     if args.figures:
         load_ahead("cnclik.show.style")
-    noise = None if made.noise is None else white_noise(made.noise, made.N, made.law.task.m, made.seed)
+    noise = None if made.noise is None else made.drawn()
     limit = args.velocity_limit[0] if args.velocity_limit and len(args.velocity_limit) == 1 else args.velocity_limit
     loop: dict[str, Any] = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage, drive=made.drive)
     asked: dict[str, Any] = dict(over=args.over, bounds=bounds, loss=loss, noise=noise, velocity_limit=limit)

@@ -69,11 +69,15 @@ class Problem:
 
         Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
         """
+        return solve(*self.loop, drive=self.drive, noise=self.drawn(draws))
+
+    def drawn(self, draws=None) -> Float[AnyArray, "N m"] | None:
+        """Return the noise of the measured error; None without noise. Args: draws: as for `run`."""
         if self.noise is None:
-            return solve(*self.loop, drive=self.drive)
+            return None
         if draws is None:
             draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
-        return solve(*self.loop, drive=self.drive, noise=self.noise * draws)
+        return self.noise * draws
 
 
 def problem_from(

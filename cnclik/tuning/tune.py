@@ -16,7 +16,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, MethodLike, named
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, check_loop, metric
@@ -123,7 +123,7 @@ class Objective:
 
         def run(scenario):
             reference, q0, noise = scenario
-            made = simulate(law, reference, q0, self.Ts, *self.how, drive=self.drive, noise=noise)
+            made = solve(law, reference, q0, self.Ts, *self.how, drive=self.drive, noise=noise)
             counted = made if self.counts is None else replace(made, e=made.e * self.counts)
             return sum(weight * fn(counted) for fn, weight in self.terms), made
 
