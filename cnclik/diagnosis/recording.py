@@ -5,6 +5,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.problem.columns import SECONDS, clock_of, words_of
 
+LEAST = 16  # rows
 LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
 MISSING = 0.6  # of a step; where a row is missing, stamps fall behind permanently by at least this
 ROWS_BESIDE = 12  # rows compared on either side
