@@ -6,6 +6,7 @@ from . import (
     tuning as tuning,
 )
 from .programs import use_cache as use_cache
+from .diagnosis.check import check_log as check_log
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
