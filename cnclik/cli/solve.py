@@ -32,7 +32,6 @@ class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.engine.plan import called_once
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
     from cnclik.problem import heading
@@ -44,10 +43,9 @@ def run(args: Args) -> None:
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     config |= {} if made.tables is None else {"tasks": made.tables}
     config |= {} if made.walls is None else {"walls": made.walls}
-    with called_once(made.N):
-        trajectory, time_per_step, data, written, refused = _kept(made, args, config)
-        with progress.bar("verdict"):
-            judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
+    trajectory, time_per_step, data, written, refused = _kept(made, args, config)
+    with progress.bar("verdict"):
+        judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
@@ -120,7 +118,7 @@ def _march(made, report):
     """
     import jax
 
-    from cnclik.integrate.solve import PIECE, in_pieces, joined, ran_in_c
+    from cnclik.integrate.solve import PIECE, in_pieces, joined
 
     size = min(made.N, PIECE) if made.alone else made.N
 
@@ -134,7 +132,7 @@ def _march(made, report):
         parts.append(jax.block_until_ready(part))
         report(min(len(parts) * size, made.N), made.N)
     each = 1e6 * (time.perf_counter() - begun) / (len(parts) * size)
-    return joined(parts, made.N), f"{plainly(each)} µs{'' if ran_in_c(size) else ' (by XLA, not C)'}"
+    return joined(parts, made.N), f"{plainly(each)} µs"
 
 
 def _rows(data):

@@ -18,7 +18,6 @@ from jax import lax
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.record import AnyArray, Array, Bool, Float, Int, record
-from cnclik.robot.model import one_off
 from cnclik.tuning.parameters import values_of
 
 FORWARD_UP_TO = 8  # parameters: forward mode costs a run per parameter, reverse mode a few runs and their memory
@@ -116,7 +115,7 @@ def _begin(starts, *, optimizer, constraints: int) -> Carry:
     return jax.vmap(begin)(starts)
 
 
-@one_off(as_given=True, static_argnames=("steps", "optimizer", "mode"))
+@bounded_jit(static_argnames=("steps", "optimizer", "mode"))
 def _rounds(objective, carry, multipliers, weight, scale, *, steps: int, optimizer, mode: str):
     """(`Carry`, `History` (S, steps)) of evaluations from each of S starts, each trying the optimizer's update.
 

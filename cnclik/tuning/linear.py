@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.hints import after
 from cnclik.integrate.drive import Drive
 from cnclik.law.law import gains_of
 from cnclik.record import replace
@@ -15,6 +14,7 @@ from cnclik.stability.linear import stepped
 from cnclik.stability.loop import loop_at_rest, parts_at_rest
 from cnclik.stability.spectrum import at_rest, of_error, one_step
 from cnclik.stability.tasks import bounded_rates
+from cnclik.threads import after
 
 SQUARINGS = 10  # of a matrix to bound its radius: the power p = 1024
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import after
+from cnclik.cache import bounded_jit
 from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, Method
 from cnclik.integrate.stage import Stage, picard
@@ -19,12 +19,12 @@ from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import check_loop, metric
 from cnclik.precision import in_float64
 from cnclik.record import AnyArray, Array, ArrayLike, Float, record, replace
-from cnclik.robot.model import one_off
 from cnclik.stability.driven import delay_margin, increments, noise_gain, radius
 from cnclik.stability.drives import each_drive
 from cnclik.stability.linear import checked, first_above
 from cnclik.stability.settings import MOST_Z
 from cnclik.stability.spectrum import at_rest, growing, null_flow, staying
+from cnclik.threads import after
 from cnclik.tuning import linear
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import Conditions, Scenario, rollout, scenarios
@@ -288,7 +288,7 @@ def _flow(law, q):
     return null_flow(*at_rest(law, None, q), q)
 
 
-@one_off(as_given=True)
+@bounded_jit
 def _observed(objective, values):
     return jax.vmap(objective.observe)(values)
 

@@ -24,7 +24,6 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from cnclik import errors, markup
-from cnclik.hints import quick_jit
 from cnclik.integrate.solve import solve
 from cnclik.measure.files import markdown
 from cnclik.measure.metrics import measure_run
@@ -147,7 +146,7 @@ def grid_of(p, steps):
     return np.stack(np.meshgrid(*[axis] * count), -1).reshape(-1, *np.shape(p.start))
 
 
-@quick_jit
+@jax.jit
 def _evaluate(objective, values):
     return objective(values)
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.hints import equations, quick_jit
+from cnclik.cache import bounded_jit
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import DEFAULT
 from cnclik.problem.build import problem_from
 from cnclik.stability.spectrum import spectrum
+from cnclik.threads import equations
 from cnclik.tuning import Conditions, Descent, gradient_in_words, judge, loop_objective, to_json, tune
 from cnclik.tuning import parameters as pm
 from cnclik.tuning.conditions import rollout, scenarios
@@ -113,7 +114,7 @@ def test_the_null_space_is_judged_through_dead_time():
         made = loop_objective(law, still, POSTURE, Ts=0.1, N=2, method="EE", conditions=late)
         (judged,) = judge(made, [(np.asarray(0.5),)])
         assert judged.feasible == kept == bool(judged.null_radius < 1)
-        _, constraints = quick_jit(lambda objective, values: objective(values))(made, (np.asarray(0.5),))
+        _, constraints = bounded_jit(lambda objective, values: objective(values))(made, (np.asarray(0.5),))
         assert len(constraints) == made.constraints and bool(np.max(constraints) <= 0) == kept
         most = np.pi / (4 * np.arcsin(share / 2)) - 0.5 - 5
         told = made.costs(float(judged.correction), float(judged.null_share))["delay_margin"]
@@ -250,7 +251,7 @@ def test_a_null_direction_that_nothing_acts_on_keeps_its_constraint():
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(q, 1e-30))
     place = np.asarray(ck.forward(arm, q).position)[:2]
     objective = loop_objective(law, ck.hold(place), q, **LOOP | {"N": 2, "velocity_limit": None})
-    _, constraints = quick_jit(lambda objective, values: objective(values))(objective, (law.alpha,))
+    _, constraints = bounded_jit(lambda objective, values: objective(values))(objective, (law.alpha,))
     assert float(np.max(constraints)) <= 0
     (judged,) = judge(objective, [(law.alpha,)], together=1)
     np.testing.assert_allclose(judged.null_radius, 1.0, rtol=1e-12)
@@ -475,12 +476,12 @@ def test_forward_reverse_and_finite_differences_agree(method, stage):
         loss, constraints = objective(pm.values_of(objective.parameters, u))
         return jnp.stack([loss, constraints[0], constraints[9]])  # one of each kind
 
-    both = quick_jit(raw)
+    both = bounded_jit(raw)
     u = jnp.asarray(pm.free_of(objective.parameters, [law.alpha]))
-    forward = quick_jit(jax.jacfwd(raw))(u)
+    forward = bounded_jit(jax.jacfwd(raw))(u)
     if method != "EE":  # of explicit steps: integrate's own tests
         weights = jnp.asarray([1.0, 0.1, 0.2])  # one row at a time in reverse, the way a descent asks for it
-        reverse = quick_jit(jax.grad(lambda u: weights @ raw(u)))(u)
+        reverse = bounded_jit(jax.grad(lambda u: weights @ raw(u)))(u)
         np.testing.assert_allclose(weights @ forward, reverse, rtol=1e-9, atol=1e-12)
     h = 1e-5
     apart = np.stack([(both(u + h * d) - both(u - h * d)) / (2 * h) for d in np.eye(len(u))], axis=1)

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from cnclik.hints import as_here
+from cnclik.engine.plan import as_here
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import METHODS
 from cnclik.markup import escaped
