@@ -295,7 +295,7 @@ class Bounded:
             raise undamped(inverse)
         unlimited = through(plain.apply, rows, velocity, null)
         if not (chain.bounded or chain.slowed or self.walls):
-            return Limited(qdot=unlimited, apply=plain.apply, least=plain.least, limited=False)
+            return Limited(unlimited, plain)
         low, high = bounds(self.rate, chain, q)
         walls = rows_at(self.walls, self.rate, chain, q) if self.walls else None
         still = None if walls is None else jnp.zeros_like(walls.floor)
@@ -339,8 +339,7 @@ class Bounded:
         limited = jnp.any((shut > 0) & (low < high))
         return Limited(
             qdot=qdot,
-            apply=lambda t: lax.cond(fits, plain.apply, locked, t),
-            least=plain.least,
+            factored=plain._replace(apply=lambda t: lax.cond(fits, plain.apply, locked, t)),
             limited=limited if push is None else limited | jnp.any(push > 0),
             cut=cut,
             walls=None if walls is None else walls.rows @ qdot - walls.floor,
