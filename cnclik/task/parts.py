@@ -111,7 +111,7 @@ class Vector:
 
     @property
     def width(self):
-        """Of the target's motion."""
+        """Numbers of the target's motion."""
         return self.shape[0]
 
     def aim(self, position, rotation):
@@ -123,11 +123,11 @@ class Vector:
             raise errors.fail("reference", f"give {self.width} {self.called} ({names})", f"gives {size}")
 
     def here(self, robot: At):
-        """The target at the robot's present pose; None where it is unknown."""
+        """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
 
     def moved(self, position, rotation, w):
-        """The curve's target moved by w, as a motion."""
+        """Return the curve's target moved by w, as a motion."""
         return position + w, rotation
 
     @property
@@ -145,7 +145,7 @@ class Vector:
         return motion
 
     def mean(self, aim, before):
-        """How far a target went, as a motion, and None or its turn."""
+        """Return how far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
     def went(self, aim, before):
@@ -153,11 +153,11 @@ class Vector:
         return aim - before
 
     def chart(self, aim):
-        """A vector whose changes are no smaller than the target's way."""
+        """Return a vector whose changes are no smaller than those of the target."""
         return aim
 
     def between(self, robot: At, aim, measured, model):
-        """The displacement of a target that makes its error equal the measured one (m,)."""
+        """Return the displacement of a target that makes its error equal the measured one (m,)."""
         return measured - model
 
 
@@ -272,12 +272,12 @@ class Orientation(Vector):
 
 
 def spin(rotation, drotation):
-    """Angular velocity vee(Ṙ Rᵀ) in the base frame."""
+    """Return the angular velocity vee(Ṙ Rᵀ) in the base frame."""
     turning = drotation @ rotation.T
     return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
 
 
 def log_of_step(turn):
-    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
+    """Return the rotation vector of a step's turn, exact to 177°: a target that turns farther in a step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
     return log_quaternion(w, 0.25 / w * axial(turn))
