@@ -6,6 +6,7 @@ from . import (
     tuning as tuning,
 )
 from .programs import use_cache as use_cache
+from .diagnosis.check import check_log as check_log
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
@@ -13,15 +14,11 @@ from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
 from .hints import use_hints as use_hints
 from .integrate.drive import Drive as Drive
-from .integrate.history import History as History
 from .integrate.lanes import lanes as lanes
 from .integrate.method import (
-    CN as CN, EE as EE, EXP_AB2 as EXP_AB2, EXP_AB3 as EXP_AB3, EXP_AB4 as EXP_AB4, EXP_EE as EXP_EE,
-    EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4, HEUN as HEUN, IE as IE, METHODS as METHODS,
-    MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
+    CN as CN, EE as EE, EXP_EE as EXP_EE, EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4,
+    HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
 )
-from .integrate.method import AB2 as AB2, AB3 as AB3, AB4 as AB4, Multistep as Multistep
-from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
@@ -48,7 +45,6 @@ from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .problem.names import load as load
-from .reaching.map import reachability as reachability
 from .reaching.public import reach as reach
 from .reaching.result import ReachStatus as ReachStatus, Reached as Reached
 from .record import replace as replace
@@ -68,10 +64,10 @@ from .robot.mjcf import load_mjcf as load_mjcf
 from .robot.urdf import load_urdf as load_urdf
 from .show.run import plot as plot
 from .stability.advice import advise as advise
+from .stability.ending import verdict as verdict
+from .stability.gain import gains as gains
 from .stability.linear import stability_limit as stability_limit
-from .stability.recommend import margin as margin, recommend as recommend
-from .stability.spectrum import settle as settle, spectral_radius as spectral_radius
-from .stability.verdict import verdict as verdict
+from .stability.spectrum import spectral_radius as spectral_radius
 from .sweeps.sweep import sweep as sweep
 from .task.build import center_of_mass as center_of_mass, com as com
 from .task.build import (
@@ -80,6 +76,6 @@ from .task.build import (
 )
 from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
 from .task.task import Task as Task
-from .tuning.tune import calibrate as calibrate
+from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

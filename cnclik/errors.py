@@ -6,14 +6,13 @@ is loaded for a message.
 
 import contextlib
 import difflib
-import functools
 import math
 import os
 import pathlib
 import re
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from cnclik import quantities
 
@@ -181,10 +180,11 @@ def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
     usual = usual and value.ndim == 1 and value.dtype.char in "fd" and value.dtype.isnative
     if usual and math.isfinite(sum(value.tolist())):
         return value
-    import jax
+    jax = sys.modules.get("jax")
 
     try:
-        found: Any = value if isinstance(value, (jax.Array, np.ndarray)) else _gather(value)
+        arrays = np.ndarray if jax is None else (jax.Array, np.ndarray)
+        found: Any = value if isinstance(value, arrays) else _gather(value)
         if isinstance(found, np.ma.MaskedArray):
             if found.mask.any():
                 raise fail(name, "hold no masked entries", f"has {int(found.mask.sum())} of them")
@@ -222,12 +222,11 @@ def as_jax_takes(value):
 
 def _gather(value):
     """Nested sequences as one array; entries may be traced."""
-    import jax
-    import jax.numpy as jnp
     import numpy as np
 
-    if any(not concrete(v) for v in jax.tree.leaves(value)):
-        return jnp.asarray(value)
+    jax = sys.modules.get("jax")
+    if jax is not None and any(not concrete(v) for v in jax.tree.leaves(value)):
+        return jax.numpy.asarray(value)
     found = np.asarray(value)
     if found.dtype.kind not in "iuf":  # NumPy would make numbers of "5", True and None
         raise TypeError
@@ -284,26 +283,6 @@ def _show(shape):
 
 class Remark(UserWarning):
     """Input that can be used but is probably not meant: degrees as radians, millimetres as metres."""
-
-
-F = TypeVar("F", bound=Any)  # a function
-
-
-def renamed(**names: str):
-    """Decorator: an argument may have its name of the version before, old=new, and then warns."""
-
-    def of(fn: F) -> F:
-        @functools.wraps(fn)
-        def known(*args, **given):
-            for old in names.keys() & given.keys():
-                said = f"the argument {old} of {fn.__name__} is {names[old]} now"
-                warnings.warn(said, DeprecationWarning, stacklevel=2)
-                given[names[old]] = given.pop(old)
-            return fn(*args, **given)
-
-        return known  # type: ignore[return-value]
-
-    return of
 
 
 def remark(text: str) -> None:

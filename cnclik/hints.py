@@ -167,13 +167,6 @@ def shares_threads(jaxpr) -> bool:
     return any(equation.primitive.name in _LAPACK for equation in equations(jaxpr))
 
 
-def after(value, other):
-    """An array as it is, to be computed when another one is there: so that batches of LAPACK don't meet, see above."""
-    one = jax.lax.stop_gradient(jnp.ravel(other)[0])
-    nothing = jnp.where(one == one, jnp.minimum(jnp.abs(one), 0), 0)  # 0, which the compiler doesn't know
-    return value + nothing.astype(value.dtype)
-
-
 def is_wide(jaxpr) -> bool:
     """Whether a traced program may be compiled with 512-bit vectors."""
     return all(equation.primitive.name in _WIDE for equation in equations(jaxpr))

@@ -234,7 +234,7 @@ def _read(key):
         program = serialize_executable.deserialize_and_load(*serialized)
     except Exception:  # whatever XLA makes of another machine's program: there is another way
         return None
-    # As JAX tells of a program from its own cache; `--timings` counts both.
+    # As JAX tells of a program from its own cache.
     jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
     return program, results

@@ -6,20 +6,37 @@ Literals (also strings, None and functions) belong to the tree's structure: they
 program as constants, and geometry that is zero costs nothing. Arrays are differentiated, vmapped, swept.
 
 Annotations give their shapes in jaxtyping's notation, `Float[Array, "m n"]`, for readers and type checkers.
+
+JAX loads when a record first meets it: methods, drives and gains are records that need NumPy alone.
 """
 
 import dataclasses
+import importlib
+import sys
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
 from typing import Annotated as Float
 from typing import Annotated as Int
-from typing import Any, TypeVar, dataclass_transform
 
-import jax
 import numpy as np
-from jax import Array as Array
 from numpy.typing import ArrayLike as ArrayLike  # JAX's has no lists of numbers
 
 from cnclik import errors
+
+if TYPE_CHECKING:
+    import jax
+    from jax import Array as Array
+else:
+    Array = Any
+
+    class _Lazy:
+        """JAX, imported at its first use here."""
+
+        def __getattr__(self, name):
+            globals()["jax"] = importlib.import_module("jax")
+            return getattr(jax, name)
+
+    jax = _Lazy()
 
 AnyArray = Array | np.ndarray  # JAX's or NumPy's
 Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in as a float, a parameter as an array
@@ -84,6 +101,23 @@ def combine(arrays, literals: Literals):
     return leaves if literals.flat else jax.tree.unflatten(literals.treedef, leaves)
 
 
+_waiting: list = []  # registrations of classes that were made before JAX was loaded
+
+
+def with_jax(register) -> None:
+    """Call register(jax) now, or, if JAX is not loaded, when a room of the package that needs it is."""
+    if "jax" in sys.modules:
+        register(importlib.import_module("jax"))
+    else:
+        _waiting.append(register)
+
+
+def register_waiting() -> None:
+    """Register the classes that were made before JAX was loaded."""
+    while _waiting:
+        _waiting.pop()(importlib.import_module("jax"))
+
+
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def record(cls: Any = None, *, kw_only: bool = True) -> Any:
     """Class decorator: frozen keyword-only dataclass, registered as a pytree by the rule above; equal by content."""
@@ -93,6 +127,8 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
 
     def frozen(self):
         checked(self)
+        if _waiting and "jax" in sys.modules:
+            register_waiting()
         for name, value in self.__dict__.items():
             if type(value) is np.ndarray:
                 taken = errors.as_jax_takes(value)
@@ -140,7 +176,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
 
     cls.__getstate__, cls.__setstate__ = fields_alone, read_only  # type: ignore[assignment]
     cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
-    jax.tree_util.register_pytree_node(cls, flatten, unflatten)
+    with_jax(lambda jax: jax.tree_util.register_pytree_node(cls, flatten, unflatten))
     return cls
 
 

@@ -54,7 +54,7 @@ def files(folder):
 def asked(law=LAW, target=(1.2, 0.9), N=4, method="EE", q=Q, Ts=0.1, solve=None):
     solve = solve or quick_jit(whole_run, static_argnames=("N", "method"))
     method = ck.METHODS[method]
-    known = law, ck.hold(np.array(target)), ck.picard(3), None, None, None, method
+    known = law, ck.hold(np.array(target)), ck.picard(3), None, None, method
     return solve(*known, q, np.float64(Ts), np.float64(0.0), None, None, N=N)
 
 
@@ -108,7 +108,7 @@ def test_settings_make_another_program(begun):
 def test_a_function_of_the_users_is_never_kept(folder):
     path = ck.path(lambda t: (1.0 + 0.1 * t, 0.9 + 0.0 * t))
     solve = quick_jit(whole_run, static_argnames=("N", "method"))
-    known = LAW, path, ck.picard(3), None, None, None, ck.EE
+    known = LAW, path, ck.picard(3), None, None, ck.EE
     run = solve(*known, Q, np.float64(0.1), np.float64(0.0), None, None, N=3)
     assert not files(folder) and run.q.shape == (4, 2)
     gain = 2.0
@@ -197,21 +197,23 @@ def test_many_programs_of_one_function_stand_side_by_side(begun):
             np.testing.assert_array_equal(asked(N=N).q, q)
 
 
-_JUDGED = """
-import sys, numpy as np, cnclik as ck
+_CALLED = """
+import sys, types, numpy as np, cnclik as ck
 from cnclik import programs
-from cnclik.tuning.objective import judge, loop_objective
+from cnclik.hints import quick_jit
 programs.keep(ck.use_cache(sys.argv[1]))
 made, make = [], programs._made
 programs._made = lambda *given: made.append(given) or make(*given)
+run = lambda law, target, q: native(lambda *loop: solve(*loop, 0.1, 4).q[-1])(law, target, q)
+own = {"__name__": "cnclik.test", "native": ck.native, "solve": ck.solve}
+run = quick_jit(types.FunctionType(run.__code__, own))
 law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=5.0)
-objective = loop_objective(law, ck.hold([1.2, 0.9]), np.array([0.3, 1.1]), Ts=0.1, N=4, method="EE")
-print(judge(objective, [(np.asarray(5.0),)])[0].loss, len(made))
+print(run(law, ck.hold(np.array([1.2, 0.9])), np.array([0.3, 1.1]))[0], len(made))
 """
 
 
 def test_a_program_that_calls_c_is_found_by_another_process(tmp_path):
-    command = [sys.executable, "-c", _JUDGED, str(tmp_path)]
+    command = [sys.executable, "-c", _CALLED, str(tmp_path)]
     first, again = (subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() for _ in "12")
     assert first[0] == again[0] and int(first[1]) > 0
     assert again[1] == "0"

@@ -1,25 +1,23 @@
-"""`cnclik reach`: joint values for targets of a file, for random ones, or over a map of positions."""
+"""`cnclik reach`: joint values for targets of a file, or for random ones."""
 
 import contextlib
 import dataclasses
 import functools
 import pathlib
 import time
-from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import RobotOptions, TaskOptions
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud
-from cnclik.show.output import draw, drawn_by
 from cnclik.writing import checked_file, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, TaskOptions, RobotOptions):
     """Find joint values that put the tip at targets, or several tips at their targets at the same time. Several tips
     have a --tip and a --target each, or are those of a stack's file, with targets on their paths:
 
@@ -37,14 +35,6 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """With --stack: number of targets on the paths, evenly spaced in time; 1 is where the paths begin."""
     random: int | None = None
     """Number of random reachable poses, in place of TARGETS."""
-    map: Literal["xy", "xz", "yz", "box"] | None = None
-    """Map where the robot can reach, over a plane or a box, in place of TARGETS."""
-    cells: int = 40
-    """Number of positions of --map along each axis."""
-    orientations: int = 24
-    """Number of orientations of --map at each position."""
-    at: float = option(0.0, unit="m")
-    """Position of the plane of --map along the third axis [m]."""
     seed: int = 0
     """Seed of the random numbers of --random and of the search."""
     tolerance: tuple[float, float] = option((1e-6, 1e-6), unit="m, rad")
@@ -60,7 +50,7 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     solutions: int = 1
     """Number of different answers for each target."""
     seeds: int | None = None
-    """Largest number of start postures for each target; default: 512, or 32 with --map."""
+    """Largest number of start postures for each target; default: 512."""
     budget: int = 25_000
     """Largest number of evaluations for a target that has no answer yet."""
     limits: bool = True
@@ -68,7 +58,7 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     json: bool = False
     """Print the summary as JSON. The search then runs twice, to measure its time without compilation."""
     out: pathlib.Path | None = None
-    """File for the answers: FILE.npz, .nc or .csv. With --map: folder; default: reach-out."""
+    """File for the answers: FILE.npz, .nc or .csv."""
 
 
 def run(args: Args) -> None:
@@ -79,9 +69,6 @@ def run(args: Args) -> None:
     asked = [wanted.title, *wanted.lines, _search(args, wanted.chain)]
     if not args.json:
         print(*asked, sep="\n")
-    if args.map:
-        _map(args, wanted.chain, wanted.task)
-        return
     with errors.called("targets", "target") if args.target else contextlib.nullcontext():
         _answers(args, wanted, asked)
 
@@ -99,26 +86,18 @@ def _search(args, chain) -> str:
 
 
 def _check(args):
-    ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random, "--map": args.map}
+    ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random}
     given = [name for name, value in ways.items() if value is not None]
     if len(given) > 1 or (not given and args.stack is None):
         found = f"are {' and '.join(given)}" if given else "is none of them"
-        must = "One of TARGETS, --target X Y Z, --random N, --map PLANE and --stack FILE must be given"
+        must = "One of TARGETS, --target X Y Z, --random N and --stack FILE must be given"
         raise errors.ArgumentError(f"{must}, but there {found}.")
-    if args.map and (args.stack is not None or len(args.tip) > 1):
-        raise errors.fail("map", "be left out for several tips", f"is {args.map}")
     if errors.integer("points", args.points, at_least=1, at_most=errors.MOST) > 1 and (given or args.stack is None):
         raise errors.fail("points", "come with the paths of a stack", f"is {args.points}")
     if args.random is not None:
         errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
     if args.path and args.near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
-
-
-def _options(args, *names):
-    """Options of the search by name, and those that every search has; `seeds` if they are given."""
-    names = (*names, "tolerance", "budget", "limits", "seed", *["seeds"] * (args.seeds is not None))
-    return {name: getattr(args, name) for name in names}
 
 
 def _answers(args, wanted, asked):
@@ -132,7 +111,10 @@ def _answers(args, wanted, asked):
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
-    options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
+    names = ("accept", "jump", "solutions", "tolerance", "budget", "limits", "seed")
+    options = {name: getattr(args, name) for name in names} | {"near": "previous" if args.path else args.near}
+    if args.seeds is not None:
+        options["seeds"] = args.seeds
     with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
         begun = time.perf_counter()
         with progress.bar("targets", len(pose)) as report:
@@ -154,46 +136,6 @@ def _answers(args, wanted, asked):
         _tell(made, summary, first)
         if args.out is not None:
             print(f"Wrote {args.out}.")
-    if args.report is not None:
-        _report(args, made, answers(made, transforms(pose)), summary, first)
-
-
-def _report(args, made, data, summary, seconds):
-    """The page: how many of each status, and the robot at the first targets."""
-    solved = round(summary["solve_rate"] * summary["targets"])
-    facts = [
-        ("time", f"{seconds:.2f} s, compilation included"),
-        ("evaluations per target", f"{summary['evaluations_per_target']:.0f}"),
-        ("largest error of the reached targets", _largest(made)),
-    ]
-    rows = [(name, f"{number:,}", _MEANING[name]) for name, number in summary["status"].items()]
-    args.write_report(
-        f"{_name(args)}: joint values for {summary['targets']:,} targets",
-        f"{solved:,} of {summary['targets']:,} targets are reached ({100 * summary['solve_rate']:.4g} %).",
-        facts=facts,
-        tables=[("Answers", ("status", "targets", "meaning"), rows)],
-        motions=functools.partial(_motions, args, made.chain, data),
-    )
-
-
-def _name(args) -> str:
-    from cnclik.problem.names import robot_name
-
-    return robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
-
-
-def _largest(made) -> str:
-    parts = ((made.position_error, "m"), (made.orientation_error, "rad"))
-    if not made.solved.any():
-        return "none is reached"
-    return ", ".join(aloud(float(values[made.solved].max()), unit) for values, unit in parts)
-
-
-def _motions(args, chain, data):
-    from cnclik.show.viewer.files import MOST_TARGETS, answers_motion, links_of, of_answers
-
-    found = of_answers(data.isel(target=slice(0, MOST_TARGETS)))
-    return [answers_motion(chain, found, name=_name(args), links=links_of(args.robot, args.base, chain))]
 
 
 def _summary(made, first, again):
@@ -256,44 +198,3 @@ _MEANING = {
     "NON_FINITE": "the target, or --near, is not finite",
     "NO_OTHER": "fewer solutions than requested",
 }
-
-
-def _map(args, chain, task):
-    import numpy as np
-
-    from cnclik.reaching.map import reachability
-
-    if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
-        raise errors.ArgumentError("Options of single targets must be left out with --map, but some are given.")
-    kind = "pose" if task.orientation else "position"
-    if args.task not in (None, "pose", "position"):
-        raise errors.fail("task", "be pose or position with --map", f"is {args.task!r}")
-    out = args.out or pathlib.Path("reach-out")
-    count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
-    begun = time.perf_counter()
-    with output_folder(out, overwrite=args.overwrite, files=["map.npz", "map.png"]) as folder:
-        with progress.bar("targets", count) as report:
-            found = reachability(
-                chain, args.map, task=kind, progress=report, **_options(args, "cells", "orientations", "at")
-            )
-        places = dict(zip(found.axes, found.places, strict=True))
-        numbers = dict(share=found.share, least_singular_value=found.least_singular_value, **places)
-        folder.write("map.npz", lambda path: np.savez_compressed(path, **numbers))
-    seconds = time.perf_counter() - begun
-    title = f"{_name(args)}: where the tip can go"
-    about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
-    figures = {"map.png": (drawn_by("reach", "reachability", found, title=title), about)}
-    with args.figures_first():
-        draw(figures, out, overwrite=args.overwrite)
-    summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
-    answer = f"{100 * np.mean(found.share > 0):.1f} % of the positions can be reached"
-    if kind == "pose":
-        answer += f", {100 * np.mean(found.share == 1):.1f} % in every orientation that was tried"
-    if args.json:
-        print_json(summary)
-    else:
-        print(f"{count:,} targets in {seconds:.2f} s: {answer}")
-        print(f"Wrote map.png and map.npz to {out}/.")
-    args.write_report(
-        title, f"{answer}.", facts=[("targets", f"{count:,}"), ("time", f"{seconds:.2f} s")], figures=figures
-    )

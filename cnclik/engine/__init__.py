@@ -6,3 +6,7 @@ of it. `rounds` is a number of rounds that a program gets when it is called. `to
 (`operations`, `row_texts`, `pieces`), `scalar` as C99 of one lane, `source` the whole file with the C of the folder
 `c`; `compiler` builds it, and `program` runs it for a batch, `native` inside a JAX program.
 """
+
+from cnclik.record import register_waiting
+
+register_waiting()  # from here on JAX is needed

@@ -21,7 +21,7 @@ import weakref
 from cnclik import errors
 from cnclik.programs import ENDING
 
-# For exports. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
+# For `build`. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
 # for a step with 33 joints and 51 rows. The code is as quick without it.
 FLAGS = (
     *("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fno-thread-jumps"),
@@ -44,7 +44,7 @@ UNSAFE = (
     "-ffp-model",
 )
 LONG = 20_000  # lines; longer programs are optimized less, as compile time grows faster than length
-LIMIT = 300.0  # [s] time limit of the compiler; the largest exports take half a minute
+LIMIT = 300.0  # [s] time limit of the compiler
 MOST_SECONDS = 120  # [s] the limit where XLA can run the function instead
 DAY = 86_400  # [s] that it is remembered: other work may have kept the compiler waiting
 
@@ -241,11 +241,8 @@ def _processor() -> str:
     return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
 
 
-def opened(library, *, lets_go=True):
-    """The loaded library, closed once nothing refers to it; its functions alone do not keep it open.
-
-    Args: lets_go: release Python's lock during calls, for calls longer than a step.
-    """
-    found = (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
+def opened(library):
+    """The loaded library, closed once nothing refers to it; its functions alone do not keep it open."""
+    found = ctypes.CDLL(str(library))
     weakref.finalize(found, _ctypes.dlclose, found._handle).atexit = False  # a thread may still run its code
     return found

@@ -34,11 +34,11 @@ class Routine(NamedTuple):
 
     inputs: dict  # {group: [Field]}
     outputs: dict  # {group: [Field]}
-    graph: Graph | None = None
-    given: Sequence = ()  # its input nodes, field by field
-    outs: Sequence = ()  # its results, field by field
-    fn: Callable | None = None  # of flat arrays, compiled-in ones included
-    fixed: dict | None = None  # {index of an argument of `fn`: its compiled-in value}
+    graph: Graph
+    given: Sequence  # its input nodes, field by field
+    outs: Sequence  # its results, field by field
+    fn: Callable  # of flat arrays, compiled-in ones included
+    fixed: dict  # {index of an argument of `fn`: its compiled-in value}
 
     def places(self, place) -> tuple:
         """The readers and writers for `Writer`; `place(group, field)` gives a field's place in C."""

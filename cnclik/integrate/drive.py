@@ -1,34 +1,28 @@
-"""Drive: the dynamics between a command and the motion, and the measurement that the controller gets.
+"""Drive: what lies between a joint's command and its motion, and which joint values the controller uses. NumPy only.
 
 A command passes the dead time, is constant for a sample, and is followed by G(s): immediately, with a lag, or like a
-second-order servo. Each joint may have its own. The sampled model is exact for a constant command; theory and loop use
-the same matrices.
+second-order servo. The sampled model is exact for a constant command; the gains of `cnclik.stability` and the loop of
+`solve` (see `cnclik.integrate.driven`) use the same matrices.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
-from typing import NamedTuple, Self
+from typing import Self
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.record import AnyArray, Array, ArrayLike, Float, is_literal, leaf, record, replace
-from cnclik.robot import chart
+from cnclik.record import AnyArray, ArrayLike, Float, Number, is_literal, leaf, record, replace
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
-MOST = 101  # samples of dead time and measurement delay together, the number of rows of theory's matrices
+SMOOTHED = ("error", "command", "target")
+MOST = 101  # samples of dead time and measurement delay together: the size of the gains' matrices
 LARGEST = 1e12  # a quantity of a drive, or its inverse, at most: products of larger ones overflow
 TERMS = 15  # terms of the exponential's series: 0.5^16/16! is below rounding
 FASTEST = 5e4  # rates of a drive times Ts, at most: faster drives are at rest within a sample anyway
-_ABSENT = ("lag", "joint_noise", "resolution")  # absent if they are 0
-_QUANTITIES = (  # shared by all joints or one per joint
-    *("lag", "natural_frequency", "damping_ratio", "drive_velocity", "drive_acceleration", "joint_noise", "resolution"),
-)
+_QUANTITIES = ("lag", "natural_frequency", "damping_ratio")  # shared by all joints or one per joint
 
 
 @record
@@ -38,6 +32,9 @@ class Drive:
     A velocity command is constant for a sample and followed by G(s) q̇_c; a position command steps from sample to
     sample and is followed by G(s) q_c. G(s) = 1, 1/(lag s + 1), or ω₀²/(s² + 2ζω₀ s + ω₀²). A servo with gains k_p and
     k_v on an inertia m has ω₀² = k_p/m and 2ζω₀ = k_v/m; a velocity servo with gain k_v on m has the lag m/k_v.
+
+    A low-pass filter, an exponential moving average y[k] = ρ y[k−1] + (1 − ρ) u[k], may smooth one signal of the loop.
+    On the error or the command it lowers the gains; on the target it delays the motion by Ts ρ/(1 − ρ).
 
     Attributes:
       delay: dead time between command and motion [samples], also fractions; a known number, never traced.
@@ -49,12 +46,11 @@ class Drive:
       command: "velocity", or "position": the controller sums up its steps and sends joint values. Without lag both are
         the same.
       feedback: joint values that the controller uses. "measured": the robot's own, while commands are summed up
-        separately; "commanded": its own commands, so that drive, dead time, joint noise and measurement delay do not
-        enter the loop; "rebased": measured, and each position command starts from them instead of the last command.
-      drive_velocity, drive_acceleration: largest velocity and acceleration that the drive reaches, a number or (n,)
-        [rad/s, m/s], [rad/s², m/s²]; None: no limit.
-      joint_noise: standard deviation of measured joint values, a number or (n,) [rad, m]. resolution: of the encoders
-        [rad, m]. seed: of the noise.
+        separately; "commanded": its own commands, so that drive, dead time and measurement delay do not enter the loop;
+        "rebased": measured, and each position command starts from them instead of the last command.
+      smoothing: ρ, the share of the old value that the filter keeps, 0 ≤ ρ < 1; 0: no filter.
+      cutoff: cut-off frequency f of the filter [Hz], in place of ρ = exp(−2π f Ts).
+      smoothed: what the filter smooths: "error", "command" or "target".
 
     Raises: ArgumentError for values that do not fit.
     """
@@ -66,11 +62,9 @@ class Drive:
     damping_ratio: ArrayLike = 1.0
     command: str = "velocity"
     feedback: str = "measured"
-    drive_velocity: ArrayLike | None = None
-    drive_acceleration: ArrayLike | None = None
-    joint_noise: ArrayLike = 0.0
-    resolution: ArrayLike = 0.0
-    seed: int = 0
+    smoothing: Number = 0.0
+    cutoff: Number | None = None
+    smoothed: str = "error"
 
     def __post_init__(self):
         if isinstance(self.delay, str):
@@ -86,6 +80,7 @@ class Drive:
         object.__setattr__(self, "delay", float(self.delay))
         errors.one_of("command", self.command, COMMANDS)
         errors.one_of("feedback", self.feedback, FEEDBACKS)
+        errors.one_of("smoothed", self.smoothed, SMOOTHED)
         if self.natural_frequency is not None and not _none(self.lag):
             must = "be left out where there is a lag: a drive has one of both"
             raise errors.fail("natural_frequency", must, "is given")
@@ -94,21 +89,46 @@ class Drive:
         if self.feedback == "rebased" and not self.steps_positions:
             must = "come with command position and a lag or servo where it is rebased: velocities begin nowhere else"
             raise errors.fail("feedback", must, f"comes with command {self.command}, order {self.order}")
-        errors.seed(self.seed)
         for name in _QUANTITIES:
             value = getattr(self, name)
-            if name == "damping_ratio" and self.natural_frequency is None:
-                continue
-            if value is None and name in _ABSENT:
+            if name == "lag" and value is None:
                 raise errors.fail(name, "be a number, 0 for none", "is None")
-            if value is not None and not (_none(value) and name in _ABSENT):
-                known = _check(name, value, zero=name in ("joint_noise", "resolution"))
-                object.__setattr__(self, name, known if np.ndim(known) else leaf(value))
+            if value is None or (name == "lag" and _none(value)) or (name == "damping_ratio" and self.order < 2):
+                continue
+            known = _check(name, value)
+            object.__setattr__(self, name, known if np.ndim(known) else leaf(value))
+        self._check_filter()
+
+    def _check_filter(self):
+        if self.cutoff is not None:
+            if not _none(self.smoothing):
+                raise errors.fail(
+                    "cutoff", "be left out where there is a smoothing: a filter has one of both", "is given"
+                )
+            object.__setattr__(self, "cutoff", leaf(errors.number("cutoff", self.cutoff, positive=True)))
+        elif not _none(self.smoothing):
+            errors.number("smoothing", self.smoothing, at_least=0)
+            if errors.concrete(self.smoothing) and not float(self.smoothing) < 1:
+                must = "be below 1, the share of the old value that is kept (a cut-off in Hz is `cutoff`)"
+                raise errors.fail("smoothing", must, f"is {float(self.smoothing):g}")
+            object.__setattr__(self, "smoothing", leaf(self.smoothing))
 
     @property
     def order(self) -> int:
         """Order of G(s)."""
         return 2 if self.natural_frequency is not None else 0 if _none(self.lag) else 1
+
+    @property
+    def filters(self) -> str:
+        """What the filter smooths: "error", "command" or "target"; "" without a filter."""
+        return "" if self.cutoff is None and _none(self.smoothing) else self.smoothed
+
+    def kept(self, Ts):
+        """Share ρ of the old value that the filter keeps at a sampling time [s]."""
+        if self.cutoff is None:
+            return self.smoothing
+        xp = library(self.cutoff, Ts)
+        return xp.exp(-2 * np.pi * self.cutoff * Ts)
 
     @property
     def steps_positions(self) -> bool:
@@ -122,57 +142,78 @@ class Drive:
 
     @property
     def ideal(self) -> bool:
-        """Whether the motion equals the command; the measurement may still be noisy."""
-        return self.order == 0 and self.delay == 0 and self.drive_velocity is self.drive_acceleration is None
+        """Whether the motion equals the command."""
+        return self.order == 0 and self.delay == 0 and self.filters != "command"
 
     @property
     def prompt(self) -> bool:
         """Whether the loop equals the one without drives."""
-        return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded"
-
-    @property
-    def absent(self) -> bool:
-        """Whether the loop equals the one without drives, and the measurement equals the motion."""
-        return self.prompt and self.exact
+        return self.ideal and self.measurement_delay == 0 and self.feedback != "commanded" and not self.filters
 
     @property
     def lumped(self) -> Self:
         """The drive with all delays lumped into the dead time; stability is the same."""
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
 
-    @property
-    def exact(self) -> bool:
-        """Whether the measurement equals the motion."""
-        return _none(self.joint_noise) and _none(self.resolution)
-
     def late_by(self, Ts):
-        """Delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
+        """Return the delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
 
-        For stepping positions it is half a sample less, as each is sent at the start of its sample.
+        For stepping positions it is half a sample less, as each is sent at the start of its sample. A filter of the
+        command or the target adds Ts ρ/(1 − ρ).
         """
         lag = 2 * self.damping_ratio / self.natural_frequency if self.order == 2 else self.lag
-        return self.delay * Ts + lag - 0.5 * Ts * self.steps_positions
+        late = self.delay * Ts + lag - 0.5 * Ts * self.steps_positions
+        return late + self.filter_lag(Ts) if self.filters in ("command", "target") else late
+
+    def filter_lag(self, Ts):
+        """Delay of a ramp through the filter, Ts ρ/(1 − ρ) [s]; 0 without a filter."""
+        kept = self.kept(Ts) if self.filters else 0.0
+        return Ts * kept / (1 - kept)
+
+    @property
+    def joints(self) -> list[Drive]:
+        """One drive for each joint whose numbers differ; equal ones once."""
+        count = max(np.size(getattr(self, name)) for name in _QUANTITIES if getattr(self, name) is not None)
+        numbers = {
+            name: np.broadcast_to(np.asarray(value, float), (count,))
+            for name in _QUANTITIES
+            if np.ndim(value := getattr(self, name))
+        }
+        if not numbers:
+            return [self]
+        rows = dict.fromkeys(zip(*(v.tolist() for v in numbers.values()), strict=True))
+        return [replace(self, **dict(zip(numbers, row, strict=True))) for row in rows]
+
+
+def library(*values):
+    """NumPy where all values are known, else jax.numpy."""
+    if all(map(errors.concrete, values)):
+        return np
+    import jax.numpy as jnp
+
+    return jnp
 
 
 def _none(value) -> bool:
-    """Whether a quantity is known to be absent."""
+    """Return whether a quantity is known to be absent."""
     return is_literal(value) and value == 0
 
 
-def _check(name, value, *, zero):
+def _check(name, value):
+    """A positive quantity, a number or one per joint."""
     value = errors.array(name, value, (), (None,), (None, 1), most=LARGEST)
     if not errors.concrete(value):
         return value
     known = np.asarray(value, float)
-    if np.any(known < 0 if zero else known <= 0):
-        raise errors.fail(name, "be at least 0" if zero else "be positive", f"is {known.min():g}")
-    if not zero and np.any(known < 1 / LARGEST):
+    if np.any(known <= 0):
+        raise errors.fail(name, "be positive", f"is {known.min():g}")
+    if np.any(known < 1 / LARGEST):
         raise errors.fail(name, f"be at least {1 / LARGEST:g}", f"is {known.min():g}")
     return value
 
 
 def check_drive(drive, chain) -> Drive:
-    """The drive. Raises: ArgumentError unless it is a `Drive` that fits a chain."""
+    """Return the drive. Raises: ArgumentError unless it is a `Drive` that fits a chain."""
     errors.kind("drive", drive, Drive, "be Drive(...)")
     if chain.balls and drive.steps_positions:
         raise errors.fail("drive", "take velocities on a free base, whose positions are no sums", "takes positions")
@@ -180,6 +221,30 @@ def check_drive(drive, chain) -> Drive:
         if np.ndim(getattr(drive, name)):
             errors.array(name, getattr(drive, name), (chain.n,))
     return drive
+
+
+def drive_in_words(drive: Drive, Ts: float) -> str:
+    """Return a drive in words: "17 samples (34 ms) of dead time, a lag of 100 ms"."""
+    words = [f"{quantities.in_samples(drive.delay, Ts)} of dead time"] * bool(drive.delay)
+    words += [f"measured {quantities.in_samples(drive.measurement_delay, Ts)} late"] * bool(drive.measurement_delay)
+
+    def span(value, unit, scale=1.0):
+        low, high = (scale * float(pick(np.asarray(value, float))) for pick in (np.min, np.max))
+        return f"{low:.4g}{'' if low == high else f' to {high:.4g}'} {unit}".rstrip()
+
+    if drive.order == 1:
+        words.append(f"a lag of {span(drive.lag, 'ms', 1e3)}")
+    if drive.order == 2:
+        words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
+    words += ["position commands"] * drive.steps_positions
+    words += {
+        "measured": [],
+        "commanded": ["own commands as feedback"],
+        "rebased": ["commands from the measured joints"],
+    }[drive.feedback]
+    if drive.filters:
+        words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
+    return ", ".join(words) or "ideal drives"
 
 
 # --- sampled ------------------------------------------------------------------------------------------
@@ -205,26 +270,13 @@ class Sampled:
         return self.whole + (self.late is not None)
 
     def moved(self, x, line, u):
-        """The states (..., n, s) one sample later. line: the commands under way, newest first; u: the new command."""
+        """Return the states (..., n, s) one sample later. line: commands under way, the newest first; u: the new."""
         x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
         return x if self.late is None else x + self.late * line[self.whole][..., None]
 
-    def beside(self):
-        """Several drives, with two more axes after theirs."""
-        late = None if self.late is None else np.expand_dims(self.late, (-3, -2))
-        return replace(self, phi=np.expand_dims(self.phi, (-4, -3)), now=np.expand_dims(self.now, (-3, -2)), late=late)
-
-    def transfer(self, at):
-        """The transfer function from command to motion at points z (...), for one drive shared by all joints."""
-        at = np.asarray(at)[..., None]
-        force = self.now * at**-self.whole
-        if self.late is not None:
-            force = force + self.late * at ** -(self.whole + 1)
-        return np.linalg.solve(at[..., None] * np.eye(self.size) - self.phi, force[..., None])[..., 0, 0]
-
 
 def sampled(drive: Drive, Ts) -> Sampled:
-    """The drive at a sampling time, exact for a constant command (zero-order hold); in NumPy if all is known.
+    """Sample the drive, exactly for a constant command (zero-order hold); in NumPy if all is known.
 
     Γ₀ is the effect of a command in the part of the sample after its arrival, Γ₁ that of the previous command in the
     part before (Åström & Wittenmark 1997, Section 2.3).
@@ -234,22 +286,17 @@ def sampled(drive: Drive, Ts) -> Sampled:
     if drive.order == 0:
         late = Ts * np.full(1, share) if share else None
         return Sampled(phi=np.ones((1, 1)), now=Ts * np.full(1, 1.0 - share), late=late, whole=whole)
-    known = all(map(errors.concrete, jax.tree.leaves((drive, Ts))))
-    a, b = _continuous(drive, Ts, np if known else jnp)
-    phi, gamma = _held(a, b, Ts * (1.0 - share), known)
+    xp = library(*(getattr(drive, name) for name in _QUANTITIES), Ts)
+    a, b = _continuous(drive, Ts, xp)
+    phi, gamma = _held(a, b, Ts * (1.0 - share), xp)
     if share == 0:
         return Sampled(phi=phi, now=gamma, late=None, whole=whole)
-    first, late = _held(a, b, Ts * share, known)
+    first, late = _held(a, b, Ts * share, xp)
     return Sampled(phi=phi @ first, now=gamma, late=(phi @ late[..., None])[..., 0], whole=whole)
 
 
-def moving(drive: Drive, Ts):
-    """`sampled`, or None if the motion is the controller's own step."""
-    return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
-
-
 def _continuous(drive, Ts, xp):
-    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis, if any, is that of the joints.
+    """Return A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; a leading axis is that of the joints.
 
     G's own states are y = 1/(lag s + 1) u, or ẏ₀ = ω₀ y₁, ẏ₁ = ω₀ (u − y₀) − 2ζω₀ y₁, which are well scaled.
     """
@@ -268,17 +315,21 @@ def _continuous(drive, Ts, xp):
     return xp.stack([xp.stack(row, -1) for row in rows], -2), xp.stack(force, -1)
 
 
-def _held(a, b, h, known):
+def _held(a, b, h, xp):
     """Φ(h) = exp(A h) and Γ(h) = ∫₀ʰ exp(A s) b ds, from one exponential of a larger matrix (Van Loan 1978)."""
-    xp = np if known else jnp
     whole = xp.concatenate([a, b[..., None]], -1)
     whole = h * xp.concatenate([whole, xp.zeros_like(whole[..., :1, :])], -2)
-    made = _exponential(whole) if known else jax.scipy.linalg.expm(whole)
+    if xp is np:
+        made = _exponential(whole)
+    else:
+        import jax
+
+        made = jax.scipy.linalg.expm(whole)
     return made[..., :-1, :-1], made[..., :-1, -1]
 
 
 def _exponential(a):
-    """exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
+    """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
 
     SciPy's calls LAPACK, whose threads wait for each other longer than such a small matrix takes.
     """
@@ -290,87 +341,3 @@ def _exponential(a):
     for _ in range(doublings):
         less = 2 * less + less @ less
     return less + np.eye(a.shape[-1])
-
-
-# --- in a loop ----------------------------------------------------------------------------------------
-
-
-class Driven(NamedTuple):
-    """The state of the drives."""
-
-    x: Float[Array, "n s"]
-    line: Float[Array, "d n"]  # commands that still act, newest first
-    sent: Float[Array, " n"]  # the sum of the controller's steps
-    limited: tuple[Array, Array] | None  # (n,), (n,): the last limited command, and its rate of change
-
-
-def resting(chain, drive: Drive, model: Sampled, q) -> Driven:
-    """Drives at rest at q (n,), commanded to stay there."""
-    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
-    held = q if drive.steps_positions else jnp.zeros_like(q)
-    bounded = not (drive.drive_velocity is drive.drive_acceleration is None)
-    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, (held, jnp.zeros_like(q)) if bounded else None)
-
-
-def reached(chain, q, at: Driven):
-    """The joint values (n,) after a sample that starts at q (n,), and the drives in the chart centred there."""
-    after = chart.out(chain, q, at.x[:, 0])
-    return after, at._replace(x=at.x.at[:, 0].set(chart.centre(chain, after))) if chain.balls else at
-
-
-def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
-    """The drives one sample later, after the controller's step (n,) from the joint values q (n,) that it used."""
-    sent = chart.moved(chain, q if drive.feedback == "rebased" else at.sent, step)
-    u = sent if drive.steps_positions else step / Ts
-    limited = at.limited
-    if limited is not None:
-        u, limited = _within_limits(drive, u, limited, Ts)
-    line = jnp.concatenate([u[None], at.line])[: len(at.line)]
-    return Driven(model.moved(at.x, at.line, u), line, sent, limited)
-
-
-def _within_limits(drive, u, before, Ts):
-    """The command within the drive's limits of velocity and acceleration."""
-    last, speed = before
-    wanted = (u - last) / Ts if drive.steps_positions else u
-    if drive.drive_acceleration is not None:
-        most = drive.drive_acceleration * Ts
-        wanted = jnp.clip(wanted, speed - most, speed + most)
-    if drive.drive_velocity is not None:
-        wanted = jnp.clip(wanted, -drive.drive_velocity, drive.drive_velocity)
-    u = last + wanted * Ts if drive.steps_positions else wanted
-    return u, (u, wanted)
-
-
-def measured_joints(drive, q, k):
-    """The controller's measurement of joint values q (n,) at step k, with noise and encoder resolution."""
-    if not _none(drive.joint_noise):
-        key = jax.random.fold_in(_key(drive.seed), jnp.asarray(k).astype(jnp.int32))
-        q = q + drive.joint_noise * jax.random.normal(key, q.shape, q.dtype)
-    if not _none(drive.resolution):
-        steps = jnp.where(drive.resolution > 0, drive.resolution, 1.0)
-        q = jnp.where(drive.resolution > 0, steps * jnp.round(q / steps), q)
-    return q
-
-
-def white_noise(sigma, N: int, m: int, seed=0):
-    """(N, m) independent normal measurement errors; the same seed gives the same numbers.
-
-    Args:
-      sigma: standard deviation, a number or one per task coordinate (m,) [m, rad]; it may be traced, as may the seed.
-    """
-    sigma = errors.array("noise", sigma, (), (1,), (m,))
-    if errors.concrete(sigma) and (sigma < 0).any():
-        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
-    errors.seed(seed)
-    dtype = jnp.asarray(sigma).dtype
-    # With a known seed the numbers are drawn outside of the traced program.
-    with jax.ensure_compile_time_eval() if errors.concrete(seed) else contextlib.nullcontext():
-        drawn = jax.random.normal(_key(seed), (N, m), dtype)
-    if errors.concrete(sigma) and errors.concrete(drawn):
-        return np.asarray(sigma, dtype) * np.asarray(drawn)
-    return sigma * drawn
-
-
-def _key(seed):
-    return jax.random.key(jnp.asarray(seed).astype(jnp.uint32))

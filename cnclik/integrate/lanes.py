@@ -36,7 +36,7 @@ OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its v
 def lanes(
     fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None, quick: bool = False
 ) -> Callable:
-    """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but faster.
+    """Map fn over lanes: same arguments and, to rounding, same results as `jax.vmap(fn)`, but faster.
 
     Every argument is a tree of arrays with one leading batch axis, of any size from 1 to tens of millions. Close over
     what all lanes share. `fn` should return a small result of a loop (an error, a metric) and not the whole trajectory:
@@ -98,14 +98,14 @@ def lanes(
 
 
 def options(traced, quick=False) -> dict:
-    """Compiler options of a traced program (`jax.jit(fn).trace(...)`), for a CPU and while hints are on."""
+    """Return the compiler options of a traced program (`jax.jit(fn).trace(...)`), for a CPU and while hints are on."""
     if jax.default_backend() != "cpu":
         return {}
     return known_options(QUICK_COMPILE if quick else OPTIONS if is_wide(traced.jaxpr) else {})
 
 
 def _hinted(fn):
-    """The function compiled with its program's options."""
+    """Return the function compiled with its program's options."""
     plain, found = jax.jit(fn), LRU()
     hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
 
@@ -117,12 +117,12 @@ def _hinted(fn):
 
 
 def _signature(leaves, treedef) -> tuple:
-    """The types of one lane of the arguments: equal ones share a program."""
+    """Return the types of one lane of the arguments: equal ones share a program."""
     return treedef, *[(x.shape[1:], x.dtype) for x in leaves]
 
 
 def _size(leaves) -> int:
-    """The batch size of all leaves."""
+    """Return the batch size of all leaves."""
     for leaf in leaves:
         if not hasattr(leaf, "dtype"):  # the numbers of a list have shape ()
             raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {leaf!r}")
@@ -137,13 +137,13 @@ def _size(leaves) -> int:
 
 
 def _block(size, tile, block, workers):
-    """Lanes per call: at most `block`, in whole tiles, so that all workers get equally many calls."""
+    """Return the lanes per call: at most `block`, in whole tiles, so that all workers get equally many calls."""
     calls = workers * -(-size // (workers * block))
     return -(-size // (calls * tile)) * tile
 
 
 def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
-    """vmap(fn) as a loop over tiles, read and written in place.
+    """Compute vmap(fn) as a loop over tiles, read and written in place.
 
     Args:
       tile, block: lanes of a tile, on a CPU and elsewhere.

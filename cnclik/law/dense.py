@@ -1,7 +1,6 @@
 """Dense linear algebra for tasks of a few rows."""
 
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -47,10 +46,9 @@ def _between_jvp(primals, tangents):
     return between(*primals), da @ right + left.T @ db.T - left.T @ turned @ right
 
 
-def triangular(lower, b, *, transposed=False, unit=False):
-    """Solution x of L x = b, or of Lᵀ x = b; `unit`: with ones in place of L's diagonal."""
-    eye = np.eye(len(lower), dtype=bool)
-    whole = jnp.where(np.tri(len(lower), dtype=bool), jnp.where(eye & unit, 1.0, lower), 0.0)
+def triangular(lower, b, *, transposed=False):
+    """Solve L x = b, or Lᵀ x = b."""
+    whole = jnp.where(np.tri(len(lower), dtype=bool), lower, 0.0)
 
     def solved(transposed):
         return lambda _, b: _substitution(transposed)(whole, b)
@@ -58,21 +56,6 @@ def triangular(lower, b, *, transposed=False, unit=False):
     return lax.custom_linear_solve(
         lambda x: (whole.T if transposed else whole) @ x, b, solved(transposed), solved(not transposed)
     )
-
-
-def packed(lower):
-    """A Cholesky factor L √D as a vector (m(m+1)/2,), row by row: L below its unit diagonal, and 1/D on it."""
-    inverse = 1.0 / jnp.diagonal(lower)
-    unit = lower * inverse
-    return jnp.where(np.eye(len(lower), dtype=bool), inverse * inverse, unit)[np.tril_indices(len(lower))]
-
-
-def packed_solve(vector, b):
-    """`cholesky_solve` of a vector with a `packed` factor, without a root or a division."""
-    ends = np.cumsum(np.arange(len(b) + 1))  # row by row, as the engine has no C for a large scatter
-    both = jnp.stack([jnp.pad(vector[i:j], (0, len(b) - (j - i))) for i, j in itertools.pairwise(ends)])
-    half = jnp.diagonal(both) * triangular(both, b, unit=True)
-    return triangular(both, half, transposed=True, unit=True)
 
 
 def inverse_trace(lower):

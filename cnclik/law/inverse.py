@@ -26,7 +26,6 @@ class Factored(NamedTuple):
     apply: Callable
     least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
     shift: ArrayLike | None = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
-    memory: Callable | None = None  # returns the memory of J# for `remembered`; None: its columns
     even: tuple[ArrayLike, ArrayLike] | None = None  # factors λ/λᵢ of the rows, with the least λ, and λ²
 
 
@@ -34,11 +33,6 @@ class Factored(NamedTuple):
 # all but some of 100,000 products of random matrices of rank 1 to 5, 2 for all.
 _ROUNDINGS = 4
 _OF_NONE = 1e-6  # [m², 1] trace that stands for a J Jᵀ of zeros: that of a joint with an arm of 1 mm
-
-
-def remembered(rows, factor, t):
-    """J# t from an inverse's memory: its columns (m, n), or those of Jᵀ with the factor."""
-    return (t if factor is None else dense.packed_solve(factor, t)) @ rows
 
 
 def through(apply, rows, velocity, null):
@@ -54,14 +48,13 @@ class Pseudoinverse:
         columns, least = dense.pinv(rows)
         wide = len(rows) <= rows.shape[1]
         apply = functools.partial(dense.pinv_applied, rows, columns) if wide else lambda t: t @ columns
-        return Factored(apply, lax.stop_gradient(least), memory=lambda: (columns, None))
+        return Factored(apply, lax.stop_gradient(least))
 
 
 class ByShift:
     """What damped inverses share, Jᵀ (J Jᵀ + λ² I)⁻¹ with λ² = `shift`."""
 
     always = True  # whether λ is at least `damping`, and not only near a singularity
-    factors = True  # whether `memory` has factors, for a task with at most as many rows as joints
     shift: Callable  # of the rows: λ², and an estimate of the least singular value if λ² depends on one
 
     def __call__(self, rows) -> Factored:
@@ -110,7 +103,6 @@ class ErrorDamped(ByShift):
 class Levels:
     """See `levels`."""
 
-    factors = True
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
     damping: tuple[Damped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
@@ -145,8 +137,7 @@ class Levels:
 def _by_shift(rows, shift, least=None) -> Factored:
     """Jᵀ (J Jᵀ + D)⁻¹, see `damped_apply`."""
     apply, factor, made, even = damped_apply(rows, shift)
-    memory = (lambda: (rows, dense.packed(factor))) if len(rows) <= rows.shape[1] else None
-    return Factored(apply, _least(factor, made) if least is None else least, made, memory, even)
+    return Factored(apply, _least(factor, made) if least is None else least, made, even)
 
 
 def least_of(rows):

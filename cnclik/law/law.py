@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors, markup
+from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
@@ -107,13 +107,6 @@ class Law:
                 lines.append(f"  {name} {brief(getattr(self, name))}")
         return "\n".join(lines)
 
-    def _repr_html_(self):
-        """For notebooks: its sentence and its parts."""
-        sentence, *lines = repr(self).splitlines()
-        rows = [line.strip().partition(" ")[::2] for line in lines[2:]]
-        parts = [("task", brief(self.task)), ("chain", brief(self.chain)), *rows]
-        return f"<p>{markup.escaped(sentence)}</p>{markup.table((), parts, left=2)}"
-
 
 def _gains(task: Task, alpha):
     """Return the checked gain, () or (m,), from a number, one per coordinate, or {name of a stack's task: gain}."""
@@ -147,8 +140,6 @@ class Evaluation(NamedTuple):
     newton: Callable  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `newton`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
     cut: bool | Bool[Array, ""] = False  # whether the search within limits was cut short
-    task_velocity: Float[Array, " m"] | None = None  # weighted task velocity
-    memory: Callable | None = None  # memory(): the memory of J#, see `cnclik.law.inverse.remembered`
     walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
@@ -186,8 +177,6 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         newton=lambda h, k: newton(law, rows, factored, velocity, moved.qdot, h, k),
         limited=moved.limited,
         cut=moved.cut,
-        task_velocity=velocity,
-        memory=factored.memory if law.limits is None else None,
         walls=moved.walls,
     )
 

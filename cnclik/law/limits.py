@@ -114,12 +114,5 @@ def inside(law, q, after):
     return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))
 
 
-def room(law, q):
-    """(2, n) distance of the joints to their lower and upper limits; None if the law keeps no position limits."""
-    if not _keeps_positions(law):
-        return None
-    return jnp.maximum(jnp.stack([q - law.chain.lower, law.chain.upper - q]), 0.0)
-
-
 def _keeps_positions(law):
     return law.limits is not None and law.limits.positions and law.chain.bounded

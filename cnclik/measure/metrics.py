@@ -129,7 +129,7 @@ def _split(loop):
     task, model = loop.task, modelled(loop.law.chain)
     path = true_motion(loop.reference, task)  # the path's true direction, whatever is fed forward
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
-    e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.target_time, loop.run.q)))
+    e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.t, loop.run.q)))
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
@@ -149,7 +149,7 @@ def _settling_time(loop):
     outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
     k = count - _first(outside[::-1])  # the instant after the last one outside the tolerance
-    t = loop.run.target_time
+    t = loop.run.t
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 

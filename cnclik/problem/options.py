@@ -105,30 +105,19 @@ DRIVE = {  # what lies between a command and its measured motion: fields of `Dri
     "command": Option(NAME, f"Command that the drives take: {_listed(words.COMMANDS)}. Default: velocity."),
     "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(words.FEEDBACKS)}. With rebased they "
                        "are measured, and each position command starts from them. Default: measured."),
-    "drive_velocity": Option(NUMBERS, "Largest joint velocity that the drives reach [rad/s, m/s].", unit="q/s",
-                             must="positive"),
-    "drive_acceleration": Option(NUMBERS, "Largest joint acceleration that the drives reach [rad/s², m/s²].",
-                                 unit="q/s²", must="positive"),
-    "joint_noise": Option(NUMBERS, "Standard deviation of the noise in measured joint values [rad, m].", unit="q",
-                          must="at least 0"),
-    "resolution": Option(NUMBERS, "Resolution of measured joint values [rad, m].", unit="q", must="at least 0"),
+    "smoothing": Option(NUMBER, "Low-pass filter (also --filter): the share of the old value that a moving average "
+                        "keeps, from 0 to below 1.", must="at least 0"),
+    "cutoff": Option(NUMBER, "Cut-off frequency of the filter [Hz], in place of --smoothing.", unit="Hz",
+                     must="positive"),
+    "smoothed": Option(NAME, f"Signal that the filter smooths: {_listed(words.SMOOTHED)}. Default: error."),
 }  # fmt: skip
 NOISE = {
     "noise": Option(NUMBERS, "Standard deviation of white noise in the measured error [m, rad], one number or one per "
                     "task coordinate.", unit="m, rad", must="at least 0"),
     "seed": Option(INTEGER, "Seed of the random numbers; default: 0.", must="at least 0"),
 }  # fmt: skip
-PACE = {  # limits that the loop keeps by moving more slowly along its path: fields of `Pace`
-    "max_velocity": Option(NUMBERS, "Joint velocity limit [rad/s, m/s] that the motion keeps by slowing down along "
-                           "the path, one number or one per joint. Default with --max-acceleration or --max-jerk: the "
-                           "robot's own.", unit="q/s", must="positive"),
-    "max_acceleration": Option(NUMBERS, "Joint acceleration limit that is kept in the same way [rad/s², m/s²].",
-                               unit="q/s²", must="positive"),
-    "max_jerk": Option(NUMBERS, "Joint jerk limit that is kept in the same way [rad/s³, m/s³].", unit="q/s³",
-                       must="positive"),
-}  # fmt: skip
 MEASURED = DRIVE | NOISE  # what a robot adds to a loop
-SWEPT = OPTIONS | MEASURED | PACE
+SWEPT = OPTIONS | MEASURED
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in words.REFERENCES.values() for option in choice.options))

@@ -54,8 +54,8 @@ REFERENCES = {
     "lissajous": Takes("problem.reference:lissajous", takes=("center", "amplitude", "frequency", "phase", "period")),
 }
 METHODS = (
-    *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "AB2", "AB3", "AB4", "ZNN4", "ZEAD4", "ZNN6", "IFD5"),
-    *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
+    *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4"),
+    *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4"),
 )
 SHAPES = {  # between which a wall keeps a distance
     "half-space": Takes("task.shapes:half_space", needs=("normal",), takes=("offset",)),
@@ -67,3 +67,4 @@ BEGINS = ("q0", "on-path")
 FUTURES = ("known", "unknown")
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
+SMOOTHED = ("error", "command", "target")

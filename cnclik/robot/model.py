@@ -237,21 +237,20 @@ def _model(chain: Chain) -> Model:
     )
 
 
-def one_off(fn=None, *, as_given=False, compiler=QUICK_COMPILE, **options):
+def one_off(fn=None, *, compiler=QUICK_COMPILE, **options):
     """`jax.jit`, with its arguments, for programs that run once or twice: compiled `quick`, see `quick_jit`.
 
-    Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape. With
-    `as_given` they stay chains, for a function that changes their links or has one per lane.
+    Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape.
     """
     if fn is None:
-        return functools.partial(one_off, as_given=as_given, compiler=compiler, **options)
+        return functools.partial(one_off, compiler=compiler, **options)
     jitted, quick = bounded_jit(fn, **options), quick_jit(fn, compiler=compiler, **options)
 
     @functools.wraps(fn)
     def call(*args, **named):
         if not all(map(errors.concrete, jax.tree.leaves((args, named)))):
             return jitted(*args, **named)  # inside another program
-        return quick(*(args if as_given else map(modelled, args)), **named)
+        return quick(*map(modelled, args), **named)
 
     return call
 

@@ -1,323 +1,146 @@
-"""Advice for a robot: gains with their reason, what they cost, and settings for other libraries."""
+"""Advice: the rates of a law, each beside the gains that its loop tolerates. No posture is asked."""
 
 from __future__ import annotations
 
-import functools
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import MOST, Drive
-from cnclik.integrate.method import DEFAULT, EE, MethodLike, Multistep, named
+from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law
-from cnclik.law.reference import Reference
-from cnclik.precision import in_float64
-from cnclik.quantities import in_samples
-from cnclik.record import ArrayLike, Float, Number, record
-from cnclik.stability.bounds import LimitAdvice, limit_advice, wall_advice
-from cnclik.stability.driven import POINTS, driven_limits
-from cnclik.stability.drives import SPARE, longer
-from cnclik.stability.gain import Gain, gain_of
-from cnclik.stability.linear import first_above
-from cnclik.stability.loop import UNSTABLE, loop_at_rest
-from cnclik.stability.rebased import WHERE, bearable_delay
-from cnclik.stability.recommend import Analysis, analysis_of, assumed_of, recommendation_of, without_overshoot
-from cnclik.stability.settings import ASSUMED_DELAY, ASSUMED_LAG, MOST_Z, REBASED, around_formula, settings
-from cnclik.stability.spectrum import drift_of_numbers, rest_tolerance
-from cnclik.stability.tasks import StackAdvice, at_any_posture, bounded_rates, stack_advice
+from cnclik.law.walls import names_of, rate_of
+from cnclik.precision import of_numbers
+from cnclik.record import Number, record
+from cnclik.stability.gain import Gains, Response, gains, in_words
+from cnclik.stability.linear import passes_of
 
-SPEED = 0.1  # [m/s] of the tip, where none is given
+ROUNDING = 1e-9  # relative excess of a gain that is none
+
+
+class Rate(NamedTuple):
+    """A rate of the loop [1/s]: of a task, of the posture term, of joint limits or of a wall.
+
+    `limits` are its `Gains`: those of the loop's method; of joint limits and walls, which act on velocities, of
+    explicit Euler.
+    """
+
+    name: str
+    kind: str
+    rate: float
+    limits: Gains
+
+    @property
+    def stable(self) -> bool:
+        """Whether it is at most the largest stable one."""
+        return self.rate <= self.limits.largest_stable * (1 + ROUNDING)
+
+    @property
+    def within(self) -> bool:
+        """Whether it is at most the recommended one."""
+        return self.rate <= self.limits.recommended * (1 + ROUNDING)
+
+    @property
+    def response(self) -> Response | None:
+        """What a loop does with it; None where it is 0 or unstable."""
+        return self.limits.at(self.rate) if self.rate else None
+
+    def __str__(self):
+        most = self.limits
+        if not self.rate:
+            return f"{self.name}: 0 asks for no motion"
+        if not self.stable:
+            what = f"UNSTABLE where J# gives all that it asks for: stable up to {in_words(most.largest_stable)} 1/s"
+        elif self.rate > most.without_overshoot * (1 + ROUNDING):
+            what = f"overshoots: without overshoot up to {in_words(most.without_overshoot)} 1/s"
+        elif not self.within:
+            what = f"overshoots with one more sample of dead time: recommended up to {in_words(most.recommended)} 1/s"
+        else:
+            what = "within what is recommended"
+        return f"{self.name}: {self.rate:.4g} 1/s (z = {self.rate * most.Ts:.4g}), {what}"
 
 
 @record
 class Advice:
-    """What to set on a robot. Gains are inf where any is stable, or has no overshoot.
+    """What a law's gains do on its drives, at any posture.
 
     Attributes:
-      largest_stable_alpha, fastest_monotone_alpha, recommended_alpha: [1/s] of the loop's method: the largest that is
-        stable, that has no overshoot, and that would have none if the dead time were a sample longer. The first two
-        are of the drive exactly as given, or, where nothing is known, of drives that follow at once. On a robot whose
-        drives lag the largest stable gain may be several times less or more: its joints' inertia is coupled, and what
-        a drive does within a sample counts. A recorded step shows between which gains it lies (`fit_drive`).
-      assumed_dead_time, assumed_lag: [s] under which a gain is recommended where nothing is known of the drives; else
-        None.
-      assumption: what is assumed of the drives, and how to measure them, in words; "" where all is given.
-      reason: why that one, in words.
-      now, recommended: `Gain` as the law has it (None where that is unstable), and as recommended; where nothing is
-        known of the drives, of those that are assumed.
-      explicit_euler: the three gains of the step that other libraries take, by the same names.
-      recommended_method: by name.
-      speed: of the tip [m/s]. joint_speed: largest share of a joint's velocity limit that it takes, in the worst
-        direction at rest; NaN where there is no limit, or no position among the task's coordinates.
-      settings: {where: what to set there, or why no gain is named, in words}; empty where explicit Euler is stable
-        with no gain.
-      notes: what limits these numbers, in sentences; measured in results/loops.
-      stack: `StackAdvice`, the gains that each task of a stack tolerates; None for one task. The gains above are then
-        those of the task with the largest gain, all gains scaled in proportion.
-      limits: `LimitAdvice`, how fast joints may near their limits; None where the law has none, or no rate.
-      walls: {name: `WallAdvice`}; {} where the law has none.
-      analysis: `Analysis`, on which this rests.
+      gains: `Gains` of the loop's method: what every gain of a task and the rate of a posture may be.
+      rates: `Rate` of each task, posture term, joint limit and wall.
     """
 
-    largest_stable_alpha: float
-    fastest_monotone_alpha: float
-    recommended_alpha: float
-    assumed_dead_time: float | None
-    assumed_lag: float | None
-    assumption: str
-    reason: str
-    now: Gain | None
-    recommended: Gain
-    explicit_euler: dict
-    recommended_method: str
-    speed: float
-    joint_speed: float
-    settings: dict
-    notes: tuple
-    stack: StackAdvice | None
-    limits: LimitAdvice | None
-    walls: dict
-    analysis: Analysis
+    gains: Gains
+    rates: tuple[Rate, ...]
+
+    @property
+    def unstable(self) -> tuple[str, ...]:
+        """Names of the rates above the largest stable one."""
+        return tuple(one.name for one in self.rates if not one.stable)
+
+    @property
+    def above(self) -> tuple[str, ...]:
+        """Names of the rates above the recommended one."""
+        return tuple(one.name for one in self.rates if not one.within)
 
     def __str__(self):
-        at_once = ", if drives had no delay" * (self.assumed_dead_time is not None)
-        some = {"": self} if self.stack is None else self.stack.tasks
-        gains = [
-            f"{name}{': ' * bool(name)}alpha recommended {one.recommended_alpha:.4g} 1/s ("
-            f"{_up_to('without overshoot', one.fastest_monotone_alpha)}, "
-            f"{_up_to('stable', one.largest_stable_alpha)}{at_once})"
-            for name, one in some.items()
-        ]
-        settings = [f"  {where}: {what}" for where, what in self.settings.items()]
-        own = f"{self.explicit_euler['recommended_alpha']:.4g} 1/s recommended"
-        settings[:0] = [f"The same loop elsewhere, by explicit Euler ({own}):"] * bool(settings)
-        assumed = [self.assumption] * bool(self.assumption)
-        return "\n".join([*assumed, *gains, f"Recommended: {self.reason}.", *self.notes, *settings])
+        return "\n".join([str(self.gains), *(f"  {one}" for one in self.rates)])
 
 
-def _up_to(what, limit) -> str:
-    return f"{what} to {limit:.4g}" if np.isfinite(limit) else f"{what} at any gain"
-
-
-@in_float64
+@of_numbers
 def advise(
     law: Law,
-    reference: Reference | None,
-    q: Float[ArrayLike, " n"],
     *,
     Ts: Number,
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     drive: Drive | None = None,
-    speed: float = SPEED,
 ) -> Advice:
-    """Gains for a robot, what they cost, and settings for the same loop in other libraries. In float64.
+    """Return what each gain of a law does on its drives, and what it may be, at any posture.
+
+    All rates of the loop are weighted means of the gains of its tasks, its posture term, its active joint limits and
+    walls, so each of them has the limits of `gains`. A gain above its limit is named.
 
     Args:
-      law, reference, q: the loop at rest, as for `recommend`. Ts: sampling time [s]. method, stage: as for `solve`.
-      drive: what lies between command and motion; None: unknown. The stability limits are then those of drives without
-        delay, and a gain is recommended for a dead time of 30 ms and a lag of 100 ms.
-      speed: of the tip [m/s], for the joint velocities.
-    Raises: ArgumentError where no gain is stable, as with a null-space velocity that is unstable by itself, or with
-      some servos whose commands begin at the measured joints.
+      law: with any stack, inverse, weights, limits and posture term. Ts: sampling time [s].
+      method, stage: as for `solve`. drive: as for `gains`.
+    Raises: ArgumentError where joints differ in their drives and tasks in their gains: then no limit holds at every
+      posture.
     """
-    Ts, speed = float(errors.number("Ts", Ts, positive=True)), float(errors.number("speed", speed, at_least=0))
-    method, known = named(method), Drive() if drive is None else drive
-    loop = loop_at_rest(law, reference, q, method, stage, known)
-    found = analysis_of(loop, Ts)
-    gains, by = found.gains, loop._replace(method=EE)
-    euler = gains if method.name == EE.name else recommendation_of(by, Ts)
-    assert gains.z_monotone is not None and gains.z_recommended is not None  # as Ts is given
-    assert euler.z_monotone is not None and euler.z_recommended is not None
-    safe, chosen, by_euler, z_largest = known, gains.z_recommended, euler.z_recommended, gains.z_largest
-    recommended = at_any = None
-    if drive is None:
-        safe = Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
-        stable, recommended = shares(safe.delay, ASSUMED_LAG, Ts)
-        chosen = min(chosen, removing(loop, recommended, Ts))
-        _require_null(loop, safe, chosen, Ts)
-        by_euler = min(by_euler, removing(by, recommended, Ts)) * (not _null_growth(by, safe, by_euler, Ts))
-        z_largest = min(z_largest, removing(loop, stable, Ts))
-    if bounded_rates(law):  # elsewhere tasks may get more of what they ask for than here
-        at_any = at_any_posture(loop, Ts, recommended)
-        euler_at_any = at_any if euler is gains else at_any_posture(by, Ts, recommended)
-        chosen, by_euler = min(chosen, at_any[1]), min(by_euler, euler_at_any[1])
-    chosen, by_euler = min(chosen, MOST_Z), min(by_euler, MOST_Z)
-    if chosen == 0:
-        raise _no_gain(loop, gains, Ts)
-    return Advice(
-        largest_stable_alpha=gains.z_largest / Ts,
-        fastest_monotone_alpha=gains.z_monotone / Ts,
-        recommended_alpha=chosen / Ts,
-        assumed_dead_time=safe.delay * Ts if drive is None else None,
-        assumed_lag=ASSUMED_LAG if drive is None else None,
-        assumption=_assumption(loop, drive, safe, chosen, Ts),
-        reason=_reason(gains, chosen, drive),
-        now=gain_at(loop._replace(drive=safe), found.margin.z, Ts, z_largest) if found.margin.z < z_largest else None,
-        recommended=gain_at(loop._replace(drive=safe), chosen, Ts, z_largest),
-        explicit_euler={
-            "largest_stable_alpha": euler.z_largest / Ts,
-            "fastest_monotone_alpha": euler.z_monotone / Ts,
-            "recommended_alpha": by_euler / Ts,
-        },
-        recommended_method=DEFAULT.name,
-        speed=speed,
-        joint_speed=_joint_speed(loop, Ts, speed),
-        settings=settings(functools.partial(_borne, by, safe, by_euler, Ts), drive, safe, Ts) if by_euler else {},
-        notes=(*_moved(law, loop, found.spectrum, chosen / Ts), *_notes(loop, drive, chosen, Ts)),
-        stack=None if at_any is None else stack_advice(loop, safe, at_any, Ts),
-        limits=limit_advice(law, safe, Ts),
-        walls=wall_advice(loop, Ts, speed),
-        analysis=found,
-    )
-
-
-@functools.lru_cache(maxsize=64)
-def shares(delay: float, lag: float, Ts: float) -> tuple:
-    """Shares of an error that a step may remove through dead time [samples] and a lag [s]: stable, recommended."""
-    found = driven_limits("EE", Ts=Ts, drive=Drive(delay=delay, lag=lag))
-    return found.stable, min(found.recommended, MOST_Z)
-
-
-def _no_gain(loop, gains, Ts):
-    """The error with the reason why no gain can be recommended."""
-    if loop.drive.feedback == "rebased":
-        late = loop.drive.lumped.delay
+    errors.kind("law", law, Law)
+    rates = rates_of(law)
+    several = {one[2] for one in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
+    if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1:
         must = (
-            "be commanded (begin each position at the last command), or the command be a velocity: from "
-            f"{in_samples(min(bearable_delay(loop.drive, Ts), late), Ts)} of dead time on this servo may swing and "
-            "grow at any small gain"
+            "be the same for all joints where gains differ: no limit holds at every posture. Use one gain for all "
+            "tasks, posture and limits, or give the fast joints the slow joints' lag"
         )
-        return errors.fail("feedback", must, f"is rebased, with {in_samples(late, Ts)}")
-    name = "law" if loop.law.null_velocity is None else "null_velocity"
-    what, why = "stable", gains.limit
-    if gains.z_largest > 0:
-        own = np.abs(loop.modes(np.array([1e-9]), Ts)[0].sum(-1)).max()
-        what, why = "without overshoot", f"by itself, through this J#, one step removes {own:.3g} of an error"
-    if isinstance(loop.method, Multistep) and loop.law.null_velocity is None:
-        must = f"leave some gain {what}, also with one more sample of dead time, as EXP-AB2 does"
-        return errors.fail("method", must, f"is {loop.method.name}, which swings through dead time at any gain")
-    return errors.fail(name, f"leave some gain {what} at Ts = {Ts:g} s: less of it, or a shorter Ts", why)
-
-
-def _borne(loop, safe, known, Ts, drive) -> float:
-    """The recommended z of a loop through a drive: known of one, the same for any posture of a stack."""
-    if drive == safe:
-        return known
-    if bounded_rates(loop.law):
-        return at_any_posture(loop._replace(drive=drive), Ts)[1]
-    return without_overshoot(loop, longer(drive), Ts, MOST_Z, MOST_Z)
-
-
-def removing(loop, share: float, Ts: float) -> float:
-    """z up to MOST_Z with which a step removes a share of an error at rest, in any direction of the task."""
-    return first_above(lambda z: np.abs(loop.modes(z, Ts)[0].sum(-1)).max(-1), share, MOST_Z, POINTS)
-
-
-def gain_at(loop, z: float, Ts: float, z_largest: float) -> Gain:
-    """What a gain of z does in a loop at rest, see `loop_at_rest`. Args: z_largest: the largest stable one."""
-    (steps,), (null,) = loop.prompt.modes(np.array([z]), Ts)  # of a square arm each joint is one
-    return gain_of(steps, loop.drive, Ts, z, z_largest, null if loop.law.null_velocity is not None else ())
-
-
-def _null_growth(loop, drive, z: float, Ts: float) -> float:
-    """By what a step multiplies a motion in the null space through a drive, where that grows; else 0."""
-    factor = float(loop._replace(drive=drive).radii(np.array([max(z, 1e-9)]), Ts)[1][0])
-    return factor if factor > UNSTABLE else 0.0
-
-
-def _require_null(loop, assumed, z: float, Ts: float) -> None:
-    """Raise ArgumentError where a motion in the null space grows through assumed drives."""
-    if factor := _null_growth(loop, assumed, z, Ts):
-        drives = f"drives with {_ms(assumed.delay * Ts)} of dead time and a lag of {_ms(ASSUMED_LAG)}"
-        must = f"be stable on {drives}, which are assumed: less of it, or give the drives"
-        raise errors.fail("null_velocity", must, f"multiplies a motion by {factor:.4g} each step")
-
-
-def _joint_speed(loop, Ts, speed) -> float:
-    """Largest |J#_i v|/limit_i over the directions of v."""
-    lengths, limit = loop.law.task.lengths, np.asarray(loop.law.chain.velocity_limit, float)
-    if not lengths or not np.isfinite(limit).any():
-        return np.nan
-    rows = loop.maps(np.ones(1), np.full(1, Ts))[1]
-    return float(np.max(np.linalg.norm(np.linalg.pinv(rows)[:, lengths], axis=1) * speed / limit))
-
-
-# --- in words -----------------------------------------------------------------------------------------
-
-
-_MEASURE = (
-    "Measure yours: command a step of all joints at once, record commands and positions, and run `cnclik diagnose "
-    "LOG.csv --step`; it prints the options to give here."
-)
-
-
-def _ms(seconds) -> str:
-    return f"{1e3 * seconds:.3g} ms"
-
-
-def _assumption(loop, drive, safe, chosen, Ts) -> str:
-    if drive is None:
-        return (
-            f"Assumed, as nothing is known of your drives: {_ms(safe.delay * Ts)} of dead time and a lag of "
-            f"{_ms(ASSUMED_LAG)}, as many position servos have. {_MEASURE} For drives without delay, as in a purely "
-            "kinematic simulation, give a dead time of 0 (--delay 0, in Python drive=ck.Drive())."
-        )
-    said, late = assumed_of(drive, Ts), drive.lumped.delay
-    if not (said and late):
-        return said
-    lagging = min(chosen, removing(loop, shares(late, ASSUMED_LAG, Ts)[1], Ts)) / Ts
-    return (
-        f"{said} With servos that lag by {1e3 * ASSUMED_LAG:.3g} ms, as many do, a step would overshoot: "
-        f"use at most {lagging:.3g} 1/s for them. {_MEASURE}"
+        raise errors.fail("drive", must, "differs from joint to joint")
+    loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
+    euler = gains(Ts=Ts, drive=drive, method="EE") if any(kind in _OF_VELOCITIES for _, kind, _ in rates) else loop
+    return Advice(
+        gains=loop,
+        rates=tuple(Rate(*one, euler if one[1] in _OF_VELOCITIES else loop) for one in rates),
     )
 
 
-def _reason(gains, chosen, drive) -> str:
-    if drive is None:
-        return "the largest gain that does not overshoot on the assumed drives, even with one more sample of dead time"
-    if drive.feedback == "commanded":
-        return (
-            "the commands do not overshoot, even if the loop uses them one sample later. The loop uses its own "
-            "commands only: dead time does not limit the gain, and the robot follows with that delay"
-        )
-    if chosen == MOST_Z < gains.z_recommended:
-        return f"no gain overshoots; above z = {MOST_Z:g} noise increases more than the settling time decreases"
-    late = drive.lumped.delay
-    return f"the largest gain that does not overshoot, even with one more sample of dead time than the {late:g} given"
+_OF_VELOCITIES = ("joint limits", "wall")
 
 
-def _moved(law, loop, now, alpha):
-    """Remarks on a null-space velocity: where the loop does not stay in this posture, and on the error that the motion
-    which is removed at rest would leave."""
-    if law.null_velocity is None:
-        return
-    if loop.growing().any():
-        grows = f"a motion grows by {now.null_radius:.6g} each step, whatever the gain"
-        where = "Ask again at the posture where it rests."
-        yield f"In the null space the arm drifts away from this posture ({grows}). {where}"
-    velocity = np.asarray(drift_of_numbers(law, loop.held, loop.q))
-    pull = np.linalg.norm(loop.maps(np.ones(1), np.ones(1))[1] @ velocity)
-    if not pull / alpha < rest_tolerance(law.chain):
-        yield (
-            f"With this J# the null-space velocity disturbs the task by {pull:.3g} [m/s, rad/s]: an error of about "
-            f"{pull / alpha:.3g} [m, rad] remains at the recommended gain. Use inverse=pseudoinverse(), less damping "
-            "or a slower null-space velocity."
-        )
-
-
-def _notes(loop, drive, chosen, Ts):
-    """Remarks on what these numbers ignore."""
-    if np.abs(np.imag(loop.modes(np.array([chosen]), Ts)[0])).max(initial=0.0) > 1e-9:
-        yield (
-            "The gain matrix rotates the error (complex eigenvalues), so that overshoot means little. Keep well below "
-            "the largest stable gain."
-        )
-    if drive is not None and not (drive.exact and drive.drive_velocity is drive.drive_acceleration is None):
-        yield "This linear answer ignores limits, noise and resolution of the drives; `cnclik solve` simulates them."
-    if own := around_formula(loop.law, Ts):
-        yield f"The settings for other libraries are gains only. There, set what this law has as well: {own}."
-    if drive is not None and drive.feedback == "rebased":
-        begins = "Each position command starts at the measured joints"
-        yield f"{begins}: {REBASED}, and steady errors of the drives add up. {WHERE}."
+def rates_of(law) -> list[tuple[str, str, float]]:
+    """Return (name, kind, rate [1/s]) of each task, posture term, joint limit and wall of a law."""
+    alpha = np.broadcast_to(np.asarray(law.alpha, float), (law.task.m,))
+    each = law.task.each or [("alpha", slice(None))]
+    rates: list = [(name, "task", float(alpha[at].max())) for name, at in each]
+    if law.null_velocity is not None:
+        rates.append(("posture", "posture", float(law.null_velocity.rate)))
+    of_limits: Any = getattr(law.limits, "rate", None)
+    if of_limits is not None and np.isfinite([law.chain.lower, law.chain.upper]).any():
+        rates.append(("joint limits", "joint limits", float(of_limits)))
+    walls = getattr(law.limits, "walls", ())
+    rates += [
+        (f"wall {name}", "wall", float(rate_of(wall, of_limits)))
+        for name, wall in zip(names_of(walls), walls, strict=True)
+    ]
+    return rates

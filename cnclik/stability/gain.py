@@ -1,35 +1,56 @@
-"""Gain: properties of a loop at rest with one gain, from its modes through their drives."""
+"""Gains: which gain a loop tolerates on its drives, what a gain does, and the same loop elsewhere. NumPy only.
+
+No robot is asked: each rate of the loop is a weighted mean of its gains, so one scalar loop decides for every robot,
+posture, task and stack, see `cnclik.stability.poles`. A drive limits the share s = 1 − R(z) of an error that a step may
+remove, and a method gives the gain that removes it.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from typing import NamedTuple
+
 import numpy as np
 
-from cnclik.record import record
-from cnclik.stability import driven
-from cnclik.stability.drives import each_drive, side_by_side
+from cnclik import errors
+from cnclik.integrate.drive import MOST, Drive, drive_in_words
+from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
+from cnclik.record import Number, replace
+from cnclik.stability.linear import REACH, describe, first_beyond, gain_removing, passes_of, removed
+from cnclik.stability.poles import LONGEST, SETTLED, ScalarLoop, crossings, frequencies, scalar_loop, within
 
-KEPT = 1e-3  # share of a speed up to which a lag is settled
+# Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
+# the MuJoCo menagerie lag by k_v/k_p = 0.1 s, some by 0.2 s.
+ASSUMED_DELAY, ASSUMED_LAG = 0.03, 0.1  # [s]
+MOST_Z = 1.0  # a recommended gain removes no more than 63 % of an error per step, or all of it by explicit Euler
+SPARE = 1.0  # samples of dead time under which a recommended gain still does not overshoot
+OVERSHOOT = 0.01  # of a step, that counts as none
+WITHIN = 0.02  # share of a step within which it has settled
+SWING = 1e-4  # relative imaginary part of a pole that counts as 0: rounding separates equal poles
+SLOWEST, ZERO = 1e-6, 1e-9  # poles within a share of the slowest are as slow; smaller poles count as 0
+SMALL = 1e-4  # share of a limit at which a loop must be stable, too
+INERTIA = (0.5, 2.0)  # of a rebased servo, as a share of that of the posture where it was identified
+TINY = 1e-300  # of a pole at 0, whose logarithm is taken
 
 
-@record
-class Gain:
-    """Properties of a loop with one gain: linear, at rest, for the worst task direction and the worst drive.
+@dataclasses.dataclass(frozen=True)
+class Response:
+    """What a loop does with one gain. Of joints with different drives each number is the worst.
 
     Attributes:
-      alpha: [1/s], the largest |eigenvalue| of a gain matrix. z: alpha·Ts.
-      damping_ratio: of the slowest pair of factors; 1 where it is real and positive.
-      overshoot: of a step, as a share of it. settling_time: until the response stays within 2 % of a step [s].
-      gain_margin: factor by which alpha may still grow. delay_margin: additional dead time that the loop tolerates,
-        with what a null-space velocity moves [samples].
-      noise_gain: standard deviation of the motion per unit of white measurement noise. velocity_noise_gain: of the
-        commanded velocity per unit of it [1/s].
-      lag: delay behind a target at constant speed without feed-forward [s].
-      lag_fed_forward: the same with feed-forward. start_error: largest error after a target starts at 1 m/s, with
-        feed-forward [s]; multiplied by a speed it is an error.
+      alpha: the gain [1/s].
+      damping_ratio: ζ of the slowest poles; 1 of real ones.
+      overshoot: by how much the motion passes a step of the target, as a share of it.
+      settling_time: time until the motion stays within 2 % of a step [s]; inf where it does not.
+      gain_margin: factor by which the gain may grow.
+      delay_margin: dead time that may be added [s].
+      noise_gain: standard deviation of the motion per unit of white measurement noise.
+      velocity_noise_gain: the same of the commanded velocity [1/s].
+      lag: delay behind a ramp [s]. lag_fed_forward: the same with feed-forward [s].
+      start_error: largest error after a ramp starts, with feed-forward, per unit of its speed [s].
     """
 
     alpha: float
-    z: float
     damping_ratio: float
     overshoot: float
     settling_time: float
@@ -42,33 +63,358 @@ class Gain:
     start_error: float
 
 
-def gain_of(steps, drive, Ts, z, z_largest, null=()) -> Gain:
-    """Of modes (r, p), see `modes_of`. Args: z_largest: the largest stable z. null: modes of the null space."""
-    several = side_by_side(drive)
-    motion, speed = driven.noise_gain(steps, several, Ts)
-    behind, forward, start = _following(driven.outermost(steps), several, Ts)
-    return Gain(
-        alpha=z / Ts,
-        z=z,
-        damping_ratio=driven.damping_ratio(steps, several, Ts),
-        overshoot=driven.overshoot(steps, several, Ts),
-        settling_time=driven.settling(steps, several, Ts),
-        gain_margin=z_largest / z,
-        delay_margin=min(driven.delay_margin(m, one, Ts) for m in (steps, null) if len(m) for one in each_drive(drive)),
-        noise_gain=motion,
-        velocity_noise_gain=speed,
-        lag=behind,
-        lag_fed_forward=forward,
-        start_error=start,
+@dataclasses.dataclass(frozen=True)
+class Gains:
+    """Gains [1/s] that a loop tolerates, at any posture of any robot with these drives; inf: any gain.
+
+    Attributes:
+      largest_stable: the largest that is stable.
+      without_overshoot: the largest with which a step of the target is not passed by more than 1 %.
+      recommended: the same even with one more sample of dead time, and at most 1/Ts; 0 where there is none.
+      Ts: sampling time [s]. method, M: of the loop. drive: of all joints, as given or as assumed.
+      assumed: whether nothing was known of the drives, so that a dead time of 30 ms and a lag of 100 ms are assumed.
+      response: what the loop does with the recommended gain; None without one.
+    """
+
+    largest_stable: float
+    without_overshoot: float
+    recommended: float
+    Ts: float
+    method: Method
+    M: int | None
+    drive: Drive
+    assumed: bool
+    response: Response | None
+
+    def at(self, alpha: float) -> Response | None:
+        """Return what the loop does with a gain [1/s]; None where it is unstable."""
+        alpha = float(errors.number("alpha", alpha, positive=True))
+        return _worst(self, alpha) if alpha < self.largest_stable else None
+
+    @property
+    def reason(self) -> str:
+        """The meaning of the recommended gain, in words."""
+        if not self.recommended:
+            return f"no gain: {_no_gain(self.drive, self.Ts)}"
+        if self.drive.feedback == "commanded":
+            return (
+                "the motion does not overshoot, even if the loop uses its commands one sample later. The drives are "
+                "outside of this loop: the robot follows its commands late, and steady errors of it are not corrected"
+            )
+        if np.isclose(self.recommended * self.Ts, MOST_Z):
+            return f"above z = alpha·Ts = {MOST_Z:g} noise increases more than the settling time decreases"
+        late = "the assumed dead time" if self.assumed else f"the {self.drive.lumped.delay:g} given"
+        return f"the largest gain that does not overshoot, even with one more sample of dead time than {late}"
+
+    @property
+    def elsewhere(self) -> dict[str, Setting]:
+        """The same loop by explicit Euler in other libraries: {where: `Setting`}."""
+        return settings(self.Ts, None if self.assumed else self.drive)
+
+    def __str__(self):
+        how = f"{describe(self.method, self.M)}, Ts = {1e3 * self.Ts:g} ms"
+        rows = (
+            ("largest stable", self.largest_stable),
+            ("without overshoot", self.without_overshoot),
+            ("recommended", self.recommended),
+        )
+        lines = [f"{how}, {drive_in_words(self.drive, self.Ts)}{', assumed' * self.assumed}"]
+        lines += [f"  {name:<18}{in_words(alpha)} 1/s" for name, alpha in rows]
+        return "\n".join([*lines, f"Recommended: {self.reason}."])
+
+
+def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAULT, M: int | None = None) -> Gains:
+    """Return the gains that a loop tolerates on its drives, for any robot, posture, task and stack.
+
+    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof). So alpha ≤
+    `largest_stable` is stable for every J# = Jᵀ(JJᵀ + D)⁻¹, and exactly the limit where J# is exact. With one gain for
+    all tasks, joints may have different drives. It is linear: nothing is said of large errors or of limits that switch.
+
+    Args:
+      Ts: sampling time [s].
+      drive: what lies between command and motion, with a filter if there is one; None: unknown, so that a dead time of
+        30 ms and a lag of 100 ms are assumed. `Drive()`: ideal.
+      method: by name, or a `Method`; default: EXP-MIDPOINT.
+      M: fixed-point passes of an implicit stage, picard(M); None: solved exactly, as by chord and newton.
+    Returns: `Gains`; one with a recommended gain of 0 where no gain is safe, see its `reason`.
+    Raises: ArgumentError for values that do not fit.
+    """
+    for name, values in (("Ts", [Ts]), ("drive", vars(drive).values() if isinstance(drive, Drive) else [])):
+        if not all(map(errors.concrete, values)):
+            raise errors.fail(name, "hold numbers", "is traced by JAX: call gains outside of jit, vmap and grad")
+    Ts, method, M = float(errors.number("Ts", Ts, positive=True)), named(method), passes_of(M)
+    assumed = drive is None
+    drive = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
+    shares = limits(drive, Ts)
+    stable, smooth, recommended = (s and gain_removing(s, method, M) for s in shares)
+    found = Gains(
+        largest_stable=stable / Ts,
+        without_overshoot=smooth / Ts,
+        recommended=min(recommended, MOST_Z) / Ts,
+        Ts=Ts,
+        method=method,
+        M=M,
+        drive=drive,
+        assumed=assumed,
+        response=None,
+    )
+    return replace(found, response=found.at(found.recommended) if found.recommended else None)
+
+
+def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DEFAULT, M: int | None = None):
+    """Return the gains over sampling times and dead times as an xarray.Dataset over (Ts, dead_time).
+
+    Args:
+      Ts: (a,) [s]. dead_time: (b,) [s], in place of the drive's own.
+      drive, method, M: as for `gains`.
+    """
+    import xarray as xr
+
+    Ts, dead_time = (np.asarray(errors.array(k, v, (None,)), float) for k, v in (("Ts", Ts), ("dead_time", dead_time)))
+    rows = [[gains(Ts=T, drive=replace(drive, delay=d / T), method=method, M=M) for d in dead_time] for T in Ts]
+    names = ("largest_stable", "without_overshoot", "recommended")
+    return xr.Dataset(
+        {
+            name: (("Ts", "dead_time"), [[getattr(cell, name) for cell in row] for row in rows], {"units": "1/s"})
+            for name in names
+        },
+        coords={
+            "Ts": ("Ts", Ts, {"units": "s", "long_name": "sampling time"}),
+            "dead_time": ("dead_time", dead_time, {"units": "s", "long_name": "dead time"}),
+        },
+        attrs={"method": describe(named(method), passes_of(M)), "drive": repr(drive)},
     )
 
 
-def _following(steps, drive, Ts) -> tuple:
-    """Behind a target at speed 1: at last, without and with feed-forward, and at most with it [s]; of some modes."""
-    N, r = driven.until_settled(steps, drive, Ts, KEPT), len(steps)
-    twice, fed = np.concatenate([steps, steps]).real, np.repeat([0.0, 1.0], r)
-    q, _ = driven.respond(twice, drive, Ts, N, speed=1.0, forward=fed)
-    late = Ts * np.arange(N + 1).reshape(-1, *(1,) * (q.ndim - 1)) - q
-    most = np.abs(late[..., r:]).max(0)
-    at_last = np.where(np.abs(late[-1, ..., r:]) < KEPT * most, 0.0, late[-1, ..., r:])
-    return float(late[-1, ..., :r].max()), float(at_last.max()), float(most.max())
+def assumed_drive(Ts: float) -> Drive:
+    """Return the drive that is assumed where nothing is known."""
+    return Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=ASSUMED_LAG)
+
+
+# --- limits -------------------------------------------------------------------------------------------
+
+
+def limits(drive: Drive, Ts: float) -> tuple[float, float, float]:
+    """Return the largest shares of an error that a step may remove: stable; without overshoot; the same with one more
+    sample of dead time. Of joints with different drives the least, and stable in any mixture of them."""
+    each = drive.joints
+    stable = mixed_share(each, Ts)
+    smooth = min(smooth_share(one, Ts, stable) for one in each)
+    late = [_later(one, Ts) for one in each]
+    recommended = min(smooth, *(smooth_share(one, Ts, min(stable, stable_share(one, Ts))) for one in late))
+    if drive.feedback == "rebased" and not all(stable_share(one, Ts) for joint in late for one in _inertias(joint)):
+        recommended = 0.0
+    return stable, smooth, recommended
+
+
+def _later(drive: Drive, Ts: float) -> Drive:
+    """The drive with SPARE more samples of dead time; of a loop on its own commands, that alone."""
+    if drive.feedback == "commanded":
+        return replace(within(drive), delay=SPARE)
+    return replace(drive, delay=min(drive.lumped.delay + SPARE, MOST), measurement_delay=0)
+
+
+def _inertias(drive: Drive):
+    """The servo in postures of other inertia: k_p and k_v stay, and ω₀ and ζ fall with the root of the inertia."""
+    if drive.order < 2:
+        return [drive]
+    w, ratio = drive.natural_frequency, drive.damping_ratio
+    return [replace(drive, natural_frequency=w / h**0.5, damping_ratio=ratio / h**0.5) for h in (*INERTIA, 1.0)]
+
+
+def stable_share(drive: Drive, Ts: float) -> float:
+    """Return the largest share s up to which the loop is stable, its gain margin at s = 1; 0 where no small s is.
+
+    It is the least −1/ℓ(e^{iω}) over the frequencies where ℓ is real and negative, ω·Ts = π included.
+    """
+    loop = scalar_loop(within(drive), Ts)
+    at = np.append(crossings(lambda w: loop.unit_gain(np.exp(1j * w)).imag, frequencies()), np.pi)
+    there = loop.unit_gain(np.exp(1j * at)).real
+    limit = float(np.min(-1.0 / there[there < 0], initial=np.inf))
+    return limit if loop.radius(SMALL * min(limit, 1.0)) < 1 else 0.0
+
+
+def mixed_share(drives, Ts: float) -> float:
+    """Return the largest share up to which a loop with one gain is stable, whichever joints have which drive.
+
+    At each frequency −1 must stay outside of s · conv{0, ℓ₁, …, ℓₙ}: exact over all robots. "The slowest drive is safe"
+    is false in general.
+    """
+    alone = [stable_share(one, Ts) for one in drives]
+    if len(drives) == 1 or drives[0].feedback == "commanded":
+        return min(alone)
+    zeta = np.exp(1j * frequencies())
+    each = np.array([scalar_loop(one, Ts).unit_gain(zeta) for one in drives])
+    one, other = each[np.array(np.triu_indices(len(each)))]
+    with np.errstate(all="ignore"):
+        share = np.where(one.imag == other.imag, 0.0, one.imag / (one.imag - other.imag))
+        across = np.where(one.imag * other.imag <= 0, one.real + share * (other.real - one.real), 0.0)
+    return min(-1.0 / min(float(np.nanmin(across)), -1e-9), *alone)
+
+
+def smooth_share(drive: Drive, Ts: float, stable: float) -> float:
+    """Return the largest share up to `stable` without overshoot: the slowest pole is real and positive, and the motion
+    passes a step by at most OVERSHOOT, also where the drive is outside of the loop."""
+    if not stable:
+        return 0.0
+    loop, whole = scalar_loop(within(drive), Ts), scalar_loop(drive, Ts)
+
+    def swings(s):
+        poles = loop.poles(s)
+        size = np.abs(poles)
+        slow = (size >= size.max(-1, keepdims=True) * (1 - SLOWEST)) & (size > ZERO)
+        return (slow & ((poles.real < 0) | (np.abs(poles.imag) > SWING * size))).any(-1)
+
+    share = min(stable, first_beyond(swings, min(stable, REACH), points=128, halvings=40))
+    if not np.isfinite(share) or overshoot(whole, share) <= OVERSHOOT:
+        return share
+    low, high = 0.0, share
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if overshoot(whole, middle) > OVERSHOOT else (middle, high)
+    return low
+
+
+def overshoot(loop: ScalarLoop, s: float) -> float:
+    """Return by how much the motion passes a step of the target, as a share of it."""
+    passed = loop.response(s, loop.q, -loop.displaced[:, None], settled_by(loop, s))
+    return max(float(passed.max()), 0.0)
+
+
+def settled_by(loop: ScalarLoop, s: float) -> int:
+    """Return the samples by which a response has settled to SETTLED², that of a drive outside of the loop included."""
+    own = np.abs(np.linalg.eigvals(loop.model.phi))
+    inside = scalar_loop(within(loop.drive), loop.Ts)
+    slowest = max(float(inside.radius(s)), own[own < 1 - 1e-9].max(initial=0.0))
+    wanted = 2 * np.log(SETTLED) / np.log(slowest) if 0 < slowest < 1 else LONGEST
+    return int(np.clip(wanted + 4 * loop.drive.delay + 50, 50, LONGEST))
+
+
+# --- what a gain does ---------------------------------------------------------------------------------
+
+
+def _worst(found: Gains, alpha: float) -> Response:
+    """The worst of the responses of all joints."""
+    s = float(removed(found.method, alpha * found.Ts, found.M))
+    each = [respond(one, found.Ts, s, alpha, found.largest_stable / alpha) for one in found.drive.joints]
+    least = {"damping_ratio", "gain_margin", "delay_margin"}
+    names = [field.name for field in dataclasses.fields(Response)]
+    return Response(**{k: (min if k in least else max)(getattr(one, k) for one in each) for k in names})
+
+
+def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float) -> Response:
+    """Return the response of a loop that removes a share s of an error in each step."""
+    loop, inside = scalar_loop(drive, Ts), scalar_loop(within(drive), Ts)
+    N = settled_by(loop, s)
+    noisy = loop.disturbed - s * loop.b * loop.noise
+    away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
+    asked = np.r_[-s * loop.noise, loop.response(s, -s * loop.C, noisy[:, None], N - 2)[:, 0]]
+    if drive.filters == "command" and (kept := float(drive.kept(Ts))):
+        weights = (1 - kept) * kept ** np.arange(min(len(asked), int(np.log(TINY) / np.log(kept)) + 1))
+        asked = np.convolve(asked, weights)[: len(asked)]
+    poles = inside.poles(s)
+    slowest = np.log(poles[np.abs(poles) >= np.abs(poles).max() * (1 - SLOWEST)].astype(complex) + TINY)
+    outside = np.flatnonzero(~(np.abs(away) <= WITHIN))
+    behind, forward = np.cumsum(away[:N]) * Ts, np.cumsum((away - fed)[:N]) * Ts  # a ramp is a sum of steps
+    start_error = float(np.abs(forward).max())
+    later = float(drive.filter_lag(Ts)) if drive.filters == "target" else 0.0
+    return Response(
+        alpha=alpha,
+        damping_ratio=float((-slowest.real / np.abs(slowest)).min()),
+        overshoot=max(float(-away.min()), 0.0),
+        settling_time=np.inf if outside[-1] == N else float(outside[-1] + 1) * Ts,
+        gain_margin=gain_margin,
+        delay_margin=np.inf if drive.feedback == "commanded" else loop.delay_margin(s),
+        noise_gain=float(np.linalg.norm(noise)),
+        velocity_noise_gain=float(np.linalg.norm(asked)) / Ts,
+        lag=float(behind[-1]) + later,
+        lag_fed_forward=(float(forward[-1]) if abs(forward[-1]) > SETTLED * start_error else 0.0) + later,
+        start_error=start_error,
+    )
+
+
+# --- in words -----------------------------------------------------------------------------------------
+
+
+def in_words(alpha: float) -> str:
+    """Return a gain as text: "10.04", "any" or "none"."""
+    return "none" if alpha == 0 else f"{alpha:.4g}" if alpha < np.inf else "any"
+
+
+def _no_gain(drive: Drive, Ts: float) -> str:
+    if drive.feedback == "rebased":
+        return (
+            "each position command starts at the measured joints, and with this servo and dead time the loop may swing "
+            "and grow however small alpha is, here or in a posture of other inertia. Start commands at the last one "
+            '(feedback="commanded"), or send velocities'
+        )
+    return f"the motion overshoots by more than {100 * OVERSHOOT:g} % with any, on {drive_in_words(drive, Ts)}"
+
+
+# --- the same loop elsewhere --------------------------------------------------------------------------
+
+
+LOOKAHEAD = 0.03  # [s], the least lag of a UR's servoj
+OWN_COMMANDS = 0.25  # z of a loop on its own commands: d^d/(d + 1)^(d + 1) for d = 1
+
+
+class Setting(NamedTuple):
+    """A gain of the same loop in another library: its number, None where none is safe, and what the number means."""
+
+    value: float | None
+    meaning: str
+
+
+def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
+    """Return the recommended gain of the same loop by explicit Euler in other libraries; None: unknown drives.
+
+    These loops were run: pink, mink and Placo themselves, and copies of Isaac Lab's, MoveIt Servo's and servoj's.
+    """
+    safe = assumed_drive(Ts) if drive is None else drive
+    measured = replace(safe, feedback="measured")
+
+    def gain(one) -> float | None:
+        return min(MOST_Z, limits(one, Ts)[2]) or None
+
+    z = gain(measured)
+    first = (
+        "gain per step of {}, dt = Ts, where the configuration is measured"
+        + f"; {OWN_COMMANDS} where it is the last command"
+    )
+    made = {
+        "pink": Setting(z, first.format("FrameTask and PostureTask")),
+        "mink": Setting(z, first.format("FrameTask and PostureTask")),
+        "Placo": Setting(z, "share of the way from the measured state to the target at which each solve's target lies"),
+        "MoveIt Servo": Setting(
+            z and z / Ts, "x, y, z and angular_proportional_gain [1/s], publish_period = Ts, joint velocities published"
+        ),
+    }
+    k_val, why = None, "each position target starts at the measured joints, and "
+    if drive is None or (drive.order == 0 and not drive.prompt):
+        why += "servos with ζ below 0.71 and dead time may run away: identify yours first (cnclik diagnose --step)"
+    elif drive.order and drive.command == "velocity":
+        why += "the drive given is a velocity servo: identify it with position commands"
+    else:
+        k_val = gain(replace(safe, command="position", feedback="rebased")) if safe.order else MOST_Z
+        why = why.removesuffix(", and ") if k_val else why + "this servo may then swing or run away"
+    made["Isaac Lab"] = Setting(k_val, f"k_val of DifferentialIKControllerCfg: {why}")
+    if drive is not None and drive.order and drive.command == "velocity":
+        made["UR servoj"] = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
+    else:
+        z = gain(_of_servoj(drive, Ts))
+        meaning = (
+            "alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, "
+            f"lookahead_time {LOOKAHEAD}"
+        )
+        made["UR servoj"] = Setting(z and z / Ts, meaning)
+    return made
+
+
+def _of_servoj(drive: Drive | None, Ts: float) -> Drive:
+    """The drive with the lag of servoj's look-ahead; where there is another, as dead time."""
+    if drive is None:
+        return Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=LOOKAHEAD, command="position")
+    drive = replace(drive.lumped, feedback="measured", command="position")
+    if drive.order == 0:
+        return replace(drive, lag=LOOKAHEAD)
+    return replace(drive, delay=min(drive.delay + LOOKAHEAD / Ts, MOST - SPARE))

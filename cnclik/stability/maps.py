@@ -1,35 +1,28 @@
-"""Maps: outcomes of whole nonlinear loops over alpha, Ts and M, with the linear stability limit."""
+"""Maps: how whole nonlinear loops end over gains, sampling times and numbers of passes, beside the linear limit."""
+
+from __future__ import annotations
 
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.engine.plan import in_c
-from cnclik.integrate.drive import Drive, check_drive, moving
+from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.lanes import lanes
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step
-from cnclik.integrate.solve import answers_soon
+from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import check_loop
-from cnclik.measure.outcome import Ending, Outcome, outcome, stable
-from cnclik.precision import in_float64, of_numbers
+from cnclik.measure.files import markdown
+from cnclik.measure.outcome import Ending, Outcome, outcome
+from cnclik.precision import in_float64
 from cnclik.record import replace
-from cnclik.robot.model import as_joint_values, one_off
-from cnclik.stability.driven import SLACK, least_limits
-from cnclik.stability.linear import checked, stability_limit
-from cnclik.stability.loop import loop_at_rest
-from cnclik.stability.recommend import largest_stable
-from cnclik.stability.spectrum import largest_rate, settle
-from cnclik.stability.tasks import bounded_rates, shares_of
+from cnclik.stability.gain import mixed_share
+from cnclik.stability.linear import gain_removing, passes_of, stability_limit, stability_region
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
-RAYS = 64  # of a map of gains, to each of two edges, along which its limit is looked for
-LEAST = 1e-6  # share of the largest gain, at least, of the smallest at such an edge
-HALVINGS = 24  # of the range of such a limit
 LOOPS_PER_CALL = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
+AXES = {"alpha": ("1/s", "gain α"), "Ts": ("s", "sampling time"), "M": ("1", "passes M")}
 
 
 @in_float64
@@ -53,16 +46,16 @@ def outcomes(
     """Run a loop for every given combination and classify how each ended, see `outcome`. In float64.
 
     Args:
-      law, reference: the loop; a gain that is not a scalar is scaled so that its largest |eigenvalue| is alpha.
+      law, reference: the loop; a gain that is not a number is scaled so that its largest entry is alpha.
       q0: (..., n) start; alpha, Ts, M: (...). All are broadcast against each other, one loop each.
-      M: iterations in place of the stage's own, or None.
-      drive: model of the drives, see `Drive`; its dead time is in samples, all else in seconds.
+      M: passes in place of the stage's own, or None.
+      drive: what lies between command and motion; its dead time is in samples, all else in seconds.
       N, tolerance, scale: number of steps, and what counts as converged.
       chunk: loops run between two calls of `progress`, on all cores.
       progress: called as progress(loops done, loops in all), or None.
     Returns: `Outcome` of NumPy arrays (...).
     """
-    method, stage = checked(method, stage)
+    method = named(method)
     check_loop(law, reference)
     check_drive(drive, law.chain)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
@@ -77,26 +70,27 @@ def outcomes(
         values = np.broadcast_to(np.asarray(values, kind), shape + tail).reshape((count, *tail))
         return np.concatenate([values, np.broadcast_to(values[-1:], (pad, *tail))])  # one shape, one compilation
 
-    factor, time = flat(alpha) / largest_rate(law.alpha), flat(Ts)
+    largest = float(np.max(np.asarray(law.alpha)))
+    if not largest > 0:
+        raise errors.fail("alpha", "not be 0", f"is {largest:g}")
+    factor, time = flat(alpha) / largest, flat(Ts)
     # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
     times, which = np.unique(time, return_inverse=True)
-    models = jax.tree.map(lambda *each: np.stack(each), *(moving(drive, float(T)) for T in times))
-    models = jax.tree.map(lambda each: each[which], models)
+    models = None
+    if not drive.prompt:
+        models = jax.tree.map(lambda *each: np.stack(each)[which], *(sampled(drive, float(T)) for T in times))
     start = flat(q0, tail=q0.shape[-1:])
     if M is not None:
         M = flat(M, int)
-        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))
+        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))  # type: ignore[attr-defined]
 
     def one(q0, factor, Ts, M, model):
-        gained = replace(law, alpha=law.alpha * factor)
-        own = stage if M is None else replace(stage, M=M)
+        scaled = replace(law, alpha=law.alpha * factor)
+        passes = stage if M is None else replace(stage, M=M)
         through = dict(drive=drive, model=model)
-        return outcome(gained, reference, q0, Ts, N, method, own, **through, tolerance=tolerance, scale=scale)
+        return outcome(scaled, reference, q0, Ts, N, method, passes, **through, tolerance=tolerance, scale=scale)
 
-    evaluations = count * N * int(evaluations_per_step(method, replace(stage, M=stage.maximum), law.chain.n))
-    soon = not in_c() and answers_soon(evaluations, law)  # C does: 64 loops of G1 take it as long as XLA, 1,600 a tenth
-    run = one_off(jax.vmap(one)) if soon else lanes(one, block=LOOPS_PER_CALL)
-    done = []
+    run, done = lanes(one, block=LOOPS_PER_CALL), []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023
         done.append(jax.tree.map(np.asarray, run(*part)))
@@ -110,10 +104,8 @@ def _alike(n, **given) -> tuple:
     q0, alpha, Ts, M = (np.asarray(errors.array(name, value), float) for name, value in given.items())
     if not np.all(Ts > 0):
         raise errors.fail("Ts", "be positive", f"is {Ts.tolist()}")
-    if np.any(M < 0):
-        raise errors.fail("M", "be at least 0", f"is {M.tolist()}")
-    if np.any((M > 1_000_000) | (np.round(M) != M)):
-        raise errors.fail("M", "be whole, and at most a million", f"is {M.tolist()}")
+    if np.any((M < 0) | (M > 1_000_000) | (np.round(M) != M)):
+        raise errors.fail("M", "be whole, at least 0 and at most a million", f"is {M.tolist()}")
     if q0.shape[-1:] != (n,):
         raise errors.fail("q0", f"have shape (..., {n})", f"has shape {q0.shape}")
     shapes = q0.shape[:-1], alpha.shape, Ts.shape, M.shape
@@ -134,149 +126,120 @@ def stability_map(
     *,
     alpha,
     Ts,
+    M=None,
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     drive=Drive(),
     N=100,
-    rest=None,
     **options,
 ):
-    """Outcomes of simulated loops over the (alpha, Ts) plane, and the linear limit of the loop at rest. In float64.
+    """Return how simulated loops end over gains, sampling times and passes, and the linear limit. In float64.
 
     Args:
       law, reference, q0: the loop; the reference must be constant.
-      alpha: (a,) gains [1/s]. Ts: (b,) sampling times [s].
+      alpha: [1/s]. Ts: [s]. M: passes of an implicit method, or None: the stage's own. Each a number, or (k,) and then
+        an axis of the map.
       method, stage: as for `solve`. drive: as for `outcomes`.
-      rest: posture at which the loop rests, if known; otherwise `settle` finds it.
       N, options: as for `outcomes`.
-    Returns: an xarray.Dataset over (Ts, alpha), with `limit` (Ts,), the largest stable alpha by `recommend`.
+    Returns: an xarray.Dataset over (M, Ts, alpha), or those that are axes, with `limit` over (M, Ts): the largest gain
+      that is stable at any posture, exact for J# without damping, see `gains`.
     """
     import xarray as xr
 
-    method, stage = checked(method, stage)
+    method = named(method)
     check_loop(law, reference)
-    q0 = as_joint_values(law.chain, q0, "q0")
-    alpha, Ts = (np.asarray(errors.array(n, v, (None,)), float) for n, v in (("alpha", alpha), ("Ts", Ts)))
-    rest = settle(law, reference, q0) if rest is None else rest
-    how = dict(method=method, stage=stage, drive=drive)
-    made = outcomes(law, reference, q0, alpha=alpha, Ts=Ts[:, None], N=N, **how, **options)
-    limit = boundary(law, reference, rest, Ts=Ts, **how)
+    if M is not None and not method.implicit:
+        raise errors.fail("method", "be implicit where M is given, such as CN", f"is {method}")
+    given = {"M": M, "Ts": Ts, "alpha": alpha}
+    values = {k: np.asarray(errors.array(k, v, (), (None,)), float) for k, v in given.items() if v is not None}
+    axes = [name for name, value in values.items() if value.ndim]
+    if not axes:
+        raise errors.fail("alpha, Ts, M", "hold several values, one of them at least", "are numbers")
+    grid = dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
+    loops = outcomes(law, reference, q0, **(values | grid), method=method, stage=stage, drive=drive, N=N, **options)
+    of_limit = [name for name in axes if name != "alpha"]
+    limit = np.vectorize(
+        lambda M, Ts: largest_stable(method, stage if M is None else replace(stage, M=int(M)), drive, Ts=Ts),
+        otypes=[float],
+    )
+    each = [values[name] for name in of_limit]
+    at = dict(zip(of_limit, np.meshgrid(*each, indexing="ij"), strict=True))
+    limits = limit(at.get("M", values.get("M")), at.get("Ts", values["Ts"]))
+    data = _variables(loops, axes)
+    data["limit"] = (of_limit, limits, {"units": "1/s", "long_name": "largest gain stable at any posture"})
+    units = {name: {"units": AXES[name][0], "long_name": AXES[name][1]} for name in values}
+    attrs = {
+        "method": method.name,
+        "stage": type(stage).__name__.lower() if M is not None else str(stage),
+        "q0": np.asarray(q0, float).ravel(),
+        "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
+        "N": N,
+        "tolerance": options.get("tolerance", 1e-3),
+    } | ({} if options.get("scale") is None else {"scale": options["scale"]})
     return xr.Dataset(
-        _variables(made, ("Ts", "alpha")) | {"limit": ("Ts", limit, {"units": "1/s", "long_name": "linear boundary"})},
-        coords={
-            "alpha": ("alpha", alpha, {"units": "1/s", "long_name": "gain α"}),
-            "Ts": ("Ts", Ts, {"units": "s", "long_name": "sampling time"}),
-        },
-        attrs=_attributes(law, q0, method, stage, N, options),
+        data,
+        coords={name: (name if value.ndim else (), value, units[name]) for name, value in values.items()},
+        attrs=attrs,
     )
 
 
-@in_float64
-def boundary(law, reference, rest, *, Ts, method=DEFAULT, stage=picard(5), drive=Drive()):
-    """Largest stable alpha [1/s] by linear theory for each Ts (b,).
-
-    A hyperbola, unless a null-space velocity acts or drives have a time of their own.
-    """
-    Ts = np.asarray(Ts, float)
-    some = Ts if law.null_velocity is not None or drive.order else Ts[:1]
-    loop = loop_at_rest(law, reference, rest, method, stage, drive)
-    return np.asarray([largest_stable(loop, float(T)) for T in some]) / Ts
+def largest_stable(method, stage, drive=Drive(), *, Ts: float) -> float:
+    """Return the largest gain that is stable at any posture [1/s]; inf: any."""
+    share = mixed_share(drive.joints, float(Ts))
+    return gain_removing(share, method, passes_of(stage)) / float(Ts) if share else 0.0
 
 
-@in_float64
-def gains_map(law, q, *, alpha, Ts, method: MethodLike = DEFAULT, stage: Stage = picard(5), drive=Drive()):
-    """Spectral radius of a stack at rest over the gains of two of its tasks, all else as it is. In float64.
-
-    Args:
-      law: with a stack of tasks, whose gains are scaled. q: (n,) where it rests [rad, m].
-      alpha: {name: (a,)} of the two tasks, their largest gains [1/s]. Ts: [s].
-      method, stage: as for `solve`. drive: as for `outcomes`.
-    Returns: an xarray.Dataset over the two gains, by their tasks' names, with `radius`, and "limit of NAME" of either
-      (ray,) [1/s]: where the loop becomes unstable as both grow in one ratio, NaN where it does not within the map; in
-      its attributes `stable` and `recommended` [1/s]: what every gain may be whatever the posture and the others are,
-      see `TaskAdvice`.
-    """
-    import xarray as xr
-
-    if not isinstance(alpha, dict) or len(alpha) != 2:
-        raise errors.fail("alpha", "be {name: gains} of two tasks", f"is {alpha!r}")
-    if "radius" in alpha:
-        raise errors.fail("alpha", "name tasks by other names than that of the map's own values", "names one radius")
-    loop = loop_at_rest(law, None, q, method, stage, drive)
-    if not bounded_rates(loop.law):
-        raise errors.fail("law", "be of a stack, without transpose and null_velocity, for a map of two gains", "is not")
-    Ts, here = float(errors.number("Ts", Ts, positive=True)), shares_of(loop, Ts)
-    first, second = ((loop.law.task.of(n), np.asarray(errors.array(n, v, (None,)), float)) for n, v in alpha.items())
-    own = [float(np.max(here.rates.alpha[at])) for at, _ in (first, second)]
-    if not min(own) > 0:
-        raise errors.fail("law", f"have gains of {' and '.join(alpha)} to be scaled", f"has {own}")
-
-    def radius(gains):
-        scale = np.ones((len(gains), loop.law.task.m))
-        scale[:, first[0]], scale[:, second[0]] = (gains / own).T[..., None]
-        return here.radius(scale, loop.drive)
-
-    cells = np.stack(np.meshgrid(first[1], second[1]), -1)
-    found = _limit(radius, cells)
-    limits = least_limits(loop.method, loop.stage, Ts, loop.drive)
-    names, about = list(alpha), {"units": "1", "long_name": "spectral radius"}
-    return xr.Dataset(
-        {"radius": (names[::-1], np.array([radius(row) for row in cells]), about)}
-        | {f"limit of {n}": ("ray of limit", v, {"units": "1/s"}) for n, v in zip(names, found.T, strict=True)},
-        coords={
-            n: (n, v, {"units": "1/s", "long_name": f"α of {n}"})
-            for n, (_, v) in zip(alpha, (first, second), strict=True)
-        },
-        attrs={"stable": limits.stable / Ts, "recommended": limits.recommended / Ts}
-        | {"Ts": Ts, "method": loop.method.name, "stage": str(loop.stage), "q": np.asarray(loop.q)},
-    )
+# --- the plane of z ----------------------------------------------------------------------------------
 
 
-def _limit(radius, cells):
-    """Pairs of gains (r, 2) up to which a loop is stable in their ratio, NaN where that is beyond a map (b, a, 2)."""
-    least, most = cells.min((0, 1)), cells.max((0, 1))
-    shares = np.geomspace(np.maximum(least / most, LEAST), 1.0, RAYS)
-    edge = most * np.vstack([np.insert(shares[:, :1], 1, 1.0, 1), np.insert(shares[::-1, 1:], 0, 1.0, 1)])
-    low, high = np.zeros((len(edge), 1)), np.ones((len(edge), 1))
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        stable = radius(middle * edge)[:, None] <= 1 + SLACK
-        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
-    return np.where(high < 1, high, np.nan) * edge
+def plane(methods, passes, *, points=201):
+    """Return stability regions |R(z)| over (region, im, re), and the limits of z on the real axis over `row`.
 
-
-@in_float64
-def passes_map(law, reference, q0, *, z, M, Ts=0.1, method="CN", stage=picard(0), N=100, **options):
-    """Outcomes of simulated loops over z = alpha·Ts and the number of iterations M, and the linear limit for each M.
-
-    In float64.
-
-    Args: as for `stability_map`, with z (a,) and M (b,) in place of alpha and Ts, and an implicit method.
-    Returns: an xarray.Dataset over (M, z), with `limit` (M,) in z.
+    Args: methods: names. passes: M of implicit ones, which are solved exactly, too.
     """
     import xarray as xr
 
-    method, stage = checked(method, stage)
-    if not method.implicit:
-        raise errors.fail("method", "be implicit, such as CN", f"is {method}")
-    z, Ts = np.asarray(errors.array("z", z, (None,)), float), float(errors.number("Ts", Ts, positive=True))
-    if not np.iterable(M) or isinstance(M, str):
-        raise errors.fail("M", "be numbers of passes", f"is {M!r}")
-    M = np.array([errors.integer("M", m, at_least=0, at_most=1_000_000) for m in M], int)
-    made = outcomes(law, reference, q0, alpha=z / Ts, Ts=Ts, M=M[:, None], method=method, stage=stage, N=N, **options)
-    masked = [replace(stage, M=jnp.asarray(int(m)), maximum=int(M.max())) for m in M]
+    methods = [named(method, "methods") for method in methods]
+    passes = [errors.integer("passes", M, at_least=0) for M in passes]
+    cases = [(method, M) for method in methods for M in ([*passes, None] if method.implicit else [None])]
+    regions = [stability_region(method, M, points=points) for method, M in cases]
+    stages = ["" if not method.implicit else "exact" if M is None else f"picard({M})" for method, M in cases]
+    limits = {
+        "stable": [stability_limit(*case) for case in cases],
+        "monotone": [gain_removing(1.0, *case) for case in cases],
+    }
     return xr.Dataset(
-        _variables(made, ("M", "z")) | {"limit": ("M", [stability_limit(method, s) for s in masked], {"units": "1"})},
+        {name: ("row", values, {"units": "1"}) for name, values in limits.items()}
+        | {"region": (("row", "im", "re"), np.stack([r.values.astype(np.float32) for r in regions]))},
         coords={
-            "z": ("z", z, {"units": "1", "long_name": "z = α·Ts"}),
-            "M": ("M", M, {"units": "1", "long_name": "passes M"}),
+            "method": ("row", [method.name for method, _ in cases]),
+            "stage": ("row", stages),
+            "re": regions[0].re,
+            "im": regions[0].im,
         },
-        attrs=_attributes(law, q0, method, stage, N, options) | {"Ts": Ts, "stage": type(stage).__name__.lower()},
     )
+
+
+def limit_table(data):
+    """Return (rows, header) of the limits of a `plane`, as text."""
+    names = ("stable", "monotone")
+    columns = (data.method.values, data.stage.values, *(data[name].values for name in names))
+    rows = [
+        [str(method), str(stage), *("none" if v == np.inf else f"{v:.4f}" for v in values)]
+        for method, stage, *values in zip(*columns, strict=True)
+    ]
+    return rows, ["method", "stage", "stable", "without overshoot"]
+
+
+def plane_page(data) -> str:
+    """Return the limits of a `plane` as a Markdown page."""
+    rows, header = limit_table(data)
+    head = ("# Limits of z = alpha·Ts on the real axis", "", "`exact` is what chord(M) and newton(M) do.", "")
+    return "\n".join([*head, markdown(header, rows, left=2)])
 
 
 def endings_about():
-    """Attributes of a variable of endings: what its numbers mean."""
+    """Return the attributes of a variable of endings: what its numbers mean."""
     return {
         "units": "1",
         "long_name": "how the loop ended",
@@ -294,31 +257,3 @@ def _variables(made: Outcome, dims):
         "near_singular": (dims, made.near_singular, {"units": "1"}),
         "stage_not_converged": (dims, made.stage_not_converged, {"units": "1", "long_name": "a stage not converged"}),
     }
-
-
-def _attributes(law, q0, method, stage, N, options):
-    return {
-        "method": method.name,
-        "stage": str(stage),
-        "q0": np.asarray(q0).ravel(),
-        "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
-        "N": N,
-        "tolerance": options.get("tolerance", 1e-3),
-    } | ({} if options.get("scale") is None else {"scale": options["scale"]})
-
-
-# --- agreement with linear theory ----------------------------------------------------------------------
-
-
-@of_numbers
-def agreement(ending, z, limit, *, band=0.03):
-    """Fraction of loops that end as z and the linear limit predict, outside a band around the limit.
-
-    Args:
-      ending, z, limit: `Ending`s, z (or alpha) and that of the boundary (inf: all stable), broadcast together.
-    """
-    ending, z, limit = np.broadcast_arrays(ending, z, limit)
-    finite = np.isfinite(limit)
-    outside = ~finite | (np.abs(z - np.where(finite, limit, 0)) > band * np.where(finite, limit, 0))
-    agree = stable(ending) == (z < limit)
-    return float(agree[outside].mean())

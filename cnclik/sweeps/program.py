@@ -70,7 +70,9 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
 
     with jax.enable_x64(True):
         count = math.prod(of.block)
-        shapes = {a.name: jax.ShapeDtypeStruct((count, *a.values.shape[1:]), a.values.dtype) for a in of.inner}
+        first = {a.name: a.values[:1] for a in of.inner}
+        first |= of.more(fixed, first)
+        shapes = {name: jax.ShapeDtypeStruct((count, *v.shape[1:]), v.dtype) for name, v in first.items()}
         traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
         compiled = traced.lower().compile(options(traced, of.quick(fixed)))
     give_back()  # compiling uses some hundred megabytes

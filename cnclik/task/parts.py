@@ -10,7 +10,7 @@ A part is a record with
   motion(aim, rate)             (w,) the target's own velocity, from its derivative by time;
   velocity(robot, aim, motion)  (m,) what that adds to the error,
 
-and with what exponential and multistep methods ask of two targets, `between` and the rest. Where a target is a vector
+and with what exponential methods ask of two targets, `between` and the rest. Where a target is a vector
 that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied`, a
 function of joint values and target, change with the target.
 """
@@ -148,9 +148,9 @@ class Vector:
         """Return how far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
-    def went(self, aim, before):
-        """A vector of the size of a target's way, for telling a jump from a motion."""
-        return aim - before
+    def averaged(self, kept, before, aim):
+        """One sample of a low-pass filter of the target, which keeps a share of what was before."""
+        return kept * before + (1 - kept) * aim
 
     def chart(self, aim):
         """Return a vector whose changes are no smaller than those of the target."""
@@ -258,10 +258,8 @@ class Orientation(Vector):
         turn = aim @ before.T
         return log_of_step(turn)[places(self.axes)], turn if self.whole else None
 
-    def went(self, aim, before):
-        if self.whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
-            return (aim - before).ravel() * 0.5**0.5
-        return 0.5 * axial(aim @ before.T)[places(self.axes)]
+    def averaged(self, kept, before, aim):
+        return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
 
     def chart(self, aim):
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""

@@ -13,7 +13,7 @@ import tempfile
 import time
 from typing import NamedTuple
 
-SOLVED = ("EE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT", "EXP-AB2")  # methods of all kinds
+SOLVED = ("EE", "CN", "TRAPEZOID", "RK4", "EXP-MIDPOINT")  # methods of all kinds
 MOST_SECONDS = 600.0  # for a command, before it is cut off
 ROBOT, SPEC = "{robot}", "{spec}"  # stand for files
 _CIRCLE = f"{ROBOT} --reference circle"

@@ -56,18 +56,6 @@ def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
     assert "the gain is 0, so errors stay" in shown
 
 
-def test_steps_are_scaled_to_limits_by_options(tmp_path, capsys):
-    most = ["--max-velocity", "0.4", "--max-acceleration", "2", "4"]
-    small = ["--target", "0.5", "1.2", "--Ts", "0.05", "--N", "40", "--method", "EE", "--no-figures"]
-    main(["solve", "planar:1,1", *small, *most, "--out", str(tmp_path)])
-    assert "steps scaled along the path to limits of velocity, acceleration" in capsys.readouterr().out
-    with xr.open_dataset(tmp_path / "trajectory.nc") as data:
-        qdot = data.qdot.values
-        rate = np.abs(np.diff(qdot, axis=0, prepend=0)).max(axis=0) / 0.05
-        assert 0.39 < np.abs(qdot).max() <= 0.4 + 1e-12 and np.all(rate <= np.array([2, 4]) * (1 + 1e-9))
-        assert np.abs(data.e.values[-1]).max() < 0.02
-
-
 def test_a_loop_that_shakes_is_not_called_stable(tmp_path, capsys):
     """It ends half a metre off, with its steps marked OK; the exit code is that of a command that did its work."""
     arm, options = "planar-clockwise:1,1,1,1,1", ["--task", "xy", "--damping", "0.5", "--alpha", "45"]

@@ -50,12 +50,7 @@ AROUND = {
     "dead time and lag, on a circle": dict(drive=ck.Drive(delay=2.4, lag=0.03), path=circle),
     "position commands": dict(drive=ck.Drive(delay=1, lag=0.02, command="position", feedback="rebased")),
     "own commands": dict(drive=ck.Drive(delay=1, feedback="commanded")),
-    "late measurements, limits of the drive": dict(
-        drive=ck.Drive(
-            delay=1, lag=0.02, drive_velocity=1.0, drive_acceleration=9.0, measurement_delay=2, resolution=1e-3
-        )
-    ),
-    "pace": dict(pace=ck.Pace(acceleration=10.0, jerk=200.0), path=line),
+    "late measurements": dict(drive=ck.Drive(delay=1, lag=0.02, measurement_delay=2)),
     "long": dict(N=90, path=line),
     "joint limits, posture, a servo of second order": dict(
         drive=ck.Drive(delay=1, natural_frequency=60.0),
@@ -89,7 +84,6 @@ SLOPES = {
     "long": dict(N=90),
     "CN": dict(method="CN"),
     "CN implicit": IMPLICIT,
-    "AB2": dict(method="AB2"),
     "EXP-MIDPOINT": dict(method="EXP-MIDPOINT"),
     "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),

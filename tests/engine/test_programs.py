@@ -303,7 +303,6 @@ def test_odd_arguments_and_results():
     case = {"x": batch(2, 2), "k": np.arange(SIZE, dtype=np.int64) - 3}
     check(fn, case, batch(4) > 0)
     check(lambda x: (x, (x > 0, None)), batch(dtype="float32"))
-    check(lambda x: x + jax.random.normal(jax.random.key(3), (4,)), batch(4))
 
 
 @NEEDS_C
@@ -387,7 +386,7 @@ def test_zeros_of_a_model_vanish_and_others_stay():
     ("fn", "name"),
     [
         (lambda x: jnp.linalg.svd(x.reshape(2, 2))[1], "svd"),
-        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int), impl="rbg"), (4,)) + x, "random_seed"),
+        (lambda x: jax.random.normal(jax.random.key(x[0].astype(int)), (4,)) + x, "key<fry>"),
         (lambda x: x.view("uint32"), "bitcast_convert_type"),
         (lambda x: (jax.debug.print("here"), x)[1], "effects"),
         (lambda x: x + 1j, "complex"),
@@ -503,18 +502,6 @@ def test_what_a_loop_leaves_as_it_was_is_no_part_of_it():
         text = write(*read(fn, *lane_avals(given))[:3], [jax.ShapeDtypeStruct((), "float64")] * 3
                      + [jax.ShapeDtypeStruct((6,), "float64")])[0]  # fmt: skip
     assert 0 < text.index("sincos_F64(t") < text.rindex("< 6; ++j")
-
-
-def test_a_paced_loop_is_no_longer_for_more_steps():
-    """Corners of its path were looked for instant by instant: 300 steps were 49,000 lines of C."""
-    law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=5.0)
-    path, pace = ck.circle([0.9, 0.9], 0.2, period=2.0), ck.Pace(acceleration=5.0, jerk=300.0)
-    avals, count = [jax.ShapeDtypeStruct((2,), "float64")], []
-    for N in (30, 90):
-        with to_be_read():
-            graph = read(lambda q, N=N: ck.solve(law, path, q, 0.01, N, "EE", pace=pace).q[-1], *avals)
-        count.append(write(*graph[:3], avals)[1])
-    assert count[1] < 1.05 * count[0]  # a bisection has a step more
 
 
 def test_metrics_are_no_longer_for_more_steps():

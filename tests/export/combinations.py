@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.export.library import compiled
 from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
+from tests.export.native import native
 
-SEVERAL = 6  # steps of a multistep method, one after the other
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
 CLOSELY = 40  # times as many repeats where those explain too little
 NEAR = {"float64": 1e-12, "float32": 1e-5}
@@ -42,8 +41,8 @@ LIMITS = {
     "bounded": ck.bounded,
 }
 NULL = {
-    "none": lambda chain: None,
-    "posture": lambda chain: ck.posture(np.full(chain.n, 0.3)),
+    "none": lambda chain, task: None,
+    "posture": lambda chain, task: ck.posture(np.full(chain.n, 0.3)),
 }
 STAGES = {"picard": lambda: ck.picard(3), "chord": lambda: ck.chord(2), "newton": lambda: ck.newton(2)}
 
@@ -72,7 +71,7 @@ class Combination(NamedTuple):
             alpha=5.0,
             inverse=INVERSES[self.inverse](),
             limits=LIMITS[self.limits](),
-            null_velocity=NULL[self.null](chain),
+            null_velocity=NULL[self.null](chain, task),
         )
         return law, ck.METHODS[self.method], STAGES[self.stage]()
 
@@ -109,12 +108,7 @@ def by_jax(combination):
     def one(q, position, rotation, velocity):
         reference = target(law, position, rotation, velocity)
 
-        def again(made, _):
-            return ck.step(law, reference, made.q, 0.0, combination.Ts, method, stage, history=made.history), None
-
         made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
-        if method.steps > 1:
-            made, _ = jax.lax.scan(again, made, None, length=SEVERAL - 1)
         return made.q, made.qdot, made.e, made.x, made.residual, made.status
 
     soon = known_options(QUICK_COMPILE)  # a few inputs: compiling is nearly all of the time
@@ -130,15 +124,11 @@ def by_jax(combination):
 def by_c(combination, given, step=None):
     """The same by the exported step, lane by lane."""
     law, method, stage = combination.parts()
-    step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
-    rounds, found = SEVERAL if method.steps > 1 else 1, []
-    names = [row["name"] for row in step.manifest["inputs"]["input"]]
+    step = native(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
+    found = []
     for q, position, rotation, velocity in zip(*given, strict=True):
         known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
-        history = None
-        for _ in range(rounds):
-            made = step(q, *(known[name] for name in names[1:]), history=history)
-            q, history = made.q, made.history
+        made = step(q, *(known[name] for name in step.names[1:]))
         found.append((made.q, made.qdot, made.e, made.x, made.residual, made.status))
     return [np.array(v) for v in zip(*found, strict=True)]
 
@@ -148,7 +138,7 @@ def plainly(combination):
     law, method, stage = combination.parts()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CFLAGS", "-O1 -ffp-contract=off")
-        return compiled(law, method=method, stage=stage, dtype=combination.dtype)
+        return native(law, method=method, stage=stage, dtype=combination.dtype)
 
 
 def moved(given, by):

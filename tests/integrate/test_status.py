@@ -131,21 +131,9 @@ def test_several_bits_at_once():
 
 def test_values_of_bits_never_change():
     """Stored datasets hold them."""
-    bits = [
-        "OK",
-        "NOT_CONVERGED",
-        "NEAR_SINGULAR",
-        "AT_LIMIT",
-        "NON_FINITE",
-        "OVER_VELOCITY",
-        "GROWING",
-        "TASK_TOO_LARGE",
-        "RESTARTED",
-        "DIVERGED",
-        "OVER_ACCELERATION",
-        "WALLS_CONTRADICT",
-    ]
-    assert {s.name: s.value for s in S.__members__.values()} == dict(zip(bits, [0, *2 ** np.arange(11)], strict=True))
+    bits = {"NOT_CONVERGED": 1, "NEAR_SINGULAR": 2, "AT_LIMIT": 4, "NON_FINITE": 8, "OVER_VELOCITY": 16, "GROWING": 32}
+    bits |= {"TASK_TOO_LARGE": 64, "DIVERGED": 256, "WALLS_CONTRADICT": 1024}
+    assert {s.name: s.value for s in S.__members__.values()} == {"OK": 0, **bits}
 
 
 def test_over_velocity():

@@ -39,8 +39,7 @@ def systems(m, seed=0, count=20):
 
 def solved(a, b, more):
     lower = dense.cholesky(a)
-    other = dense.packed_solve(dense.packed(lower), b)
-    return dense.cholesky_solve(lower, b), dense.cholesky_solve(lower, more), other, dense.inverse_trace(lower)
+    return dense.cholesky_solve(lower, b), dense.cholesky_solve(lower, more), dense.inverse_trace(lower)
 
 
 @pytest.mark.parametrize("m", [1, 6, 26])
@@ -49,7 +48,7 @@ def test_a_batch_is_numpys_one_by_one(m):
     made = jax.jit(jax.vmap(solved))(*given)
     alone = [jax.jit(solved)(*one) for one in zip(*given, strict=True)]
     for k, (a, b, more) in enumerate(zip(*given, strict=True)):
-        wanted = np.linalg.solve(a, b), np.linalg.solve(a, more), np.linalg.solve(a, b), np.trace(np.linalg.inv(a))
+        wanted = np.linalg.solve(a, b), np.linalg.solve(a, more), np.trace(np.linalg.inv(a))
         for one, other, value in zip((v[k] for v in made), alone[k], wanted, strict=True):
             close(one, value, rtol=1e-9, atol=1e-12)
             close(other, value, rtol=1e-9, atol=1e-12)

@@ -285,29 +285,3 @@ def test_a_derivative_is_one_more_solve():
     with to_be_read():
         operations = [write(*read(f, *given)[:3], [given[2]] * n)[1] for n, f in ((1, damped_solve), (2, pushed))]
     assert operations[1] < 2 * operations[0]
-
-
-@pytest.mark.parametrize("m", [1, 3, 6])
-def test_packed_factors_solve_as_numpy_does(m):
-    """Also next to singular: what is remembered of J Jᵀ + λ² I."""
-    rows = np.random.default_rng(m).normal(size=(m, 7))
-    rows[-1] = rows[0] + 1e-3 * rows[-1] if m > 1 else rows[-1]
-    b, matrix = np.arange(1.0, m + 1), rows @ rows.T + 1e-4 * np.eye(m)
-
-    @jax.jit
-    def solved(rows, b):
-        packed = dense.packed(dense.cholesky(dense.shifted(rows @ rows.T, 1e-4)))
-        return dense.packed_solve(packed, b)
-
-    np.testing.assert_allclose(solved(jnp.asarray(rows), jnp.asarray(b)), np.linalg.solve(matrix, b), rtol=1e-8)
-
-
-def test_a_packed_factor_of_many_rows_has_a_c_form():
-    """Of 14 rows on: breaks for a scatter into many cells within a loop, with which EXP-AB2 of a stack lost its C."""
-    m = 14
-
-    def fn(vector, b):
-        return jax.lax.scan(lambda b, _: (dense.packed_solve(vector, b), None), b, None, length=2)[0]
-
-    with to_be_read():
-        read(fn, *(jax.ShapeDtypeStruct((size,), np.float64) for size in (m * (m + 1) // 2, m)))

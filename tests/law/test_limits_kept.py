@@ -37,11 +37,8 @@ METHODS = {
     "IE picard": ("IE", ck.picard(2)),
     "CN chord": ("CN", ck.chord(2)),
     "IE newton": ("IE", ck.newton(2)),
-    "AB3": ("AB3", ck.picard(5)),
-    "ZNN4": ("ZNN4", ck.picard(5)),
     "EXP-EE": ("EXP-EE", ck.picard(5)),
     "EXP-MIDPOINT": ("EXP-MIDPOINT", ck.picard(5)),
-    "EXP-AB2": ("EXP-AB2", ck.picard(5)),
 }
 QUICK = {("bounded", "EE"), ("bounded", "IE picard"), ("bounded", "CN chord"), ("bounded", "EXP-MIDPOINT")}
 QUICK |= {("scaling", "EXTREME")}
@@ -104,42 +101,6 @@ def test_kept(limits, name, dtype):
     assert status.any()
 
 
-PACES = {"velocity": (), "acceleration": (1.0,), "jerk": (1.0, 10.0), "little jerk": (1.0, 1.0)}
-
-
-@pytest.mark.parametrize(
-    ("limits", "smooth", "dtype"),
-    [
-        ("bounded", "jerk", np.float64),
-        pytest.param("bounded", "acceleration", np.float32, marks=pytest.mark.slow),
-        pytest.param("bounded", "little jerk", np.float64, marks=pytest.mark.slow),
-    ],
-)
-def test_kept_at_a_pace(limits, smooth, dtype):
-    """Braking took joints up to 2.6 rad past a limit; in float32 they stood still there, whatever was sent."""
-    low, high = np.array([-2.0, -1.0, -1.0]), np.array([2.0, 1.3, 1.0])
-    rng, B = np.random.default_rng(0), 300 if "little" not in smooth else 4000
-    starts, targets = low + (high - low) * rng.random((B, 3)), 2.2 * rng.uniform(-1, 1, (B, 2))
-    alpha, speed, strong = (10 ** rng.uniform(*ends, B) for ends in ((0.0, 1.5), (-0.2, 0.7), (0.3, 1.5)))
-    arm = ck.replace(ck.planar_arm([1.0, 0.8, 0.6]), lower=tuple(low), upper=tuple(high))
-
-    def one(q0, target, alpha, velocity, most):
-        law = ck.Law(arm, ck.position("xy"), alpha=alpha, inverse=ck.damped(0.02), limits=LIMITS[limits])
-        more = {name: most * times for name, times in zip(("acceleration", "jerk"), PACES[smooth], strict=False)}
-        return ck.solve(law, ck.hold(target), q0, 0.02, 150, "EE", pace=ck.Pace(velocity=velocity, **more))
-
-    made = [v.astype(dtype) for v in (starts, targets, alpha, speed, strong)]
-    run = jax.jit(jax.vmap(one))(*made)
-    q, qdot = np.asarray(run.q, float), np.asarray(run.qdot, float)
-    assert np.maximum(q - high, low - q).max() <= 10 * np.finfo(dtype).eps
-    assert (np.minimum(high - q, q - low).min((1, 2)) < 1e-3).sum() > 20  # they come to their limits
-    rounding = 100 * np.finfo(dtype).eps
-    np.testing.assert_allclose(np.diff(q, axis=1) / 0.02, qdot, atol=rounding / 0.02)
-    if smooth != "velocity":
-        change = np.abs(np.diff(qdot, axis=1, prepend=0.0)).max((1, 2)) / (0.02 * strong)
-        assert change.max() <= 1 + rounding / 0.02
-
-
 URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
 <joint name="1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
 <limit lower="0" upper="1e16" velocity="0"/></joint>
@@ -190,7 +151,7 @@ def mirrored(i):
     ("limits", "i", "method"),
     [
         ("bounded", 1, "EE"),
-        pytest.param("bounded", 0, "EXP-AB2", marks=pytest.mark.slow),
+        pytest.param("bounded", 0, "EXP-MIDPOINT", marks=pytest.mark.slow),
     ],
 )
 def test_a_mirrored_axis_gives_a_mirrored_run(limits, i, method):
@@ -205,16 +166,10 @@ def test_a_mirrored_axis_gives_a_mirrored_run(limits, i, method):
     np.testing.assert_allclose(other * sign, plain, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("limits", "pace"),
-    [
-        *((name, None) for name in LIMITS),
-        pytest.param("bounded", ck.Pace(acceleration=9.0, jerk=200.0), marks=pytest.mark.slow),
-    ],
-)
-def test_gradients_are_finite(limits, pace):
+@pytest.mark.parametrize("limits", LIMITS)
+def test_gradients_are_finite(limits):
     def loss(low, high, speed, q0, target):
-        run = ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, 10, "EE", pace=pace)
+        run = ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, 10, "EE")
         return jnp.sum(run.e[-1] ** 2) + jnp.sum(run.q[-1])
 
     made = cases(np.float64)

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cnclik.stability.case import held_by
 
 import cnclik as ck
 from cnclik.law.bounded import Bounded
 from cnclik.record import record
-from cnclik.stability.case import held_by
 from tests.law.test_bounded import RATE, draws
 from tests.robot.test_trees import ARMS, G1
 from tests.task.test_shapes import DOWN, FRANKA, G1_PAIRS, HUMANOID, PANDA, coal_distances

@@ -60,17 +60,6 @@ def test_a_future_may_be_unknown():
         p.problem_from("panda", future="unkown")
 
 
-def test_a_pace_is_options_like_the_others():
-    made = p.problem_from("panda", max_jerk=[500.0], max_acceleration=[1.0, 2, 3, 4, 5, 6, 7])
-    assert made.pace.velocity == "chain" and made.pace.jerk == 500 and made.pace.acceleration[6] == 7
-    for options, told in (
-        ({"max_jerk": -1.0}, "`max_jerk` must hold values that are positive, but holds -1"),
-        ({"max_jerk": [1.0, 2.0]}, r"`max_jerk` must have shape \(7,\)"),
-    ):
-        with pytest.raises(ck.ArgumentError, match=told):
-            p.problem_from("panda", **options)
-
-
 def test_numbers_may_be_texts_with_a_unit():
     made = p.problem_from("planar:1,1", Ts="4ms", delay="34ms", measurement_delay="8ms", q0="0 90 deg", lag="20ms")
     assert (made.Ts, made.drive.delay, made.drive.measurement_delay, made.drive.lag) == (0.004, 8.5, 2, 0.02)

@@ -13,6 +13,7 @@ from cnclik.engine.compiler import can_build
 from cnclik.measure.files import plain
 from cnclik.problem import OF_SHAPE, OF_WALL
 from cnclik.sweeps.files import read
+from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
@@ -146,7 +147,7 @@ def test_a_step_behind_a_wall_is_exported(tmp_path):
     """Breaks where the rounds of descents behind walls have no bound that C knows."""
     (tmp_path / "stack.toml").write_text(STACK)
     made = ck.problem_from("planar:1,1,1", stack=tmp_path / "stack.toml", q0=[-1.2, 0.4, 0.4], N=150, method="EE")
-    run, step = made.run(), ck.export.compiled(made.law, made.reference, method="EE")
+    run, step = made.run(), native(made.law, made.reference, method="EE")
     assert np.sum(np.abs(run.walls[:, 0]) < 1e-6) > 20
     for k in range(0, 150, 5):
         close(step(run.q[k], run.t[k], made.Ts).q, run.q[k + 1], atol=1e-9)

@@ -182,7 +182,7 @@ def test_samples_per_joint_are_as_many_as_the_robot_has():
 def test_the_linear_limit_is_a_value():
     s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="picard", axes__method=["EE", "IE", "CN"]))
     gains = {m: float(s.build(method=m, M=np.int64(2), z=0.5, lift=0.0).law.alpha) / 5 for m in ("EE", "IE")}
-    assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/stability.md
+    assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/gains.md
     traced = jax.jit(lambda M: s.build(method="CN", M=M, z=0.5, lift=0.0).law.alpha / 5)
     assert float(traced(2)) == pytest.approx(1.4780, abs=1e-4)
     s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="chord", axes__method=["IE"]))

@@ -1,25 +1,25 @@
-/* The search for targets. `native_source` writes `look` for a chain and a task, `Lanes`, which it reads and writes, `Real`,
-   LANE(v, i), SPLAT(x), LIBM(name), N and the other constants. Lanes are vectors of W, with VECTORS, or numbers, W = 1. */
+/* The search for targets. `native_source` writes `look` for a chain and a task, `Lanes`, which it reads and writes, N and
+   the other constants. Lanes are vectors of W numbers. */
 #include <string.h>
 
 typedef struct { /* the result of a search for a target; `search.Found` in Python */
-  Real q[N], squares[2], cost, steep; /* the best posture and its squared errors; see `step.Search` */
-  Real looks, found;
-  Real places[PLACES][N], costs[PLACES]; /* the best places of tries that did not arrive */
+  double q[N], squares[2], cost, steep; /* the best posture and its squared errors; see `step.Search` */
+  double looks, found;
+  double places[PLACES][N], costs[PLACES]; /* the best places of tries that did not arrive */
 } Found;
 
 typedef struct { /* B targets; the same as `native._Call` */
-  const Real *pose, *near; /* (B, AIMS, 12), (B, N) or NULL */
+  const double *pose, *near; /* (B, AIMS, 12), (B, N) or NULL */
   const uint8_t *skip; /* (B) or NULL: targets that are left out */
   Found *made; /* (B) */
-  Real *rows; /* (B, 2 N + 5) or NULL: for targets that are found, rows for `result.from_rows` */
-  const Real *low, *high; /* (N) range of the search, which `jump` narrows */
-  const Real *lower, *upper, *jump; /* (N) limits; INFINITY without a jump */
-  const Real *periods, *turns; /* (N) the turn after which a posture repeats, or 0; it where several turns fit */
-  const Real *postures, *middle, *width; /* of the seeds: (SETS * SIZE, N), (N), (N) */
+  double *rows; /* (B, 2 N + 5) or NULL: for targets that are found, rows for `result.from_rows` */
+  const double *low, *high; /* (N) range of the search, which `jump` narrows */
+  const double *lower, *upper, *jump; /* (N) limits; INFINITY without a jump */
+  const double *periods, *turns; /* (N) the turn after which a posture repeats, or 0; it where several turns fit */
+  const double *postures, *middle, *width; /* of the seeds: (SETS * SIZE, N), (N), (N) */
   const float *features, *factors; /* (AIMS, SETS, 13, SIZE), (AIMS, 12) */
-  const Real *roots; /* (M) roots of the weights */
-  Real tolerance[2];
+  const double *roots; /* (M) roots of the weights */
+  double tolerance[2];
   int64_t done, tries, budget, seed; /* done: earlier tries; tries: all */
   int64_t downhill; /* steps from each kept place to the nearest pose; 0: tries from seeds */
 } Asked;
@@ -28,26 +28,19 @@ typedef struct { /* the try of one lane */
   int64_t target, number; /* number: its index among the target's tries */
   int step, most;
   int bounded, free; /* whether its target has bounds; whether the try is free of them */
-  Real looks;
+  double looks;
 } Try;
 
-#ifdef VECTORS
 typedef float F __attribute__((vector_size(BYTES)));
 typedef int32_t J __attribute__((vector_size(BYTES)));
 #define WF (BYTES / 4)
 #define EITHER(mask, a, b) (((mask) & (J)(a)) | (~(mask) & (J)(b)))
-#else
-typedef float F;
-typedef int32_t J;
-#define WF 1
-#define EITHER(mask, a, b) ((mask) ? (a) : (b))
-#endif
 
 /* The seed of a set whose tip is nearest to one of a target's aims. */
-static const Real *nearest(const Asked *a, int64_t target, int64_t aim, int64_t set)
+static const double *nearest(const Asked *a, int64_t target, int64_t aim, int64_t set)
 {
   const float *features = a->features + (aim * SETS + set) * 13 * SIZE, *factors = a->factors + aim * 12;
-  const Real *pose = a->pose + (target * AIMS + aim) * 12;
+  const double *pose = a->pose + (target * AIMS + aim) * 12;
   F shortest;
   J where, at;
   float asked[12], smallest = INFINITY;
@@ -57,8 +50,8 @@ static const Real *nearest(const Asked *a, int64_t target, int64_t aim, int64_t 
   memset(&at, 0, sizeof at);
   for (int i = 0; i < 12; ++i) asked[i] = (float)pose[i] * factors[i];
   for (int i = 0; i < WF; ++i) {
-    LANE(shortest, i) = INFINITY;
-    LANE(at, i) = i;
+    shortest[i] = INFINITY;
+    at[i] = i;
   }
   for (int k = 0; k < SIZE; k += WF) {
     F far, row;
@@ -73,35 +66,35 @@ static const Real *nearest(const Asked *a, int64_t target, int64_t aim, int64_t 
     at = at + WF;
   }
   for (int i = 0; i < WF; ++i) {
-    if (LANE(shortest, i) < smallest) {
-      smallest = LANE(shortest, i);
-      found = LANE(where, i);
+    if (shortest[i] < smallest) {
+      smallest = shortest[i];
+      found = where[i];
     }
   }
   return a->postures + (set * SIZE + found) * N;
 }
 
 /* A joint's value plus whole turns, as near to `about` as the bounds allow; as `seeds.turned`. */
-static Real turned(Real q, Real about, Real period, Real low, Real high)
+static double turned(double q, double about, double period, double low, double high)
 {
-  const Real few = LIBM(ceil)((low - q) / period), most = LIBM(floor)((high - q) / period), turns = LIBM(rint)((about - q) / period);
+  const double few = ceil((low - q) / period), most = floor((high - q) / period), turns = rint((about - q) / period);
   if (!(period > 0 && few <= most)) return q;
   return q + period * (turns < few ? few : turns > most ? most : turns);
 }
 
-static Real most(Real a, Real b) { return a > b ? a : b; }
-static Real least(Real a, Real b) { return a < b ? a : b; }
+static double most(double a, double b) { return a > b ? a : b; }
+static double least(double a, double b) { return a < b ? a : b; }
 
 /* Set the range of the search for a lane's target; returns whether it is bounded. */
 static int narrow(const Asked *a, Lanes *s, int64_t target, int i)
 {
   int bounded = 0;
   for (int j = 0; j < N; ++j) { /* outside the limits: the bound nearest to `near` */
-    const Real about = a->jump[j] < INFINITY ? a->near[target * N + j] : 0;
-    const Real low = least(most(a->low[j], about - a->jump[j]), a->high[j]);
-    LANE(s->high[j], i) = most(least(a->high[j], about + a->jump[j]), a->low[j]);
-    LANE(s->low[j], i) = low;
-    bounded |= low > -INFINITY || LANE(s->high[j], i) < INFINITY;
+    const double about = a->jump[j] < INFINITY ? a->near[target * N + j] : 0;
+    const double low = least(most(a->low[j], about - a->jump[j]), a->high[j]);
+    s->high[j][i] = most(least(a->high[j], about + a->jump[j]), a->low[j]);
+    s->low[j][i] = low;
+    bounded |= low > -INFINITY || s->high[j][i] < INFINITY;
   }
   return bounded;
 }
@@ -109,9 +102,9 @@ static int narrow(const Asked *a, Lanes *s, int64_t target, int i)
 /* Set a lane to its state before the first step. */
 static void fresh(Lanes *s, Try *own, int i, int steps)
 {
-  LANE(s->squares[0], i) = LANE(s->squares[1], i) = LANE(s->cost, i) = LANE(s->steep, i) = INFINITY;
-  LANE(s->trust, i) = 1;
-  LANE(s->arrived, i) = 0;
+  s->squares[0][i] = s->squares[1][i] = s->cost[i] = s->steep[i] = INFINITY;
+  s->trust[i] = 1;
+  s->arrived[i] = 0;
   own->step = 0;
   own->most = steps;
 }
@@ -121,9 +114,9 @@ static void inward(const Asked *a, Lanes *s, Try *own, int i)
 {
   narrow(a, s, own->target, i);
   for (int j = 0; j < N; ++j) {
-    const Real low = LANE(s->low[j], i), high = LANE(s->high[j], i), about = a->near == NULL ? 0 : a->near[own->target * N + j];
-    const Real q = turned(LANE(s->best[j], i), about, a->periods[j], low, high);
-    LANE(s->q[j], i) = LANE(s->best[j], i) = q < low ? low : q > high ? high : q;
+    const double low = s->low[j][i], high = s->high[j][i], about = a->near == NULL ? 0 : a->near[own->target * N + j];
+    const double q = turned(s->best[j][i], about, a->periods[j], low, high);
+    s->q[j][i] = s->best[j][i] = q < low ? low : q > high ? high : q;
   }
   own->free = 0;
   fresh(s, own, i, CAREFUL);
@@ -137,15 +130,15 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
   const int outer = own->bounded && !a->downhill;
   for (; a->downhill && own->number < PLACES && !(made->costs[own->number] < INFINITY); ++own->number) {}
   if (outer && own->number >= SETS && (a->seed + own->number) % (2 * OUTER) == 2 * OUTER - 1) own->number += 1;
-  if (own->number >= a->tries || (own->number >= PLAIN && own->looks >= (Real)a->budget)) return 0;
+  if (own->number >= a->tries || (own->number >= PLAIN && own->looks >= (double)a->budget)) return 0;
   const int64_t k = own->number, number = a->seed + k;
   if (own->free) narrow(a, s, target, i);
   own->free = outer && k >= SETS && number % OUTER == 2;
-  const int plain = k < PLAIN && !a->downhill, by = plain && k < BY_NEAR && a->near != NULL;
-  static const Real stretches[] = {STRETCHED};
+  const int plain = k < PLAIN && !a->downhill, by = plain && a->near != NULL;
+  static const double stretches[] = {STRETCHED};
   static const int owners[N] = {OWNERS};
-  const Real stretch = k < SETS ? 1 : stretches[number % STRETCHES];
-  const Real *starts[AIMS], *place = NULL; /* start of the joints that an aim owns */
+  const double stretch = k < SETS ? 1 : stretches[number % STRETCHES];
+  const double *starts[AIMS], *place = NULL; /* start of the joints that an aim owns */
   for (int aim = 0; aim < AIMS; ++aim) {
     if (a->downhill) {
       starts[aim] = made->places[k];
@@ -160,12 +153,12 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
     }
   }
   for (int j = 0; j < N; ++j) {
-    const Real low = LANE(s->low[j], i), high = LANE(s->high[j], i), width = a->width[j] > 1e-9 ? a->width[j] : 1e-9;
-    const Real start = starts[owners[j]][j], from = (start - a->middle[j]) / width;
-    const Real about = a->near == NULL ? 0 : a->near[target * N + j];
-    Real q = start;
+    const double low = s->low[j][i], high = s->high[j][i], width = a->width[j] > 1e-9 ? a->width[j] : 1e-9;
+    const double start = starts[owners[j]][j], from = (start - a->middle[j]) / width;
+    const double about = a->near == NULL ? 0 : a->near[target * N + j];
+    double q = start;
     if (by) {
-      q = turned(about + AROUND * (Real)k / PLAIN * 2 * from, about, a->periods[j], low, high);
+      q = turned(about + AROUND * (double)k / PLAIN * 2 * from, about, a->periods[j], low, high);
     } else if (place != NULL && AIMS == 1) {
       q = place[j] + q - a->middle[j];
     } else if (place != NULL && owners[j] != number / SELDOM % AIMS) { /* the other tips begin at the kept place */
@@ -175,13 +168,13 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
       if (q < low || q > high || (stretch > 1 && high - low < INFINITY)) q = low + (high - low) * (stretch * from + 0.5);
     }
     q = q < low ? low : q > high ? high : q;
-    LANE(s->q[j], i) = LANE(s->best[j], i) = q;
+    s->q[j][i] = s->best[j][i] = q;
     if (own->free) {
-      LANE(s->low[j], i) = -INFINITY;
-      LANE(s->high[j], i) = INFINITY;
+      s->low[j][i] = -INFINITY;
+      s->high[j][i] = INFINITY;
     }
   }
-  LANE(s->careful, i) = !plain;
+  s->careful[i] = !plain;
   fresh(s, own, i, a->downhill ? (int)a->downhill : plain ? STEPS : CAREFUL);
   return 1;
 }
@@ -190,8 +183,8 @@ static int begin(const Asked *a, Lanes *s, Try *own, int i)
 static int take(const Asked *a, Lanes *s, Try *own, int i, int64_t target)
 {
   Found *made = a->made + target;
-  Real sum = 0; /* NaN if the target has one */
-  for (int j = 0; j < 12 * AIMS; ++j) LANE(s->target[j], i) = a->pose[12 * AIMS * target + j];
+  double sum = 0; /* NaN if the target has one */
+  for (int j = 0; j < 12 * AIMS; ++j) s->target[j][i] = a->pose[12 * AIMS * target + j];
   own->target = target;
   own->bounded = narrow(a, s, target, i);
   own->free = 0;
@@ -215,40 +208,40 @@ static void keep(Found *made, const Lanes *s, int i)
 {
   int worst = 0;
   for (int k = 1; k < PLACES; ++k) worst = made->costs[k] > made->costs[worst] ? k : worst;
-  if (LANE(s->cost, i) < made->costs[worst]) {
-    made->costs[worst] = LANE(s->cost, i);
-    for (int j = 0; j < N; ++j) made->places[worst][j] = LANE(s->best[j], i);
+  if (s->cost[i] < made->costs[worst]) {
+    made->costs[worst] = s->cost[i];
+    for (int j = 0; j < N; ++j) made->places[worst][j] = s->best[j][i];
   }
 }
 
 /* Make a lane's posture its target's answer so far. */
 static void note(Found *made, const Lanes *s, int i)
 {
-  for (int j = 0; j < N; ++j) made->q[j] = LANE(s->best[j], i);
-  for (int j = 0; j < 2; ++j) made->squares[j] = LANE(s->squares[j], i);
-  made->cost = LANE(s->cost, i);
-  made->steep = LANE(s->steep, i);
+  for (int j = 0; j < N; ++j) made->q[j] = s->best[j][i];
+  for (int j = 0; j < 2; ++j) made->squares[j] = s->squares[j][i];
+  made->cost = s->cost[i];
+  made->steep = s->steep[i];
 }
 
 /* Write the row of a target that is found, as `Asked.reached` has it. */
 static void tell(const Asked *a, int64_t target)
 {
   const Found *made = a->made + target;
-  const Real *near = a->near == NULL ? NULL : a->near + target * N, half = LIBM(sqrt)(made->squares[1]) / 2;
-  Real *row = a->rows + target * (2 * N + 5), distance = 0;
+  const double *near = a->near == NULL ? NULL : a->near + target * N, half = sqrt(made->squares[1]) / 2;
+  double *row = a->rows + target * (2 * N + 5), distance = 0;
   int gone = 0;
-  for (int j = 0; near != NULL && j < N; ++j) gone |= LIBM(fabs)(made->q[j] - near[j]) > a->jump[j] * (1 + 1e-9);
+  for (int j = 0; near != NULL && j < N; ++j) gone |= fabs(made->q[j] - near[j]) > a->jump[j] * (1 + 1e-9);
   for (int j = 0; j < N; ++j) {
-    const Real about = near == NULL ? 0 : near[j], low = a->lower[j], high = a->upper[j];
-    const Real whole = a->turns[j] > 0 ? turned(made->q[j], about, a->turns[j], low, high) : made->q[j];
-    const Real q = whole < low ? low : whole > high ? high : whole;
+    const double about = near == NULL ? 0 : near[j], low = a->lower[j], high = a->upper[j];
+    const double whole = a->turns[j] > 0 ? turned(made->q[j], about, a->turns[j], low, high) : made->q[j];
+    const double q = whole < low ? low : whole > high ? high : whole;
     row[j] = gone ? NAN : q;
     row[N + 4 + j] = !gone && (q <= low + TOUCHING || q >= high - TOUCHING);
-    distance = most(distance, LIBM(fabs)(q - about));
+    distance = most(distance, fabs(q - about));
   }
   row[N] = gone ? JUMP : 0;
-  row[N + 1] = gone ? NAN : LIBM(sqrt)(made->squares[0]);
-  row[N + 2] = gone ? NAN : 2 * LIBM(asin)(least(half, 1));
+  row[N + 1] = gone ? NAN : sqrt(made->squares[0]);
+  row[N + 2] = gone ? NAN : 2 * asin(least(half, 1));
   row[N + 3] = made->looks;
   row[2 * N + 4] = near == NULL || gone ? NAN : distance;
 }
@@ -257,7 +250,7 @@ static void tell(const Asked *a, int64_t target)
 static int over(const Asked *a, Lanes *s, Try *own, int i)
 {
   Found *made = a->made + own->target;
-  const Real where = LANE(s->squares[0], i), turn = LANE(s->squares[1], i);
+  const double where = s->squares[0][i], turn = s->squares[1][i];
   if (where <= a->tolerance[0] * a->tolerance[0] && turn <= a->tolerance[1] * a->tolerance[1]) {
     if (own->free) {
       inward(a, s, own, i);
@@ -269,14 +262,14 @@ static int over(const Asked *a, Lanes *s, Try *own, int i)
     if (a->rows != NULL) tell(a, own->target);
     return 1;
   }
-  if (!LANE(s->arrived, i) && own->most <= CAREFUL && where <= COARSE * COARSE && turn <= COARSE * COARSE) {
-    LANE(s->careful, i) = 1; /* close: some more steps */
+  if (!s->arrived[i] && own->most <= CAREFUL && where <= COARSE * COARSE && turn <= COARSE * COARSE) {
+    s->careful[i] = 1; /* close: some more steps */
     own->most += SLOW;
     return 0;
   }
   if (!a->downhill) {
     if (!own->free) keep(made, s, i);
-  } else if (LANE(s->cost, i) < made->cost) {
+  } else if (s->cost[i] < made->cost) {
     note(made, s, i);
   }
   own->number += 1;
@@ -294,15 +287,15 @@ static int fill(const Asked *a, Lanes *s, Try *own, int i, int64_t *next, int64_
   return 0;
 }
 
-ENTRY void search(const Asked *a, int64_t first, int64_t last)
+void search(const Asked *a, int64_t first, int64_t last)
 {
   Lanes s;
   Try own[W];
   int64_t next = first;
   int busy = 0;
   memset(&s, 0, sizeof s);
-  for (int j = 0; j < 2; ++j) s.tolerance[j] = SPLAT(a->tolerance[j]);
-  for (int j = 0; j < M; ++j) s.roots[j] = SPLAT(a->downhill ? a->roots[j] : 1);
+  for (int j = 0; j < 2; ++j) s.tolerance[j] = splat_F64(a->tolerance[j]);
+  for (int j = 0; j < M; ++j) s.roots[j] = splat_F64(a->downhill ? a->roots[j] : 1);
   for (int i = 0; i < W; ++i) busy += fill(a, &s, &own[i], i, &next, last);
   for (; busy;) {
     look(&s);
@@ -311,25 +304,23 @@ ENTRY void search(const Asked *a, int64_t first, int64_t last)
       if (mine->target < 0) continue; /* no targets are left for this lane */
       mine->step += 1;
       mine->looks += 1;
-      const int stuck = mine->most <= CAREFUL && LANE(s.steep, i) <= STUCK;
-      if ((LANE(s.arrived, i) || stuck || mine->step >= mine->most) && over(a, &s, mine, i)) {
+      const int stuck = mine->most <= CAREFUL && s.steep[i] <= STUCK;
+      if ((s.arrived[i] || stuck || mine->step >= mine->most) && over(a, &s, mine, i)) {
         busy -= !fill(a, &s, mine, i, &next, last);
       }
     }
   }
 }
 
-#ifdef VECTORS
 /* The waypoints of a path, each from the answer before it. The answers go into `near`, which asked->near points to and
    which has one row more. Returns the index of the first waypoint without an answer, or `count`. */
-ENTRY int64_t along(const Asked *a, Real *near, int64_t count)
+int64_t along(const Asked *a, double *near, int64_t count)
 {
   for (int64_t k = 0; k < count; ++k) {
-    const Real *row = a->rows + k * (2 * N + 5);
+    const double *row = a->rows + k * (2 * N + 5);
     search(a, k, k + 1);
     if (!a->made[k].found) return k;
     for (int j = 0; j < N; ++j) near[(k + 1) * N + j] = row[N] == 0 ? row[j] : near[k * N + j];
   }
   return count;
 }
-#endif

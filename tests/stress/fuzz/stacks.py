@@ -47,7 +47,7 @@ OPTIONS = (
     {"damping": 0.05, "limits": "bounded", "limit_rate": 4.0},
     {"limits": "bounded"},
     {"damping": 0.05, "inverse": "singular-damped", "threshold": 0.1},
-    {"delay": 2, "lag": 0.02, "max_acceleration": 3.0},
+    {"delay": 2, "lag": 0.02},
     {},
 )
 NAMES = (*OF_TASK, *OF_WALL, *OF_SHAPE, *SWEPT, "tasks", "walls")
