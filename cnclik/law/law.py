@@ -143,9 +143,9 @@ class Evaluation(NamedTuple):
     walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
-def evaluate(law: Law, reference, t, q) -> Evaluation:
-    """Return f(q, t) for q (n,), of a law whose chain is a `Model`."""
-    return evaluate_at(law, q, observe(law, reference, t, q))
+def evaluate(law: Law, reference, t, q, offset=None) -> Evaluation:
+    """Return f(q, t) for q (n,), of a law whose chain is a `Model`. Args: offset: see `observe`."""
+    return evaluate_at(law, q, observe(law, reference, t, q, offset))
 
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
@@ -211,14 +211,15 @@ class Observation(NamedTuple):
 
 
 @precise
-def observe(law: Law, reference, t, q) -> Observation:
-    """Observe the robot at q, and the target at t."""
+def observe(law: Law, reference, t, q, offset=None) -> Observation:
+    """Observe the robot at q, and the target at t. Args: offset: (m,) what a measurement adds to the error, or None."""
     aims, motion = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
+    e = error(task, robot, aims)
     return Observation(
         rows=rows(task, robot, aims),
         robot=robot,
-        e=error(task, robot, aims),
+        e=e if offset is None else e + offset,
         x=lambda: coordinates(task, robot),
         xdot_d=velocity(task, robot, aims, motion),
         aims=aims,
@@ -252,15 +253,10 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
         return apply(t * velocity + (1.0 - t) * (rows @ k))
     rate = 0.0 if posture is None else posture.rate
     s = 1.0 + h * rate
-    gains, change = h / s * (gains_of(law) - rate), (f - k) / s
+    gains, change = h / s * (jnp.broadcast_to(law.alpha, len(rows)) - rate), (f - k) / s
     inverse = jax.vmap(factored.apply, out_axes=1)(jnp.eye(len(rows), dtype=rows.dtype))
     system = dense.shifted(gains[:, None] * (rows @ inverse), 1.0)
     return k + change - factored.apply(jnp.linalg.solve(system, gains * (rows @ change)))
-
-
-def gains_of(law):
-    """Return the gain of each task coordinate (m,)."""
-    return jnp.broadcast_to(law.alpha, (law.task.m,))
 
 
 def clamped(law: Law, e):

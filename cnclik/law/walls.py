@@ -220,12 +220,6 @@ def apart_from(walls, chain, q):
 
 
 @one_off
-def bends(walls, chain, q):
-    """Return ∇²h (k, n, n) at q (n,)."""
-    return jax.jacfwd(lambda q: jnp.stack([wall.row(At(chain, q)) for wall in walls]))(q)
-
-
-@one_off
 def _bent(walls, chain, q, qdot):
     """Return q̇ᵀ ∇²h q̇ (..., k)."""
 

@@ -27,7 +27,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product, turn_from
+from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product
 
 AXES = "xyz"
 _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
@@ -126,10 +126,6 @@ class Vector:
         """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
 
-    def moved(self, position, rotation, w):
-        """Return the curve's target moved by w, as a motion."""
-        return position + w, rotation
-
     @property
     def shape(self):
         """Of the target."""
@@ -156,10 +152,6 @@ class Vector:
         """Return a vector whose changes are no smaller than those of the target."""
         return aim
 
-    def between(self, robot: At, aim, measured, model):
-        """Return the displacement of a target that makes its error equal the measured one (m,)."""
-        return measured - model
-
 
 @record
 class Position(Vector):
@@ -185,10 +177,6 @@ class Position(Vector):
             size = "no position" if position is None else f"{len(position)} coordinates"
             wanted = f"{self.m} coordinates ({self.axes!r})" + (" or 3" if self.m != 3 else "")
             raise errors.fail("reference", f"give positions of {wanted}", f"gives {size}")
-
-    def moved(self, position, rotation, w):
-        at = range(self.m) if len(position) == self.m else places(self.axes)
-        return position.at[np.array(at)].add(w), rotation
 
     def x(self, robot: At):
         return robot.position(self.tip, self.to)[places(self.axes)]
@@ -232,9 +220,6 @@ class Orientation(Vector):
         if rotation is None:
             raise errors.fail("reference", "give a rotation for this task", "gives a position only")
 
-    def moved(self, position, rotation, w):
-        return position, exp_so3(self.spread(w)) @ rotation
-
     def spread(self, w):
         """Components (m,) as a vector (3,)."""
         return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
@@ -264,9 +249,6 @@ class Orientation(Vector):
     def chart(self, aim):
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
         return 1.111 * aim.ravel()
-
-    def between(self, robot: At, aim, measured, model):
-        return turn_from(-measured, -model) if self.whole else measured - model
 
 
 def spin(rotation, drotation):
