@@ -20,7 +20,7 @@ VERBS = {
     "solve": "run one loop on one robot: trajectory, figures, verdict",
     "reach": "find joint values that put the tip at one target or at a million, with a reason where there are none",
     "stability": "compute which gain is safe at which sampling time: limits, margins, stability regions and maps",
-    "check": "read a log of joints: the limits that it breaks and where, missing rows, jumps; exit code 1 if one is broken",
+    "check": "read a log of joints: the limits that it breaks and where, missing rows, jumps; exit code 1 if one is",
     "diagnose": "read a recording: does the loop ring, what is its dead time, which gain stops it; or fit its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",

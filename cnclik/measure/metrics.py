@@ -18,8 +18,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
-from cnclik.law import dense
 from cnclik.law import reference as ref
+from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
 from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import ending, stable
@@ -212,7 +212,7 @@ def _least_singular_value(loop):
     task, model = loop.task, modelled(loop.law.chain)
 
     def least(q):
-        return safe_sqrt(dense.least_squared(dense.wide_side(weighted(task, task.rows_at(model, q)))))
+        return safe_sqrt(least_squared(weighted(task, task.rows_at(model, q))))
 
     sigma = jax.lax.map(least, loop.run.q)  # vmap would write out C for each posture
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))

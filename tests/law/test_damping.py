@@ -61,7 +61,7 @@ def test_values_are_the_formulas(name, shape):
         np.testing.assert_allclose(qdot, expected, atol=1e-6)
         smallest = np.linalg.svd(j, compute_uv=False)[-1]
         if name == "singular_damped":  # its threshold hangs on the estimate
-            np.testing.assert_allclose(estimate, smallest, atol=1e-9)
+            np.testing.assert_allclose(estimate, smallest, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", INVERSES)

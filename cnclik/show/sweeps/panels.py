@@ -100,7 +100,7 @@ def _name(variable):
 
 
 def is_logarithmic(values, layout) -> bool:
-    """Return whether a value is drawn on a logarithmic scale: as the table says, or where values spread."""
+    """Return whether a value is drawn on a logarithmic scale: as the table asks, or where values spread."""
     known = values[np.isfinite(values)].astype(float)  # counts and verdicts too
     positive = known[known > 0]
     if layout.log is not None or not positive.size or known.min() < 0:

@@ -24,7 +24,6 @@ from cnclik.show.motion import error_parts, motion_of
 
 RUN = "trajectory.nc"
 RATE = 30.0  # frames a second
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)
 
 
 def has_viser() -> bool:
@@ -46,7 +45,7 @@ class Viewer:
         self.caption = gui.add_html("")
         self.slider = gui.add_slider("time [s]", begin, end, (end - begin) / 1000, begin)
         self.playing = gui.add_checkbox("play", True)
-        self.speed = gui.add_dropdown("speed", [f"{s:g} ×" for s in SPEEDS], initial_value="1 ×")
+        self.speed = gui.add_slider("speed", 0.1, 5.0, 0.1, 1.0)
         self.slider.on_update(lambda event: self.show(self.slider.value) if event.client is not None else None)
         self._busy, self._ended = threading.Lock(), threading.Event()
         self.show(begin)
@@ -64,7 +63,7 @@ class Viewer:
         while not self._ended.wait(1 / RATE):
             now = time.perf_counter()
             if self.playing.value and self.server.get_clients():
-                t = self.slider.value + float(self.speed.value.split()[0]) * (now - last)
+                t = self.slider.value + self.speed.value * (now - last)
                 if self.slider.value >= self.slider.max:
                     t = self.slider.min
                 self.slider.value = min(t, self.slider.max)
@@ -94,6 +93,9 @@ def view(what, law=None, *, robot=None, host="localhost", port=8080) -> Viewer:
     Returns: a `Viewer` with `url` and `stop()`.
     Raises: ArgumentError where viser is missing, or for what can't be shown.
     """
+    if not has_viser():
+        install = "pip install 'cnclik[viewer]'"
+        raise errors.ArgumentError(f"The viewer needs the package viser, which is not installed: {install}")
     if isinstance(what, (str, os.PathLike)):
         data, law, name, robot = read_run(what)
     elif isinstance(what, Problem):
@@ -146,10 +148,6 @@ def caption(name, data, k) -> str:
 
 def _server(host, port):
     """Return a viser server without its words on the terminal, on the next port that is free."""
-    if not has_viser():
-        raise errors.ArgumentError(
-            "The viewer needs the package viser, which is not installed: pip install 'cnclik[viewer]'"
-        )
     import viser
 
     errors.integer("port", port, at_least=1, at_most=65_000)

@@ -40,7 +40,7 @@ class Scene:
         every_tip = range(self.first, motion.poses.shape[1])
         self.tips = [scene.add_icosphere(f"/{i}/tip", size, rgb(style.FINE)) for i in every_tip]
         self._draw_paths()
-        self._look(min((m.mesh.vertices @ every[0, m.frame, 2, :3] + every[0, m.frame, 2, 3]).min() for m in solid))
+        self._look()
         self.show(0)
 
     def _draw_paths(self):
@@ -62,23 +62,20 @@ class Scene:
             self.goals[i] = self.server.scene.add_icosphere(f"/goal{i}", 0.8 * self.thick, rgb(style.BLACK))
             self.lines[i] = add(f"/error{i}", np.zeros((1, 2, 3)), rgb(style.LOST), thickness=0.3 * self.thick)
 
-    def _look(self, lowest):
-        """Look from above at a planar arm, from a corner otherwise, as near as all that moves allows."""
-        chain, flat = self.motion.chain, is_planar(self.motion.chain)
-        size, points = float(arm_length(chain)), self.places.reshape(-1, 3)
-        low, high = points.min(0), points.max(0)
-        middle, (wide, deep, tall) = (low + high) / 2, high - low
-        span = max(wide / 1.15, deep) if flat else max(np.hypot(wide, deep) / 1.1, 1.1 * tall)
-        span = 1.5 * max(span, 0.6 * size)
-        cell = 10.0 ** np.floor(np.log10(span / 2)) / 2
-        floor = -2.0 * self.thick if flat else lowest if lowest < -0.2 * size else 0.0  # a humanoid's feet
-        area, look = 2 * (high - low + span), {"cell_size": cell, "section_size": 5 * cell, "cell_thickness": 0.7}
-        self.server.scene.add_grid("/floor", *area[:2], position=(*middle[:2], floor), **look)
+    def _look(self):
+        """Look from above at a planar arm, from a corner otherwise, at all that moves; draw a floor below it."""
+        chain, points = self.motion.chain, self.places.reshape(-1, 3)
+        low, high, flat = points.min(0), points.max(0), is_planar(chain)
+        span = 1.3 * max(np.linalg.norm(high - low), float(arm_length(chain)))
         away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.83, 0.48, 0.37])
         right = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 0.87, 0.0])
-        middle = middle + 0.2 * span * right  # the panel covers the right of the page
+        middle = (low + high) / 2 + 0.2 * span * right  # the panel covers the right of the page
+        cell = 10.0 ** np.floor(np.log10(span / 2)) / 2
+        look = {"cell_size": cell, "section_size": 5 * cell, "cell_thickness": 0.7}
+        floor = (*middle[:2], min(low[2], 0.0) - 2 * self.thick)
+        self.server.scene.add_grid("/floor", 4 * span, 4 * span, position=floor, **look)
         camera = self.server.initial_camera
-        camera.position, camera.look_at = tuple(middle + span * away / np.linalg.norm(away)), tuple(middle)
+        camera.position, camera.look_at = tuple(middle + span * away), tuple(middle)
         camera.up, camera.fov = (0, 1, 0) if flat else (0, 0, 1), np.radians(50)
 
     def show(self, k) -> None:
