@@ -26,7 +26,6 @@ from cnclik.integrate.status import flags, growing, task_flags
 from cnclik.integrate.trajectory import Trajectory, steps_of
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
-from cnclik.law.paths import shifted
 from cnclik.law.reference import Reference, References, check, tangent
 from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
@@ -105,8 +104,8 @@ def one(loop: Loop, state: State, k):
         if lost is not None:
             after, lost = summed(law, q, length * made.qdot, lost)
         return State(after, lost), replace(made, q=q)
-    seen, aimed, at, drives = _measured(loop, state, t, k)
-    made = advance(law, aimed, seen, t, length, loop.method, loop.stage)
+    seen, offset, at, drives = _measured(loop, state, t, k)
+    made = advance(law, loop.reference, seen, t, length, loop.method, loop.stage, offset)
     after, qdot = made.q, made.qdot
     if loop.model is not None and drives is not None:
         step = chart.between(law.chain, seen, made.q)
@@ -116,7 +115,7 @@ def one(loop: Loop, state: State, k):
 
 
 def _measured(loop, state, t, k):
-    """Return (joint values that the controller uses, its reference then, the true observation, the drives)."""
+    """Return (joint values that the controller uses, what its measured error has beside theirs, the truth, drives)."""
     law, reference, drives, seen = loop.law, loop.reference, state.drives, state.q
     at = observe(law, reference, t, seen)
     if drives is not None and loop.drive.feedback == "commanded":  # from its commands a controller knows its own tip
@@ -134,15 +133,8 @@ def _measured(loop, state, t, k):
     if filters == "error":
         measured = averaged(kept, drives.smooth, measured)
         drives = drives._replace(smooth=measured)
-    if measured is not known.e:
-        reference = shifted(reference, law.task, _between(law.task, measured, known))
-    return seen, reference, at, None if drives is None else drives._replace(late=errors[:-1])
-
-
-def _between(task, measured, at):
-    """Return the shift w of the targets that turns the error of `at` into the measured error (m,)."""
-    parts = zip(task.parts, at.aims, task.slices, strict=True)
-    return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
+    offset = None if measured is known.e else measured - known.e
+    return seen, offset, at, None if drives is None else drives._replace(late=errors[:-1])
 
 
 def run(loop: Loop, q0) -> Trajectory:
@@ -210,12 +202,14 @@ class Step:
     walls: Float[Array, " k"] | None = None
 
 
-def advance(law: Law, reference, q, t, Ts, method, stage) -> Step:
-    """Make one step of the loop, of a law whose chain is a `Model`."""
+def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
+    """Make one step of the loop, of a law whose chain is a `Model`. Args: offset: see `observe`."""
     known = reference if reference.known else tangent(reference, law.task, t)
-    at = observe(law, known, t, q)
-    make = exponential_march if method.exponential else _plain_march
-    made = make(law, known, q, at, t, Ts, method, stage)
+    at = observe(law, known, t, q, offset)
+    if method.exponential:
+        made = exponential_march(law, known, q, at, t, Ts, method, stage)
+    else:
+        made = _plain_march(law, known, q, at, t, Ts, method, stage, offset)
     y, qdot = made.q, made.qdot
     if law.limits is not None:
         y, qdot = within(law, centre(law.chain, q), qdot, Ts)
@@ -235,11 +229,11 @@ def advance(law: Law, reference, q, t, Ts, method, stage) -> Step:
     )
 
 
-def _plain_march(law, reference, q, at, t, Ts, method, stage):
+def _plain_march(law, reference, q, at, t, Ts, method, stage, offset):
     """Make one step of a tableau over the law's field, from its observation at q and t."""
 
     def field(c, q):
-        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
+        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
 
     field, y = charted(law.chain, q, field), centre(law.chain, q)
     return march(field, y, Ts, method, stage, evaluate_at(law, q, at))

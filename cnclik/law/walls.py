@@ -57,17 +57,17 @@ class Wall:
 
 
 def rate_of(wall, rate):
-    """The rate of a wall, or the common one."""
+    """Return the rate of a wall, or the common one."""
     return rate if wall.rate is None else wall.rate
 
 
 def names_of(walls) -> list[str]:
-    """Names of the walls; a number for those without a name."""
+    """Return the names of the walls; a number for those without a name."""
     return [wall.name or str(i + 1) for i, wall in enumerate(walls)]
 
 
 def rows_at(walls, rate, chain, q) -> Rows:
-    """The rows of all walls at q. Args: rate: for walls without their own."""
+    """Return the rows of all walls at q. Args: rate: for walls without their own."""
     robot = At(modelled(chain), q)
     floor = jnp.stack([-rate_of(wall, rate) * wall.distance(robot) for wall in walls])
     return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
@@ -82,7 +82,7 @@ def wall(
     rate: Number | None = None,
     name: str = "",
 ) -> Wall:
-    """A wall for `bounded(walls=[...])`: the coordinate of a task stays above, or below, a number.
+    """Keep the coordinate of a task above, or below, a number: a wall for `bounded(walls=[...])`.
 
     `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)`
     keeps a knee bent, `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` keeps a hand off
@@ -118,7 +118,7 @@ def wall(
 
 
 def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray, "*lanes k"]:
-    """Distance to each wall at given joint values, h (..., k) [m, rad]; negative behind it.
+    """Return the distance to each wall at given joint values, h (..., k) [m, rad]; negative behind it.
 
     Args: law: as for `wall_margin`.
     """
@@ -135,7 +135,7 @@ def support_polygon(
     rate: Number | None = None,
     name: str = "",
 ) -> tuple[Wall, ...]:
-    """Walls that keep the centre of mass above the feet: one for each edge of the convex hull of their corners.
+    """Keep the centre of mass above the feet: a wall for each edge of the convex hull of their corners.
 
     The robot does not tip while it stands still with its centre of mass above this polygon. The polygon is in the plane
     z = 0 of the base, or of a tip such as a foot.
@@ -163,7 +163,7 @@ def support_polygon(
 
 
 def _inradius(normals, hull):
-    """The largest r with normal·(x − corner) ≥ r at some x, for each edge."""
+    """Return the largest r with normal·(x − corner) ≥ r at some x, for each edge."""
     from scipy.optimize import linprog
 
     rows = np.column_stack([-normals, np.ones(len(hull))])
@@ -171,7 +171,7 @@ def _inradius(normals, hull):
 
 
 def _hull(points):
-    """Corners of the convex hull (h, 2), anticlockwise (Andrew 1979)."""
+    """Return the corners of the convex hull (h, 2), anticlockwise (Andrew 1979)."""
     halves = []
     for order in (1, -1):
         half: list = []
@@ -184,7 +184,7 @@ def _hull(points):
 
 
 def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
-    """How far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
+    """Return how far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
 
     κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. In steady motion and to first order in Ts the wall is passed by
     this much by explicit Euler and EXP-EE; otherwise the value is an upper bound, to second order in Ts. Move a wall
@@ -202,7 +202,7 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
 
 
 def _walls_of(law):
-    """(walls, rate of those without their own) of a law."""
+    """Return (walls, rate of those without their own) of a law."""
     walls = getattr(law.limits, "walls", ())
     if not walls:
         raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
@@ -211,7 +211,7 @@ def _walls_of(law):
 
 @one_off
 def apart_from(walls, chain, q):
-    """h (..., k)."""
+    """Return h (..., k)."""
 
     def one(q):
         return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
@@ -220,14 +220,8 @@ def apart_from(walls, chain, q):
 
 
 @one_off
-def bends(walls, chain, q):
-    """∇²h (k, n, n) at q (n,)."""
-    return jax.jacfwd(lambda q: jnp.stack([wall.row(At(chain, q)) for wall in walls]))(q)
-
-
-@one_off
 def _bent(walls, chain, q, qdot):
-    """q̇ᵀ ∇²h q̇ (..., k)."""
+    """Return q̇ᵀ ∇²h q̇ (..., k)."""
 
     def one(q, qdot):
         def along(s):
@@ -240,7 +234,7 @@ def _bent(walls, chain, q, qdot):
 
 
 def _of_each(one, *of):
-    """A function of single vectors applied over all leading axes."""
+    """Apply a function of single vectors over all leading axes."""
     for _ in range(np.ndim(of[0]) - 1):
         one = jax.vmap(one)
     return one(*of)

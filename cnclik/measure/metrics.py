@@ -21,10 +21,9 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
-from cnclik.law.paths import true_motion
 from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import ending, stable
-from cnclik.record import Number, cast
+from cnclik.record import Number, cast, replace
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
@@ -127,7 +126,8 @@ def _rotation(loop):
 def _split(loop):
     """Position error along the path (positive if behind) and across it; at rest the whole error counts as across."""
     task, model = loop.task, modelled(loop.law.chain)
-    path = true_motion(loop.reference, task)  # the path's true direction, whatever is fed forward
+    # The path's own direction, whatever is fed forward.
+    path = ref.of_each(lambda one, _: replace(one, feedforward=None), loop.reference, task)
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
     e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.t, loop.run.q)))
     speed = _norms(v)[:, None]

@@ -26,7 +26,7 @@ def position(
     relative_to: str | None = None,
     weights: Weights = None,
 ) -> Task:
-    """Position of a tip along some of the axes of a frame [m].
+    """Control the position of a tip along some of the axes of a frame [m].
 
     Args:
       axes: letters of "xyz" in that order, such as "xy".
@@ -44,7 +44,7 @@ def orientation(
     relative_to: str | None = None,
     weights: Weights = None,
 ) -> Task:
-    """Orientation of a tip: error log(R_d Rᵀ) as a rotation vector in the base frame, or that of `relative_to` [rad].
+    """Control the orientation of a tip: error log(R_d Rᵀ), a rotation vector in the frame of the position's axes [rad].
 
     Args:
       axes: components of the rotation vector that count, such as "z" for a planar arm.
@@ -62,7 +62,7 @@ def pose(
     relative_to: str | None = None,
     weights: Weights = None,
 ) -> Task:
-    """Position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
+    """Control position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
 
     Args: as for `position` and `orientation`.
     """
@@ -77,7 +77,7 @@ def _part(kind, name, axes, tip, to):
 
 
 def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
-    """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
+    """Control joint values, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
 
     Args:
       names: of the joints; None: all but those of a free base.
@@ -97,7 +97,7 @@ def function(
     velocity: Callable | None = None,
     weights: Weights = None,
 ) -> Task:
-    """A function of the joint values as a task, x = value(robot, q); its rows are its derivative, by JAX.
+    """Control a function of the joint values, x = value(robot, q); its rows are its derivative, by JAX.
 
     Args:
       value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point: lambda robot, q:
@@ -125,7 +125,7 @@ def function(
 
 
 def stack(**tasks: Task) -> Task:
-    """Named tasks that are controlled together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
+    """Control named tasks together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
 
     Conflicts between them are resolved by their weights, or by the levels of an inverse such as `levels`.
 
@@ -195,7 +195,7 @@ class Center(Vector):
 
 
 def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights: Weights = None) -> Task:
-    """The robot's centre of mass as a task, c = Σ mₖ cₖ / Σ mₖ over its links [m]; its target is hold([x, y]).
+    """Control the robot's centre of mass, c = Σ mₖ cₖ / Σ mₖ over its links [m]; its target is hold([x, y]).
 
     Masses come from `load_urdf` and `load_mjcf`. Links on joints that are no coordinates of the robot count at the
     position that these loaders give them. The rows are Σ mₖ Jₖ / Σ mₖ (Sugihara, Nakamura & Inoue 2002, eq. 5), Jₖ
@@ -211,7 +211,7 @@ def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights
 
 
 def com(chain: Chain, q: Float[ArrayLike, " n"], *, relative_to: str | None = None) -> Float[Array, " 3"]:
-    """Centre of mass at q (n,), (3,) [m], as `center_of_mass` controls it.
+    """Return the centre of mass at q (n,), (3,) [m], as `center_of_mass` controls it.
 
     Raises: ArgumentError for a robot without masses.
     """

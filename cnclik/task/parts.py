@@ -27,7 +27,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product, turn_from
+from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product
 
 AXES = "xyz"
 _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
@@ -111,7 +111,7 @@ class Vector:
 
     @property
     def width(self):
-        """Of the target's motion."""
+        """Numbers of the target's motion."""
         return self.shape[0]
 
     def aim(self, position, rotation):
@@ -123,12 +123,8 @@ class Vector:
             raise errors.fail("reference", f"give {self.width} {self.called} ({names})", f"gives {size}")
 
     def here(self, robot: At):
-        """The target at the robot's present pose; None where it is unknown."""
+        """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
-
-    def moved(self, position, rotation, w):
-        """The curve's target moved by w, as a motion."""
-        return position + w, rotation
 
     @property
     def shape(self):
@@ -145,7 +141,7 @@ class Vector:
         return motion
 
     def mean(self, aim, before):
-        """How far a target went, as a motion, and None or its turn."""
+        """Return how far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
     def averaged(self, kept, before, aim):
@@ -153,12 +149,8 @@ class Vector:
         return kept * before + (1 - kept) * aim
 
     def chart(self, aim):
-        """A vector whose changes are no smaller than the target's way."""
+        """Return a vector whose changes are no smaller than those of the target."""
         return aim
-
-    def between(self, robot: At, aim, measured, model):
-        """The displacement of a target that makes its error equal the measured one (m,)."""
-        return measured - model
 
 
 @record
@@ -185,10 +177,6 @@ class Position(Vector):
             size = "no position" if position is None else f"{len(position)} coordinates"
             wanted = f"{self.m} coordinates ({self.axes!r})" + (" or 3" if self.m != 3 else "")
             raise errors.fail("reference", f"give positions of {wanted}", f"gives {size}")
-
-    def moved(self, position, rotation, w):
-        at = range(self.m) if len(position) == self.m else places(self.axes)
-        return position.at[np.array(at)].add(w), rotation
 
     def x(self, robot: At):
         return robot.position(self.tip, self.to)[places(self.axes)]
@@ -232,9 +220,6 @@ class Orientation(Vector):
         if rotation is None:
             raise errors.fail("reference", "give a rotation for this task", "gives a position only")
 
-    def moved(self, position, rotation, w):
-        return position, exp_so3(self.spread(w)) @ rotation
-
     def spread(self, w):
         """Components (m,) as a vector (3,)."""
         return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
@@ -265,17 +250,14 @@ class Orientation(Vector):
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
         return 1.111 * aim.ravel()
 
-    def between(self, robot: At, aim, measured, model):
-        return turn_from(-measured, -model) if self.whole else measured - model
-
 
 def spin(rotation, drotation):
-    """Angular velocity vee(Ṙ Rᵀ) in the base frame."""
+    """Return the angular velocity vee(Ṙ Rᵀ) in the base frame."""
     turning = drotation @ rotation.T
     return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
 
 
 def log_of_step(turn):
-    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
+    """Return the rotation vector of a step's turn, exact to 177°: a target that turns farther in a step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
     return log_quaternion(w, 0.25 / w * axial(turn))

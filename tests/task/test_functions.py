@@ -12,7 +12,6 @@ import pytest
 
 import cnclik as ck
 from cnclik.law.law import observe
-from cnclik.law.paths import shifted
 from cnclik.law.reference import aims_of
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
@@ -92,17 +91,6 @@ def test_methods_keep_their_orders(method):
     exact, N = exactly(), {4: 40, 2: 80, 1: 160}[order]
     coarse, fine = (np.linalg.norm(ends(method, n) - exact) for n in (N, 2 * N))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15)
-
-
-def test_a_measured_error_is_the_one_that_is_fed_back():
-    """Through a target that is moved, to first order."""
-    law = ck.Law(modelled(PANDA), LOOK, alpha=1.0)
-    at = observe(law, paths(), 0.1, jnp.asarray(Q))
-    measured = at.e + 1e-4 * jnp.asarray(np.random.default_rng(1).normal(size=law.task.m))
-    parts = zip(law.task.parts, at.aims, law.task.slices, strict=True)
-    w = jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
-    moved = shifted(paths(), law.task, w)
-    close(observe(law, moved, 0.1, jnp.asarray(Q)).e, measured, atol=1e-7)
 
 
 def test_lanes_are_the_plain_loop():
