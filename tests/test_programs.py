@@ -54,7 +54,7 @@ def files(folder):
 def asked(law=LAW, target=(1.2, 0.9), N=4, method="EE", q=Q, Ts=0.1, solve=None):
     solve = solve or quick_jit(whole_run, static_argnames=("N", "method"))
     method = ck.METHODS[method]
-    known = law, ck.hold(np.array(target)), ck.picard(3), None, None, None, method
+    known = law, ck.hold(np.array(target)), ck.picard(3), None, method
     return solve(*known, q, np.float64(Ts), np.float64(0.0), None, None, N=N)
 
 
@@ -108,7 +108,7 @@ def test_settings_make_another_program(begun):
 def test_a_function_of_the_users_is_never_kept(folder):
     path = ck.path(lambda t: (1.0 + 0.1 * t, 0.9 + 0.0 * t))
     solve = quick_jit(whole_run, static_argnames=("N", "method"))
-    known = LAW, path, ck.picard(3), None, None, None, ck.EE
+    known = LAW, path, ck.picard(3), None, ck.EE
     run = solve(*known, Q, np.float64(0.1), np.float64(0.0), None, None, N=3)
     assert not files(folder) and run.q.shape == (4, 2)
     gain = 2.0

@@ -165,12 +165,6 @@ def _moving(case, error):
         return kind, what, found if case.crawls else (*slower, *found)
     if _rings(case):
         return _ringing(case, error)
-    if seen.often(Status.OVER_ACCELERATION) and not follows and float(case.law.feedforward) == 1.0:
-        near = _near_singular(case)
-        where = f"{', next to a singularity' * near}, and {error}"
-        what = f"in most steps the limits of the pace hold the joints back from what the law asks for{where}"
-        slower = remedies.slower_path(case, 0.5)
-        return Behaviour.AT_LIMIT, what, (*(remedies.gentle(case) if near else ()), *slower)
     if not follows and (reasons.beyond(case) > 0 or reasons.too_many(case)):
         return _out_of_reach(case, error)
     if case.covered < 1 or (case.spans < ENOUGH and case.covered < TIMES_AROUND):
