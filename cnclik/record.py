@@ -11,6 +11,7 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 """
 
 import dataclasses
+import functools
 import importlib
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
@@ -139,7 +140,19 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
     if cls.__repr__ is object.__repr__:
         cls.__repr__ = _in_short
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
-    names = tuple(f.name for f in dataclasses.fields(cls))
+    names, init = tuple(f.name for f in dataclasses.fields(cls)), cls.__init__
+
+    @functools.wraps(init)
+    def helpful(self, *args, **given):
+        try:
+            init(self, *args, **given)
+        except TypeError:
+            if unknown := next((name for name in given if name not in names), None):
+                near = errors.nearest(unknown, names) or f" (it has {', '.join(names)})"
+                raise errors.ArgumentError(f"{cls.__name__} has no argument `{unknown}`{near}.") from None
+            raise
+
+    cls.__init__ = helpful
 
     def flatten(self):
         # A record never changes, so it is taken apart once for each precision; repeated jit calls find the answer here.

@@ -4,22 +4,22 @@ The type of a field gives the number and kind of its option's values; the text b
 unit become numbers in the option's own unit. Every error is one line.
 """
 
-import argparse
 import ast
 import dataclasses
 import inspect
 import itertools
 import re
+import shutil
 import textwrap
 import typing
 
 from cnclik import errors, quantities
-from cnclik.cli import common
 
+OUTPUT = ("out", "overwrite", "json", "csv", "figures")  # options of the last group of the help
 _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
 
-def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about="", positional=False):
+def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about="", positional=False, group=""):
     """A field of `Args` that needs more than a type and a default.
 
     Args:
@@ -29,29 +29,11 @@ def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about=
       name: of the option; by default the field's.
       about: its help, if there is no text below the field.
       positional: whether it is given by its place instead of a name.
+      group: its title in the help; by default the verb's own, or "output".
     """
     made = {"default_factory" if callable(default) else "default": default}
-    return dataclasses.field(
-        **made, metadata={"unit": unit, "metavar": metavar, "name": name, "about": about, "positional": positional}
-    )
-
-
-class _Option(typing.NamedTuple):
-    """An option and the values that it takes."""
-
-    name: str
-    field: str
-    kind: "_Kind"
-    default: typing.Any
-    unit: str
-    metavar: str
-    about: str
-    positional: bool
-
-    @property
-    def switch(self) -> bool:
-        """Whether it takes no value."""
-        return self.kind.base is bool
+    marks = {"unit": unit, "metavar": metavar, "name": name, "about": about, "positional": positional, "group": group}
+    return dataclasses.field(**made, metadata=marks)
 
 
 class _Kind(typing.NamedTuple):
@@ -64,10 +46,24 @@ class _Kind(typing.NamedTuple):
     optional: bool = False
     repeated: bool = False  # whether it may be given several times
 
+
+class _Option(typing.NamedTuple):
+    """An option and the values that it takes."""
+
+    name: str
+    field: str
+    kind: _Kind
+    default: typing.Any
+    unit: str
+    metavar: str
+    about: str
+    positional: bool
+    group: str
+
     @property
-    def numeric(self) -> bool:
-        """Whether all values are numbers."""
-        return self.base in (int, float)
+    def switch(self) -> bool:
+        """Whether it takes no value."""
+        return self.kind.base is bool
 
 
 def parse(Args, argv, *, prog, description):
@@ -80,10 +76,10 @@ def parse(Args, argv, *, prog, description):
     every, argv = _options(Args), [str(a) for a in argv]
     if {"-h", "--help"} & set(argv):
         more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # the text that dataclasses write
-        _parser(every, prog, f"{description}\n\n{inspect.cleandoc(more)}").print_help()
+        print(_help(every, prog, f"{description}\n\n{inspect.cleandoc(more)}".strip()))
         raise SystemExit(0)
     named, places = {one.name: one for one in every if not one.positional}, [one for one in every if one.positional]
-    loose, given = _split(named, argv)
+    loose, given = _split(named, argv, prog)
     if len(loose) > len(places):
         alone = " and ".join(one.name for one in places) or "nothing"
         raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
@@ -91,8 +87,7 @@ def parse(Args, argv, *, prog, description):
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
     for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # samples last: they need Ts
         values, units = _in_own_units(one, typed, Ts)
-        name = one.name[2:].replace("-", "_")
-        written[name] = (*written.get(name, ()), *units) if one.kind.repeated else units
+        written[one.field] = (*written.get(one.field, ()), *units) if one.kind.repeated else units
         if not _fits(one.kind, values):
             found = f"{' '.join(typed)!r}" + (f", {' '.join(values)} {one.unit}" if values != typed else "")
             raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but is {found}.")
@@ -116,11 +111,7 @@ def of_options(Args, said) -> str:
         name = f"--{found[2].replace('_', '-')}"
         return f"{'Option ' * bool(found[1])}`{name}`" if name in known else found[0]
 
-    first = re.match(_NAMED, text)
-    return text if first is None or written(first) == first[0] else common.as_options(re.sub(_NAMED, written, text))
-
-
-_NAMED = "(Argument )?`([^`]+)`"
+    return re.sub("(Argument )?`([^`]+)`", written, text)
 
 
 def _options(Args) -> list:
@@ -135,6 +126,7 @@ def _options(Args) -> list:
             metavar if positional else "--" + name.replace("_", "-"), field.name, kind,
             field.default if lazy is dataclasses.MISSING else lazy(), marks.get("unit", "1"), metavar,
             marks.get("about") or about.get(field.name, ""), positional,
+            marks.get("group") or "output" * (name in OUTPUT),
         ))  # fmt: skip
     return every
 
@@ -153,7 +145,7 @@ def _texts(Args) -> dict:
     return found
 
 
-def _split(named, argv):
+def _split(named, argv, prog):
     """(positional words, [(option, its values)]); the values of --no-NAME are ["False"].
 
     Raises: ArgumentError for an unknown option, or one without a value.
@@ -167,10 +159,9 @@ def _split(named, argv):
             continue
         typed, equals, value = token.partition("=")
         name = "--" + typed.lstrip("-").replace("_", "-")
-        name = "--smoothing" if name == "--filter" and "--smoothing" in named else name
         one = (named | off).get(name)
         if one is None or not typed.startswith("--"):
-            raise _unknown(named, typed, value if equals else "".join(queue[:1]))
+            raise _unknown(named, typed, value if equals else "".join(queue[:1]), prog)
         values = [value] if equals else _values(one, queue)
         queue = queue if equals else queue[len(values) :]
         if not values and not one.switch:
@@ -192,7 +183,7 @@ def _values(one, queue) -> list:
 
 def _in_own_units(one, values, Ts):
     """(values as numbers without units, their units). A value that is no number passes, and is refused later."""
-    if not one.kind.numeric or values == ["None"] or not values:
+    if one.kind.base not in (int, float) or values == ["None"] or not values:
         return values, ()
     try:
         found = quantities.read(" ".join(values), one.unit, Ts)
@@ -208,13 +199,12 @@ def _is_option(token) -> bool:
     return token.startswith("-") and len(token) > 1 and not _NUMBER.match(token)
 
 
-def _unknown(named, found, value):
+def _unknown(named, typed, value, prog):
     """The error for an unknown option. Args: value: the word after it."""
-    rate = _as_time(f"{value}Hz") if "--Ts" in named and found.lstrip("-") in ("hz", "rate", "frequency") else ""
-    try:
-        errors.one_of("Option", found, list(named))
-    except errors.ArgumentError as error:
-        return errors.ArgumentError(str(error).replace("Argument `Option`", "Option", 1) + rate)
+    rate = _as_time(f"{value}Hz") if "--Ts" in named and typed.lstrip("-") in ("hz", "rate", "frequency") else ""
+    near = re.search("'(.*)'", errors.nearest(typed, named))
+    instead = f"did you mean {near[1]}?" if near else f"`{prog} --help` lists the options."
+    return errors.ArgumentError(f"Unknown option {typed}; {instead}{rate}")
 
 
 def _as_time(text) -> str:
@@ -282,32 +272,28 @@ def _words(kind) -> str:
 
 def _metavar(kind) -> str:
     """The words for an option's values in the help: "X", "INT INT", "NAME ...", "{one,two}"."""
-    one = {int: "INT", float: "X", str: "NAME"}.get(kind.base, "PATH")
+    one = {int: "INT", float: "X", str: "NAME", bool: ""}.get(kind.base, "PATH")
     one = "{" + ",".join(kind.choices) + "}" if kind.choices else one
-    return " ".join([one] * kind.values) if kind.values else f"{one} ..."
+    return " ".join([one] * kind.values) if kind.values else one and f"{one} ..."
 
 
-class _Form(argparse.RawDescriptionHelpFormatter):
-    """Help without breaks within a name, such as EXP-RK4."""
-
-    def _split_lines(self, text, width):
-        return textwrap.wrap(text, width, break_on_hyphens=False)
-
-
-def _parser(every, prog, description):
-    """The parser that prints the help."""
+def _help(every, prog, description) -> str:
+    """The help: options in groups, positional arguments first and output last."""
+    width = min(shutil.get_terminal_size().columns, 120)
     needed = {one.name: one.default is dataclasses.MISSING for one in every if one.positional}
-    usage = " ".join([prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
-    parser = argparse.ArgumentParser(prog, usage, description.strip(), formatter_class=_Form)
-    for one in every:
-        about = one.about.replace("%", "%%")
-        if one.default not in (None, False, (), [], dataclasses.MISSING):
+    usage = " ".join(["usage:", prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
+    titles = dict.fromkeys(["", *(one.group for one in every if one.group != "output"), "output"])
+    lines = [usage, "", description]
+    for title in titles:
+        some = [one for one in every if one.group == title]
+        lines += ["", f"{title or 'options'}:"] * bool(some)
+        for one in some:
             shown = " ".join(map(str, one.default)) if isinstance(one.default, tuple) else one.default
-            about = f"{about} (default: {'on' if shown is True else shown})"
-        if one.positional:
-            parser.add_argument(one.field, metavar=one.name, help=about)
-        elif one.switch:
-            parser.add_argument(one.name, "--no-" + one.name[2:], action="store_true", dest=one.field, help=about)
-        else:
-            parser.add_argument(one.name, metavar=one.metavar, dest=one.field, help=about)
-    return parser
+            shown = None if one.default in (None, False, (), [], dataclasses.MISSING) else shown
+            default = "" if shown is None else f" (default: {'on' if shown is True else shown})"
+            off = f", --no-{one.name[2:]}" * (one.switch and one.default is True)
+            head = f"  {one.name}{off} {'' if one.positional else one.metavar}".rstrip()
+            text = textwrap.wrap(one.about + default, width - 26, break_on_hyphens=False)
+            first = [f"{head:<25} {text.pop(0)}"] if len(head) < 26 and text else [head]
+            lines += [*first, *(f"{'':25} {line}" for line in text)]
+    return "\n".join(lines)
