@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cnclik.stability.case import held_by
 
 import cnclik as ck
 from cnclik.law.bounded import Bounded
@@ -220,7 +219,6 @@ def test_contradicting_walls_are_told_in_the_status(dtype):
     missed = [-1.0, -1.0, 0.0]  # half of 10/s times 0.2 m each; and the third holds
     np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6 if dtype is np.float64 else 1e-4)
     np.testing.assert_allclose(run.x[-1], [0.2, 0.3, 0.0], atol=1e-3)
-    assert held_by(law, run, 75) == ["wall 1 gives way", "wall 2 gives way", "wall 3 holds"]
     with pytest.raises(ck.StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)
 
