@@ -54,9 +54,9 @@ def white_noise(sigma, N: int, m: int, seed=0):
     """(N, m) independent normal measurement errors; the same seed gives the same numbers.
 
     Args:
-      sigma: standard deviation, a number or one per task coordinate (m,) [m, rad].
+      sigma: standard deviation, a number or one per task coordinate (m,) [m, rad]; it may be traced, the seed not.
     """
-    sigma = np.asarray(errors.array("noise", sigma, (), (1,), (m,)))
-    if (sigma < 0).any():
-        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
-    return sigma * np.random.default_rng(errors.seed(seed)).standard_normal((N, m))
+    sigma = errors.array("noise", sigma, (), (1,), (m,))
+    if errors.concrete(sigma) and np.any(np.asarray(sigma) < 0):
+        raise errors.fail("noise", "be at least 0", f"is {np.min(sigma):g}")
+    return sigma * np.random.default_rng(int(errors.seed(seed))).standard_normal((N, m))

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from cnclik import errors
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.drive import Drive, Sampled, moving
-from cnclik.integrate.driven import Driven, driven, reached, resting
+from cnclik.integrate.driven import Driven, averaged, driven, reached, resting
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
@@ -75,6 +76,7 @@ class State(NamedTuple):
     lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
     drives: Driven | None = None
     late: tuple[Array, ...] = ()  # measured errors on their way
+    smooth: Float[Array, " m"] | None = None  # filtered error; before the start it was 0
 
 
 def loop_of(
@@ -86,6 +88,9 @@ def loop_of(
     """
     check(reference, law.task)
     drive = drive or Drive()
+    if drive.filters == "target":
+        must = "smooth the error or the command in a run: a smoothed target is a path of its own, see `resampled`"
+        raise errors.fail("drive", must, "smooths the target")
     model = moving(drive, Ts) if model is None else model
     given = modelled(law), modelled(plant), reference, noise, drive, model
     law, plant, reference, noise, drive, model = cast(given, q0.dtype)
@@ -101,6 +106,7 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
         lost=jnp.zeros_like(q0) if compensated else None,
         drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
         late=() if first is None else (first,) * loop.late,
+        smooth=jnp.zeros(loop.law.task.m, q0.dtype) if loop.drive.filters == "error" else None,
     )
 
 
@@ -113,7 +119,8 @@ def one(loop: Loop, state: State, k):
     t = loop.t0 + k * Ts
     length = jnp.where(k < loop.N, Ts, 0.0)
     now = law if loop.gained is None else loop.gained(law, t)
-    seen, aimed, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
+    measured = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, (), None)
+    seen, aimed, at, late, smooth = measured
     made = advance(now, aimed, seen, t, length, loop.method, loop.stage)
     lost, drives = state.lost, state.drives
     moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
@@ -122,7 +129,7 @@ def one(loop: Loop, state: State, k):
         moved, drives = reached(law.chain, q, drives)
     elif lost is not None:
         moved, lost = summed(law.chain, q, length * made.qdot, lost, law)
-    after = State(moved, lost, drives, late)
+    after = State(moved, lost, drives, late, smooth)
     if drives is not None or seen is not q:
         made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
     if at is not None:
@@ -131,7 +138,8 @@ def one(loop: Loop, state: State, k):
 
 
 def _measured(loop, state, t, k):
-    """(joint values the controller uses, its reference then, the true observation, errors still on their way)"""
+    """(joint values the controller uses, its reference then, the true observation, errors still on their way, the
+    filtered error or None)"""
     law, reference, q = loop.law, loop.reference, state.q
     at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
     seen = state.drives.sent if commanded else q
@@ -140,11 +148,12 @@ def _measured(loop, state, t, k):
     measured = (found, *state.late)[loop.late]
     if loop.noise is not None:
         measured = measured + loop.noise[k.astype(int)]
-    exact = loop.noise is None and loop.plant is None and not loop.late
+    smooth = None if state.smooth is None else averaged(loop.drive.kept(loop.Ts), state.smooth, measured)
+    exact = loop.noise is None and loop.plant is None and not loop.late and smooth is None
     if not exact:
         believed = observe(law, reference, t, seen)
-        reference = shifted(reference, law.task, _between(law.task, measured, believed))
-    return seen, reference, at, (found, *state.late)[: loop.late]
+        reference = shifted(reference, law.task, _between(law.task, measured if smooth is None else smooth, believed))
+    return seen, reference, at, (found, *state.late)[: loop.late], smooth
 
 
 def _between(task, measured, at):

@@ -22,7 +22,7 @@ MOST_AXES = 32  # an array has at most 64 axes, and results add some
 MOST_PROGRAMS = 1000  # combinations of compiled-in values, at most; each takes about a second
 MOST_BLOCKS = 1_000_000  # at most; each is some files in a store
 LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
-COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
+COMPILED_IN = ("N", "delay", "measurement_delay", "seed")  # numbers that change a program, not its arguments
 LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level and walls.NAME.level
 COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
@@ -46,8 +46,8 @@ def axis(name: str, values, where=None) -> Axis:
     """Read one axis.
 
     Numbers, in a list or an array, run inside one program: in float64 if they are floats or in a list, as
-    integers if they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names,
-    named objects such as methods, and whatever a dict {label: value} holds.
+    integers if they are M, a range or an array of integers. Compiled in, one program each, are N, delay, seed,
+    names, named objects such as methods, and whatever a dict {label: value} holds.
 
     Args:
       where: its name in messages; default: `name`.
