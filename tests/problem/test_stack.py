@@ -278,9 +278,7 @@ def judged(p):
 def test_a_verdict_has_a_line_for_each_task(problem):
     told = judged(problem)
     assert told.kind == "following" and set(told.tasks) == {"hands", "rest"}
-    assert re.search(r"hands [\d.]+ mm and [\d.]+ mrad \(following\); rest [\d.]+ rad \(following\)", told.sentence), (
-        told
-    )
+    assert re.search(r"; hands .* .rad .following.; rest .* .rad .following.", told.sentence), told
 
 
 @pytest.mark.slow
