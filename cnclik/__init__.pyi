@@ -5,13 +5,13 @@ from . import (
     problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )
-from .programs import use_cache as use_cache
+from .cache import use_cache as use_cache
+from .diagnosis.check import check_log as check_log
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
 from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
-from .hints import use_hints as use_hints
 from .integrate.drive import Drive as Drive
 from .integrate.lanes import lanes as lanes
 from .integrate.method import (
@@ -24,9 +24,8 @@ from .integrate.status import Status as Status, StepError as StepError, require_
 from .integrate.trajectory import Trajectory as Trajectory
 from .law.bounded import bounded as bounded
 from .law.inverse import (
-    damped as damped, error_damped as error_damped, levels as levels,
-    manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,
-    singular_damped as singular_damped, transpose as transpose,
+    damped as damped, error_damped as error_damped, levels as levels, pseudoinverse as pseudoinverse,
+    singular_damped as singular_damped,
 )
 from .law.law import Law as Law
 from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
@@ -76,6 +75,6 @@ from .task.build import (
 )
 from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
 from .task.task import Task as Task
-from .tuning.tune import calibrate as calibrate
+from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

@@ -21,7 +21,6 @@ _SIGNS = {  # what files of each kind have in them that say so: others are known
     ".nc": rb"\0cnclik\0|orientation_error.{,40}least_singular_value",
     ".csv": rb"position_error,orientation_error,least_singular_value,",
     ".npz": rb"least_singular_value\.npy",
-    ".html": rb'<meta name="generator" content="cnclik">',
 }
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed

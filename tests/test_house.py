@@ -16,7 +16,7 @@ import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
-    *("errors", "markup", "record", "programs", "cache", "hints", "precision", "threads"),
+    *("errors", "record", "cache", "precision", "threads"),
     *("reading", "writing", "version", "quantities"),
 )
 BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone
@@ -205,7 +205,6 @@ ONCE = {  # what may stand in one place only, and where
     r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/rotations.py",
     r"np\.array2string\(": "record.py",
     r"\"\| ---|\| --- \|": "measure/files.py",
-    r"xla_backend_optimization_level": "hints.py",
 }
 
 
@@ -285,22 +284,6 @@ def test_the_version_is_one():
         )
     }
     assert said == {cnclik.__version__}
-
-
-def test_a_name_that_has_moved_says_where_to():
-    import cnclik as ck
-
-    with pytest.warns(DeprecationWarning, match="cnclik.pose_task is cnclik.pose now"):
-        assert ck.pose_task is ck.pose
-    with pytest.raises(ck.ArgumentError, match=r"`axes` .*ck\.forward\(robot, q\)"):
-        ck.pose(ck.planar_arm([1.0, 1.0]), [0.1, 0.2])
-    run = ck.solve(ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=1.0), ck.hold([1.0, 1.0]), [0, 1], 0.1, 1)
-    with pytest.warns(DeprecationWarning, match="the argument trajectory of require_ok is run now"):
-        assert ck.require_ok(trajectory=run) is run
-    with pytest.raises(AttributeError, match=r"gone since 0\.2\.0: there is one form; use_engine chooses"):
-        ck.use_form
-    with pytest.raises(AttributeError):
-        ck.poses
 
 
 def test_methods_have_names_of_their_own():

@@ -97,6 +97,7 @@ def test_the_api_has_a_line_for_every_argument():
     text = described("function", "cnclik.advise", ck.advise)
     assert ":param Ts: sampling time [s]." in text and ":param stage: as for `solve`." in text
     assert ":param drive: as for `gains`.\n" in text
+    assert ":param q0: (n,) start [rad, m], or (B, n)." in described("function", "cnclik.tune", ck.tune)
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -9,7 +9,7 @@ import time
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import RobotOptions, TaskOptions
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud
@@ -17,7 +17,7 @@ from cnclik.writing import checked_file, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, TaskOptions, RobotOptions):
     """Find joint values that put the tip at targets, or several tips at their targets at the same time. Several tips
     have a --tip and a --target each, or are those of a stack's file, with targets on their paths:
 
@@ -136,46 +136,6 @@ def _answers(args, wanted, asked):
         _tell(made, summary, first)
         if args.out is not None:
             print(f"Wrote {args.out}.")
-    if args.report is not None:
-        _report(args, made, answers(made, transforms(pose)), summary, first)
-
-
-def _report(args, made, data, summary, seconds):
-    """The page: how many of each status, and the robot at the first targets."""
-    solved = round(summary["solve_rate"] * summary["targets"])
-    facts = [
-        ("time", f"{seconds:.2f} s, compilation included"),
-        ("evaluations per target", f"{summary['evaluations_per_target']:.0f}"),
-        ("largest error of the reached targets", _largest(made)),
-    ]
-    rows = [(name, f"{number:,}", _MEANING[name]) for name, number in summary["status"].items()]
-    args.write_report(
-        f"{_name(args)}: joint values for {summary['targets']:,} targets",
-        f"{solved:,} of {summary['targets']:,} targets are reached ({100 * summary['solve_rate']:.4g} %).",
-        facts=facts,
-        tables=[("Answers", ("status", "targets", "meaning"), rows)],
-        motions=functools.partial(_motions, args, made.chain, data),
-    )
-
-
-def _name(args) -> str:
-    from cnclik.problem.names import robot_name
-
-    return robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
-
-
-def _largest(made) -> str:
-    parts = ((made.position_error, "m"), (made.orientation_error, "rad"))
-    if not made.solved.any():
-        return "none is reached"
-    return ", ".join(aloud(float(values[made.solved].max()), unit) for values, unit in parts)
-
-
-def _motions(args, chain, data):
-    from cnclik.show.viewer.files import MOST_TARGETS, answers_motion, links_of, of_answers
-
-    found = of_answers(data.isel(target=slice(0, MOST_TARGETS)))
-    return [answers_motion(chain, found, name=_name(args), links=links_of(args.robot, args.base, chain))]
 
 
 def _summary(made, first, again):

@@ -5,6 +5,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.problem.columns import SECONDS, clock_of, words_of
 
+LEAST = 16  # rows
 LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
 MISSING = 0.6  # of a step; where a row is missing, stamps fall behind permanently by at least this
 ROWS_BESIDE = 12  # rows compared on either side
@@ -33,16 +34,25 @@ def sampling_time(t, Ts) -> float:
     usual = float(np.median(step)) if len(step) else 0.0
     if usual <= 0:
         raise errors.fail("t", "increase", f"the median step is {usual:g} s")
-    mean, apart = float(t[-1] - t[0]) / len(step), max(len(t) // 4, 1)
+    mean = float(t[-1] - t[0]) / len(step)
     if np.unique(step).size < 4 and abs(usual / mean - 1) > APART:
         found = f"are {usual:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
         raise errors.fail("t", "be times that are equally far apart", found)
-    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # long intervals reduce the effect of jitter
+    usual = spacing(t)
     gap = _gap(t, step, usual)
     if gap is not None:
         found = f"row {gap + 2} comes {step[gap]:.4g} s after the one before"
         raise errors.fail("t", f"have a row every {usual:g} s", found)
     return mean
+
+
+def spacing(t) -> float:
+    """The usual step of times (N,), which may jitter; a few rows may be missing. Raises: ArgumentError."""
+    apart = max(len(t) // 4, 1)
+    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # long intervals reduce the effect of jitter
+    if usual <= 0:
+        raise errors.fail("t", "increase", f"the median step is {usual:g} s")
+    return usual
 
 
 def _gap(t, step, usual):

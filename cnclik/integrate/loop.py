@@ -11,29 +11,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from cnclik import errors
 from cnclik.engine.tracing import checkpointed
-from cnclik.integrate.drive import Drive, Sampled, moving
-from cnclik.integrate.driven import Driven, averaged, driven, reached, resting
+from cnclik.integrate.drive import Drive, Sampled, sampled
+from cnclik.integrate.driven import Driven, averaged, driven, resting
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.status import flags, growing, task_flags
-from cnclik.integrate.trajectory import assemble
+from cnclik.integrate.trajectory import Trajectory, steps_of
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
-from cnclik.law.paths import shifted
 from cnclik.law.reference import Reference, References, check, tangent
 from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out
-from cnclik.robot.model import Model, modelled
+from cnclik.robot.model import modelled
+from cnclik.task.task import error
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,139 +46,122 @@ class Loop:
     t0: Float[Array, ""]
     N: int
     drive: Drive  # between command and motion
-    model: Sampled | None  # the drive, sampled by `moving`
+    model: Sampled | None  # the drive from sample to sample; None: ideal
     noise: Float[Array, "N m"] | None  # added to the measured error
-    plant: Model | None  # the real chain, if it is not the law's
-    gained: Callable | None  # gained(law, t): the law at time t
 
     @property
-    def measured(self) -> bool:
-        """Whether command and motion, or motion and measurement, differ."""
-        return not (self.noise is None and self.plant is None and self.drive.prompt)
-
-    @property
-    def late(self) -> int:
-        """Delay of a measurement [samples]."""
-        return 0 if self.drive.feedback == "commanded" else self.drive.measurement_delay
-
-    @property
-    def truth(self):
-        """The law with the real chain."""
-        return self.law if self.plant is None else replace(self.law, chain=self.plant)
+    def direct(self) -> bool:
+        """Whether the robot does what the law asks for, and the controller knows its error."""
+        return self.model is None and self.noise is None
 
 
 class State(NamedTuple):
     """The state of a loop."""
 
     q: Float[Array, " n"]  # the robot's joint values
-    lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
+    lost: Float[Array, " n"] | None = None  # rounding error of q, in float32 without drive and noise
     drives: Driven | None = None
-    late: tuple[Array, ...] = ()  # measured errors on their way
-    smooth: Float[Array, " m"] | None = None  # filtered error; before the start it was 0
 
 
-def loop_of(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None, plant=None, gained=None
-) -> Loop:
-    """A loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
+def loop_of(law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None) -> Loop:
+    """Return a loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
 
-    Args: as for `solve`, and for the attributes; `model` if the drive is already sampled.
+    Args: as for `solve`; `model` if the drive is already sampled.
     """
     check(reference, law.task)
     drive = drive or Drive()
-    if drive.filters == "target":
-        must = "smooth the error or the command in a run: a smoothed target is a path of its own, see `resampled`"
-        raise errors.fail("drive", must, "smooths the target")
-    model = moving(drive, Ts) if model is None else model
-    given = modelled(law), modelled(plant), reference, noise, drive, model
-    law, plant, reference, noise, drive, model = cast(given, q0.dtype)
+    model = None if drive.prompt else model or sampled(drive, Ts)
+    law, reference, drive, model, noise = cast((modelled(law), reference, drive, model, noise), q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained)
+    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise)
 
 
 def start(loop: Loop, q0, *, compensated=False) -> State:
-    """The state at rest at q0 (n,). Args: compensated: whether rounding errors of q are carried, see `summed`."""
-    first = observe(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
-    return State(
-        q0,
-        lost=jnp.zeros_like(q0) if compensated else None,
-        drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
-        late=() if first is None else (first,) * loop.late,
-        smooth=jnp.zeros(loop.law.task.m, q0.dtype) if loop.drive.filters == "error" else None,
-    )
+    """Return the state at rest at q0 (n,). Args: compensated: whether rounding errors of q are kept, see `summed`."""
+    if loop.model is None:
+        return State(q0, jnp.zeros_like(q0) if compensated else None)
+    law, drive, smooth = loop.law, loop.drive, None
+    at = observe(law, loop.reference, loop.t0, q0)
+    late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
+    if drive.filters == "error":
+        smooth = jnp.zeros_like(at.e)
+    if drive.filters == "target":  # which was where the robot is, where that is known
+        here = (part.here(at.robot) for part in law.task.parts)
+        smooth = tuple(aim if own is None else own for aim, own in zip(at.aims, here, strict=True))
+    return State(q0, drives=resting(law.chain, drive, loop.model, q0, late, smooth))
 
 
 def one(loop: Loop, state: State, k):
-    """(state after step k, `Step` with q, x and e before it). Pure.
+    """Return (the state after step k, its `Step` with q, x and e before it). Pure.
 
     The extra step at the end, k = N, has length 0: it changes nothing and gives x and e at the last instant.
     """
-    law, Ts, q = loop.law, loop.Ts, state.q
-    t = loop.t0 + k * Ts
-    length = jnp.where(k < loop.N, Ts, 0.0)
-    now = law if loop.gained is None else loop.gained(law, t)
-    measured = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, (), None)
-    seen, aimed, at, late, smooth = measured
-    made = advance(now, aimed, seen, t, length, loop.method, loop.stage)
-    lost, drives = state.lost, state.drives
-    moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
+    law, q, lost = loop.law, state.q, state.lost
+    t, length = loop.t0 + k * loop.Ts, jnp.where(k < loop.N, loop.Ts, 0.0)
+    if loop.direct:
+        made = advance(law, loop.reference, q, t, length, loop.method, loop.stage)
+        after = made.q
+        if lost is not None:
+            after, lost = summed(law, q, length * made.qdot, lost)
+        return State(after, lost), replace(made, q=q)
+    seen, offset, at, drives = _measured(loop, state, t, k)
+    made = advance(law, loop.reference, seen, t, length, loop.method, loop.stage, offset)
+    after, qdot = made.q, made.qdot
     if loop.model is not None and drives is not None:
-        drives = driven(law.chain, loop.drive, loop.model, drives, seen, chart.between(law.chain, seen, made.q), Ts)
-        moved, drives = reached(law.chain, q, drives)
-    elif lost is not None:
-        moved, lost = summed(law.chain, q, length * made.qdot, lost, law)
-    after = State(moved, lost, drives, late, smooth)
-    if drives is not None or seen is not q:
-        made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
-    if at is not None:
-        made = replace(made, x=at.x(), e=at.e)
-    return after, replace(made, q=q)
+        step = chart.between(law.chain, seen, made.q)
+        after, drives = driven(law.chain, loop.drive, loop.model, drives, q, seen, step, loop.Ts)
+        qdot = 1 / loop.Ts * chart.between(law.chain, q, after)
+    return State(after, drives=drives), replace(made, q=q, qdot=qdot, x=at.x(), e=at.e)
 
 
 def _measured(loop, state, t, k):
-    """(joint values the controller uses, its reference then, the true observation, errors still on their way, the
-    filtered error or None)"""
-    law, reference, q = loop.law, loop.reference, state.q
-    at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
-    seen = state.drives.sent if commanded else q
-    # A camera sees the real tip; from its own commands a controller knows only the model's tip.
-    found = at.e if seen is q else observe(law if commanded else loop.truth, reference, t, seen).e
-    measured = (found, *state.late)[loop.late]
+    """Return (joint values that the controller uses, what its measured error has beside theirs, the truth, drives)."""
+    law, reference, drives, seen = loop.law, loop.reference, state.drives, state.q
+    at = observe(law, reference, t, seen)
+    if drives is not None and loop.drive.feedback == "commanded":  # from its commands a controller knows its own tip
+        seen = drives.sent
+    known = at if seen is state.q else observe(law, reference, t, seen)
+    found, filters, kept = known.e, loop.drive.filters, loop.drive.kept(loop.Ts)
+    if filters == "target":
+        parts = zip(law.task.parts, drives.smooth, at.aims, strict=True)
+        drives = drives._replace(smooth=tuple(part.averaged(kept, before, aim) for part, before, aim in parts))
+        found = error(law.task, known.robot, drives.smooth)
+    errors = found, *(drives.late if drives is not None else ())
+    measured = errors[-1]
     if loop.noise is not None:
         measured = measured + loop.noise[k.astype(int)]
-    smooth = None if state.smooth is None else averaged(loop.drive.kept(loop.Ts), state.smooth, measured)
-    exact = loop.noise is None and loop.plant is None and not loop.late and smooth is None
-    if not exact:
-        believed = observe(law, reference, t, seen)
-        reference = shifted(reference, law.task, _between(law.task, measured if smooth is None else smooth, believed))
-    return seen, reference, at, (found, *state.late)[: loop.late], smooth
+    if filters == "error":
+        measured = averaged(kept, drives.smooth, measured)
+        drives = drives._replace(smooth=measured)
+    offset = None if measured is known.e else measured - known.e
+    return seen, offset, at, None if drives is None else drives._replace(late=errors[:-1])
 
 
-def _between(task, measured, at):
-    """The shift w of the targets that turns the error of `at` into the measured error (m,)."""
-    parts = zip(task.parts, at.aims, task.slices, strict=True)
-    return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
-
-
-def run(loop: Loop, q0, *, end=False):
-    """The `Trajectory` of a loop from rest at q0 (n,). Pure. Args: end: (q, x, e) of the last instant alone."""
-    k, m = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task.m
-    single = q0.dtype == jnp.float32 and not loop.measured
-    state, none, empty = start(loop, q0, compensated=single), jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
+def run(loop: Loop, q0) -> Trajectory:
+    """Return the `Trajectory` of a loop from rest at q0 (n,). Pure."""
+    k, task, N = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task, loop.N
+    state = start(loop, q0, compensated=q0.dtype == jnp.float32 and loop.direct)
     step = functools.partial(one, loop)
-    step = step if loop.measured else checkpointed(step)
+    step = checkpointed(step) if loop.direct else step
 
-    def with_last(carry, k):
+    def with_last(carry, k):  # beside the rows: a program that asks for the end alone then stores none
         after, made = step(carry[0], k)
         return (after, (made.q, made.x, made.e)), made
 
-    (_, last), steps = jax.lax.scan(with_last, (state, (none, empty, empty)), k)
-    if end:
-        return last
-    cost = loop.N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)
-    tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
-    made = assemble(loop.t0 + k * loop.Ts, steps, last, cost, tasks)
-    if loop.measured:  # with noise an error grows and shrinks at random
+    empty = jnp.zeros(task.m, q0.dtype)
+    (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
+
+    def rows(name):
+        return jax.lax.slice_in_dim(getattr(steps, name), 0, N)
+
+    made = Trajectory(
+        t=loop.t0 + k * loop.Ts,
+        **{name: jnp.concatenate([rows(name), end[None]]) for name, end in zip(("q", "x", "e"), last, strict=True)},
+        **{name: rows(name) for name in steps_of(steps)},
+        evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
+        tasks=tuple((name, at.start, at.stop) for name, at in task.each),
+    )
+    if not loop.direct:  # with noise an error grows and shrinks at random
         return made
     grown, each = growing(loop.law, loop.reference, made.t, made.e)
     if made.task_status is not None:
@@ -221,24 +202,24 @@ class Step:
     walls: Float[Array, " k"] | None = None
 
 
-def advance(law: Law, reference, q, t, Ts, method, stage) -> Step:
-    """Make one step of the loop, of a law whose chain is a `Model`."""
+def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
+    """Make one step of the loop, of a law whose chain is a `Model`. Args: offset: see `observe`."""
     known = reference if reference.known else tangent(reference, law.task, t)
-    at = observe(law, known, t, q)
+    at = observe(law, known, t, q, offset)
     if method.exponential:
         made = exponential_march(law, known, q, at, t, Ts, method, stage)
     else:
-        made = _of_tableau(law, known, q, at, t, Ts, method, stage)
+        made = _plain_march(law, known, q, at, t, Ts, method, stage, offset)
+    y, qdot = made.q, made.qdot
     if law.limits is not None:
-        after, qdot = within(law, centre(law.chain, q), made.qdot, Ts)
-        made = made._replace(q=after, qdot=qdot)
-    made = made._replace(q=out(law.chain, q, made.q))
-    status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
+        y, qdot = within(law, centre(law.chain, q), qdot, Ts)
+    after = out(law.chain, q, y)
+    status = flags(law, after, qdot, at.e, made.residual, stage.tolerance, made.first)
     return Step(
-        q=made.q,
-        x=made.first.x(),
-        e=made.first.e,
-        qdot=made.qdot,
+        q=after,
+        x=at.x(),
+        e=at.e,
+        qdot=qdot,
         residual=made.residual,
         contraction=made.contraction,
         least=jnp.min(made.first.least),
@@ -248,23 +229,24 @@ def advance(law: Law, reference, q, t, Ts, method, stage) -> Step:
     )
 
 
-def summed(chain, q, step, lost, law):
-    """q + step within the law's position limits, and the rounding error of the sum, to be added with the next step
-    (Kahan 1965). `lost`: that of the last step. Rotations have no rounding error to carry.
-
-    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
-    target by ulp(q)/2/(alpha·Ts). The rounding error has no derivatives.
-    """
-    step, y = step + lost, centre(chain, q)
-    after = inside(law, y, y + step)
-    return out(chain, q, after), jax.lax.stop_gradient(step - (after - y))
-
-
-def _of_tableau(law, reference, q, at, t, Ts, method, stage):
-    """Make a step of a tableau over the law's field, from its observation at q and t."""
+def _plain_march(law, reference, q, at, t, Ts, method, stage, offset):
+    """Make one step of a tableau over the law's field, from its observation at q and t."""
 
     def field(c, q):
-        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
+        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
 
     field, y = charted(law.chain, q, field), centre(law.chain, q)
     return march(field, y, Ts, method, stage, evaluate_at(law, q, at))
+
+
+def summed(law, q, step, lost):
+    """Return q + step within the law's position limits, and the rounding error of the sum (Kahan 1965).
+
+    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
+    target by ulp(q)/2/(alpha·Ts). Rotations have no rounding error to carry, and the rounding error no derivatives.
+
+    Args: lost: the rounding error of the last step, to be added with this one.
+    """
+    step, y = step + lost, centre(law.chain, q)
+    after = inside(law, y, y + step)
+    return out(law.chain, q, after), jax.lax.stop_gradient(step - (after - y))

@@ -29,13 +29,13 @@ class Moved(NamedTuple):
 
 
 def charted(chain, start, field):
-    """A law's field in the chart centred at `start` (n,), see `cnclik.robot.chart`."""
+    """Return a law's field in the chart centred at `start` (n,), see `cnclik.robot.chart`."""
     if not chain.balls:
         return field
 
     def within(at, y):
-        found = field(at, chart.out(chain, start, y))
-        return found._replace(qdot=chart.rates(chain, y, found.qdot))
+        evaluation = field(at, chart.out(chain, start, y))
+        return evaluation._replace(qdot=chart.rates(chain, y, evaluation.qdot))
 
     return within
 
@@ -66,24 +66,25 @@ def march(field, q, Ts, method: Method, stage, first=None, *, at=None):
         ahead = combine([w / row[i] for w in row[:i]], slopes) if any(row[:i]) else 0.0 * q
 
         def g(k, at=at[i], base=base, h=h):
-            return field(at, shift(base, h, (1.0,), (k,)))
+            return field(at, base + h * k)
 
         solved = stage(g, first, h, ahead)
         slopes.append(solved.slope)
         residual = jnp.maximum(residual, solved.residual)
         contraction = jnp.maximum(contraction, solved.contraction)
-    return _moved(q, Ts, method, slopes, first, residual, contraction)
+    qdot = combine(method.b, slopes)
+    return Moved(q + Ts * qdot, qdot, first, residual, contraction)
 
 
 def _looped(field, q, Ts, method, first, at):
-    """A step of an explicit method whose first stage is `first`."""
+    """Make a step of an explicit method whose first stage is `first`."""
     count = len(method.b)
     weights = [(*row, *(0.0,) * (count - len(row))) for row in method.A]
 
     def one(slopes, stage):
         i, row, at = stage
-        made = field(at, q + Ts * combine([row[j] for j in range(count)], slopes)).qdot
-        return tuple(jnp.where(i == j, made, k) for j, k in enumerate(slopes)), None
+        slope = field(at, q + Ts * combine([row[j] for j in range(count)], slopes)).qdot
+        return tuple(jnp.where(i == j, slope, k) for j, k in enumerate(slopes)), None
 
     dtype = jnp.result_type(q[0])
     rows, ats = jax.tree.map(
@@ -91,24 +92,18 @@ def _looped(field, q, Ts, method, first, at):
     )
     start = (first.qdot, *(jnp.zeros_like(q),) * (count - 1))
     slopes, _ = lax.scan(one, start, (jnp.arange(1, count), rows, ats))
-    zero = jnp.zeros((), q.dtype)
-    return _moved(q, Ts, method, slopes, first, zero, zero)
-
-
-def _moved(q, Ts, method, slopes, first, residual, contraction) -> Moved:
-    """The end of a step, from the slopes of its stages."""
-    qdot = combine(method.b, slopes)
-    return Moved(shift(q, Ts, (1.0,), (qdot,)), qdot, first, residual, contraction)
+    qdot, zero = combine(method.b, slopes), jnp.zeros((), q.dtype)
+    return Moved(q + Ts * qdot, qdot, first, zero, zero)
 
 
 def combine(weights, vectors):
-    """Σ wᵢ vᵢ, without terms whose weight is known to be 0."""
+    """Return Σ wᵢ vᵢ, without terms whose weight is known to be 0."""
     parts = [w * v for w, v in zip(weights, vectors, strict=True) if not (type(w) is float and w == 0)]
     return functools.reduce(operator.add, parts)
 
 
 def shift(q, h, weights, slopes):
-    """q + h Σ wᵢ kᵢ."""
+    """Return q + h Σ wᵢ kᵢ."""
     return q + h * combine(weights, slopes) if any(weights) else q
 
 

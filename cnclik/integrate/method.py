@@ -93,12 +93,12 @@ def _residuals(A, b, c, order) -> list:
 
 @functools.cache
 def trees(order):
-    """Rooted trees with `order` vertices; each is the sorted tuple of the subtrees at its root."""
+    """Return the rooted trees with `order` vertices; each is the sorted tuple of the subtrees at its root."""
     return ((),) if order == 1 else tuple(sorted({new for tree in trees(order - 1) for new in _grown(tree)}))
 
 
 def _grown(tree):
-    """Trees with one more leaf."""
+    """Yield the trees with one more leaf."""
     yield tuple(sorted((*tree, ())))
     for i, branch in enumerate(tree):
         for new in _grown(branch):
@@ -106,7 +106,7 @@ def _grown(tree):
 
 
 def _weight(A, tree):
-    """(Φ (s,), γ, number of vertices) of a tree."""
+    """Return (Φ (s,), γ, number of vertices) of a tree."""
     phi, gamma, count = np.ones(len(A)), 1, 1
     for branch in tree:
         above, density, size = _weight(A, branch)
@@ -115,7 +115,7 @@ def _weight(A, tree):
 
 
 def _tableau(name, order, A, b, source) -> Method:
-    """A `Method` with cᵢ = Σⱼ Aᵢⱼ."""
+    """Return a `Method` with cᵢ = Σⱼ Aᵢⱼ."""
     return Method(name=name, A=A, b=b, c=tuple(map(sum, A)), order=order, source=source)
 
 
@@ -148,7 +148,7 @@ def named(method, argument="method") -> Method:
 
 
 def exponential(method: MethodLike) -> Method:
-    """The exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same cost.
+    """Return the exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same cost.
 
     The law's exact solution over a step is x*(t + s) = x_d(t + s) − exp(−K·s) e(t). So e is measured once, at the
     start of the step, and decays by its exact factor. The tableau integrates what has no closed form, the path of the

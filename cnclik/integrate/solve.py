@@ -13,28 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.cache import LRU
 from cnclik.engine.numbers import Numbers
-from cnclik.engine.plan import may_be_plain
-from cnclik.engine.tracing import is_read
-from cnclik.hints import quick_jit
-from cnclik.integrate.drive import Drive, check_drive, moving
+from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.loop import Step, advance, loop_of, run
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
+from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
-from cnclik.integrate.trajectory import INSTANTS, Trajectory, join, steps_of, truncate
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
-from cnclik.record import ArrayLike, Float, Number, cast, on_device, replace
+from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
-
-SOON = 1 << 14  # evaluations of f, per joint and task coordinate, up to which XLA answers sooner
-
-
-def answers_soon(evaluations, law) -> bool:
-    """Whether so few evaluations of f are done sooner by XLA with few passes than by C, compilation included."""
-    return evaluations <= SOON * law.chain.n * law.task.m
-
 
 # --- public -------------------------------------------------------------------------------------------
 
@@ -50,6 +38,7 @@ def solve(
     *,
     t0: Number = 0.0,
     drive: Drive | None = None,
+    noise: Float[ArrayLike, "N m"] | None = None,
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
@@ -66,42 +55,25 @@ def solve(
       method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method`.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods ignore it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no resolution of 1 ms.
-      drive: model of the drives between command and motion, see `Drive`; None: ideal.
+      drive: model of the drives between command and motion, at rest at t0, see `Drive`; None: ideal.
+      noise: (N, m) added to the measured error at each step [m, rad], such as rng.normal(0, 1e-3, (N, m)); None: none.
+        `q`, `e` and `qdot` are the robot's own. No step is then marked GROWING, nor through a drive: errors grow and
+        shrink by themselves.
 
     Returns: `Trajectory`. Nothing is raised during the run: check `status`, or pass the run to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
-    """
-    return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive)
-
-
-def simulate(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, noise=None, plant=None, gained=None
-) -> Trajectory:
-    """`solve` on a robot that differs from the law's model: `q`, `e` and `qdot` are those of the real robot.
-
-    The controller steps from the joint values that it gets. `Drive` describes them, and the drives between its step and
-    the motion, from rest at q0 on. No step is marked GROWING: with noise an error grows and shrinks at random.
-
-    Args:
-      noise: (N, m) added to the measured error at each step [m, rad], or None.
-      plant: the real chain, of which the law's chain is a model; None: the same.
-      gained: the law at time t, gained(law, t), where it changes; None: the same.
     """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
     N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
-    drive = None if drive is None or check_drive(drive, law.chain).prompt else drive
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    model = None if drive is None else moving(drive, Ts)  # in NumPy if Ts is known
-    known, given = (law, reference, stage, drive, plant, method), (q0, _number(Ts, q0), _number(t0, q0))
-    if gained is not None:
-        return whole_run(*known, *given, model, noise, N=N, gained=gained)
-    loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
-    if len(loops) > 1:  # each has its own programs
-        loops.within(lambda loop: len(loop.entries))
-    return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
+    if drive is not None:
+        drive = None if check_drive(drive, law.chain).prompt else drive
+    model = None if drive is None else sampled(drive, Ts)  # in NumPy if Ts is known
+    known, given = (law, reference, stage, drive, method), (q0, _number(Ts, q0), _number(t0, q0), model, noise)
+    return a_run(known, given, N=N)  # by the engine that `cnclik.engine.plan.chosen` has chosen
 
 
 def step(
@@ -113,7 +85,7 @@ def step(
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
 ) -> Step:
-    """One step, for use in your own control loop: from q(t) to q(t + Ts).
+    """Make one step, for use in your own control loop: from q(t) to q(t + Ts).
 
     Call it once before the loop starts: the first call compiles, for about a second.
 
@@ -124,44 +96,16 @@ def step(
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
     known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q))
-    return _computed(a_step, known, given, step_soon)
-
-
-def _is_soon(law, method, stage, N) -> bool:
-    count = N * evaluations_per_step(method, stage, law.chain.n)
-    return errors.concrete(count) and bool(np.all(answers_soon(count, law)))
-
-
-def _computed(fn, known, given, soon, is_soon=lambda: True):
-    """fn(*known, *given): as C for numbers, otherwise by JAX, in the array type of the joint values.
-
-    Args:
-      fn: `Numbers`.
-      soon: fn for XLA with few passes, for numbers if is_soon(); otherwise the engine's scalars are used.
-    """
-    if is_read():  # the engine reads the source itself
-        return fn.source(known, given)
-    if (found := fn(known, given)) is not None:
-        return found
-    *records, method = known
-    if may_be_plain() and all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
-        found = soon(*(r and on_device(modelled(r)) for r in records), method, *given, **fn.static)
-    else:
-        found = fn.native(known, given)
-    return jax.tree.map(_as_numpy, found) if isinstance(given[0], np.ndarray) else found
-
-
-def _as_numpy(x):
-    return np.asarray(x) if errors.concrete(x) else x
+    return a_step(known, given)  # by the engine that `cnclik.engine.plan.chosen` has chosen
 
 
 def _number(value, q):
-    """A known number in the dtype of the joint values, so that one program serves all number types."""
+    """Return a known number in the dtype of the joint values, so that one program serves all number types."""
     return q.dtype.type(value) if errors.concrete(value) else value
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
-    """q as an array (n,) and the method as a `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
+    """Return q as an array (n,), and the `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
     errors.kind("law", law, Law)
     method = named(method)
     errors.kind("reference", reference, REFERENCE, A_REFERENCE)
@@ -201,26 +145,12 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def ran_in_c(N) -> bool:
-    """Whether the last run of N steps with numbers was C: XLA, with few passes, answers sooner and runs slower."""
-    return N in loops and loops[N].ran_in_c
+def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *, N):
+    """Compute `solve`. Pure."""
+    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
 
 
-def whole_run(law, reference, stage, drive, plant, method, q0, Ts, t0, model, noise, *, N, gained=None):
-    more = dict(drive=drive, plant=plant, model=model, noise=noise, gained=gained)
-    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)
-
-
-def end(law, reference, q0, Ts, N, method, stage):
-    """(q (n,), e (m,)) after N steps, without a trajectory. Pure; the arguments of `solve`, unchecked.
-
-    If `lanes` returns `solve(...).e[-1]`, each step's e is stored on the way, which costs a tenth of an explicit step.
-    """
-    q, _, e = run(loop_of(law, reference, q0, Ts, N, method, stage, t0=np.zeros((), q0.dtype)), q0, end=True)
-    return q, e
-
-
-solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), LRU()
+a_run = Numbers(whole_run, lets_go=True)
 
 
 def one_step(law, reference, stage, method, q, t, Ts) -> Step:
@@ -230,32 +160,4 @@ def one_step(law, reference, stage, method, q, t, Ts) -> Step:
     return advance(law, reference, q, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
 
 
-step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(one_step, lets_go=False)
-
-
-# --- a long run in pieces of equal length, so that one program serves runs of any number of steps -----
-
-
-PIECE = 2000  # steps of a piece, at most
-
-
-def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
-    """Yield runs of `size` steps each, which together are `solve`'s N steps and the rest of the last piece.
-
-    Args: as for `solve`, with concrete values.
-    """
-    part, q = None, q0
-    for begun in range(0, N, size):
-        if part is None or np.isfinite(q).all():
-            part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
-        else:  # lost for good
-            last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *steps_of(part))}
-            last = {name: np.broadcast_to(value[-1:], value.shape) for name, value in last.items()}
-            part = replace(part, t=np.asarray(part.t) + size * Ts, **last)
-        yield part
-        q = part.q[-1]
-
-
-def joined(parts, N: int):
-    """Their first N steps as one `Trajectory`, of NumPy arrays."""
-    return truncate(join(parts), N)
+a_step = Numbers(one_step, lets_go=False)

@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors, markup
+from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
-from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
-from cnclik.law.limits import Scaled
+from cnclik.law.inverse import Factored, Levels, Pseudoinverse, damped_apply, least_of, through
+from cnclik.law.limits import Limited, Scaled
 from cnclik.law.null import Posture
 from cnclik.precision import precise
 from cnclik.record import Array, Bool, Float, Number, brief, leaf, record, replace
@@ -43,8 +43,7 @@ class Law:
         joined by `&`, or a stack(name=task, ...).
       alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. It is a
         rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
-      inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
-        error_damped(...), levels(...).
+      inverse: J#: pseudoinverse(), damped(λ), singular_damped(...), error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
       null_velocity: posture(q_rest, rate), whose joint velocity q̇₀ acts in the null space, or None.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
@@ -68,41 +67,36 @@ class Law:
     near_singular: Number = 0.01
 
     def __post_init__(self):
-        task, n = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model)).n
-        if isinstance(self.chain, Chain):
-            task = task.on(self.chain)
-            object.__setattr__(self, "task", task)
-            if isinstance(self.limits, Bounded):
-                object.__setattr__(self, "limits", self.limits.on(self.chain))
-        m = task.m
-        if m > n and isinstance(self.inverse, Pseudoinverse):
+        task, chain = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model))
+        errors.kind("limits", self.limits, (Scaled, Bounded, NoneType), "be None, velocity_scaling() or bounded()")
+        errors.kind("null_velocity", self.null_velocity, (Posture, NoneType), "be None or posture(...)")
+        limits, inverse, n = self.limits, self.inverse, chain.n
+        if isinstance(chain, Chain):
+            task = task.on(chain)
+            limits = limits.on(chain) if isinstance(limits, Bounded) else limits
+        if not callable(inverse):
+            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or levels(...)", f"is {inverse!r}")
+        if isinstance(inverse, Pseudoinverse) and task.m > n:
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
-            raise errors.fail("task", must, f"has {m}: {', '.join(task.names)}")
-        alpha = of_tasks(task, self.alpha) if isinstance(self.alpha, dict) else self.alpha
-        alpha = errors.array("alpha", alpha, (), (m,))
-        if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
-            raise errors.fail("alpha", "not be negative", f"is {np.min(alpha):g}")
-        object.__setattr__(self, "alpha", alpha)
-        if hasattr(self.inverse, "on"):
-            object.__setattr__(self, "inverse", self.inverse.on(task))
-        for name, least in (("feedforward", None), ("near_singular", 0)):
-            object.__setattr__(self, name, leaf(errors.number(name, getattr(self, name), at_least=least)))
+            raise errors.fail("task", must, f"has {task.m}: {', '.join(task.names)}")
+        if isinstance(inverse, Pseudoinverse) and isinstance(limits, Bounded):
+            raise undamped(inverse)
+        if self.null_velocity is not None:
+            errors.array("rest", self.null_velocity.rest, (n,))
+        checked = {
+            "task": task,
+            "limits": limits,
+            "alpha": _gains(task, self.alpha),
+            "inverse": inverse.on(task) if isinstance(inverse, Levels) else inverse,
+            "feedforward": leaf(errors.number("feedforward", self.feedforward)),
+            "near_singular": leaf(errors.number("near_singular", self.near_singular, at_least=0)),
+        }
         if self.error_clamp is not None:
-            pair = errors.array("error_clamp", self.error_clamp, (2,))
-            if errors.concrete(pair) and not np.all(np.asarray(pair) > 0):
-                raise errors.fail("error_clamp", "be positive", f"is {np.asarray(pair).tolist()}")
-            object.__setattr__(self, "error_clamp", pair)
-        if not callable(self.inverse):
-            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
-        if not isinstance(self.limits, (Scaled, Bounded, NoneType)):
-            raise errors.fail("limits", "be None, velocity_scaling() or bounded()", f"is {self.limits!r}")
-        if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
-            raise undamped(self.inverse)
-        if not isinstance(self.null_velocity, (Posture, NoneType)):
-            raise errors.fail("null_velocity", "be None or posture(...)", f"is {self.null_velocity!r}")
-        if self.null_velocity is not None and np.shape(self.null_velocity.rest) != (n,):
-            has = f"has shape {np.shape(self.null_velocity.rest)}"
-            raise errors.fail("rest", f"have shape ({n},), a value of each joint", has)
+            checked["error_clamp"] = clamp = errors.array("error_clamp", self.error_clamp, (2,))
+            if errors.concrete(clamp) and not np.all(np.asarray(clamp) > 0):
+                raise errors.fail("error_clamp", "be positive", f"is {np.asarray(clamp).tolist()}")
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self):
         lines = [f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"]
@@ -113,20 +107,18 @@ class Law:
                 lines.append(f"  {name} {brief(getattr(self, name))}")
         return "\n".join(lines)
 
-    def _repr_html_(self):
-        """For notebooks: its sentence and its parts."""
-        sentence, *lines = repr(self).splitlines()
-        rows = [line.strip().partition(" ")[::2] for line in lines[2:]]
-        parts = [("task", brief(self.task)), ("chain", brief(self.chain)), *rows]
-        return f"<p>{markup.escaped(sentence)}</p>{markup.table((), parts, left=2)}"
 
-
-def of_tasks(task: Task, values: dict):
-    """Return the gains (m,) of a stack's coordinates from those of its tasks, by name."""
-    task.require_each("alpha", "have a gain for each task", values)
-    sizes = {name: at.stop - at.start for name, at in task.each}
-    gains = [errors.array(f"alpha[{name!r}]", values[name], (), (m,)) * np.ones(m) for name, m in sizes.items()]
-    return (np if all(map(errors.concrete, gains)) else jnp).concatenate(gains)
+def _gains(task: Task, alpha):
+    """Return the checked gain, () or (m,), from a number, one per coordinate, or {name of a stack's task: gain}."""
+    if isinstance(alpha, dict):
+        task.require_each("alpha", "have a gain for each task", alpha)
+        sizes = {name: at.stop - at.start for name, at in task.each}
+        each = [errors.array(f"alpha[{name!r}]", alpha[name], (), (m,)) * np.ones(m) for name, m in sizes.items()]
+        alpha = (np if all(map(errors.concrete, each)) else jnp).concatenate(each)
+    alpha = errors.array("alpha", alpha, (), (task.m,))
+    if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
+        raise errors.fail("alpha", "not be negative", f"is {np.min(alpha):g}")
+    return alpha
 
 
 def check_loop(law, *references) -> None:
@@ -151,51 +143,51 @@ class Evaluation(NamedTuple):
     walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
-def evaluate(law: Law, reference, t, q) -> Evaluation:
-    """f(q, t) for q (n,), of a law whose chain is a `Model`."""
-    return evaluate_at(law, q, observe(law, reference, t, q))
+def evaluate(law: Law, reference, t, q, offset=None) -> Evaluation:
+    """Return f(q, t) for q (n,), of a law whose chain is a `Model`. Args: offset: see `observe`."""
+    return evaluate_at(law, q, observe(law, reference, t, q, offset))
 
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
-    """f at q, from an observation there."""
+    """Return f at q, from an observation there."""
     task_velocity = law.feedforward * at.xdot_d + law.alpha * clamped(law, at.e)
     return resolve(law, q, at, task_velocity, null_velocity(law, q))
 
 
 @precise
 def resolve(law: Law, q, at, velocity, null) -> Evaluation:
-    """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
+    """Return J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity v (m,) and a pull q̇₀ (n,) or None."""
     task, inverse = law.task, law.inverse
     rows, velocity = weighted(task, at.rows), weighted(task, velocity)
     if getattr(inverse, "by_error", False):
         inverse = replace(inverse, e=weighted(task, at.e))
     if law.limits is None:
-        made = inverse(rows)
-        qdot = through(made.apply, rows, velocity, null)
+        factored = inverse(rows)
+        moved = Limited(through(factored.apply, rows, velocity, null), factored)
     else:
-        made = law.limits(inverse, law.chain, q, rows, velocity, null)
-        qdot = made.qdot
+        moved = law.limits(inverse, law.chain, q, rows, velocity, null)
+        factored = moved.factored
     return Evaluation(
-        qdot=qdot,
+        qdot=moved.qdot,
         e=at.e,
         x=at.x,
         rows=rows,
-        apply=made.apply,
-        least=made.least if not task.tasks else least_of_tasks(task, at.rows),
-        newton=lambda h, k: newton(law, rows, made, velocity, qdot, h, k),
-        limited=getattr(made, "limited", False),
-        cut=getattr(made, "cut", False),
-        walls=getattr(made, "walls", None),
+        apply=factored.apply,
+        least=least_of_tasks(task, at.rows) if task.tasks else factored.least,
+        newton=lambda h, k: newton(law, rows, factored, velocity, moved.qdot, h, k),
+        limited=moved.limited,
+        cut=moved.cut,
+        walls=moved.walls,
     )
 
 
 def least_of_tasks(task: Task, rows):
-    """(tasks,) least singular value of each task's own rows: a conflict between tasks is no singularity."""
+    """Return (tasks,) the least singular value of each task's rows: a conflict between tasks is no singularity."""
     return jnp.stack([least_of(rows[at]) for _, at in task.each])
 
 
 def metric(law: Law):
-    """Factor of each coordinate's error, at most 1: its weight over the damping of its level.
+    """Return a factor of each coordinate's error, at most 1: its weight over the damping of its level.
 
     In the norm of errors scaled in this way, the error of a loop with one gain for all tasks never grows, even if the
     tasks conflict.
@@ -215,18 +207,19 @@ class Observation(NamedTuple):
     x: Callable | None = None  # x(): task coordinates (m,)
     xdot_d: Float[Array, " m"] | None = None
     aims: tuple[Array, ...] = ()  # the targets, of each part of the task
-    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for parts in a tip's own frame
+    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for functions of the target
 
 
 @precise
-def observe(law: Law, reference, t, q) -> Observation:
-    """The law's full observation at q and t."""
+def observe(law: Law, reference, t, q, offset=None) -> Observation:
+    """Observe the robot at q, and the target at t. Args: offset: (m,) what a measurement adds to the error, or None."""
     aims, motion = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
+    e = error(task, robot, aims)
     return Observation(
         rows=rows(task, robot, aims),
         robot=robot,
-        e=error(task, robot, aims),
+        e=e if offset is None else e + offset,
         x=lambda: coordinates(task, robot),
         xdot_d=velocity(task, robot, aims, motion),
         aims=aims,
@@ -236,13 +229,13 @@ def observe(law: Law, reference, t, q) -> Observation:
 
 @precise
 def rows_at(law: Law, q, aims=None) -> Observation:
-    """An observation of the rows of J only."""
+    """Observe the rows of J only."""
     robot = At(modelled(law.chain), q)
     return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
-def newton(law: Law, rows, made, velocity, f, h, k):
-    """k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
+def newton(law: Law, rows, factored, velocity, f, h, k):
+    """Return k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: a Newton step of an implicit stage, at any gain.
 
     With the weighted rows B = WJ, A = B# and a posture's rate r, the slope is −A K B − r (I − A B). With s = 1 + h r
     and C = (h/s)(K − r), the push-through identity (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s leaves an m×m
@@ -254,25 +247,20 @@ def newton(law: Law, rows, made, velocity, f, h, k):
     """
     exact, posture = isinstance(law.inverse, Pseudoinverse), law.null_velocity
     plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
-    if plain and (exact or made.shift is not None):
+    if plain and (exact or factored.shift is not None):
         t = 1.0 / (1.0 + h * law.alpha)
-        apply = made.apply if exact else damped_apply(rows, t * made.shift)[0]
+        apply = factored.apply if exact else damped_apply(rows, t * factored.shift)[0]
         return apply(t * velocity + (1.0 - t) * (rows @ k))
     rate = 0.0 if posture is None else posture.rate
     s = 1.0 + h * rate
-    gains, change = h / s * (gains_of(law) - rate), (f - k) / s
-    inverse = jax.vmap(made.apply, out_axes=1)(jnp.eye(len(rows), dtype=rows.dtype))
+    gains, change = h / s * (jnp.broadcast_to(law.alpha, len(rows)) - rate), (f - k) / s
+    inverse = jax.vmap(factored.apply, out_axes=1)(jnp.eye(len(rows), dtype=rows.dtype))
     system = dense.shifted(gains[:, None] * (rows @ inverse), 1.0)
-    return k + change - made.apply(jnp.linalg.solve(system, gains * (rows @ change)))
-
-
-def gains_of(law):
-    """Return the gain of each task coordinate (m,)."""
-    return jnp.broadcast_to(law.alpha, (law.task.m,))
+    return k + change - factored.apply(jnp.linalg.solve(system, gains * (rows @ change)))
 
 
 def clamped(law: Law, e):
-    """The error that the gain multiplies: position and orientation parts shortened to `error_clamp` (Buss & Kim 2005).
+    """Return the error that the gain multiplies: lengths and angles shortened to `error_clamp` (Buss & Kim 2005).
 
     Of a part with both, as joints may be, what is in rad and what is not is shortened separately.
 
@@ -281,16 +269,16 @@ def clamped(law: Law, e):
     """
     if law.error_clamp is None:
         return e
-    found = []
+    parts = []
     for part, where in zip(law.task.parts, law.task.slices, strict=True):
-        turns = np.array([unit == "rad" for unit in part.units])
-        several = ((those, law.error_clamp[i]) for i, those in enumerate((~turns, turns)) if those.any())
-        found.append(sum(_shortened(jnp.where(those, e[where], 0.0), limit) for those, limit in several))
-    return jnp.concatenate(found)
+        angles = np.array([unit == "rad" for unit in part.units])
+        kinds = ((which, law.error_clamp[i]) for i, which in enumerate((~angles, angles)) if which.any())
+        parts.append(sum(_shortened(jnp.where(which, e[where], 0.0), limit) for which, limit in kinds))
+    return jnp.concatenate(parts)
 
 
 def _shortened(e, limit):
-    """A vector of at most this length."""
+    """Return the vector, at most as long as this."""
     return limit / jnp.maximum(safe_norm(e), limit) * e
 
 
@@ -301,5 +289,5 @@ def null_velocity(law: Law, q):
 
 
 def weighted(task: Task, items):
-    """Rows (m, n) or components (m,) times the task's weights: the input of J#."""
+    """Return rows (m, n) or components (m,) times the task's weights: the input of J#."""
     return items if task.weights is None else (task.weights * items.T).T

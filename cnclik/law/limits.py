@@ -6,7 +6,6 @@ null-space velocity, and returns a `Limited`. `bounded` has a module of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.inverse import through
+from cnclik.law.inverse import Factored, through
 from cnclik.record import Array, Bool, Float, Number, leaf, record
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
@@ -24,9 +23,8 @@ class Limited(NamedTuple):
     """Joint velocities within limits."""
 
     qdot: Float[Array, " n"]
-    apply: Callable  # applies the J# that holds at these velocities
-    least: Float[Array, ""]  # estimate of the least singular value of J
-    limited: bool | Bool[Array, ""]  # whether a limit changed the velocities
+    factored: Factored  # J#, whose `apply` is that of these velocities
+    limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
     cut: bool | Bool[Array, ""] = False  # whether the search was cut short
     walls: Float[Array, " k"] | None = None  # ∇h·q̇ + rate·h of each wall, see `cnclik.law.walls`
 
@@ -43,11 +41,11 @@ class Scaled:
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
         factored = inverse(rows)
         qdot, limited = slowed(chain, through(factored.apply, rows, velocity, null))
-        return Limited(qdot=qdot, apply=factored.apply, least=factored.least, limited=limited)
+        return Limited(qdot, factored, limited)
 
 
 def velocity_scaling() -> Scaled:
-    """All joint velocities times s = min(1, minᵢ Vᵢ/|q̇ᵢ|): the robot moves in the same direction, more slowly.
+    """Scale all joint velocities by s = min(1, minᵢ Vᵢ/|q̇ᵢ|): the robot moves in the same direction, more slowly.
 
     V are the chain's velocity limits; the task velocity is scaled by the same s (Chiacchio, Chiaverini, Sciavicco &
     Siciliano 1991). Position limits are ignored.
@@ -56,7 +54,7 @@ def velocity_scaling() -> Scaled:
 
 
 def slowed(chain, qdot):
-    """The velocities scaled to the slowest joint, and whether this changed them."""
+    """Return the velocities scaled to the slowest joint, and whether this changed them."""
     if not chain.slowed:
         return qdot, False
     size, most = jnp.abs(qdot), chain.velocity_limit
@@ -68,7 +66,7 @@ def slowed(chain, qdot):
 
 
 def bounds(rate, chain, q):
-    """The least and largest velocities that the joints may have: ±V, and rate · (limit − q)."""
+    """Return the least and largest velocities that the joints may have: ±V, and rate · (limit − q)."""
     most = jnp.minimum(chain.velocity_limit, FAR)
 
     def bound(limit, unlimited):
@@ -79,7 +77,7 @@ def bounds(rate, chain, q):
 
 
 def exponential_rate(alpha: Number, Ts: Number) -> Number:
-    """(1 − exp(−α Ts))/Ts, the rate that does over a step of Ts what α does in continuous time; never above 1/Ts.
+    """Return (1 − exp(−α Ts))/Ts, the rate that does over a step of Ts what α does in continuous time; at most 1/Ts.
 
     As a rate of limits or walls it takes none past its limit, however large α·Ts is.
 

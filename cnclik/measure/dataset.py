@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-@errors.renamed(trajectory="run")
 @of_numbers
 def to_dataset(
     run: Trajectory,

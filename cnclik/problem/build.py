@@ -7,11 +7,12 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.driven import white_noise
 from cnclik.integrate.method import Method, named
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
@@ -24,7 +25,7 @@ from cnclik.problem.magnitudes import check_units
 from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
-from cnclik.record import AnyArray, ArrayLike, Float, Number
+from cnclik.record import AnyArray, Float, Number
 from cnclik.robot.chain import Chain
 
 LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
@@ -49,7 +50,7 @@ class Problem:
     method: Method
     stage: Stage
     drive: Drive | None = None
-    noise: ArrayLike | None = None
+    noise: AnyArray | None = None
     seed: int = 0
     tip: str = ""
     tables: Mapping[str, Mapping[str, Any]] | None = None
@@ -63,15 +64,20 @@ class Problem:
         """(law, reference, q0, Ts, N, method, stage), as `solve` takes them."""
         return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
 
-    def run(self) -> Trajectory:
-        """Run the loop on its robot: with its drives and noise."""
-        noise = None if self.noise is None else white_noise(self.noise, self.N, self.law.task.m, self.seed)
-        return simulate(*self.loop, drive=self.drive, noise=noise)
+    def run(self, draws: Float[AnyArray, "N m"] | None = None) -> Trajectory:
+        """Run the loop on its robot: with its drives and noise.
 
-    @property
-    def alone(self) -> bool:
-        """Whether the robot does exactly what the law asks for: no drives, no noise."""
-        return self.noise is None and (self.drive is None or self.drive.prompt)
+        Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
+        """
+        return solve(*self.loop, drive=self.drive, noise=self.drawn(draws))
+
+    def drawn(self, draws=None) -> Float[AnyArray, "N m"] | None:
+        """Return the noise of the measured error; None without noise. Args: draws: as for `run`."""
+        if self.noise is None:
+            return None
+        if draws is None:
+            draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
+        return self.noise * draws
 
 
 def problem_from(
@@ -118,7 +124,6 @@ def problem_from(
     check_units(chain, task, written)
     law = _law(chain, task, v, Ts, stack)
     q0 = names.start_from(chain, task, v["q0"])
-    seed = errors.seed(given.get("seed", 0))
     begin = errors.one_of("begin", v["begin"], BEGINS)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     if stack is None:
@@ -138,8 +143,8 @@ def problem_from(
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
         drive=drive_from(given, chain),
-        noise=v["noise"],
-        seed=seed,
+        noise=_noise(v["noise"], task.m),
+        seed=errors.seed(given.get("seed", 0)),
         **{} if stack is None else {"tables": _as_given(stack.tasks), "walls": _as_given(stack.walls) or None},
     )
 
@@ -176,6 +181,16 @@ def drive_from(given, chain=None) -> Drive | None:
     if "damping_ratio" in made and "natural_frequency" not in made:
         raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
     return Drive(**made) if made else None
+
+
+def _noise(sigma, m):
+    """The standard deviation of the measured error, checked; an array."""
+    if sigma is None:
+        return None
+    sigma = errors.array("noise", sigma, (), (1,), (m,))
+    if errors.concrete(sigma) and (sigma < 0).any():
+        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
+    return sigma
 
 
 def _per_joint(chain, given, names) -> dict:

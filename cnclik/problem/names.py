@@ -138,7 +138,7 @@ def task_from(text, chain: Chain | None = None, **of) -> Task:
     On a planar arm the three words mean its plane: xy with rz, xy, rz. The default is `pose` if the chain has
     the joints for it, else `position`.
 
-    Args: of: `tip`, `relative_to`, `frame` and `weights`, as `cnclik.pose` takes them.
+    Args: of: `tip`, `relative_to` and `weights`, as `cnclik.pose` takes them.
     """
     if isinstance(text, Task):
         return text
@@ -248,7 +248,7 @@ def inverse_from(name=None, damping=None, threshold=None):
     Args:
       name: the default is damped if `damping` is given, else pseudoinverse.
       damping: λ of the damped ones (never λ²).
-      threshold: manipulability or least singular value below which the last two are damped.
+      threshold: least singular value below which singular-damped is damped.
     """
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"

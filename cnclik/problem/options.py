@@ -19,7 +19,7 @@ class Option(NamedTuple):
     kind: str  # NAME, NAMES, NUMBER, NUMBERS, INTEGER or TABLES
     help: str
     default: Any = None
-    unit: str = "1"  # or "q": unit of the joints; "J", "w", "x": unit of a singular value, a threshold, a point
+    unit: str = "1"  # or "q": unit of the joints; "J", "x": unit of a singular value, a point
     must: str = ""  # condition on each number: a key of `_FITS`
 
 
@@ -70,8 +70,8 @@ OPTIONS = {
     "inverse": Option(NAME, f"Inverse of the Jacobian: {_listed(words.INVERSES)}. Default: pseudoinverse, or damped "
                       "where --damping is given."),
     "damping": Option(NUMBER, "Damping λ (not λ²) of the damped inverses.", unit="J", must="positive"),
-    "threshold": Option(NUMBER, "Manipulability (manipulability-damped) or least singular value (singular-damped) "
-                        "below which the inverse is damped.", unit="w", must="positive"),
+    "threshold": Option(NUMBER, "singular-damped: least singular value of the Jacobian below which the inverse is "
+                        "damped.", unit="J", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(words.LIMITS)}.", "none"),
     "limit_rate": Option(NUMBER, "bounded: rate at which a joint may approach its limit [1/s]; default: 1/Ts, at most "
                          "10.", unit="1/s", must="positive"),
@@ -128,7 +128,6 @@ OF_TASK = {  # one task of a stack: a table in the stack's file
     "tip": Option(NAMES, "The tip; several names make the same task for each."),
     "relative_to": Option(NAME, "Tip in whose frame the task is expressed, and relative to which it moves; default: "
                           "the base."),
-    "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(words.FRAMES)}. Default: base."),
     "joints": Option(NAMES, "joints: names of the joints; default: all."),
     "axes": Option(NAME, "center_of_mass: letters of xyz, such as xy for balance; default: all."),
     "weights": Option(NUMBERS, "Least-squares weights: one, or one per coordinate (of each tip).", must="positive"),
@@ -151,7 +150,6 @@ OF_WALL = {  # one wall of a stack: a table in the stack's file
     "margin": Option(NUMBER, "Additional distance from the bound [rad, m].", unit="q", must="at least 0"),
     "rate": Option(NUMBER, "Rate at which the wall may be approached [1/s]; default: --limit-rate.", unit="1/s",
                    must="positive"),
-    "level": Option(INTEGER, "1, or 2 for a wall that gives way where walls contradict; default: 1.", must="positive"),
 }  # fmt: skip
 OF_SHAPE = {  # a point, a sphere, a capsule, or a half-space
     "tip": Option(NAME, "Tip that carries the shape; without one it is fixed in the base frame."),
@@ -215,17 +213,12 @@ def units(law, task, width=None) -> dict:
     Args:
       width: number of values of a point; those after the position are a quaternion's, without unit.
     """
-    from cnclik.law.inverse import ManipulabilityDamped  # imported here, as the table is read without JAX
-
-    power = len(task.lengths)
-    point = ["m"] if power else []
+    length = bool(task.lengths)
+    point = ["m"] if length else []
     if not point or (task.angles and (width or 0) > 3):
         point.append("1")
-    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
-    known["w"] = known["J"]
+    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if length else "1", "x": ", ".join(point)}
     known |= {
         f"q/{time}": ", ".join(f"{u}/{time}" for u in dict.fromkeys(law.chain.units)) for time in ("s", "s²", "s³")
     }
-    if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
-        known["w"] = f"m^{power}"
     return {name: known.get(option.unit, option.unit) for name, option in SWEPT.items() if option.kind != NAME}

@@ -86,7 +86,7 @@ def _given(args, chain, task):
         return _random(args, chain, task)
     each = []
     for k, aim in enumerate(every):
-        own, several = Task(parts=tuple(part.of_target() for part in aim.parts)), len(every) > 1
+        own, several = Task(parts=tuple(replace(part, tip=None, to=None) for part in aim.parts)), len(every) > 1
         names = {"number": k, "tip": (aim.label, aim.path[-1])} if several else {}
         each.append(read_targets(file, own, **names))
         if aim.linear and aim.to is None:

@@ -36,13 +36,10 @@ ROBOTS = {
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
-FRAMES = ("base", "tip")
 STACKED = (*TASKS, "joints", "center_of_mass")  # kinds of task in a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),
     "damped": Takes("law.inverse:damped", needs=("damping",)),
-    "transpose": Takes("law.inverse:transpose"),
-    "manipulability-damped": Takes("law.inverse:manipulability_damped", needs=("damping", "threshold")),
     "singular-damped": Takes("law.inverse:singular_damped", needs=("damping", "threshold")),
 }
 LIMITS = {  # `rate` [1/s]: how quickly a joint may near its limit

@@ -84,9 +84,9 @@ class Asked:
         """Which targets (..., t) are farther from the first joint than the stretched arm is long."""
         far = xp.zeros(pose.shape[:-1], bool)
         for k, aim in enumerate(aims(self.task)):
-            if aim.placed and aim.to is None:
-                at, number = pose[..., WIDTH * k + np.array(aim.placed)], self.chain.tip_number(aim.tip)
-                far = far | (beyond_arm(self.chain, at, aim.placed, xp, number) > self.tolerance[0])
+            if aim.linear and aim.to is None:
+                at, number = pose[..., WIDTH * k + np.array(aim.linear)], self.chain.tip_number(aim.tip)
+                far = far | (beyond_arm(self.chain, at, aim.linear, xp, number) > self.tolerance[0])
         return far
 
     def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:

@@ -115,9 +115,8 @@ class Reached:
 def _missed(aim, target, position, rotation) -> Missed:
     """Errors of positions (..., 3) and rotations (..., 3, 3) of a tip."""
     away, turn = target[..., :3] - position, target[..., 3:].reshape(*target.shape[:-1], 3, 3)
-    away = ((away[..., None, :] @ rotation)[..., 0, :] if aim.own[0] else away)[..., np.array(aim.linear, int)]
-    turn = rotation.mT @ turn if aim.own[1] else turn @ rotation.mT
-    chord = 2 * np.linalg.norm(poses.quaternions(turn)[..., 1:][..., np.array(aim.angular, int)], axis=-1)
+    away = away[..., np.array(aim.linear, int)]
+    chord = 2 * np.linalg.norm(poses.quaternions(turn @ rotation.mT)[..., 1:][..., np.array(aim.angular, int)], axis=-1)
     return Missed(np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
 
 

@@ -108,7 +108,7 @@ def _compared(chain, task):
     robot, scale = At(modelled(chain), seeds(chain).postures), 1.0 / arm_length(chain)
     features, factors = [], []
     for aim in aims(task):
-        near = aim.placed or (0, 1, 2) * bool(aim.linear)
+        near = aim.linear
         counts = np.array([i in near for i in range(3)] + [bool(aim.angular)] * 9, float)
         turned = TURN * robot.rotation(aim.tip, aim.to).reshape(-1, 9)
         tips = counts * np.concatenate([robot.position(aim.tip, aim.to) * scale, turned], axis=1)

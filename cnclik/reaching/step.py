@@ -112,7 +112,7 @@ def _look(chain, task, q, target, roots):
     """The error, the rows of J, the error's squares, and the error by its weights' roots, as the rows are."""
     at = At(chain, q)
     each = [_error(part, at, aim) for part, aim in zip(task.parts, target, strict=True)]
-    j = rows(task, at, target if task.tied else None)
+    j = rows(task, at)
     e, squares = jnp.concatenate(each), _squares(task, each)
     if roots is None:
         return e, j, squares, e
@@ -123,8 +123,7 @@ def _error(part, at, aim):
     """The error of a part; that of a rotation as a chord."""
     if not part.turns:
         return part.error(at, aim)
-    turn, back = aim, at.rotation(part.tip, part.to).T
-    return 2.0 * quaternion_from_rotation(back @ turn if part.tied else turn @ back)[1:][places(part.axes)]
+    return 2.0 * quaternion_from_rotation(aim @ at.rotation(part.tip, part.to).T)[1:][places(part.axes)]
 
 
 def _squares(task, each):

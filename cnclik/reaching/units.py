@@ -72,7 +72,7 @@ def inward(asked, pose, near, xp=np):
     if asked.unit != 1.0:
         pose = pose * xp.asarray(([1.0 / asked.unit] * 3 + [1.0] * 9) * len(every), pose.dtype)
         near = None if near is None else near / xp.asarray(of_joints(asked.chain, asked.unit), near.dtype)
-    if not any(aim.placed for aim in every) or (xp is np and _is_close(pose)):
+    if not any(aim.linear for aim in every) or (xp is np and _is_close(pose)):
         return pose, near, None
     parts, moved = [], []
     for k, aim in enumerate(every):
@@ -84,13 +84,13 @@ def inward(asked, pose, near, xp=np):
 
 def _nearer(chain, aim, where, xp):
     """The positions (B, 3) of an aim, those nearer that are too far off, and by how much (B,)."""
-    if not aim.placed:
+    if not aim.linear:
         return where, xp.zeros(len(where), where.dtype)
     first = xp.stack(chain.joints[aim.way(chain)[0]].origin.position if aim.to is None else [0.0] * 3)
     first = first.astype(where.dtype)
     away = where - first
     counts = jax.lax.stop_gradient(away) if xp is not np else away
-    counts = counts[:, np.array(aim.placed)]
+    counts = counts[:, np.array(aim.linear)]
     most = xp.max(xp.abs(counts), axis=1)
     shrink = xp.where(most > FAR, FAR / xp.maximum(most, FAR), 1.0)[:, None]
     length = most * xp.sqrt(xp.sum((counts / xp.maximum(most, 1.0)[:, None]) ** 2, axis=1))

@@ -7,7 +7,6 @@ from matplotlib.patches import Patch
 
 from cnclik.measure.outcome import Ending
 from cnclik.show import style
-from cnclik.show.sweeps.panels import geometric
 
 RATES = ListedColormap(plt.get_cmap("viridis")(np.linspace(0.25, 1.0, 256)), "rates")
 # Lighter or darker than every rate, or hatched, so that greyscale separates them.
@@ -68,7 +67,7 @@ def stability_map(data, *, title="", operating=None):
     _legend(figure, [data], columns=3)
     axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
     for values, ticks in ((data.alpha, axis.xaxis), (data.Ts, axis.yaxis)):
-        if geometric(values.values):
+        if style.geometric(values.values):
             style.log_scale(ticks, values)
     finite = np.isfinite(data.limit.values)
     axis.plot(data.limit.values[finite], data.Ts.values[finite], **style.OUTLINED)

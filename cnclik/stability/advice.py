@@ -110,11 +110,8 @@ def advise(
     """
     errors.kind("law", law, Law)
     rates = rates_of(law)
-    if (
-        drive is not None
-        and len(check_drive(drive, law.chain).joints) > 1
-        and len({one[2] for one in rates} - {0.0}) > 1
-    ):
+    several = {one[2] for one in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
+    if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1:
         must = (
             "be the same for all joints where gains differ: no limit holds at every posture. Use one gain for all "
             "tasks, posture and limits, or give the fast joints the slow joints' lag"

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, check_drive, moving
+from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
@@ -76,8 +76,9 @@ def outcomes(
     factor, time = flat(alpha) / largest, flat(Ts)
     # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
     times, which = np.unique(time, return_inverse=True)
-    models = jax.tree.map(lambda *each: np.stack(each), *(moving(drive, float(T)) for T in times))
-    models = jax.tree.map(lambda each: each[which], models)
+    models = None
+    if not drive.prompt:
+        models = jax.tree.map(lambda *each: np.stack(each)[which], *(sampled(drive, float(T)) for T in times))
     start = flat(q0, tail=q0.shape[-1:])
     if M is not None:
         M = flat(M, int)

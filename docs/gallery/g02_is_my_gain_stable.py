@@ -29,4 +29,4 @@ panel.legend(ncols=2)
 # %%
 # The same in numbers, for the whole loop of any robot:
 
-print(ck.recommend(ck.Law(arm, ck.position("xy"), alpha=5.0), None, q0, Ts=Ts, method="EE"))
+print(ck.gains(Ts=Ts, drive=ck.Drive(), method="EE"))

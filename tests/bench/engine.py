@@ -117,7 +117,6 @@ ROWS = [
     end("velocity scaling", of=lambda: case(limits=ck.velocity_scaling())),
     end("posture, J#", of=lambda: case(inverse=ck.pseudoinverse(), null_velocity=ck.posture(case().posture))),
     row("drive of two samples and a lag", solved(last, drive=ck.Drive(**DRIVEN)), FEW, STEPS),
-    row("the same, noisy", solved(last, drive=ck.Drive(**DRIVEN, joint_noise=1e-4)), FEW, STEPS),
     row("EE, solve(...).q[-1]", solved(last), FEW, STEPS),
     row("EE, q of all instants", solved(lambda run: run.q), FEW, STEPS),
     row("EE, the whole record", solved(lambda run: run), FEW, STEPS),

@@ -23,7 +23,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik import markup
 from cnclik.engine.compiler import build, opened
 from cnclik.measure.files import markdown
 from cnclik.record import on_device
@@ -154,7 +153,7 @@ def histogram(calls):
     calls = np.asarray(calls)
     fig, axes = plt.subplots(figsize=(style.PAGE, 2.4))
     edges = np.geomspace(max(calls.min(), 1) * 0.95, calls.max() * 1.05, 120)
-    axes.hist(calls / 1e3, bins=edges / 1e3, color=markup.BLUE)
+    axes.hist(calls / 1e3, bins=edges / 1e3, color=style.BLUE)
     middle = np.median(calls) / 1e3
     marks = ((middle, "median", "right"), (np.percentile(calls, 99.9) / 1e3, "99.9 %", "left"))
     for value, word, side in (*marks, (calls.max() / 1e3, "worst", "right")):

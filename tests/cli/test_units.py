@@ -45,8 +45,7 @@ NUMBERS = [  # verb, arguments, option, values
     (reach, "--random 1 --near 0 90 deg --jump 30deg", "jump", math.radians(30)),
     (stability, "--speed 100mm/s", "speed", 0.1),
     (stability, "--Ts-range 1 10 ms", "Ts_range", (1e-3, 1e-2)),
-    (tune, "--velocity-limit 90deg/s", "velocity_limit", math.pi / 2),
-    (tune, "--Ts 4ms --delay-margin 6ms", "delay_margin", 1.5),
+    (tune, "--velocity-limit 90deg/s", "velocity_limit", (math.pi / 2,)),
     (diagnose, "--Ts 2ms", "Ts", 2e-3),
 ]
 

@@ -82,21 +82,6 @@ def test_names_are_words_of_c():
     assert step.names[1:7:2] == ("left_hand_position", "left_hand_1_position", "task_2_values")
 
 
-@NEEDS_C
-def test_a_target_in_the_tips_own_frame_is_given_as_in_the_base():
-    """Three coordinates and velocities of each, whatever axes count."""
-    task = ck.stack(drill=ck.pose("x", "z", tip=LEFT, frame="tip"), rest=ck.joints())
-    law = ck.Law(ROBOT, task, alpha=8.0, inverse=ck.damped({"drill": 0.01, "rest": 0.3}))
-    step, held = native(law, method="EXP-EE"), ck.hold_at(ROBOT, task, Q)
-    where, v = held["drill"].curve, np.array([0.1, -0.2, 0.0, 0.0, 0.0, 0.3])
-    moving = ck.with_feedforward(ck.causal(held["drill"]), v)
-    targets = {"drill_position": where.position, "drill_rotation": where.rotation, "drill_velocity": v}
-    found = step(Q + 0.1, Ts=0.01, rest_values=held["rest"].curve.position, **targets)
-    made = ck.step(law, ck.references(drill=moving, rest=held["rest"]), Q + 0.1, 0.0, 0.01, "EXP-EE")
-    close(found.qdot, made.qdot, atol=1e-9)
-    close(found.e, made.e, atol=1e-12)
-
-
 def test_walls_and_balance_are_described():
     """Each parameter has a meaning, and the configuration is whole: a mark that is no ASCII became a "?"."""
     robot, (left, right) = ck.load_urdf(BAXTER, tips=GRIPPERS), GRIPPERS

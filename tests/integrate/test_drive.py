@@ -11,7 +11,6 @@ import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.integrate import drive as drives
 from cnclik.integrate.drive import Drive, sampled
-from cnclik.integrate.driven import white_noise
 from cnclik.problem import words
 from tests.oracles import close, discrete
 
@@ -20,6 +19,7 @@ ARM = ck.planar_arm([1.0, 0.8])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 Q = np.array([0.3, 1.1])
 TARGET = np.asarray(ck.forward(ARM, Q).position)[:2] + np.array([0.05, -0.04])
+SLIDER = ck.from_screws([[0.0] * 3], [[1.0, 0, 0]], [0.0, 0.0, 0.0], kinds="P")
 SERVO = dict(natural_frequency=30.0, damping_ratio=0.4)
 
 
@@ -147,36 +147,45 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
     worst = [float(np.abs(run.e).max()) for run in runs]
     assert worst[1] < 3 * worst[0] + 1e-9 and worst[2] > 0.005
     assert Drive(measurement_delay=4, delay=1.5).lumped.delay == 5.5
-    late = (Drive(measurement_delay=d, delay=4 - d) for d in (0, 3))
-    limits = [ck.gains(Ts=Ts, method="EE", drive=drive).largest_stable for drive in late]
+    with jax.ensure_compile_time_eval():
+        from cnclik.stability import driven_limits
+
+        limits = [driven_limits("EE", Ts=Ts, drive=Drive(measurement_delay=d, delay=4 - d)).stable for d in (0, 3)]
     assert limits[0] == limits[1]
     for share, settles in ((0.95, True), (1.05, False)):
-        law = ck.replace(LAW, alpha=share * limits[0])
+        law = ck.replace(LAW, alpha=share * limits[0] / Ts)
         e = ck.solve(law, ck.hold(start + np.array([1e-7, 0])), Q, Ts, 400, "EE", drive=Drive(measurement_delay=4)).e
         assert (np.abs(e[-20:]).max() < 1e-7) == settles
 
 
 def test_numbers_of_each_joint_may_be_a_list():
-    drives = [Drive(delay=1.0, lag=kind([0.01, 0.02])) for kind in (list, np.array)]
-    runs = [ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, drive=drive) for drive in drives]
+    runs = [
+        ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, drive=Drive(delay=1, lag=kind([0.01, 0.02])))
+        for kind in (list, np.array)
+    ]
     np.testing.assert_array_equal(*(run.q for run in runs))
 
 
-@pytest.mark.parametrize("smoothed", ["error", "command"])
-def test_a_filter_is_a_moving_average_from_rest(smoothed):
-    """A loop of explicit Euler written out, whose filtered error or command was 0 before the start."""
-    kept, q, mean, path = np.exp(-2 * np.pi * 3.0 * Ts), Q.copy(), np.zeros(2), []
-    for _ in range(25):
-        path.append(q)
-        e = TARGET - np.asarray(ck.forward(ARM, q).position)[:2]
-        inverse = np.linalg.inv(np.asarray(ck.jacobian(ARM, q))[:2])
-        new = e if smoothed == "error" else inverse @ (5.0 * e)
-        mean = kept * mean + (1 - kept) * new
-        q = q + Ts * (inverse @ (5.0 * mean) if smoothed == "error" else mean)
-    run = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 24, "EE", drive=Drive(cutoff=3.0, smoothed=smoothed))
-    np.testing.assert_allclose(run.q, path, atol=1e-13)
-    with pytest.raises(ArgumentError, match="`drive` must smooth the error or the command in a run"):
-        ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, drive=Drive(cutoff=3.0, smoothed="target"))
+@pytest.mark.parametrize(
+    "drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=["ideal", "late", "measured late"]
+)
+def test_noise_is_added_to_the_measured_error(drive):
+    """On a slider, whose loop is linear: q[k+1] = q[k] + z (1 − q + n)[k−d], and the noise is that of its own step."""
+    law, noise = ck.Law(SLIDER, ck.position("x"), alpha=10.0), np.sin(np.arange(30.0))[:, None]
+    run = ck.solve(law, ck.hold([1.0]), [0.0], Ts, 30, "EE", drive=drive, noise=noise)
+    command, measured = (0, 0) if drive is None else (int(drive.delay), drive.measurement_delay)
+    q = [0.0]
+    for k in range(30):
+        sent = k - command
+        q.append(q[k] + 0.2 * (1.0 - q[max(sent - measured, 0)] + noise[sent, 0]) * (sent >= 0))
+    close(run.q[:, 0], q, atol=1e-12)
+    close(run.e[:, 0], 1.0 - np.array(q), atol=1e-12)  # the true one
+    assert not np.any(run.status & ck.Status.GROWING)
+
+
+def test_noise_of_another_shape_is_refused():
+    with pytest.raises(ArgumentError, match=r"`noise` must have shape \(5, 2\)"):
+        ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, noise=np.zeros((4, 2)))
 
 
 @pytest.mark.slow
@@ -268,12 +277,3 @@ def test_exponentials_of_drives():
             drive = Drive(natural_frequency=w, damping_ratio=zeta)
             exact = np.array(mpmath.expm(mpmath.matrix(a), method="taylor").tolist(), float)
             np.testing.assert_allclose(sampled(drive, 1.0).phi, exact, atol=2e-14)
-
-
-def test_noise_of_a_seed_is_no_part_of_a_program():
-    """Drawn inside a sweep's program, 300 steps of it were 68,000 lines of C."""
-    wanted = white_noise(0.1, 5, 2, seed=3)
-    made = jax.make_jaxpr(lambda sigma: white_noise(sigma, 5, 2, seed=3))(0.1)
-    assert {e.primitive.name for e in made.eqns} <= {"mul", "convert_element_type", "broadcast_in_dim"}
-    np.testing.assert_allclose(jax.core.eval_jaxpr(made.jaxpr, made.consts, 0.1)[0], wanted, rtol=1e-12)
-    assert np.abs(white_noise(0.1, 5, 2, seed=4) - wanted).max() > 0.01

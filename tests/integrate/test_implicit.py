@@ -84,10 +84,8 @@ LAWS = {
     "weighted per axis": dict(alpha=GAIN, weights=jnp.array([1.0, 3.0])),
     "damped": dict(alpha=15.0, inverse=ck.damped(0.4)),
     "damped weighted": dict(alpha=15.0, inverse=ck.damped(0.4), weights=jnp.array([1.0, 3.0])),
-    "damped by manipulability": dict(alpha=15.0, inverse=ck.manipulability_damped(0.4, 50.0)),
     "damped by singular value": dict(alpha=15.0, inverse=ck.singular_damped(0.4, 20.0)),
     "damped weighted per axis": dict(alpha=GAIN, inverse=ck.damped(0.4), weights=jnp.array([1.0, 3.0])),
-    "transpose": dict(alpha=15.0, inverse=ck.transpose()),
     "null space": dict(alpha=GAIN, null_velocity=ck.posture(Q, 4.0)),
     "damped null space": dict(alpha=15.0, inverse=ck.damped(0.4), null_velocity=ck.posture(Q, 4.0)),
 }

@@ -60,12 +60,11 @@ def test_near_singular():
     assert run(target=HERE, method="EE", near_singular=least * 0.999).status[0] == S.OK
 
 
-@pytest.mark.parametrize("inverse", [ck.damped(0.05), ck.transpose()])
-def test_near_singular_with_other_inverses(inverse):
+def test_near_singular_with_damping():
     stretched = np.array([0.2, 1e-4])
-    bad = run(q=stretched, target=ck.hold([-0.3, 1.9]), method="EE", inverse=inverse, N=1)
+    bad = run(q=stretched, target=ck.hold([-0.3, 1.9]), method="EE", inverse=ck.damped(0.05), N=1)
     assert bad.status[0] == S.NEAR_SINGULAR and np.all(np.isfinite(bad.q))
-    assert run(method="EE", inverse=inverse).status[0] == S.OK
+    assert run(method="EE", inverse=ck.damped(0.05)).status[0] == S.OK
 
 
 def test_at_limit():
@@ -116,7 +115,7 @@ def test_a_loop_that_wanders_off_is_told_long_before_it_is_infinite():
         ck.require_ok(run)
 
 
-@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.05), ck.transpose()])
+@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.05)])
 def test_a_singular_value_that_is_no_number_is_not_well(inverse):
     made = jax.jit(lambda q: run(q=q, inverse=inverse, method="EE", N=1))(np.array([0.2, np.nan]))
     assert made.status[0] & S.NEAR_SINGULAR and made.status[0] & S.NON_FINITE

@@ -312,14 +312,13 @@ def test_the_lower_level_gives_way_first():
     assert np.max(missed / size) < 1e-4 < 0.05 < np.median(clipped / size)
 
 
-@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.transpose()])
-def test_an_inverse_without_damping_is_refused(inverse):
+def test_an_inverse_without_damping_is_refused():
     with pytest.raises(ck.ArgumentError, match=r"`inverse` must be damped with limits=bounded\(\), .*, but is "):
-        ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=inverse, limits=ck.bounded())
+        ck.Law(ck.panda(), ck.pose(), alpha=1.0, limits=ck.bounded())
 
 
 def test_an_inverse_of_ones_own_without_damping_is_refused():
-    law = ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=lambda rows: ck.transpose()(rows), limits=ck.bounded())
+    law = ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=lambda rows: ck.pseudoinverse()(rows), limits=ck.bounded())
     with pytest.raises(ck.ArgumentError, match="`inverse` must be damped"):
         ck.step(law, ck.hold([0.3, 0.0, 0.5], np.eye(3)), np.zeros(7), 0.0, 0.01, "EE")
 

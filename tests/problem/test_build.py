@@ -202,7 +202,7 @@ def test_bad_waypoint_files(tmp_path, text, told):
         ({"M": -1}, "M"),
         ({"stage": ck.picard(3), "M": 7}, "`M` must be left out"),
         ({"inverse": "damped"}, "damping"),
-        ({"inverse": "transpose", "damping": 0.1}, "damping"),
+        ({"inverse": "pseudoinverse", "damping": 0.1}, "damping"),
         ({"damping": 0}, "damping"),
         ({"inverse": "singular-damped", "damping": 0.1}, "`threshold` must be given"),
         ({"damping": 0.1, "threshold": 0.1}, "`threshold` must be left out"),

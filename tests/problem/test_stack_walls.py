@@ -37,7 +37,6 @@ distance = [{{ radius = 0.1, from = [0.5, 0, -1], to = [0.5, 0, 1] }}, {{ tip = 
 [walls.floor]
 distance = [{{ normal = [0, 0, 2], offset = "-0.4 m" }}, {{ tip = "left_lower_elbow", radius = "60 mm" }}]
 above = "20 mm"
-level = 2
 
 [walls.elbow]
 joints = "left_e1"
@@ -70,7 +69,6 @@ def test_a_file_has_the_walls_by_hand(file):
     law = ck.Law(TOGETHER, made.law.task, alpha=5.0, inverse=ck.damped(0.02), limits=ck.bounded(4.0, walls=walls))
     q = np.random.default_rng(0).uniform(-1, 1, (20, TOGETHER.n))
     assert made.law.limits.rate == 4.0 and [w.rate for w in made.law.limits.walls] == [None, 20.0, None, None, None]
-    assert [w.level for w in made.law.limits.walls] == [1, 1, 1, 2, 1]
     assert made.law.chain.joint_names == TOGETHER.joint_names and made.walls["floor"]["above"] == 0.02
     close(ck.wall_distance(made.law, q), ck.wall_distance(law, q), atol=1e-12)
     assert ck.wall_distance(law, q[0]).shape == (5,) and np.ptp(ck.wall_distance(law, q), axis=0).min() > 0.1
@@ -83,14 +81,13 @@ def test_corners_of_feet_are_walls_of_the_centre_of_mass():
         "relative_to": ELBOW,
         "margin": "10 mm",
         "rate": 7,
-        "level": 2,
     }
     made = ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table}).law
     by_hand = ck.support_polygon(corners, relative_to=ELBOW, margin=0.01, rate=7.0)
     law = ck.Law(TOGETHER, made.task, alpha=5.0, inverse=ck.damped(0.02), limits=ck.bounded(walls=by_hand))
     close(ck.wall_distance(made, q), ck.wall_distance(law, q), atol=1e-12)
     assert [one.name for one in made.limits.walls] == [f"soles_{i}" for i in (1, 2, 3, 4)]
-    assert all(one.rate == 7.0 and one.level == 2 for one in made.limits.walls)
+    assert all(one.rate == 7.0 for one in made.limits.walls)
     with pytest.raises(ck.ArgumentError, match=r"`walls` must have different names.* have 'soles_2' twice"):
         ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table, "soles_2": {"joints": "left_s0", "above": 0}})
     other = ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table | {"corners": corners}}).law

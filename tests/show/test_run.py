@@ -7,7 +7,6 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 
 import cnclik as ck
-from cnclik import markup
 from cnclik.measure import to_dataset
 from cnclik.show import run as pictures
 from cnclik.show import style
@@ -105,7 +104,7 @@ def test_what_is_lost_is_red_and_a_warning_amber():
     colors = [to_rgb(bars.get_facecolor()[0][:3]) for bars in shown.collections if len(bars.get_paths())]
     rows = ("at limit", "diverged")
     assert sorted(names.index(name) for name in rows) == [names.index(name) for name in rows]
-    assert colors == [to_rgb(color) for color in (markup.WARNING, markup.LOST)]
+    assert colors == [to_rgb(color) for color in (style.WARNING, style.LOST)]
 
 
 def test_status_has_a_row_for_every_bit():

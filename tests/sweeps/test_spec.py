@@ -207,7 +207,7 @@ def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_pa
     [
         ({"task": "xy"}, {"damping": [0.1]}, "m"),
         ({"task": "rz"}, {"damping": [0.1]}, "1"),
-        ({"task": "xy", "inverse": "manipulability-damped", "damping": 0.1}, {"threshold": [0.1]}, "m^2"),
+        ({"task": "xy", "inverse": "singular-damped", "damping": 0.1}, {"threshold": [0.1]}, "m"),
         ({"task": "xy"}, {"target": [[1.0, 1.0]]}, "m"),
         ({"task": "rz"}, {"target": [[1.0, 0, 0, 0]]}, "1"),
         ({"task": "xyrz"}, {"target": [[1.0, 1.0, 1.0, 0, 0, 0]]}, "m, 1"),
