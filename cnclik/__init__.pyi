@@ -5,14 +5,13 @@ from . import (
     problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )
-from .programs import use_cache as use_cache
+from .cache import use_cache as use_cache
 from .diagnosis.check import check_log as check_log
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
 from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
-from .hints import use_hints as use_hints
 from .integrate.drive import Drive as Drive
 from .integrate.lanes import lanes as lanes
 from .integrate.method import (

@@ -16,7 +16,7 @@ import cnclik
 
 PACKAGE = pathlib.Path(__file__).parents[1] / "cnclik"
 GROUND = (
-    *("errors", "record", "programs", "cache", "hints", "precision", "threads"),
+    *("errors", "record", "cache", "precision", "threads"),
     *("reading", "writing", "version", "quantities"),
 )
 BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone
@@ -205,7 +205,6 @@ ONCE = {  # what may stand in one place only, and where
     r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/rotations.py",
     r"np\.array2string\(": "record.py",
     r"\"\| ---|\| --- \|": "measure/files.py",
-    r"xla_backend_optimization_level": "hints.py",
 }
 
 

@@ -110,18 +110,12 @@ def _prepare(cache: bool) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from cnclik.programs import keep
+    from cnclik.cache import use_cache
 
-    place = None
     if cache:
-        from cnclik.programs import use_cache
-
-        place = use_cache()
+        use_cache()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
-    keep(
-        None if "JAX_COMPILATION_CACHE_DIR" in os.environ else place
-    )  # other programs may write into the folder that the variable names
 
 
 def _overview() -> str:

@@ -32,7 +32,6 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
 
 
 def run(args: Args) -> None:
-    from cnclik.engine.plan import called_once
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
     from cnclik.problem import heading
@@ -44,10 +43,9 @@ def run(args: Args) -> None:
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     config |= {} if made.tables is None else {"tasks": made.tables}
     config |= {} if made.walls is None else {"walls": made.walls}
-    with called_once(made.N):
-        trajectory, time_per_step, data, written, refused = _kept(made, args, config)
-        with progress.bar("verdict"):
-            judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
+    trajectory, time_per_step, data, written, refused = _kept(made, args, config)
+    with progress.bar("verdict"):
+        judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
@@ -101,13 +99,11 @@ def _march(made):
     """The trajectory, and the time per step without compiling, in words."""
     import jax
 
-    from cnclik.integrate.solve import ran_in_c
-
     trajectory = jax.block_until_ready(made.run())  # compiles
     begun = time.perf_counter()
     jax.block_until_ready(made.run())
     each = 1e6 * (time.perf_counter() - begun) / made.N
-    return trajectory, f"{plainly(each)} µs{'' if ran_in_c(made.N) else ' (by XLA, not C)'}"
+    return trajectory, f"{plainly(each)} µs"
 
 
 def _rows(data):

@@ -1,7 +1,6 @@
 """Compiler: the system's C compiler, or that of the Python package `ziglang` if it is installed."""
 
 import _ctypes
-import contextlib
 import ctypes
 import functools
 import hashlib
@@ -15,11 +14,9 @@ import shutil
 import signal
 import subprocess
 import tempfile
-import time
 import weakref
 
 from cnclik import errors
-from cnclik.programs import ENDING
 
 # For `build`. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
 # for a step with 33 joints and 51 rows. The code is as quick without it.
@@ -46,7 +43,6 @@ UNSAFE = (
 LONG = 20_000  # lines; longer programs are optimized less, as compile time grows faster than length
 LIMIT = 300.0  # [s] time limit of the compiler
 MOST_SECONDS = 120  # [s] the limit where XLA can run the function instead
-DAY = 86_400  # [s] that it is remembered: other work may have kept the compiler waiting
 
 # A shell that runs a command, and a watch that ends it with all its children if standard input closes first, as when
 # this process ends. The shell waits for the watch, which in a container would otherwise stay as a zombie.
@@ -139,7 +135,7 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     """(shared library of the engine's C text, named by its content; whether it existed already)
 
     Args: scheduled: whether the compiler may reorder the operations of a small program, which takes longer.
-    Raises: CompilerError; SlowCompilerError at once where the same compiler took too long less than a day ago.
+    Raises: CompilerError.
     """
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
     order = [SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED)
@@ -150,27 +146,10 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     folder.mkdir(parents=True, exist_ok=True)
     if (found := _kept(folder, name)) is not None:
         return found, True
-    about = os.stat(shutil.which(line[0]) or line[0])
-    limited = [*line, f"{about.st_mtime_ns}, {about.st_size} bytes, {MOST_SECONDS} s"]
-    refused = folder / f"slow-{_key(limited, [text.encode()])}{ENDING}"
-    if os.path.isfile(refused) and time.time() < refused.stat().st_mtime + DAY:
-        raise SlowCompilerError(f"nothing within {MOST_SECONDS:g} s")
     with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
         source = pathlib.Path(own, "lanes.c")
         source.write_text(text, encoding="utf-8")
-        try:
-            return _compiled(line, [source], folder, name, MOST_SECONDS), False
-        except SlowCompilerError:
-            with contextlib.suppress(OSError):  # then it is asked again
-                refused.touch()
-            raise
-
-
-def built(folder, name) -> pathlib.Path:
-    """The library of this name that `build_text` has built. Raises: CompilerError if it no longer exists."""
-    if not _whole(library := folder / name):
-        raise CompilerError(f"{name} is not there")
-    return library
+        return _compiled(line, [source], folder, name, MOST_SECONDS), False
 
 
 def _own_flags():

@@ -5,6 +5,7 @@ loops (`regions`). A primitive without a rule raises UnsupportedError, which nam
 """
 
 import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from cnclik.engine.operations import NAMES, check_dtype
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.stacks import Deep, Rows, is_cells
+from cnclik.engine.tracing import to_be_read
 
 LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
 LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole
@@ -163,25 +165,31 @@ def _keeps(eqn) -> bool:
     return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
 
 
-def closes_over_traced(closed) -> bool:
-    """Whether a closed jaxpr contains values of a surrounding trace."""
-    return any(isinstance(x, jax.core.Tracer) for x in closed.consts)
+class Trace(NamedTuple):
+    """A traced function: its closed jaxpr, None once it is read, and the shapes and the tree of its results."""
+
+    closed: Any
+    shapes: list
+    tree: Any
+    stays: bool  # where it is called: it has effects, or closes over values of a surrounding trace
 
 
-def read(fn, *avals, most=math.inf):
-    """(graph, input nodes, output values, (output leaves' avals, their tree)) of a function of one lane's arrays.
+def trace(fn, avals) -> Trace:
+    """Trace a function of arrays of these avals, to be read."""
+    with to_be_read():
+        closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
+    stays = bool(closed.effects) or any(isinstance(x, jax.core.Tracer) for x in closed.consts)
+    return Trace(closed, *jax.tree.flatten(shapes), stays)
 
-    Args: most: nodes of the graph. Raises: TooLargeError as soon as there are more.
+
+def read(closed, known=(), most=math.inf):
+    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}.
+
+    Args: most: nodes of the graph. Raises: SlowError as soon as there are more.
     """
-    closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
-    return (*read_jaxpr(closed, most=most), jax.tree.flatten(shapes))
-
-
-def read_jaxpr(closed, known=(), most=math.inf):
-    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}."""
     if closed.effects:
         raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
-    if closes_over_traced(closed):
+    if any(isinstance(x, jax.core.Tracer) for x in closed.consts):
         raise UnsupportedError("what the function closes over is traced")
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
     g = Graph(most)

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.engine import reader
 from cnclik.engine.graph import Graph
-from cnclik.engine.reader import read_jaxpr
 from cnclik.engine.tracing import to_be_read
 
 REAL, INT = "real", "int"
@@ -71,6 +71,6 @@ def read(fn, groups, outputs, *, dtype, fixed=()) -> Routine:
 
     with to_be_read(), jax.enable_x64(types[REAL].itemsize == 8):
         closed = jax.make_jaxpr(typed)(*(jax.ShapeDtypeStruct(f.shape, t) for _, f, t in every))
-    graph, given, outs = read_jaxpr(closed, known)
+    graph, given, outs = reader.read(closed, known)
     kept = {g: [f for f in some if not (g == "parameters" and f.name in fixed)] for g, some in groups.items()}
     return Routine(kept, outputs, graph, [n for i, n in enumerate(given) if i not in known], outs, typed, known)

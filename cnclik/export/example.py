@@ -5,7 +5,6 @@ import numpy as np
 
 from cnclik.export.source import GROUPS, has_status
 from cnclik.export.trace import place, targets
-from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.law import Law
 from cnclik.law.paths import hold_at
 from cnclik.law.reference import by_target
@@ -58,7 +57,7 @@ def results(program, given) -> dict:
     for i, value in sorted(program.fixed.items()):
         flat.insert(i, np.broadcast_to(value, (len(flat[0]), *value.shape)))
     with jax.enable_x64(any(x.dtype == np.float64 for x in flat)):
-        values = jax.jit(jax.vmap(program.fn), compiler_options=known_options(QUICK_COMPILE))(*flat)
+        values = jax.jit(jax.vmap(program.fn))(*flat)
     keys = [f"{group}.{f.name}" for group, some in program.outputs.items() for f in some]
     return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, values, strict=True)}
 

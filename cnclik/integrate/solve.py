@@ -13,28 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.cache import LRU
 from cnclik.engine.numbers import Numbers
-from cnclik.engine.plan import may_be_plain
-from cnclik.engine.tracing import is_read
-from cnclik.hints import quick_jit
 from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.loop import Step, advance, loop_of, run
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
+from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
-from cnclik.record import ArrayLike, Float, Number, cast, on_device
+from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
-
-SOON = 1 << 14  # evaluations of f, per joint and task coordinate, up to which XLA answers sooner
-
-
-def answers_soon(evaluations, law) -> bool:
-    """Return whether so few evaluations of f are done sooner by XLA with few passes than by C, compilation included."""
-    return evaluations <= SOON * law.chain.n * law.task.m
-
 
 # --- public -------------------------------------------------------------------------------------------
 
@@ -85,10 +73,7 @@ def solve(
         drive = None if check_drive(drive, law.chain).prompt else drive
     model = None if drive is None else sampled(drive, Ts)  # in NumPy if Ts is known
     known, given = (law, reference, stage, drive, method), (q0, _number(Ts, q0), _number(t0, q0), model, noise)
-    loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
-    if len(loops) > 1:  # each has its own programs
-        loops.within(lambda loop: len(loop.entries))
-    return _computed(loop, known, given, solve_soon, lambda: _is_soon(law, method, stage, N))
+    return a_run(known, given, N=N)  # by the engine that `cnclik.engine.plan.chosen` has chosen
 
 
 def step(
@@ -111,35 +96,7 @@ def step(
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
     known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q))
-    return _computed(a_step, known, given, step_soon)
-
-
-def _is_soon(law, method, stage, N) -> bool:
-    count = N * evaluations_per_step(method, stage, law.chain.n)
-    return errors.concrete(count) and bool(np.all(answers_soon(count, law)))
-
-
-def _computed(fn, known, given, soon, is_soon=lambda: True):
-    """Return fn(*known, *given): as C for numbers, otherwise by JAX, in the array type of the joint values.
-
-    Args:
-      fn: `Numbers`.
-      soon: fn for XLA with few passes, for numbers if is_soon(); otherwise the engine's scalars are used.
-    """
-    if is_read():  # the engine reads the source itself
-        return fn.source(known, given)
-    if (result := fn(known, given)) is not None:
-        return result
-    *records, method = known
-    if may_be_plain() and all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
-        result = soon(*(r and on_device(modelled(r)) for r in records), method, *given, **fn.static)
-    else:
-        result = fn.native(known, given)
-    return jax.tree.map(_as_numpy, result) if isinstance(given[0], np.ndarray) else result
-
-
-def _as_numpy(x):
-    return np.asarray(x) if errors.concrete(x) else x
+    return a_step(known, given)  # by the engine that `cnclik.engine.plan.chosen` has chosen
 
 
 def _number(value, q):
@@ -188,17 +145,12 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def ran_in_c(N) -> bool:
-    """Return whether the last run of N steps with numbers was C: XLA with few passes answers sooner, runs slower."""
-    return N in loops and loops[N].ran_in_c
-
-
 def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *, N):
     """Compute `solve`. Pure."""
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
 
 
-solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), LRU()
+a_run = Numbers(whole_run, lets_go=True)
 
 
 def one_step(law, reference, stage, method, q, t, Ts) -> Step:
@@ -208,4 +160,4 @@ def one_step(law, reference, stage, method, q, t, Ts) -> Step:
     return advance(law, reference, q, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
 
 
-step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(one_step, lets_go=False)
+a_step = Numbers(one_step, lets_go=False)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import quick_jit
+from cnclik.cache import bounded_jit
 from cnclik.integrate.method import CN, METHODS, Method, evaluations_per_step, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
@@ -148,7 +148,7 @@ METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"),
 FOLLOWED = ("IE", "CN")
 
 
-@quick_jit(static_argnames=("method", "h", "N_max"))
+@bounded_jit(static_argnames=("method", "h", "N_max"))
 def _program(laws, references, q0, Ts, M, *, method, h, N_max):
     """One method over all lanes, and the passes of the Picard iteration from the states of the first ones.
 

@@ -15,7 +15,6 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.hints import few_lanes
 from cnclik.reaching import strategy
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
@@ -161,8 +160,7 @@ def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Foun
         return jnp.min(jnp.where(own.found, order, together))
 
     def once(own):
-        with few_lanes(together):
-            return jax.vmap(of.advance)(*shared, own)
+        return jax.vmap(of.advance)(*shared, own)
 
     own = lax.while_loop(lambda own: (~own.over & (order < first(own))).any(), once, own)
     at, won, counted = own.at, first(own), order <= first(own)

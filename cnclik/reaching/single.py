@@ -6,9 +6,9 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.engine.native import native, scalars
-from cnclik.engine.plan import in_c
-from cnclik.hints import LIGHT_COMPILE, as_here, quick_jit
+from cnclik.cache import bounded_jit
+from cnclik.engine.native import native
+from cnclik.engine.plan import as_here, in_c
 from cnclik.integrate.lanes import tiled
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -95,7 +95,7 @@ def _rows(asked, postures, to, pose, near, made, done, count, at=None, begins=Fa
       made: what so many tries came to for each (`done`).
       at: joint values to begin at, of a path: each target's answer is searched for from the one before it. begins:
         whether they begin the path: what is nearest to the first waypoint is not held to `jump`.
-      by: as `search.given` has it. With `scalars` hard targets take a tenth of the time, and compiling twice.
+      by: as `search.given` has it. With `native` hard targets take a tenth of the time, and compiling twice.
     """
 
     def one(i, carry):
@@ -115,7 +115,7 @@ def _rows(asked, postures, to, pose, near, made, done, count, at=None, begins=Fa
 def _one_try(asked, postures, phase, made, pose, near, number, seed, count, by=None):
     """What the try of its own number, from its own seed, comes to for each of the first `count` of many targets.
 
-    Args: by: as `search.given` has it. With `scalars` it runs in a twentieth of the time, and compiles in three times.
+    Args: by: as `search.given` has it. With `native` it runs in a twentieth of the time, and compiles in three times.
     """
     of = given(asked, postures, None, pose.dtype, by)
 
@@ -126,8 +126,8 @@ def _one_try(asked, postures, phase, made, pose, near, number, seed, count, by=N
     return tiled(one, TILE, phase, made, pose, number, seed, *(() if near is None else (near,)), count=count)
 
 
-_some = quick_jit(_rows, compiler=LIGHT_COMPILE, static_argnames="by")  # runs in a third of the time of QUICK_COMPILE's
-batch = quick_jit(_one_try, compiler=LIGHT_COMPILE, static_argnames="by")
+_some = bounded_jit(_rows, static_argnames="by")
+batch = bounded_jit(_one_try, static_argnames="by")
 
 
 class Programs:
@@ -153,7 +153,7 @@ class Programs:
             own = None if near is None else filled(near[ids], PER_CALL)
             some = Found(*(filled(v[ids], PER_CALL) for v in made))
             given = filled(pose[ids], PER_CALL), own, some, np.int32(done), np.int32(len(ids))
-            by = scalars if self.hard > HARD else None
+            by = native if self.hard > HARD else None
             rows[ids] = np.asarray(_some(*self.shared, *given, by=by)[1])[: len(ids)]
 
         if ONE_BY_ONE[self.soon] < B:
@@ -220,7 +220,7 @@ class Programs:
             for k in np.unique(which % SETS):
                 seed[which % SETS == k] = nearest(to, pose[some[which % SETS == k]], k, np)
             of = Found(*(filled(v[some]) for v in made)), filled(pose[some]), own, filled(number[some]), filled(seed)
-            found = batch(*self.shared[:2], phase, *of, np.int32(len(some)), by=scalars if self.soon else None)
+            found = batch(*self.shared[:2], phase, *of, np.int32(len(some)), by=native if self.soon else None)
             for whole, part in zip(made, found, strict=True):
                 whole[some] = np.asarray(part)[: len(some)]
 

@@ -125,14 +125,12 @@ class Block(NamedTuple):
 class Grid:
     """The axes, in the given order, cut into blocks of at most `lanes` points.
 
-    `quick` decides, from a program's values of the outer axes, whether it runs so little that it is compiled `quick`,
-    see `cnclik.lanes`. `more` gives a study further values of each lane, {name: array}, from the program's values and
+    `more` gives a study further values of each lane, {name: array}, from the program's values of the outer axes and
     those of the lanes.
     """
 
     axes: tuple
     lanes: int
-    quick: Callable = dataclasses.field(default=lambda program: False, compare=False, repr=False)
     more: Callable = dataclasses.field(default=lambda program, lanes: {}, compare=False, repr=False)
 
     def __post_init__(self):

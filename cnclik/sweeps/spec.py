@@ -24,7 +24,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import evaluations_per_step, named
-from cnclik.integrate.solve import answers_soon
 from cnclik.measure import metrics
 from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
@@ -84,7 +83,7 @@ class Spec:
         # Blocks are a power of two, smaller for long loops, and enough to keep the cores busy.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
-        return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick, more=self.draws)
+        return dataclasses.replace(found, lanes=min(lanes, size), more=self.draws)
 
     def tables(self) -> list:
         """[fixed], and the tables of all bundles."""
@@ -177,11 +176,6 @@ class Spec:
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
         size = made.N, made.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
-
-    def quick(self, program: dict) -> bool:
-        """Whether a program is compiled with few passes, see `cnclik.lanes`."""
-        made = self.build(**program, **self.first())
-        return answers_soon(_evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner), made.law)
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""

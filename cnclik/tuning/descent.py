@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.hints import quick_jit
+from cnclik.cache import bounded_jit
 
 FORWARD_UP_TO = 8  # numbers: forward mode costs a run for each, reverse mode a few runs and their memory
 PENALTY, SPARE = 1e3, 5e-3  # of a squared excess, for a loss of 1; share of a bound that is kept free
@@ -62,7 +62,7 @@ class Point(NamedTuple):
         return (self.excess * (self.excess > KEPT), self.loss) if finite else (np.inf, np.inf)
 
 
-@quick_jit
+@bounded_jit
 def _evaluated(objective, bounds, u, scale):
     def merit(u):
         loss, excess, seen = objective(bounds.values(u))

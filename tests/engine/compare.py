@@ -12,11 +12,9 @@ from cnclik.engine.compiler import can_build, command
 from cnclik.engine.operations import scalar
 from cnclik.engine.plan import use_engine
 from cnclik.engine.program import Program, lane_avals
-from cnclik.engine.reader import read
+from cnclik.engine.reader import read, trace
 from cnclik.engine.scalar import ScalarWriter, helpers
-from cnclik.engine.to_jax import Derived
-from cnclik.engine.tracing import to_be_read
-from cnclik.hints import few_lanes
+from cnclik.engine.to_jax import Derived, for_few_lanes
 
 NEEDS_C = pytest.mark.skipif(not can_build(), reason="no C compiler")
 STRICT = "-std=c99 -O1 -pedantic -Wall -Wextra -Werror -fPIC -shared"
@@ -38,9 +36,9 @@ def in_scalar_c(fn, *args):
     """Results of the function as C99 without a warning, of a batch lane by lane."""
     leaves, treedef = jax.tree.flatten(args)
     leaves = [np.ascontiguousarray(x) for x in leaves]
-    with to_be_read():
-        given = lane_avals(leaves)
-        graph, nodes, outs, (shapes, tree) = read(of_leaves(fn, treedef), *given)
+    given = lane_avals(leaves)
+    closed, shapes, tree, _ = trace(of_leaves(fn, treedef), given)
+    graph, nodes, outs = read(closed)
     names = [scalar(np.dtype(s.dtype)) for s in (*given, *shapes)]
     size = [int(np.prod(s.shape)) for s in (*given, *shapes)]
 
@@ -67,8 +65,7 @@ def derived(fn, *args):
     """Results of the function as the engine writes it for JAX, of a batch."""
     leaves, treedef = jax.tree.flatten(args)
     made = Derived(of_leaves(fn, treedef), lane_avals(leaves))
-    with few_lanes(len(leaves[0])):
-        return jax.tree.unflatten(made.tree, jax.jit(jax.vmap(made))(*leaves))
+    return jax.tree.unflatten(made.tree, jax.jit(for_few_lanes(jax.vmap(made), len(leaves[0])))(*leaves))
 
 
 def plain(fn, *args):

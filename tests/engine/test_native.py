@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 import cnclik as ck
-from cnclik.engine.program import Program, Programs, lane_avals
+from cnclik.engine.program import Program, lane_avals
 from cnclik.errors import ArgumentError
 from cnclik.threads import side_by_side
 from engine.compare import NEEDS_C, same
@@ -110,7 +110,7 @@ def test_within_lanes_it_is_a_part_of_their_program():
         return jax.grad(lambda v: half(v)["half"] @ once)(x), lax.fori_loop(0, 3, lambda _, v: half(v)["half"], x)
 
     x = np.linspace(0.1, 2.0, 12, dtype=np.float32).reshape(4, 3)
-    assert isinstance(Programs(fn).of(lane_avals([x])), Program)
+    assert isinstance(ck.native(fn).of(x[0])[0].form("lanes", lane_avals([x]), np.inf), Program)
     same(ck.lanes(fn)(x), jax.vmap(fn)(x), ulps=10)
 
 

@@ -12,11 +12,10 @@ from jax import lax
 import cnclik as ck
 from cnclik.engine import stacks
 from cnclik.engine.constants import of_the_model
-from cnclik.engine.graph import Scan, TooLargeError, UnsupportedError, While
+from cnclik.engine.graph import Scan, SlowError, UnsupportedError, While
 from cnclik.engine.program import Program, lane_avals
-from cnclik.engine.reader import read, read_jaxpr
+from cnclik.engine.reader import read, trace
 from cnclik.engine.source import write
-from cnclik.engine.tracing import to_be_read
 from cnclik.measure.metrics import METRICS
 from engine.compare import NEEDS_C, check, in_c, same
 
@@ -91,13 +90,12 @@ def test_reading_a_gradient_takes_as_long_as_it_has_residuals():
             return counted
 
         count, before = [], sys.gettrace()
-        with to_be_read():
-            closed = jax.make_jaxpr(jax.grad(loss))(jax.ShapeDtypeStruct((size,), "float64"))
-            sys.settrace(called)
-            try:
-                read_jaxpr(closed)
-            finally:
-                sys.settrace(before)
+        closed = trace(jax.grad(loss), [jax.ShapeDtypeStruct((size,), "float64")]).closed
+        sys.settrace(called)
+        try:
+            read(closed)
+        finally:
+            sys.settrace(before)
         return len(count)
 
     assert lines(400) < 2.2 * lines(200)
@@ -259,8 +257,7 @@ def test_loops_that_count_compute_once_what_does_not_change_in_them():
         return counted(k, x, y), twice, lax.cond(x > 0, lambda: counted(k, y, x), lambda: x)
 
     check(fn, np.arange(SIZE, dtype=np.int32) % 5 - 1, batch(), batch(seed=1), ulps=50)
-    with to_be_read():
-        g, _, outs = read_jaxpr(jax.make_jaxpr(counted)(2, 0.5, 0.3))
+    g, _, outs = read(trace(counted, [jax.ShapeDtypeStruct((), d) for d in ("int64", "float64", "float64")]).closed)
     (at,) = [i for i, item in enumerate(g.root.items) if isinstance(item, While)]
     assert "exp" in [n.op for n in g.root.items[:at]] and outs[0].item().value[0] is g.root.items[at]
 
@@ -443,6 +440,12 @@ def test_a_program_tells_how_long_it_is():
     assert 20 < made.operations < 100 and made.work == 256
 
 
+def text_of(fn, avals):
+    """The C of a function."""
+    traced = trace(fn, avals)
+    return write(*read(traced.closed), traced.shapes)[0]
+
+
 @NEEDS_C
 def test_a_program_is_as_large_as_its_c_if_that_is_longer_than_its_graph():
     """A clip of 14 frames has 98,552 nodes and 133,351 lines, for which GCC took two minutes."""
@@ -453,19 +456,17 @@ def test_a_program_is_as_large_as_its_c_if_that_is_longer_than_its_graph():
         return sum(jnp.take(x, i) for i in places)
 
     avals = [jax.ShapeDtypeStruct((100,), "float64"), *[jax.ShapeDtypeStruct((), "int64")] * 9]
-    with to_be_read():
-        nodes = read(fn, *avals)[0].count
-    assert Program(fn, avals).nodes > 2 * nodes
-    with pytest.raises(TooLargeError):
-        Program(fn, avals, most=2 * nodes)
+    traced = trace(fn, avals)
+    nodes = read(traced.closed)[0].count
+    with pytest.raises(SlowError):
+        Program(traced, avals, most=2 * nodes)
 
 
 @pytest.mark.parametrize(("fn", "lists"), [(lambda x, i: x[i] + x[i // 2], 0), (lambda x, i: (2 * x)[i], 1)])
 def test_cells_that_many_pick_from_are_listed_once(fn, lists):
     """A path through 30 points, looked up at a time of each lane's own, was 38,000 lines of C; arguments need none."""
     avals = [jax.ShapeDtypeStruct((60,), "float64"), jax.ShapeDtypeStruct((40,), "int64")]
-    with to_be_read():
-        text = write(*read(fn, *avals)[:3], [jax.ShapeDtypeStruct((40,), "float64")])[0]
+    text = text_of(fn, avals)
     assert text.count("[60] = {") == lists
 
 
@@ -478,8 +479,7 @@ def test_a_long_known_array_is_converted_and_computed_with_while_it_is_read():
 
     given = (np.random.default_rng(1).normal(size=(8, 78)).astype(np.float32),)
     check(fn, *given)
-    with to_be_read():
-        text = write(*read(fn, *lane_avals(given))[:3], [jax.ShapeDtypeStruct((78,), "float32")])[0]
+    text = text_of(fn, lane_avals(given))
     assert "convertvector(splat" not in text and text.count("static const float table") == 1
 
 
@@ -498,9 +498,7 @@ def test_what_a_loop_leaves_as_it_was_is_no_part_of_it():
     given = batch(), batch(seed=2)
     check(fn, *given)
     check(jax.grad(lambda x, y: sum(map(jnp.sum, fn(x, y))), (0, 1)), *given)
-    with to_be_read():
-        text = write(*read(fn, *lane_avals(given))[:3], [jax.ShapeDtypeStruct((), "float64")] * 3
-                     + [jax.ShapeDtypeStruct((6,), "float64")])[0]  # fmt: skip
+    text = text_of(fn, lane_avals(given))
     assert 0 < text.index("sincos_F64(t") < text.rindex("< 6; ++j")
 
 
@@ -515,7 +513,6 @@ def test_metrics_are_no_longer_for_more_steps():
         return [1.0 * found[name] for name in names]
 
     for N in (30, 90):
-        with to_be_read():
-            graph = read(lambda q, N=N: measured(q, N), jax.ShapeDtypeStruct((2,), "float64"))
-        count.append(write(*graph[:3], [jax.ShapeDtypeStruct((), "float64")] * len(names))[1])
+        traced = trace(lambda q, N=N: measured(q, N), [jax.ShapeDtypeStruct((2,), "float64")])
+        count.append(write(*read(traced.closed), traced.shapes)[1])
     assert len(names) > 40 and count[1] < 1.01 * count[0]

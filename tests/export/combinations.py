@@ -1,4 +1,4 @@
-"""Laws, methods and stages by name, and their exported step held against JAX without hints."""
+"""Laws, methods and stages by name, and their exported step held against JAX."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
 from tests.export.native import native
 
@@ -102,7 +101,7 @@ def target(law, position, rotation, velocity):
 
 
 def by_jax(combination):
-    """Steps of all lanes by JAX without hints: a function of the inputs, to q, qdot, e, x, residual and status."""
+    """Steps of all lanes by JAX alone: a function of the inputs, to q, qdot, e, x, residual and status."""
     law, method, stage = combination.parts()
 
     def one(q, position, rotation, velocity):
@@ -111,11 +110,10 @@ def by_jax(combination):
         made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
         return made.q, made.qdot, made.e, made.x, made.residual, made.status
 
-    soon = known_options(QUICK_COMPILE)  # a few inputs: compiling is nearly all of the time
-    program = jax.jit(jax.vmap(one), compiler_options=soon)
+    program = jax.jit(jax.vmap(one))
 
     def run(given):
-        with ck.use_hints(False), jax.enable_x64(combination.dtype == "float64"):
+        with ck.use_engine("plain"), jax.enable_x64(combination.dtype == "float64"):
             return [np.asarray(v) for v in program(*given)]
 
     return run

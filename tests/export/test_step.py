@@ -1,4 +1,4 @@
-"""The exported step against JAX without hints: laws, inverses, limits, methods, stages and precisions in turn."""
+"""The exported step against JAX: laws, inverses, limits, methods, stages and precisions in turn."""
 
 import itertools
 

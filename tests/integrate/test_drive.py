@@ -235,6 +235,10 @@ def test_float32_runs_in_float32():
         ({"feedback": "rebased"}, "`feedback` must come with command position and a lag"),
         ({"command": "torque"}, "`command` must be one of velocity, position, but is 'torque'"),
         ({"feedback": "mesured"}, "did you mean 'measured'"),
+        ({"smoothing": 1.0}, "`smoothing` must be below 1"),
+        ({"cutoff": 0.0}, "`cutoff` must be positive"),
+        ({"cutoff": 3.0, "smoothing": 0.5}, "`cutoff` must be left out where there is a smoothing"),
+        ({"smoothed": "errors"}, "did you mean 'error'"),
     ],
 )
 def test_what_is_no_drive_is_refused(given, words):

@@ -124,19 +124,3 @@ def test_a_whole_pose_of_a_real_arm(limits):
     for name in ("q", "x", "e", "qdot"):
         close(*(getattr(run, name) for run in runs.values()), atol=1e-12)
     np.testing.assert_array_equal(*(run.status for run in runs.values()))
-
-
-def test_robots_of_one_shape_share_a_program_of_xla():
-    from cnclik.integrate.solve import solve_soon
-
-    runs = []
-    before = None
-    for length in (1.0, 1.1, 1.2):
-        arm = ck.planar_arm([length, 0.8, 0.5])
-        law = ck.Law(arm, ck.position("xy"), alpha=2.0)
-        with ck.use_engine("plain"):
-            runs.append(ck.solve(law, ck.hold([0.5, 1.0]), [0.3, 0.4, 0.5], 0.1, 7))
-        size = solve_soon._cache_size()
-        assert before in (None, size)
-        before = size
-    assert float(jnp.abs(runs[0].q[-1] - runs[1].q[-1]).max()) > 1e-3

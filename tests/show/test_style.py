@@ -15,7 +15,7 @@ from cnclik.show import style
 
 
 def test_every_method_has_a_line_of_its_own():
-    plain = {name for name, m in METHODS.items() if m.steps == 1 and not m.exponential}
+    plain = {name for name, m in METHODS.items() if not m.exponential}
     assert plain | {name for name in METHODS if name.startswith("EXP-")} <= set(style.METHODS) <= set(METHODS)
     for one, other in itertools.combinations(plain, 2):
         one, other = style.METHODS[one], style.METHODS[other]

@@ -94,7 +94,7 @@ def _same(kind, m, run, way):
         with ck.use_engine("native"):
             found = jax.tree.map(lambda *v: np.stack(v), *map(jax.jit(end), starts))
     else:
-        with ck.use_hints(False):
+        with ck.use_engine("plain"):
             found = jax.jit(jax.vmap(end))(starts)
     for k, one in enumerate(alone):
         if not regular[k]:
