@@ -13,15 +13,16 @@ import cnclik as ck
 from cnclik.show.style import BLUE, SKY, VERMILION
 
 d = np.arange(13)
-explicit = [ck.gains(Ts=1.0, drive=ck.Drive(delay=int(k)), method="EE") for k in d]
-stable = [gains.largest_stable for gains in explicit]
-exponential = [ck.gains(Ts=1.0, drive=ck.Drive(delay=int(k)), method="EXP-EE").largest_stable for k in d]
+stable, exponential = (
+    [ck.gains(Ts=1.0, drive=ck.Drive(delay=int(k)), method=method).largest_stable for k in d]
+    for method in ("EE", "EXP-EE")
+)
 quiet = d**d / (d + 1.0) ** (d + 1)
 
 figure, panel = plt.subplots(figsize=(6, 2.9))
 panel.plot(d, stable, "s-", color=VERMILION, label="EE, largest stable")
 panel.plot(d, exponential, "P-", color=SKY, label="EXP-EE, largest stable")
 panel.plot(d, quiet, "o-", color=BLUE, label="EE, no overshoot")
-panel.plot(d, [gains.recommended for gains in explicit], "o", color=BLUE, mfc="white", label="recommended")
+panel.plot(d[:-1], quiet[1:], "o", color=BLUE, mfc="white", label="recommended: one sample to spare")
 panel.set(xlabel="dead time [samples]", ylabel="z = alpha·Ts", yscale="log")
 panel.legend()
