@@ -37,7 +37,8 @@ EXPLAINED = 0.5  # share of a motion that commands must explain
 OTHER_UNIT = 5.0  # factor of a gain beyond which something is wrong: units, another joint, the sign
 OFF = 0.02  # difference of a gain from 1 that deserves a note
 STRUCTURE, SEEN = 4.0, 2e-3  # correlation length [samples] and share of a motion of a residual that a drive leaves out
-OPEN = 0.35  # standard deviation of a number's logarithm: its interval spans a factor of four
+OPEN = 0.35  # standard deviation of a gain's logarithm: its interval spans a factor of four
+STEP = 0.7  # of a number's logarithm, by which a gain is tried at most
 NOT_REBASED = (
     "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
     "difference adds up. Begin each command at the last one."
@@ -339,16 +340,18 @@ def _made(log, fit) -> DriveFit:
             mean = np.clip(mean - np.clip(step, -2 * deviation[0], 2 * deviation[0]), *_ends(names))
         values = np.broadcast_to(mean, fit.values.shape)
     left, gain = log.left(fit.kind, values, fit.parts, every)
-    explained = 1.0 - float(np.mean(left**2))
-    if explained < EXPLAINED:
+    follows = np.mean(left**2, -1) < 1 - EXPLAINED  # a joint may also move as others shake it
+    explained = 1.0 - float(np.mean(left[follows] ** 2 if follows.any() else left**2))
+    if not follows.any():
         raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
-    if len(odd := np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))):
+    if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
     line = log.line[1] / (log.line[1, -1] - log.line[1, 0]) * (len(log.t) - 1) * log.Ts
     still = log.y - gain[:, None] * (log.response(fit.kind, values, every) + log.base)
     values, deviation = values[: k if own else 1], np.minimum(deviation, WIDE)
-    alpha, notes = _recommended(log, fit.kind, values, deviation, cov, gain)
+    rows, covs = (follows, each) if own else (slice(1), cov[None])
+    alpha, notes = _recommended(log, fit.kind, values[rows], covs[rows], gain[follows])
     interval = {"delay": tuple(float(max(mean[0] + s * NORMAL * deviation[0, 0], 0.0)) for s in (-1, 1))}
     for i, name in enumerate(names, 1):
         ends = [np.exp(values[:, i] + s * NORMAL * deviation[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
@@ -356,6 +359,9 @@ def _made(log, fit) -> DriveFit:
     if (integral := interval.pop("integral", None)) is not None:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
         notes.append(f"{said}: gains for its lag alone are low enough.")
+    if not follows.all():
+        said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
+        notes.append(f"Joint {said} does not follow its command, and is left out.")
     rms = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0]
     length = np.array([correlated(row) for row in left])
     if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
@@ -419,30 +425,34 @@ def _drive(log, kind, values) -> Drive:
     return Drive(command="velocity" if log.velocity else "position", delay=delay, **made)
 
 
-def _recommended(log, kind, values, deviation, cov, gain) -> tuple:
-    """(gain [1/s] over the interval, or None; [why there is none]). cov: (p, p) of values that are shared."""
+def _recommended(log, kind, values, covs, gain) -> tuple:
+    """(gain [1/s] over the interval, or None; [why there is none]) of values (k, p) and their covariances (k, p, p)."""
     names = [name for name in NUMBERS[kind] if name != "integral"]
     for i, name in enumerate(names, 1):
-        low, high = np.log(BOUNDS[name])
-        if np.any(deviation[:, i] > OPEN) or np.any((values[:, i] < low + OFF) | (values[:, i] > high - OFF)):
-            return None, [f"No gain: the log leaves the {name.replace('_', ' ')} open. Record a larger or longer step."]
+        slow = np.log(BOUNDS[name][SCALES[name] > 0])  # the end at which a drive is slow, or swings
+        if np.any(np.abs(values[:, i] - slow) < OFF):
+            return None, [
+                f"No gain: the {name.replace('_', ' ')} is at the end of what is tried. Record a longer step."
+            ]
     drive = _drive(log, kind, values)
     moved = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
     slow = drive.lag if drive.order < 2 else 2 * np.maximum(np.pi, drive.damping_ratio) / drive.natural_frequency
     if moved * log.Ts < np.max(slow):
         return None, ["No gain: the log is shorter than the drive's own period. Record until it rests."]
 
-    def alpha(shift):
-        return gains(Ts=log.Ts, drive=_drive(log, kind, values + shift), method="EE").recommended
+    def alpha(shape) -> float:
+        return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
 
-    best = alpha(0.0)
-    if not best:
-        return None, ["No gain: with any, a loop on this drive overshoots."]
-    size = np.sqrt(np.diag(cov))
-    slope = np.zeros(len(size))
-    for i in np.flatnonzero(size[: 1 + len(names)] > FINE):
-        slope[i] = np.log(max(alpha(size[i] * np.eye(len(size))[i]), 1e-9) / best) / size[i]
-    spread = float(np.sqrt(slope @ cov @ slope))
-    if spread > OPEN:
-        return None, ["No gain: gains for the drives that explain the log differ by a factor of four."]
-    return float(best * np.exp(-NORMAL * spread) / np.max(gain)), []
+    best = alpha(values)
+    j = int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
+    size, ways = np.linalg.eigh(covs[j])
+    size, spread = np.sqrt(np.maximum(size, 0.0)), 0.0
+    for one, way in zip(size, ways.T, strict=True):
+        if one > FINE:
+            shift = min(one, STEP) * way
+            spread += (np.log(alpha(values[j : j + 1] + shift) / alpha(values[j : j + 1])) * one / min(one, STEP)) ** 2
+    if best < 1e-6 or spread**0.5 > OPEN:
+        return None, [
+            "No gain: gains for the drives that explain the log differ too much. Record a larger or longer step."
+        ]
+    return float(best * np.exp(-NORMAL * spread**0.5) / np.max(gain)), []

@@ -25,9 +25,9 @@ PATHS = (0, 1, 2, 4, 8, 12, 16)  # columns of a path's basis: offset, drift, ben
 UNMODELLED = 0.02  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ZETA = 0.7  # of a servo that may lie behind a mode
-USUAL = 0.02  # [s] of a usual lag: larger ones count less
+USUAL = 0.05  # [s] of a usual lag: larger ones count less
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-CAREFUL = 0.3  # share of the likely drives for which the gain may be above the one that is recommended
+CAREFUL = 0.15  # share of the likely drives for which the gain may be above the one that is recommended
 
 
 class Loop(NamedTuple):
@@ -131,7 +131,7 @@ def free(basis, a):
 def path_basis(N, period=np.inf):
     """(N, up to 16) orthonormal: offset, drift, bends, and sines slower than 2.5 periods of the oscillation."""
     t = np.linspace(-1, 1, N)
-    many = min(int(2 * N / (2.5 * period)), 6) if N > 4 * period else 0
+    many = min(int(2 * N / (2.5 * period)), 6) if 4 * period < N else 0
     sines = [f(np.pi * i * (t + 1) / 2) for i in range(1, many + 1) for f in (np.cos, np.sin)]
     return np.linalg.qr(np.stack([*(t**i for i in range(4)), *sines], 1))[0]
 
@@ -300,6 +300,7 @@ class Found(NamedTuple):
 
     drive: Drive  # of which a careful share of the likely drives tolerate less
     alpha: float  # gain of the loop [1/s], the mean of the likely drives
+    most: float  # and the largest of any
     off: float  # least factor between a known gain and that of a drive with this mode
     ends: tuple  # two drives, between which four fifths of the likely ones are
 
@@ -337,7 +338,8 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Found:
             return Drive(delay=delay, natural_frequency=2 * ZETA / tau, damping_ratio=ZETA)
         return Drive(delay=delay, lag=tau)
 
-    return Found(made(careful), float(np.sum(odds * gain) / np.sum(odds)), float(np.exp(np.min(np.abs(off)))), (made(low), made(high)))
+    mean, least = np.sum(odds * gain) / np.sum(odds), np.exp(np.min(np.abs(off)))
+    return Found(made(careful), float(mean), float(gain.max()), float(least), (made(low), made(high)))
 
 
 def _follows(s, tau, servo):
