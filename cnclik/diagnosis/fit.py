@@ -2,8 +2,8 @@
 
 A row of a log is a sample: the motion measured at t[k], and the command sent then. A constant command between samples
 is a sum of steps, so the motion is the sum of the drive's step responses. Offset, gain and drift of each joint enter
-linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is fitted by itself; the information of
-all is then added up.
+linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is fitted by itself, and the information
+of all is added up.
 """
 
 from __future__ import annotations
@@ -18,34 +18,26 @@ from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
-NUMBERS = {  # besides the dead time
-    "delay": (),
-    "lag": ("lag",),
-    "second-order": ("natural_frequency", "damping_ratio"),
-    "velocity PI": ("lag", "integral"),  # v' = (u − v + ∫(u − v)/integral)/lag
-}
-PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
+SERVO = ("natural_frequency", "damping_ratio")
+NUMBERS = {"delay": (), "lag": ("lag",), "second-order": SERVO}  # besides the dead time
+NUMBERS["velocity PI"] = ("lag", "integral")  # v' = (u − v + ∫(u − v)/integral)/lag
+BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0), "integral": (0.3, 1e4)}
+SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts: bounds are in samples
 TIMES, RATIOS = np.geomspace(0.3, 150, 12), (0.3, 0.8, 2.0)  # lags [samples] and ζ to start from, a factor of 2 apart
-BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0)}
-BOUNDS["integral"] = (0.3, 1e4)  # all in samples
-FINE = 0.01  # deviation of a number that moves a gain by a per cent
-SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts
+PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
 STEPS = 25  # of Gauss and Newton, from within a factor of two
 EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
 BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
-EXPLAINED = 0.5  # share of a motion that commands must explain
-OTHER_UNIT = 5.0  # factor of a gain beyond which something is wrong: units, another joint, the sign
+EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
 STRUCTURE, SEEN = 4.0, 2e-3  # correlation length [samples] and share of a motion of a residual that a drive leaves out
-OPEN = 0.35  # standard deviation of a gain's logarithm: its interval spans a factor of four
-STEP = 0.7  # of a number's logarithm, by which a gain is tried at most
+OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
+FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
+NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
 NOT_REBASED = (
     "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
     "difference adds up. Begin each command at the last one."
 )
-WIDE = 5.0  # the largest one that is said
-NORMAL = 1.96  # standard deviations in half an interval of 95 %
-APART = 3.1  # the same in one of 1,000, beyond which joints differ
 
 
 @record
@@ -55,9 +47,9 @@ class DriveFit:
     Attributes:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
-      interval: {name: (low, high)} of 95 % of each number; of numbers per joint (k, 2).
-      gain: (k,) motion per commanded motion. drift: (k,) motion without a command [rad/s, m/s].
-      rms: (k,) RMS residual of each motion [rad, m]. explained: share of the motions' variance.
+      interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m].
+      explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
       motion: (N, k) of the fit. note: further remarks.
@@ -84,11 +76,11 @@ class DriveFit:
         said = []
         for name, (low, high) in self.interval.items():
             value = _said(getattr(self.drive, name)).replace(" ", ", ")
-            wide = f" ({_said(low)} to {_said(high)})" if np.ndim(low) == 0 else f" (± {_said(np.max(high - low) / 2)})"
-            said.append(f"{name.replace('_', ' ')} {value}{units[name]}{wide}")
-        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
-        alpha = "" if self.recommended_alpha is None else f"Recommended alpha: {self.recommended_alpha:.4g} 1/s."
+            wide = f"{_said(low)} to {_said(high)}" if np.ndim(low) == 0 else f"± {_said(np.max(high - low) / 2)}"
+            said.append(f"{name.replace('_', ' ')} {value}{units[name]} ({wide})")
         kind = ("dead time", "lag", "second order")[self.drive.order]
+        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
+        alpha = f"Recommended alpha: {self.recommended_alpha:.4g} 1/s." if self.recommended_alpha else ""
         return " ".join(filter(None, (f"{kind}: {', '.join(said)}; {left}.", alpha, self.note)))
 
 
@@ -259,75 +251,62 @@ class Fit(NamedTuple):
     score: float
 
 
-def _least(log, kind, parts, starts, dead=None):
-    """The least squares of each joint, from the better of its starts (k, s, p). dead: a dead time that is given."""
-    values = np.array(starts)
+def _least(log, kind, parts, starts) -> Fit:
+    """The least squares of each joint, from the better of its starts (k, s, p)."""
+    values, low, high = np.array(starts), *_ends(kind)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
-    if dead is not None:
-        values[..., 0] = dead
-    names, first = NUMBERS[kind], int(dead is not None)
-    low, high = _ends(names)
-    power, damping = None, np.full(values.shape[:2], 1e-3)
     here, slope = _slopes(log, kind, values, parts, joint)
-    power = np.sum(here**2, -1)
-    p = values.shape[-1]
+    power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
-        normal = np.einsum("...ni,...nj->...ij", slope, slope)[..., first:, first:]
-        if p == first:
-            break
-        downhill = np.einsum("...ni,...n->...i", slope, here)[..., first:]
-        scale = np.einsum("...ii->...i", normal) + 1e-12
-        damped = normal + (damping[..., None] * scale)[..., None] * np.eye(p - first)
-        step = np.zeros_like(values)
-        step[..., first:] = np.clip(-np.linalg.solve(damped, downhill[..., None])[..., 0], -1.5, 1.5)
-        tried = np.clip(values + step, low, high)
+        normal = np.einsum("...ni,...nj->...ij", slope, slope)
+        scale = damping[..., None] * (np.einsum("...ii->...i", normal) + 1e-12)
+        downhill = np.einsum("...ni,...n->...i", slope, here)
+        step = np.linalg.solve(normal + scale[..., None] * np.eye(len(low)), downhill[..., None])[..., 0]
+        tried = np.clip(values - np.clip(step, -1.5, 1.5), low, high)
         there, slopes = _slopes(log, kind, tried, parts, joint)
-        less = np.sum(there**2, -1)
-        better = less < power
-        small = np.all((np.abs(tried - values) < 1e-4) | ~better[..., None]) and np.all(better | (damping > 1e3))
-        values = np.where(better[..., None], tried, values)
-        here, slope = np.where(better[..., None], there, here), np.where(better[..., None, None], slopes, slope)
-        power = np.where(better, less, power)
+        better = np.sum(there**2, -1) < power
+        ends = np.all(better | (damping > 1e3)) and np.all((np.abs(tried - values) < 1e-4) | ~better[..., None])
+        values, here = np.where(better[..., None], tried, values), np.where(better[..., None], there, here)
+        slope, power = np.where(better[..., None, None], slopes, slope), np.sum(here**2, -1)
         damping = np.clip(np.where(better, damping / 5, damping * 10), 1e-7, 1e5)
-        if small:
+        if ends:
             break
-    best = np.argmin(power, 1)
-    each = np.arange(log.k), best
-    values, N = values[each], len(log.t)
-    left = power[each] / N + EXACT**2
+    each = np.arange(log.k), np.argmin(power, 1)
+    values, left, N = values[each], power[each] / len(log.t) + EXACT**2, len(log.t)
     _, apart = _shared(values, np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
-    count = log.k * (1 + sum(parts)) * np.log(N)
-    own = log.k * (p - first) * np.log(N)
-    score = float(N * np.sum(np.log(left)) + count + min(own, apart + (p - first) * np.log(N)))
-    return Fit(kind=kind, parts=parts, values=values, score=score)
+    numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
+    score = N * np.sum(np.log(left)) + log.k * (1 + sum(parts)) * np.log(N) + numbers
+    return Fit(kind, parts, values, float(score))
 
 
-def _ends(names):
+def _ends(kind):
     """The least and largest values (p,)."""
-    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in names)]).T
+    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
 
 
 def _slopes(log, kind, values, parts, joint):
     """((..., N) residuals, (..., N, p) their derivatives by the values)."""
     p, step = values.shape[-1], 1e-4
-    each = values[..., None, :] + step * np.concatenate([np.zeros((1, p)), np.eye(p)])
+    each = values[..., None, :] + step * np.eye(p + 1, p, -1)
     left, _ = log.left(kind, each, parts, joint[..., None])
     return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
+
+
+# --- all joints together ------------------------------------------------------------------------------
 
 
 def _made(log, fit) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
     names, k, every = NUMBERS[fit.kind], log.k, np.arange(log.k)
     information = _information(log, fit)  # (k, p, p)
-    cov = np.linalg.pinv(information.sum(0))
+    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean, apart = _shared(fit.values, information)
     free = (k - 1) * len(mean)
     own = bool(names) and apart > free + APART * np.sqrt(2 * free)  # of χ², which is nearly normal
     if own:  # one dead time for all joints, and each joint's own numbers with it
-        each = np.linalg.pinv(information)
         cov[0, 0] = 1 / np.sum(1 / each[:, 0, 0])
         mean[0] = cov[0, 0] * np.sum(fit.values[:, 0] / each[:, 0, 0])
-        values = _least(log, fit.kind, fit.parts, fit.values[:, None], dead=mean[0]).values
+        values = fit.values + each[:, 0] * ((mean[0] - fit.values[:, 0]) / each[:, 0, 0])[:, None]
         deviation = np.sqrt(np.diagonal(each, axis1=1, axis2=2))
         deviation[:, 0] = np.sqrt(cov[0, 0])
     else:
@@ -335,9 +314,10 @@ def _made(log, fit) -> DriveFit:
         for _ in range(3):  # from the mean to the least squares of all joints together
             left, slope = _slopes(log, fit.kind, np.broadcast_to(mean, fit.values.shape), fit.parts, every)
             scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
-            slope, left = slope / scale[..., None], left / scale
-            step = np.linalg.lstsq(slope.reshape(-1, len(mean)), left.ravel(), rcond=1e-9)[0]
-            mean = np.clip(mean - np.clip(step, -2 * deviation[0], 2 * deviation[0]), *_ends(names))
+            rows = (slope / scale[..., None]).reshape(-1, len(mean))
+            step = np.linalg.lstsq(rows, (left / scale).ravel(), rcond=1e-9)[0]
+            step = np.clip(step, -2 * deviation[0], 2 * deviation[0])
+            mean = np.clip(mean - step, *_ends(fit.kind))
         values = np.broadcast_to(mean, fit.values.shape)
     left, gain = log.left(fit.kind, values, fit.parts, every)
     follows = np.mean(left**2, -1) < 1 - EXPLAINED  # a joint may also move as others shake it
@@ -349,12 +329,12 @@ def _made(log, fit) -> DriveFit:
         raise errors.fail("motion", "move by about what is commanded", found)
     line = log.line[1] / (log.line[1, -1] - log.line[1, 0]) * (len(log.t) - 1) * log.Ts
     still = log.y - gain[:, None] * (log.response(fit.kind, values, every) + log.base)
-    values, deviation = values[: k if own else 1], np.minimum(deviation, WIDE)
     rows, covs = (follows, each) if own else (slice(1), cov[None])
     alpha, notes = _recommended(log, fit.kind, values[rows], covs[rows], gain[follows])
-    interval = {"delay": tuple(float(max(mean[0] + s * NORMAL * deviation[0, 0], 0.0)) for s in (-1, 1))}
+    values, wide = values[: k if own else 1], NORMAL * np.minimum(deviation, WIDE)
+    interval = {"delay": (float(max(mean[0] - wide[0, 0], 0.0)), float(mean[0] + wide[0, 0]))}
     for i, name in enumerate(names, 1):
-        ends = [np.exp(values[:, i] + s * NORMAL * deviation[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
+        ends = [np.exp(values[:, i] + s * wide[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
         interval[name] = tuple(end if own else float(end[0]) for end in ends)
     if (integral := interval.pop("integral", None)) is not None:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
@@ -370,17 +350,10 @@ def _made(log, fit) -> DriveFit:
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
-    return DriveFit(
-        drive=_drive(log, fit.kind, values),
-        interval=interval,
-        gain=gain,
-        drift=fit.parts[1] * (still @ line) / (line @ line) * log.size[:, 0],
-        rms=rms,
-        explained=explained,
-        recommended_alpha=alpha,
-        motion=log.motion - (left * log.size).T,
-        note=" ".join(notes),
-    )
+    drift = fit.parts[1] * (still @ line) / (line @ line) * log.size[:, 0]
+    given = dict(drive=_drive(log, fit.kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
+    motion = log.motion - (left * log.size).T
+    return DriveFit(**given, explained=explained, recommended_alpha=alpha, motion=motion, note=" ".join(notes))
 
 
 def _information(log, fit):
