@@ -218,7 +218,7 @@ def _turned_frames(spin) -> dict:
 def _parts(y, found, rings) -> dict:
     """The path and the oscillation in the rows that were read, and what is left."""
     if found is None:
-        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0.0, 0, len(y), 1), False
+        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0.0, 0, len(y)), False
     rows = y[found.first : found.last]
     period = found.period if rings else np.inf
     path, t = loop.path_basis(len(rows), period), np.arange(len(rows))

@@ -1,9 +1,8 @@
 """Fit: the drive between recorded commands and motion, by output error with exact step responses. NumPy only.
 
-A row of a log is a sample: the motion measured at t[k], and the command sent then. A constant command between samples
-is a sum of steps, so the motion is the sum of the drive's step responses. Offset, gain and drift of each joint enter
-linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is fitted by itself, and the information
-of all is added up.
+A constant command between samples is a sum of steps, so the motion is the sum of the drive's step responses. Offset,
+gain and drift of each joint enter linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is
+fitted by itself, and the information of all is added up.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four
 FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
 NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
 NOT_REBASED = (
-    "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
-    "difference adds up. Begin each command at the last one."
+    "No gain is safe for a loop whose position commands begin at the measured joints: begin each at the last one."
 )
 
 
@@ -48,11 +46,10 @@ class DriveFit:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
       interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
-      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m].
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
       explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
-      motion: (N, k) of the fit. note: further remarks.
     """
 
     drive: Drive
@@ -107,13 +104,11 @@ def fit_drive(
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: the joint values or
         velocities sent at t, and the joint values measured then [rad, m].
-      Ts: sampling time [s]; default: from t.
+      Ts: sampling time [s]; default: from t. command_kind: "position" or "velocity".
       kind: "delay", "lag", "second-order" or, of velocities, "velocity PI"; None: the simplest that explains the log.
-      command_kind: "position" or "velocity".
     Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
-    errors.one_of("command_kind", command_kind, COMMANDS)
-    velocity = command_kind == "velocity"
+    velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
     kinds = list(NUMBERS)[: 3 + velocity]
     kinds = kinds if kind is None else [errors.one_of("kind", kind, kinds)]
     command, motion = columns("command", command), columns("motion", motion)
@@ -128,15 +123,13 @@ def fit_drive(
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts, velocity)
-    best = None
+    best = Fit("", (), np.empty(0), np.inf)
     for one in kinds:
         fit = _least(log, one, PARTS[0], _starts(log, one))
-        if best is None or fit.score < best.score - BETTER:
-            best = fit
+        best = fit if fit.score < best.score - BETTER else best
     for parts in PARTS[1:]:
         fewer = _least(log, best.kind, parts, best.values[:, None])
-        if fewer.score < best.score + BETTER:
-            best = fewer
+        best = fewer if fewer.score < best.score + BETTER else best
     return _made(log, best)
 
 
@@ -145,18 +138,14 @@ class _Log:
 
     def __init__(self, command, motion, Ts, velocity):
         self.command, self.motion, self.Ts, self.velocity = command, motion, Ts, velocity
-        N, self.k = motion.shape
-        self.t = np.arange(N)
-        unit = Ts if velocity else 1.0  # motion per sample and command
+        self.t, self.k = np.arange(len(motion)), motion.shape[1]
         self.size = np.std(motion, axis=0)[:, None]
         self.y = motion.T / self.size
-        first = command[0][:, None]
-        self.base = (unit * first * self.t if velocity else first + 0.0 * self.t) / self.size
-        self.length = 1 << (2 * N - 1).bit_length()
-        changes = unit * np.diff(command, axis=0, prepend=command[:1]).T / self.size
-        self.changes = np.fft.rfft(changes, self.length)
-        line = np.stack([np.ones(N), np.linspace(-1, 1, N)])
-        self.line = np.linalg.qr(line.T)[0].T  # (2, N) orthonormal
+        unit = (Ts if velocity else 1.0) / self.size  # motion per sample and command
+        self.base = unit * command[0][:, None] * (self.t if velocity else 1.0 + 0 * self.t)
+        self.length = 1 << (2 * len(motion) - 1).bit_length()
+        self.changes = np.fft.rfft(unit * np.diff(command, axis=0, prepend=command[:1]).T, self.length)
+        self.line = np.linalg.qr(np.linspace(-1, 1, len(motion))[:, None] ** np.arange(2))[0].T  # (2, N) orthonormal
 
     def response(self, kind, values, joint):
         """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
@@ -171,11 +160,16 @@ class _Log:
     def left(self, kind, values, parts, joint):
         """((..., N) residuals, (...) gains) of drives (..., p) of joints (...)."""
         moved = self.free(self.response(kind, values, joint) + self.base[joint], parts)
-        wanted = self.free(self.y[joint], parts)
-        gain = np.ones(moved.shape[:-1])
+        wanted, gain = self.free(self.y[joint], parts), np.ones(moved.shape[:-1])
         if parts[0]:
             gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
         return wanted - gain[..., None] * moved, gain
+
+    def slopes(self, kind, values, parts, joint):
+        """((..., N) residuals, (..., N, p) their derivatives by the values)."""
+        p, step = values.shape[-1], 1e-4
+        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), parts, joint[..., None])
+        return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
 
 
 def step_response(kind, numbers, t, velocity):
@@ -187,9 +181,8 @@ def step_response(kind, numbers, t, velocity):
     if kind == "delay":  # a position drive without a lag moves on a line from sample to sample
         return after if velocity else np.minimum(after, 1.0)
     if kind == "lag":
-        lag = numbers[..., 0]
-        rest = -np.expm1(-after / lag)
-        return after - lag * rest if velocity else rest
+        rest = -np.expm1(-after / numbers[..., 0])
+        return after - numbers[..., 0] * rest if velocity else rest
     w, zeta, slope = numbers[..., 0], numbers[..., 1], 0.0
     if kind == "velocity PI":  # G = (slope s + w²)/((s − p)(s − p̄))
         slope, w = 1 / w, 1 / np.sqrt(w * zeta)
@@ -206,40 +199,31 @@ def step_response(kind, numbers, t, velocity):
 
 
 def _starts(log, kind):
-    """(k, 2, p) for each joint the best two points of a grid, each with its best whole dead time."""
+    """(k, s, p) for each joint the best two points of a grid, each with its best whole dead time."""
     grid = {
         "delay": [()],
         "lag": [(tau,) for tau in TIMES],
         "second-order": [(2 * ratio / tau, ratio) for tau in TIMES for ratio in RATIOS],
         "velocity PI": [(tau, more * tau) for tau in TIMES for more in (2.5, 8.0)],
     }[kind]
-    latest, N = _latest(log.command, log.motion), len(log.t)
-    values = np.array([[0.0, *np.log(numbers)] for numbers in grid])
-    joints = np.arange(log.k)
-    moved = log.response(kind, values[:, None], joints)  # (grid, k, N)
-    wanted = log.free(log.y - log.base, PARTS[0])
-    both = np.fft.irfft(np.fft.rfft(wanted, log.length) * np.conj(np.fft.rfft(moved, log.length)), log.length)
-    both = both[..., : latest + 1]  # with motions that are late by 0, 1, … samples
-    ends = N - np.arange(latest + 1) - 1
-    power = np.cumsum(moved**2, -1)[..., ends]
-    for row in log.line:
-        across = np.fft.irfft(np.fft.rfft(row, log.length) * np.conj(np.fft.rfft(moved, log.length)), log.length)
-        power = power - across[..., : latest + 1] ** 2
-    cost = -(both**2) / np.maximum(power, 1e-9 * N)
-    late = np.argmin(cost, -1)  # (grid, k)
+    values, N = np.array([[0.0, *np.log(numbers)] for numbers in grid]), len(log.t)
+    sent = np.argmax(np.any(log.command != log.command[0], axis=1))
+    away = np.argmax(np.any(np.abs(log.motion - log.motion[0]) > 0.3 * np.ptp(log.motion, axis=0), axis=1))
+    latest = int(np.clip(away - sent + 2, 2, min(MOST - 1, N // 2)))  # dead time: until a clear motion
+    moved = log.response(kind, values[:, None], np.arange(log.k))  # (grid, k, N)
+    spectrum = np.conj(np.fft.rfft(moved, log.length))
+
+    def across(row):  # with motions that are late by 0, 1, … samples
+        return np.fft.irfft(np.fft.rfft(row, log.length) * spectrum, log.length)[..., : latest + 1]
+
+    power = np.cumsum(moved**2, -1)[..., N - 1 - np.arange(latest + 1)] - sum(across(row) ** 2 for row in log.line)
+    cost = -(across(log.free(log.y - log.base, PARTS[0])) ** 2) / np.maximum(power, 1e-9 * N)
     order = np.argsort(np.min(cost, -1), axis=0)[:2]
     found = values[order]  # (1 or 2, k, p)
-    found[..., 0] = np.take_along_axis(late, order, 0) + 0.2 * (kind != "delay")
+    found[..., 0] = np.take_along_axis(np.argmin(cost, -1), order, 0) + 0.2 * (kind != "delay")
     if kind == "delay":  # piecewise linear in the dead time: no slope at whole samples
         found = np.concatenate([np.abs(found - 0.4), found + 0.4])
     return np.moveaxis(found, 0, 1)
-
-
-def _latest(command, motion) -> int:
-    """The largest possible dead time [samples]: from the first change of a command until a clear motion."""
-    sent = np.argmax(np.any(command != command[0], axis=1))
-    moved = np.argmax(np.any(np.abs(motion - motion[0]) > 0.3 * np.ptp(motion, axis=0), axis=1))
-    return int(np.clip(moved - sent + 2, 2, min(MOST - 1, len(motion) // 2)))
 
 
 class Fit(NamedTuple):
@@ -253,9 +237,9 @@ class Fit(NamedTuple):
 
 def _least(log, kind, parts, starts) -> Fit:
     """The least squares of each joint, from the better of its starts (k, s, p)."""
-    values, low, high = np.array(starts), *_ends(kind)
+    values, (low, high), N = np.array(starts), _ends(kind), len(log.t)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
-    here, slope = _slopes(log, kind, values, parts, joint)
+    here, slope = log.slopes(kind, values, parts, joint)
     power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
         normal = np.einsum("...ni,...nj->...ij", slope, slope)
@@ -263,7 +247,7 @@ def _least(log, kind, parts, starts) -> Fit:
         downhill = np.einsum("...ni,...n->...i", slope, here)
         step = np.linalg.solve(normal + scale[..., None] * np.eye(len(low)), downhill[..., None])[..., 0]
         tried = np.clip(values - np.clip(step, -1.5, 1.5), low, high)
-        there, slopes = _slopes(log, kind, tried, parts, joint)
+        there, slopes = log.slopes(kind, tried, parts, joint)
         better = np.sum(there**2, -1) < power
         ends = np.all(better | (damping > 1e3)) and np.all((np.abs(tried - values) < 1e-4) | ~better[..., None])
         values, here = np.where(better[..., None], tried, values), np.where(better[..., None], there, here)
@@ -272,11 +256,11 @@ def _least(log, kind, parts, starts) -> Fit:
         if ends:
             break
     each = np.arange(log.k), np.argmin(power, 1)
-    values, left, N = values[each], power[each] / len(log.t) + EXACT**2, len(log.t)
-    _, apart = _shared(values, np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
+    left = power[each] / N + EXACT**2
+    _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
     numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
     score = N * np.sum(np.log(left)) + log.k * (1 + sum(parts)) * np.log(N) + numbers
-    return Fit(kind, parts, values, float(score))
+    return Fit(kind, parts, values[each], float(score))
 
 
 def _ends(kind):
@@ -284,42 +268,14 @@ def _ends(kind):
     return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
 
 
-def _slopes(log, kind, values, parts, joint):
-    """((..., N) residuals, (..., N, p) their derivatives by the values)."""
-    p, step = values.shape[-1], 1e-4
-    each = values[..., None, :] + step * np.eye(p + 1, p, -1)
-    left, _ = log.left(kind, each, parts, joint[..., None])
-    return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
-
-
 # --- all joints together ------------------------------------------------------------------------------
 
 
 def _made(log, fit) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
-    names, k, every = NUMBERS[fit.kind], log.k, np.arange(log.k)
-    information = _information(log, fit)  # (k, p, p)
-    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
-    mean, apart = _shared(fit.values, information)
-    free = (k - 1) * len(mean)
-    own = bool(names) and apart > free + APART * np.sqrt(2 * free)  # of χ², which is nearly normal
-    if own:  # one dead time for all joints, and each joint's own numbers with it
-        cov[0, 0] = 1 / np.sum(1 / each[:, 0, 0])
-        mean[0] = cov[0, 0] * np.sum(fit.values[:, 0] / each[:, 0, 0])
-        values = fit.values + each[:, 0] * ((mean[0] - fit.values[:, 0]) / each[:, 0, 0])[:, None]
-        deviation = np.sqrt(np.diagonal(each, axis1=1, axis2=2))
-        deviation[:, 0] = np.sqrt(cov[0, 0])
-    else:
-        deviation = np.sqrt(np.diag(cov))[None]
-        for _ in range(3):  # from the mean to the least squares of all joints together
-            left, slope = _slopes(log, fit.kind, np.broadcast_to(mean, fit.values.shape), fit.parts, every)
-            scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
-            rows = (slope / scale[..., None]).reshape(-1, len(mean))
-            step = np.linalg.lstsq(rows, (left / scale).ravel(), rcond=1e-9)[0]
-            step = np.clip(step, -2 * deviation[0], 2 * deviation[0])
-            mean = np.clip(mean - step, *_ends(fit.kind))
-        values = np.broadcast_to(mean, fit.values.shape)
-    left, gain = log.left(fit.kind, values, fit.parts, every)
+    (kind, parts, fitted, _), names, every = fit, NUMBERS[fit.kind], np.arange(log.k)
+    values, covs, own = _together(log, kind, parts, fitted)
+    left, gain = log.left(kind, np.broadcast_to(values, fitted.shape), parts, every)
     follows = np.mean(left**2, -1) < 1 - EXPLAINED  # a joint may also move as others shake it
     explained = 1.0 - float(np.mean(left[follows] ** 2 if follows.any() else left**2))
     if not follows.any():
@@ -327,12 +283,9 @@ def _made(log, fit) -> DriveFit:
     if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
-    line = log.line[1] / (log.line[1, -1] - log.line[1, 0]) * (len(log.t) - 1) * log.Ts
-    still = log.y - gain[:, None] * (log.response(fit.kind, values, every) + log.base)
-    rows, covs = (follows, each) if own else (slice(1), cov[None])
-    alpha, notes = _recommended(log, fit.kind, values[rows], covs[rows], gain[follows])
-    values, wide = values[: k if own else 1], NORMAL * np.minimum(deviation, WIDE)
-    interval = {"delay": (float(max(mean[0] - wide[0, 0], 0.0)), float(mean[0] + wide[0, 0]))}
+    alpha, notes = _recommended(log, kind, *((v[follows] if own else v) for v in (values, covs)), gain[follows])
+    wide = NORMAL * np.minimum(np.sqrt(np.diagonal(covs, axis1=1, axis2=2)), WIDE)
+    interval = {"delay": tuple(float(max(values[0, 0] + s * wide[0, 0], 0.0)) for s in (-1, 1))}
     for i, name in enumerate(names, 1):
         ends = [np.exp(values[:, i] + s * wide[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
         interval[name] = tuple(end if own else float(end[0]) for end in ends)
@@ -342,25 +295,47 @@ def _made(log, fit) -> DriveFit:
     if not follows.all():
         said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
         notes.append(f"Joint {said} does not follow its command, and is left out.")
-    rms = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0]
-    length = np.array([correlated(row) for row in left])
+    rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
     if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
         notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
     elif np.any(off := np.abs(gain - 1) > OFF):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
-    drift = fit.parts[1] * (still @ line) / (line @ line) * log.size[:, 0]
-    given = dict(drive=_drive(log, fit.kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
+    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fitted.shape), every) + log.base)
+    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * parts[1] * log.size[:, 0]
+    given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
     motion = log.motion - (left * log.size).T
     return DriveFit(**given, explained=explained, recommended_alpha=alpha, motion=motion, note=" ".join(notes))
 
 
-def _information(log, fit):
+def _together(log, kind, parts, fitted) -> tuple:
+    """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
+    every, information = np.arange(log.k), _information(log, kind, parts, fitted)
+    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
+    mean, apart = _shared(fitted, information)
+    free = (log.k - 1) * len(mean)
+    if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
+        least = 1 / np.sum(1 / each[:, 0, 0])
+        late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
+        fitted = fitted + each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+        each[:, 0, 0] = least
+        return fitted, each, True
+    most = 2 * np.sqrt(np.diag(cov))
+    for _ in range(3):  # from the mean to the least squares of all joints together
+        left, slope = log.slopes(kind, np.broadcast_to(mean, fitted.shape), parts, every)
+        scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
+        rows = (slope / scale[..., None]).reshape(-1, len(mean))
+        step = np.linalg.lstsq(rows, (left / scale).ravel(), rcond=1e-9)[0]
+        mean = np.clip(mean - np.clip(step, -most, most), *_ends(kind))
+    return mean[None], cov[None], False
+
+
+def _information(log, kind, parts, values):
     """(k, p, p) of the values of each joint: residuals count as often as they are independent, and may be larger where
     the motion is fast (White 1980)."""
-    left, slope = _slopes(log, fit.kind, fit.values, fit.parts, np.arange(log.k))
-    free = max(len(log.t) - slope.shape[-1] - 1 - sum(fit.parts), 1)
+    left, slope = log.slopes(kind, values, parts, np.arange(log.k))
+    free = max(len(log.t) - slope.shape[-1] - 1 - sum(parts), 1)
     power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
     flat = np.linalg.pinv(np.einsum("kni,knj->kij", slope, slope))
     lever = np.einsum("kni,kij,knj->kn", slope, flat, slope)
@@ -372,18 +347,14 @@ def _information(log, fit):
 
 def _shared(values, information):
     """(values (p,) that all joints share, χ² of how far each joint's own (k, p) are from them)."""
-    total = information.sum(0)
-    mean = np.linalg.lstsq(total, np.einsum("kij,kj->i", information, values), rcond=1e-12)[0]
+    mean = np.linalg.pinv(information.sum(0)) @ np.einsum("kij,kj->i", information, values)
     return mean, float(np.einsum("ki,kij,kj->", values - mean, information, values - mean))
 
 
 def correlated(left) -> float:
     """The correlation length of a residual (N,) [samples]: 1 for white noise."""
     left = left - left.mean()
-    power = float(left @ left)
-    if power == 0.0:
-        return 1.0
-    N = len(left)
+    N, power = len(left), float(left @ left) or 1.0
     share = np.fft.irfft(np.abs(np.fft.rfft(left, 2 * N)) ** 2, 2 * N)[: N // 2] / power
     last = int(np.argmax(share < 2 / np.sqrt(N))) or len(share)
     return float(max(1.0, 1.0 + 2.0 * np.sum(share[1:last])))
@@ -400,32 +371,28 @@ def _drive(log, kind, values) -> Drive:
 
 def _recommended(log, kind, values, covs, gain) -> tuple:
     """(gain [1/s] over the interval, or None; [why there is none]) of values (k, p) and their covariances (k, p, p)."""
-    names = [name for name in NUMBERS[kind] if name != "integral"]
-    for i, name in enumerate(names, 1):
+    for i, name in enumerate(NUMBERS[kind], 1):
         slow = np.log(BOUNDS[name][SCALES[name] > 0])  # the end at which a drive is slow, or swings
-        if np.any(np.abs(values[:, i] - slow) < OFF):
+        if name != "integral" and np.any(np.abs(values[:, i] - slow) < OFF):
             return None, [
                 f"No gain: the {name.replace('_', ' ')} is at the end of what is tried. Record a longer step."
             ]
     drive = _drive(log, kind, values)
-    moved = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
+    rows = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
     slow = drive.lag if drive.order < 2 else 2 * np.maximum(np.pi, drive.damping_ratio) / drive.natural_frequency
-    if moved * log.Ts < np.max(slow):
+    if rows * log.Ts < np.max(slow):
         return None, ["No gain: the log is shorter than the drive's own period. Record until it rests."]
 
     def alpha(shape) -> float:
         return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
 
-    best = alpha(values)
-    j = int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
+    best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
+    one = values[j : j + 1]
     size, ways = np.linalg.eigh(covs[j])
-    size, spread = np.sqrt(np.maximum(size, 0.0)), 0.0
-    for one, way in zip(size, ways.T, strict=True):
-        if one > FINE:
-            shift = min(one, STEP) * way
-            spread += (np.log(alpha(values[j : j + 1] + shift) / alpha(values[j : j + 1])) * one / min(one, STEP)) ** 2
+    size = np.sqrt(np.maximum(size, 0.0))
+    spread = 0.0
+    for s, way in zip(size[size > FINE], ways.T[size > FINE], strict=True):
+        spread += (np.log(alpha(one + min(s, STEP) * way) / alpha(one)) * s / min(s, STEP)) ** 2
     if best < 1e-6 or spread**0.5 > OPEN:
-        return None, [
-            "No gain: gains for the drives that explain the log differ too much. Record a larger or longer step."
-        ]
+        return None, ["No gain: gains for the drives that explain the log differ too much. Record a larger step."]
     return float(best * np.exp(-NORMAL * spread**0.5) / np.max(gain)), []

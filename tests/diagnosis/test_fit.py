@@ -93,8 +93,8 @@ def test_no_gain_is_safe_where_commands_begin_at_joints_that_move_by_another_gai
     """u = q0 + g (q + z e − q0): such a loop does not arrive, or runs away where z is small."""
     command = step(200)
     moved = servo(command, TS, 2.0, lag=0.02)
-    assert "feedback rebased" in fit_drive(None, command, moved[0] + 0.95 * (moved - moved[0]), TS).note
-    assert "rebased" not in fit_drive(None, command, moved, TS).note
+    assert "begin at the measured joints" in fit_drive(None, command, moved[0] + 0.95 * (moved - moved[0]), TS).note
+    assert "begin at" not in fit_drive(None, command, moved, TS).note
     for z in (0.05, 0.5):
         q = [0.0] * 4
         for _ in range(400):
