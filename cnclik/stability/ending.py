@@ -246,10 +246,11 @@ class _Case:
         return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
 
     def lag(self) -> str:
-        """The lag behind the path, where one explains the error."""
-        wanted = np.gradient(self.x + self.e, self.Ts, axis=0)[-self.quarter :]
-        e, speed = self.e[-self.quarter :], np.sum(wanted**2)
-        if self.law.task.angles or not speed:
+        """The lag behind the path, where one explains the errors of lengths."""
+        lengths = list(self.law.task.lengths)
+        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[-self.quarter :]
+        e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
+        if not speed:
             return ""
         late = np.sum(wanted * e) / speed
         left = np.sum((e - late * wanted) ** 2)
