@@ -171,7 +171,9 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
 def test_a_tip_that_is_a_jaw_is_remarked_on_once(tmp_path, capsys):
     file = tmp_path / "hand.urdf"
     file.write_text(JAWED.format(joint="j3", jaw="left_finger"))
-    with pytest.warns(errors.Remark, match="tip is 'left_finger', a gripper's jaw that joint 'j3' moves. The tip 'wris"):
+    with pytest.warns(
+        errors.Remark, match="tip is 'left_finger', a gripper's jaw that joint 'j3' moves. The tip 'wris"
+    ):
         ck.load_urdf(file)
     main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
     said = capsys.readouterr()

@@ -110,7 +110,10 @@ def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
     held = ("--posture", 0.1, -1, 1, 0, 1, 0, "--limits", "bounded", "--damping", 0.05, "--task", "position")
     said = answer(capsys, "ur5", *drive, *held)["robot"]
     assert "posture: 1 1/s (z = 0.01), within what is recommended." in said
-    assert "joint limits: 10 1/s (z = 0.1), overshoots with one more sample of dead time: recommended up to 8.192 1/s." in said
+    assert (
+        "joint limits: 10 1/s (z = 0.1), overshoots with one more sample of dead time: recommended up to 8.192 1/s."
+        in said
+    )
 
 
 def test_a_table_by_explicit_euler_has_no_column_beside_it(capsys):

@@ -44,7 +44,22 @@ def test_unknown_drives_are_assumed(tmp_path, capsys):
 
 def test_a_path_that_no_gain_makes_slow_enough_ends_with_1(tmp_path, capsys):
     """A quarter of a metre in the 0.1 s of the run is beyond a UR5's joints."""
-    run = ["tune", "ur5", "--task", "position", "--reference", "line", "--target", 0.3, -0.3, 0.4, "--N", 5, "--delay", 0]
+    run = [
+        "tune",
+        "ur5",
+        "--task",
+        "position",
+        "--reference",
+        "line",
+        "--target",
+        0.3,
+        -0.3,
+        0.4,
+        "--N",
+        5,
+        "--delay",
+        0,
+    ]
     with pytest.raises(SystemExit) as stopped:
         main(list(map(str, [*run, "--Ts", "0.01", "--method", "EE", "--no-figures", "--out", tmp_path])))
     assert stopped.value.code == 1 and "No values were found that keep the limits" in capsys.readouterr().out

@@ -63,4 +63,3 @@ def test_a_terminal_gets_a_bar(capsys, monkeypatch):
         report(2, 3, "[EE]")
     out, err = capsys.readouterr()
     assert out == "" and "2 of 3 loops" in err and "[EE]" in err
-

@@ -9,9 +9,7 @@ from scipy.integrate import solve_ivp
 
 import cnclik as ck
 from cnclik.errors import ArgumentError
-from cnclik.integrate import drive as drives
 from cnclik.integrate.drive import Drive, sampled
-from cnclik.problem import words
 from tests.oracles import close, discrete
 
 Ts = 0.02
@@ -242,10 +240,6 @@ def test_float32_runs_in_float32():
 def test_what_is_no_drive_is_refused(given, words):
     with pytest.raises(ArgumentError, match=words):
         Drive(**given)
-
-
-def test_words_are_the_drives_own():
-    assert (words.COMMANDS, words.FEEDBACKS) == (drives.COMMANDS, drives.FEEDBACKS)
 
 
 def test_a_loop_through_drives_may_begin_at_any_time():

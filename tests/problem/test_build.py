@@ -153,7 +153,10 @@ def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
         np.testing.assert_allclose(curve.times, [0.0, 1.0, 2.0])
         np.testing.assert_allclose(curve(1.0)[0], [0.3, 0.4, 0.1], atol=1e-6)
     file.write_text("x,y,z\n0.3,0,0.4\n0.3,0,0.4\n")
-    for options, told in (({"speed": 0.5}, "points that differ, with a speed"), ({}, "or a --speed, but way.csv lacks time")):
+    for options, told in (
+        ({"speed": 0.5}, "points that differ, with a speed"),
+        ({}, "or a --speed, but way.csv lacks time"),
+    ):
         with pytest.raises(ck.ArgumentError, match=told):
             p.problem_from("panda", reference=str(file), **asked, **options)
 

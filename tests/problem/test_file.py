@@ -72,5 +72,7 @@ def test_what_is_wrong_is_one_line(file, text, options, told):
 
 
 def test_no_file_is_told():
-    with pytest.raises(ck.ArgumentError, match="`robot` must name a Python file that can be read, but cell.py: No such"):
+    with pytest.raises(
+        ck.ArgumentError, match="`robot` must name a Python file that can be read, but cell.py: No such"
+    ):
         problem_of("nowhere/cell.py")

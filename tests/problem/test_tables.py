@@ -68,7 +68,11 @@ def test_numbers_are_what_they_look_like(slip, tmp_path):
 
 
 def test_what_was_probably_meant_is_said(tmp_path):
-    for text, told in (("1;2;3\n4;5;6\n", "separated by commas"), ('"0,25",1\n', "write 0.25"), ("1_0,1\n", "write 10")):
+    for text, told in (
+        ("1;2;3\n4;5;6\n", "separated by commas"),
+        ('"0,25",1\n', "write 0.25"),
+        ("1_0,1\n", "write 10"),
+    ):
         (tmp_path / "f.csv").write_text(text)
         with pytest.raises(ck.ArgumentError, match=told):
             read_points("TARGETS", tmp_path / "f.csv", pose())
