@@ -9,7 +9,7 @@ from typing import Any
 
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.problem.options import DRIVE, INTEGER, NAME, NUMBER, NUMBERS, OPTIONS
+from cnclik.problem.options import INTEGER, NAME, NUMBER, NUMBERS, OPTIONS
 
 _TYPES: dict[str, Any] = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
 _ROBOT = ("robot", "tip", "base", "task", "q0")
@@ -22,7 +22,7 @@ _DRIVE = ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feed
 
 def _field(name, group):
     """(name, type, field) of one option, for a dataclass of options."""
-    one, default = OPTIONS[name], None if name in DRIVE else OPTIONS[name].default
+    one, default = OPTIONS[name], OPTIONS[name].default
     if name == "robot":
         return name, str, option(about=one.help, positional=True, group=group)
     kind = _TYPES[one.kind] | None if default is None else _TYPES[one.kind]

@@ -89,6 +89,7 @@ def problem_from(
     q0: Float[ArrayLike, " n"] | None = None,
     reference: str = "hold",
     target: Point | None = None,
+    start: Point | None = None,
     center: Point | None = None,
     radius: Number | None = None,
     normal: Float[ArrayLike, " 3"] | None = None,
@@ -134,6 +135,7 @@ def problem_from(
         qw, qx, qy, qz, in this order or by these names.
       target: hold and line: the target, or the end of the line [m]; for a pose, optionally a quaternion w x y z after
         it. Default: where the tip is after every joint has moved a little.
+      start: line: where it begins [m], as the target; default: where the tip is at q0.
       center: circle and lissajous: centre [m]; default: so that the path starts at the tip.
       radius: circle: radius [m], positive; default: a tenth of the arm's length.
       normal: circle: normal vector of its plane; default: z.

@@ -56,9 +56,9 @@ def _option(annotation, default, text) -> Option:
     return Option(kind, text[0].upper() + text[1:], default, unit, must)
 
 
-DRIVE = arguments("integrate/drive.py", "Drive")
+DRIVE = {name: one._replace(default=None) for name, one in arguments("integrate/drive.py", "Drive").items()}
 OPTIONS = arguments("problem/build.py", "problem_from") | DRIVE
-DEFAULTS = {name: one.default for name, one in OPTIONS.items() if one.default is not None and name not in DRIVE}
+DEFAULTS = {name: one.default for name, one in OPTIONS.items() if one.default is not None}
 
 
 def check_values(where: str, name: str, values) -> None:

@@ -57,12 +57,12 @@ def hold(arm, target=None):
     return paths.hold(*_point("target", target, arm.task, there))
 
 
-def line(arm, period, target=None):
+def line(arm, period, target=None, start=None):
     errors.number("period", period, positive=True)
-    first, turned = _point("target", None, arm.task, arm.here)
+    first, turned = _point("start", start, arm.task, arm.here)
     last, turned_last = _point("target", target, arm.task, arm.here if target is not None else _away(arm))
-    if first is not None and len(first) != len(last):  # the end is x y z, the start in the task's coordinates
-        last = last[np.array(arm.task.linear)]
+    if first is not None and len(first) != len(last):  # one is x y z, the other in the task's coordinates
+        first, last = (p if len(p) == len(arm.task.linear) else p[np.array(arm.task.linear)] for p in (first, last))
     turned_last = None if turned_last is turned else turned_last  # the same orientation: nothing to turn
     return paths.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 

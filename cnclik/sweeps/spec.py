@@ -40,7 +40,7 @@ TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.OPTIONS
-DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {
+DEFAULTS = options.DEFAULTS | {
     "delay": 0,
     "measurement_delay": 0,
 }
