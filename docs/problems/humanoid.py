@@ -19,7 +19,7 @@ def problem(alpha=10.0):
     )
     soles = [ck.forward(robot, q0, tip=foot).position[:2] for foot in FEET]
     corners = [place + np.array([x, y]) for place in soles for x in (-0.05, 0.12) for y in (-0.03, 0.03)]
-    hand = ck.forward(robot, q0, tip=HAND).position
+    above = ck.forward(robot, q0, tip=HAND).position + np.array([0, 0, 0.05])  # the circle begins at its lowest point
     law = ck.Law(
         robot,
         tasks,
@@ -27,5 +27,5 @@ def problem(alpha=10.0):
         inverse=ck.levels(["feet"], ["balance"], ["hand"], ["rest"], damping=(1e-3, 0.02, 0.05, 1.0)),
         limits=ck.bounded(walls=ck.support_polygon(corners, margin=0.01)),
     )
-    circle = ck.circle(hand, 0.05, period=4.0, normal=[1, 0, 0])
+    circle = ck.circle(above, 0.05, period=4.0, normal=[1, 0, 0])
     return {"law": law, "reference": ck.hold_at(robot, tasks, q0, hand=circle), "q0": q0, "robot": "g1.urdf"}

@@ -1,4 +1,4 @@
-"""Two arms carry a tray: the left hand goes round a circle, and the right one keeps its place in the left one's frame."""
+"""Two arms carry a tray: the left hand goes round a circle, the right one keeps its place in the frame of the left."""
 
 import numpy as np
 
