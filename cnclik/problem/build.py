@@ -260,7 +260,7 @@ def posture_from(chain, rest, rate):
 
 def drive_from(given, chain=None) -> Drive | None:
     """Return the drive of a table of options, of which lists are one number per joint; None if it has none."""
-    made = {
+    made: dict[str, Any] = {
         name: errors.array(name, v, (None if chain is None else chain.n,)) if isinstance(v, (tuple, list)) else v
         for name, v in given.items()
         if v is not None

@@ -33,7 +33,9 @@ def arguments(file: str, name: str) -> dict[str, Option]:
     tree = ast.parse((pathlib.Path(__file__).parents[1] / file).read_text(encoding="utf-8"))
     node: Any = next(one for one in tree.body if getattr(one, "name", "") == name)
     if isinstance(node, ast.ClassDef):
-        each = [(one.target.id, one.annotation, one.value) for one in node.body if isinstance(one, ast.AnnAssign)]
+        each = [
+            (ast.unparse(one.target), one.annotation, one.value) for one in node.body if isinstance(one, ast.AnnAssign)
+        ]
     else:
         defaults = [*[None] * len(node.args.args), *node.args.kw_defaults]
         signature = zip((*node.args.args, *node.args.kwonlyargs), defaults, strict=True)
@@ -105,7 +107,9 @@ def check_units(chain, task, written: dict) -> None:
     Args: written: {option: the given unit of each number, or None}; see `cnclik.quantities.read`.
     """
     parts, axes = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), list(task.units)
-    wanted = {"error_clamp": parts, "noise": axes, "tolerance": ["m", "rad"], "accept": ["m", "rad"]}
+    size = parts[:1] if task.lengths else ["1"]  # of a singular value
+    wanted = {"error_clamp": parts, "noise": axes, "damping": size, "threshold": size}
+    wanted |= {"tolerance": ["m", "rad"], "accept": ["m", "rad"]}
     for name, units in written.items():
         of_joints = name in ("near", "jump") or (name in OPTIONS and OPTIONS[name].unit == "q")
         for k, unit in enumerate(list(chain.units) if of_joints else wanted.get(name, ())):

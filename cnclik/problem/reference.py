@@ -2,6 +2,7 @@
 
 import inspect
 import pathlib
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -41,8 +42,9 @@ def reference_from(name, chain: Chain, task: Task, q0, *, horizon=10.0, **option
     Args: horizon: length of the run [s], the default of `period`.
     """
     arm, given = ArmAtStart(chain, task, q0, _tip(chain, q0)), {k: v for k, v in options.items() if v is not None}
+    maker: Callable = waypoints
     if str(name).lower().endswith(".csv"):
-        maker, given = waypoints, {"file": name} | given
+        given = {"file": name} | given
     else:
         maker = _KINDS[errors.one_of("reference", name, (*_KINDS, "FILE.csv"))]
     takes = inspect.signature(maker).parameters
@@ -87,7 +89,7 @@ def lissajous(arm, period, center=None, amplitude=None, frequency=None, phase=No
     return paths.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
 
 
-_KINDS = {"hold": hold, "line": line, "circle": circle, "lissajous": lissajous}
+_KINDS: dict[str, Callable] = {"hold": hold, "line": line, "circle": circle, "lissajous": lissajous}
 
 
 def waypoints(arm, file, speed=None):
@@ -111,7 +113,7 @@ def waypoints(arm, file, speed=None):
     return paths.waypoints(times, positions, rotations)
 
 
-OPTIONS = {key for one in (*_KINDS.values(), waypoints) for key in inspect.signature(one).parameters} - {"arm", "file"}
+OPTIONS = {key for one in [*_KINDS.values(), waypoints] for key in inspect.signature(one).parameters} - {"arm", "file"}
 
 
 def on_path(chain: Chain, task, reference, q0):

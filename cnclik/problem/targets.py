@@ -68,8 +68,9 @@ def _read(file, aim, number, count):
     if errors.ending("TARGETS", path, ".csv", ".npy") == ".csv":
         found = read_points("TARGETS", path, own, tip=aim.label if count > 1 else "")[1]
     else:
+        data = read_bytes("TARGETS", path, "a file")
         try:
-            found = np.load(io.BytesIO(read_bytes("TARGETS", path, "a file of targets")), allow_pickle=False)
+            found = np.load(io.BytesIO(data), allow_pickle=False)
         except (ValueError, EOFError, OSError):
             raise errors.fail("TARGETS", "name a file that can be read", f"{path.name} is damaged") from None
         if count > 1:

@@ -102,7 +102,7 @@ def test_one_target_as_solve_takes_it(capsys):
         (["--target", "1"], "`--target` must be"),
         (["--target", "0.4", "nan"], "`--target` must be finite, but is nan"),
         (["none.csv"], "name a CSV file that can be read"),
-        (["none.npy"], "name a file of targets that can be read"),
+        (["none.npy"], "name a file that can be read, but none.npy: No such file"),
         (["none.txt"], "`TARGETS` must end with .csv, .npy, but is 'none.txt'"),
         (["--random", "3", "--seed", "-4"], "`--seed` must be a whole number"),
         (["--random", "0"], "`--random` must be at least 1"),

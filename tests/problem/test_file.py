@@ -1,22 +1,29 @@
 """A problem in a Python file: what its function may return, which options it takes, and its errors with their line."""
 
+import pathlib
+
 import numpy as np
 import pytest
 
 import cnclik as ck
 from cnclik.problem import problem_of
+from tests.oracles import robot_file
+
+EXAMPLES = pathlib.Path(__file__).parents[2] / "docs" / "problems"
 
 TWO = """
 import cnclik as ck
 arm = ck.planar_arm([1.0, 0.8, 0.5])
 def problem(alpha=5.0):
     tasks = ck.stack(hand=ck.position("xy"), rest=ck.joints())
-    return ck.Law(arm, tasks, alpha=alpha, inverse=ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1))), None, [0.3, 0.5, 0.2]
+    levels = ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1))
+    return ck.Law(arm, tasks, alpha=alpha, inverse=levels), None, [0.3, 0.5, 0.2]
 """
 ONE = """
 import cnclik as ck
 def problem():
-    return dict(law=ck.Law(ck.panda(), ck.pose(), alpha=4.0), drive=ck.Drive(delay=2.0, lag=0.05), Ts=0.004, N=7, method="EE")
+    law, drive = ck.Law(ck.panda(), ck.pose(), alpha=4.0), ck.Drive(delay=2.0, lag=0.05)
+    return dict(law=law, drive=drive, Ts=0.004, N=7, method="EE")
 """
 
 
@@ -72,7 +79,16 @@ def test_what_is_wrong_is_one_line(file, text, options, told):
 
 
 def test_no_file_is_told():
-    with pytest.raises(
-        ck.ArgumentError, match="`robot` must name a Python file that can be read, but cell.py: No such"
-    ):
+    with pytest.raises(ck.ArgumentError, match=r"`robot` must name a Python file that can be read, but cell.py: No"):
         problem_of("nowhere/cell.py")
+
+
+@pytest.mark.parametrize("name", ["two_arms", "humanoid"])
+def test_the_examples_of_the_pages_follow_their_paths(name, tmp_path, monkeypatch):
+    for robot in ("baxter", "g1"):
+        (tmp_path / f"{robot}.urdf").write_bytes(pathlib.Path(robot_file(robot)).read_bytes())
+    monkeypatch.chdir(tmp_path)
+    made = problem_of(EXAMPLES / f"{name}.py", N=5)
+    run = made.run()
+    first = made.law.task.tasks[0][0]
+    assert np.abs(run[first].e).max() < 1e-6 and made.name == name
