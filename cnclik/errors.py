@@ -208,12 +208,10 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
 
 def _misshapen(name, shape, shapes, of):
     """The error for another shape: a list of another length has as many numbers, all else a shape."""
-    lengths = [s[0] for s in shapes if len(s) == 1]
-    if len(shape) <= 1 and lengths and None not in lengths:
-        counts = " or ".join(dict.fromkeys(map(str, [1] * (() in shapes) + lengths)))
-        return fail(
-            name, f"have {counts} {of if counts != '1' else of.removesuffix('s')}", f"has {shape[0] if shape else 1}"
-        )
+    lengths = [str(*s or (1,)) for s in shapes if len(s) < 2]
+    if len(shape) < 2 and len(lengths) == len(shapes) and "None" not in lengths:
+        of = of if lengths[-1] != "1" else of.removesuffix("s")
+        return fail(name, f"have {' or '.join(dict.fromkeys(lengths))} {of}", f"has {shape[0] if shape else 1}")
     wanted = " or ".join(_show(s) for s in shapes)
     return fail(name, f"have shape {wanted}", f"has shape {_show(shape)}")
 

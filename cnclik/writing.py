@@ -10,7 +10,7 @@ import time
 from cnclik import errors
 
 OWN = ".cnclik"  # a file in each store of a sweep
-LIST = ".cnclik-files"  # in a folder of results: the names of the files that cnclik wrote there
+LIST = ".cnclik-files"  # in a folder of results: when cnclik wrote each file there, and its name
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
 _begun: list[pathlib.Path] = []  # hidden folders that this process writes into
@@ -21,12 +21,17 @@ class Refused(errors.ArgumentError):
 
 
 def is_own(path: pathlib.Path) -> bool:
-    """Whether cnclik wrote a file, or a sweep's store."""
+    """Whether cnclik wrote a file that nobody has changed since, or a sweep's store."""
     if os.path.isdir(path):
         return os.path.isfile(path / OWN)
     with contextlib.suppress(OSError):
-        return os.fsencode(path.name) in (path.parent / LIST).read_bytes().splitlines()
+        return _line(path, path.name) in (path.parent / LIST).read_bytes().splitlines()
     return False
+
+
+def _line(path: pathlib.Path, name: str) -> bytes:
+    """The line of the list for a file that is going to have this name; a link has its own time, not its target's."""
+    return b"%d %s" % (os.lstat(path).st_mtime_ns, os.fsencode(name))
 
 
 def check_free(name: str, folder, files, *, overwrite=False) -> None:
@@ -67,9 +72,8 @@ class Folder:
                 make(partial)
                 with open(partial, "rb+") as whole:  # Windows syncs no file that is open to be read only
                     os.fsync(whole.fileno())  # some disks tell only now that they are full
-                if not is_own(target):
-                    with open(target.parent / LIST, "ab") as names:  # others may write at once
-                        names.write(os.fsencode(target.name) + b"\n")
+                with open(target.parent / LIST, "ab") as names:  # others may write at once
+                    names.write(_line(partial, target.name) + b"\n")
                 os.replace(partial, target)
         except OSError as error:
             found = f"{str(self.path)[-80:]!r} does not: {errors.reason(error)} ({file}; files before it are kept)"

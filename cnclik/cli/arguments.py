@@ -73,7 +73,7 @@ def parse(Args, argv, *, prog, description):
 
     Raises: ArgumentError with the option, what it must be and what it is, or with the nearest name.
     """
-    every, argv = _options(Args), [str(a) for a in argv]
+    every, argv = options_of(Args), [str(a) for a in argv]
     if {"-h", "--help"} & set(argv):
         more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # the text that dataclasses write
         print(_help(every, prog, f"{description}\n\n{inspect.cleandoc(more)}".strip()))
@@ -105,7 +105,7 @@ def parse(Args, argv, *, prog, description):
 
 def of_options(Args, said) -> str:
     """The text of an error or a remark on an option: options are named as they are written on the command line."""
-    known, text = {one.name for one in _options(Args)}, str(said)
+    known, text = {one.name for one in options_of(Args)}, str(said)
 
     def written(found):
         name = f"--{found[2].replace('_', '-')}"
@@ -114,7 +114,7 @@ def of_options(Args, said) -> str:
     return re.sub("(Argument )?`([^`]+)`", written, text)
 
 
-def _options(Args) -> list:
+def options_of(Args) -> list:
     """The options of a dataclass, positional ones included."""
     hints, about, every = typing.get_type_hints(Args), _texts(Args), []
     for field in dataclasses.fields(Args):

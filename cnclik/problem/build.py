@@ -171,9 +171,14 @@ def problem_from(
 
     Raises: ArgumentError naming the entry that does not fit.
     """
-    given = {name: value for name, value in (locals() | drive).items() if name not in ("robot", "drive")}
+    given = locals() | drive
+    del given["robot"], given["drive"]
     for name in drive:
         errors.one_of("option", name, OPTIONS)
+    return _problem(robot, given, drive)
+
+
+def _problem(robot, given, drive) -> Problem:
     v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
     Ts, N = errors.number("Ts", v["Ts"], positive=True), errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:

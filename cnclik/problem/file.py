@@ -98,7 +98,7 @@ def _called(path, function):
     """What a function of the file returns. Raises: ArgumentError with the line, for any error."""
     try:
         return function()
-    except Exception as error:
+    except Exception as error:  # whatever the user's code raises
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) and not lines else lines[-1] if lines else 0
         told = str(error) if isinstance(error, errors.ArgumentError) else errors.in_a_line(error)

@@ -37,7 +37,7 @@ def test_there_are_at_most_45_options():
     import importlib
 
     modules = (importlib.import_module(f"cnclik.cli.{verb}") for verb in VERBS)
-    every = {one.name for module in modules for one in arguments._options(module.Args) if not one.positional}
+    every = {one.name for module in modules for one in arguments.options_of(module.Args) if not one.positional}
     assert len(every) <= 66, sorted(every)
 
 

@@ -184,7 +184,7 @@ XY = ck.position("xy")
         (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
         (
             lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.with_feedforward(ck.hold([1, 2]), [1, 2, 3])),
-            r"`feedforward` must have shape \(2,\), but has shape \(3,\)",
+            r"`feedforward` must have 2 numbers, but has 3",
         ),
     ],
 )
