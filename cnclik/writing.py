@@ -103,15 +103,15 @@ def output_folder(path, *, name="out", overwrite=True, files=(), replaces=()):
     check_free(name, path, files, overwrite=overwrite)
     new = not os.path.exists(path)
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path) as room:
-            room.write(bytes(_ROOM))
-        remove_abandoned(path.glob(f"{_PARTIAL}*"))
-    except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
-        found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
-        raise errors.fail(name, "be a folder that can be written into", found) from None
-    folder = Folder(path, name, overwrite)
-    try:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path) as room:
+                room.write(bytes(_ROOM))
+            remove_abandoned(path.glob(f"{_PARTIAL}*"))
+        except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
+            found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
+            raise errors.fail(name, "be a folder that can be written into", found) from None
+        folder = Folder(path, name, overwrite)
         yield folder
         for target in (path / file for file in replaces if file not in folder.made):
             if os.path.isfile(target) and is_own(target):

@@ -54,7 +54,6 @@ def test_a_run_without_csv_and_figures_leaves_none_of_an_earlier_one(tmp_path, c
     (tmp_path / "notes.txt").write_text("theirs")
     main(again)
     assert {p.name for p in tmp_path.iterdir()} == {writing.LIST, "trajectory.nc", "notes.txt"}
-    (tmp_path / writing.LIST).write_text("trajectory.nc\n")
     (tmp_path / "trajectory.csv").write_text("theirs, too")
     monkeypatch.setattr("cnclik.cli.solve._march", None)
     with pytest.raises(SystemExit) as stopped:

@@ -186,7 +186,7 @@ def test_float32_derivatives():
 solve = functools.partial(ck.solve, LAW, HOLD)
 BAD = [
     (lambda: solve(Q[:2], 0.1, 3), r"`q0` must have 3 joint values, but has 2\."),
-    (lambda: solve(0.0, 0.1, 3), r"`q0` must have 3 joint values, but has 1\."),
+    (lambda: solve(0.0, 0.1, 3), r"`q0` must have 3 joint values, but is a single number\."),
     (lambda: solve([0, np.nan, 0], 0.1, 3), r"`q0` must be finite, but is nan at index \(1,\)\."),
     (lambda: solve(["a", 0, 0], 0.1, 3), "`q0` must be an array of real numbers"),
     (lambda: solve(None, 0.1, 3), "`q0` must be an array of real numbers, but is None"),
