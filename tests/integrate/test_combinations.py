@@ -43,7 +43,7 @@ DRIVES = [
 TABLE = [
     (*solver, inverse, limits, DRIVES[i % len(DRIVES)], (np.float64, np.float32)[i // len(DRIVES) % 2])
     for i, (solver, inverse, limits) in enumerate(
-        (one for one in itertools.product(SOLVERS, INVERSES, LIMITS) if one[1:] != ("pseudoinverse", "bounded"))
+        one for one in itertools.product(SOLVERS, INVERSES, LIMITS) if one[1:] != ("pseudoinverse", "bounded")
     )
 ]
 
