@@ -16,7 +16,7 @@ from cnclik import errors
 from cnclik.integrate.drive import MOST, Drive, drive_in_words
 from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
 from cnclik.record import Number, replace
-from cnclik.stability.linear import REACH, describe, first_beyond, gain_removing, passes_of, removed
+from cnclik.stability.linear import describe, first_beyond, gain_removing, passes_of, removed
 from cnclik.stability.poles import LONGEST, SETTLED, ScalarLoop, crossings, frequencies, scalar_loop, within
 
 # Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
@@ -29,7 +29,7 @@ WITHIN = 0.02  # share of a step within which it has settled
 SWING = 1e-4  # relative imaginary part of a pole that counts as 0: rounding separates equal poles
 SLOWEST, ZERO = 1e-6, 1e-9  # poles within a share of the slowest are as slow; smaller poles count as 0
 BESIDE = 1e-6  # share of a limit below it where two poles that meet are still apart
-RATES = (1e-7, 30.0, 1024)  # of real poles times Ts, among which is looked: from, to, points
+RATES = (1e-6, 30.0, 1024)  # of real poles times Ts, among which is looked: from, to, points
 ROUNDS = 4  # of a search around the maximum, each 16 times finer
 SMALL = 1e-4  # share of a limit at which a loop must be stable, too
 INERTIA = (0.5, 2.0)  # of a rebased servo, as a share of that of the posture where it was identified
