@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.loop import COLOURS, DEAD, UNMODELLED, averaged, filtered, fits, free, path_basis, slowest, window
+from cnclik.diagnosis.loop import COLOURS, DEAD, averaged, filtered, fits, free, path_basis, slowest, window
 
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
+EXACT = 0.005  # share of the steps that neither a turned loop nor one in phase explains
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
 ROUND = 0.6  # |vᵀv| of a shape v with ‖v‖ = 1, at most, of a spiral: 0 for a circle, 1 in phase
@@ -38,7 +39,7 @@ def turned(y) -> Turned | None:
     if not blocks or N < 12:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
-    floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
+    floor = EXACT**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
     line, plain = np.linspace(-1, 1, N)[:, None] ** np.arange(2), np.inf
     found: list = []
     for theta in (0.0, *COLOURS):
@@ -121,8 +122,11 @@ def growth(y) -> tuple[float, float]:
     return float(factor), 0.95 if evidence > BETTER else 0.8
 
 
-def swept(y, period) -> tuple[float, float]:
-    """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy."""
+def swept(y, period) -> tuple[float, float, float]:
+    """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy; its unrest.
+
+    The unrest is the deviation of its size over the mean, of half the rows: 0.5 where noise excites it, 0 for a limit.
+    """
     N = len(y)
     still = free(path_basis(N, period), y)
     u, s, _ = np.linalg.svd(still, full_matrices=False)
@@ -133,6 +137,8 @@ def swept(y, period) -> tuple[float, float]:
     half = int(np.clip(np.searchsorted(total, total[-1] / 2), period / 2, max(N - 1 - period / 2, period / 2)))
     turn = np.angle(wave[1:] * np.conj(wave[:-1])) * energy
     if not 0 < half < N - 1:
-        return 1.0, 1.0
+        return 1.0, 1.0, 1.0
     speed = [np.sum(turn[p]) / max(np.sum(energy[p]), 1e-300) for p in (slice(half), slice(half, None))]
-    return float(speed[1] / speed[0]), float(np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300)))
+    larger = np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300))
+    size = np.sqrt(energy[N // 4 : 3 * N // 4])
+    return float(speed[1] / speed[0]), float(larger), float(np.std(size) / max(np.mean(size), 1e-300))

@@ -37,6 +37,7 @@ OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
+STEADY = 0.1  # unrest of a sustained oscillation, at most; noise gives 0.5
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 LONG = 30  # samples of dead time, beyond which a sample more or less counts little
@@ -151,7 +152,10 @@ def _swing(rows, found, Ts, alpha) -> dict:
     """Fields of a `Diagnosis` of a mode that swings."""
     change, turns = found.mode.real * found.period, len(rows) / found.period
     held = abs(change) < np.log(HELD)
-    faster, larger = cause.swept(loop.main_parts(rows), found.period)
+    faster, larger, unrest = cause.swept(loop.main_parts(rows), found.period)
+    if unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]:  # a mode between overtones may seem to decay
+        found = found._replace(mode=1j * found.mode.imag)
+        change, held = 0.0, True
     excited = change < -np.log(HELD) and larger > LASTS
     same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
     if turns > SWEPT and same and not 1 / SWEEP < faster < SWEEP:

@@ -144,6 +144,8 @@ def periods_of(y) -> list:
     still = free(path_basis(N), y)
     power = np.sum(np.abs(np.fft.rfft(still, 4 * N, axis=0)) ** 2, 1) * np.arange(2 * N + 1)
     found = [4 * N / (6 + int(np.argmax(power[6:])))]
+    fast = 4 * N / (6 + int(np.argmax((power * np.arange(2 * N + 1) ** 2)[6:])))  # beside a path that moves more
+    found += [fast] if fast < found[0] / 1.6 else []
     hankel = np.lib.stride_tricks.sliding_window_view(shared, max(len(shared) - len(shared) // 2 + 1, 1))
     if len(hankel) < 4:
         return found
@@ -159,7 +161,7 @@ def periods_of(y) -> list:
         return found
     best = np.argmax(np.where(swings, np.sum(np.abs(powers * weights) ** 2, 0), 0))
     period = 2 * np.pi / turn[best] * every
-    return [period] if 1 / 1.6 < period / found[0] < 1.6 else [period, *found]
+    return [period, *(other for other in found if not 1 / 1.6 < period / other < 1.6)]
 
 
 # --- prediction errors --------------------------------------------------------------------------------
