@@ -26,7 +26,7 @@ VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is t
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-CAREFUL, TAIL = 0.15, 0.1  # shares of the likely drives that tolerate less than the one chosen, and than those said
+CAREFUL, TAIL = 0.25, 0.1  # shares of the likely drives that tolerate less than the one chosen, and than those said
 
 
 class Loop(NamedTuple):
