@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.loop import COLOURS, DEAD, averaged, filtered, fits, free, path_basis, slowest, window
+from cnclik.diagnosis.loop import COLOURS, DEAD, UNMODELLED, averaged, filtered, fits, free, path_basis, slowest, window
 
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
-EXACT = 0.005  # share of the steps that neither a turned loop nor one in phase explains
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
 ROUND = 0.6  # |vᵀv| of a shape v with ‖v‖ = 1, at most, of a spiral: 0 for a circle, 1 in phase
@@ -39,7 +38,7 @@ def turned(y) -> Turned | None:
     if not blocks or N < 12:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
-    floor = EXACT**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
+    floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
     line, plain = np.linspace(-1, 1, N)[:, None] ** np.arange(2), np.inf
     found: list = []
     for theta in (0.0, *COLOURS):

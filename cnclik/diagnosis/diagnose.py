@@ -153,7 +153,9 @@ def _swing(rows, found, Ts, alpha) -> dict:
     change, turns = found.mode.real * found.period, len(rows) / found.period
     held = abs(change) < np.log(HELD)
     faster, larger, unrest = cause.swept(loop.main_parts(rows), found.period)
-    if unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]:  # a mode between overtones may seem to decay
+    if (
+        unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]
+    ):  # a mode between overtones may seem to decay
         found = found._replace(mode=1j * found.mode.imag)
         change, held = 0.0, True
     excited = change < -np.log(HELD) and larger > LASTS

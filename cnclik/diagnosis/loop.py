@@ -21,7 +21,7 @@ PER_PERIOD, DEAD = 24, 16  # rows of a period that are kept, and of dead time, w
 LAGS = (0.0, 1.0, 2.5, 6.0, 15.0)  # of these rows; the phase at the limit changes by 20° from one to the next
 COLOURS = (0.8, 1.0)  # θ of C = 1 − θB, besides 0: of noise of the motion and of its measurement together
 PATHS = (0, 1, 2, 4, 8, 12, 16)  # columns of a path's basis: offset, drift, bends, slow sines
-UNMODELLED = 0.02  # share of the steps that no linear loop explains
+UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less

@@ -106,7 +106,7 @@ def test_the_answer_in_words():
 @pytest.mark.parametrize("d", [2, 5])
 def test_a_clipped_oscillation_is_sustained(d):
     """By a limit of velocity; a linear loop near its limit is not called clipped."""
-    rng, z = np.random.default_rng(2), 1.4 * stable(d)
+    rng, z = np.random.default_rng(2), 2.0 * stable(d)
     e = loop(z, d, 400, clip=0.3) + 0.002 * rng.standard_normal(400)
     found = diagnose(e, TS, alpha=z / TS)
     assert found.kind is Kind.SUSTAINED and found.growth == pytest.approx(1, abs=2e-3) and ends(found, z, d)
