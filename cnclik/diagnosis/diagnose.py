@@ -38,6 +38,8 @@ TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which th
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
 STEADY = 0.1  # unrest of a sustained oscillation, at most; noise gives 0.5
+UNREST, DOUBLE = 0.25, 2.0  # of an oscillation that grows as a mode does: its unrest beyond that, its size below it
+FASTEST = np.log(1e3)  # growth in a period; with more it is a polynomial
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 LONG = 30  # samples of dead time, beyond which a sample more or less counts little
@@ -153,12 +155,16 @@ def _swing(rows, found, Ts, alpha) -> dict:
     change, turns = found.mode.real * found.period, len(rows) / found.period
     held = abs(change) < np.log(HELD)
     faster, larger, unrest = cause.swept(loop.main_parts(rows), found.period)
-    if (
-        unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]
-    ):  # a mode between overtones may seem to decay
+    if unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]:  # beside overtones a mode seems to decay
         found = found._replace(mode=1j * found.mode.imag)
         change, held = 0.0, True
+    if change > FASTEST:
+        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
     excited = change < -np.log(HELD) and larger > LASTS
+    if change > 0 and not held:  # what grows must do so as its mode does
+        wave = np.exp(found.mode * np.arange(len(rows)) - found.mode.real * len(rows)).real[:, None]
+        _, grows, rises = cause.swept(wave, found.period)
+        excited = unrest > rises + UNREST or larger < grows / DOUBLE
     same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
     if turns > SWEPT and same and not 1 / SWEEP < faster < SWEEP:
         return {"kind": Kind.UNDECIDED, "note": "The period changes, as of a sweep or another path, not of a loop."}

@@ -264,7 +264,7 @@ def read(y) -> Loop | None:
     evidence, m, loops = best
     if not loops.size:
         return None
-    dead, lag, z, _, score = loops
+    dead, lag, _, _, score = loops
     odds = np.exp(-0.25 * (score - score.min()))
     likely = np.flatnonzero(odds > 1e-3)
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
@@ -292,7 +292,7 @@ class Found(NamedTuple):
 
     drive: Drive  # of which a careful share of the likely drives tolerate less
     alpha: float  # gain of the loop [1/s], the mean of the likely drives
-    most: float  # and the largest of any
+    most: float  # and the largest of nearly all of them
     off: float  # least factor between a known gain and that of a drive with this mode
     ends: tuple  # two drives, between which most of the likely ones are
 
@@ -320,4 +320,6 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Found:
     places = order[np.minimum(np.searchsorted(total, [CAREFUL, TAIL, 1 - TAIL]), len(order) - 1)]
     drives = [Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places]
     mean, least = np.sum(odds * gain) / np.sum(odds), np.exp(np.min(np.abs(off)))
-    return Found(drives[0], float(mean), float(gain.max()), float(least), tuple(drives[1:]))
+    order = np.argsort(gain)
+    most = gain[order[min(np.searchsorted(np.cumsum(odds[order]), (1 - TAIL) * np.sum(odds)), len(order) - 1)]]
+    return Found(drives[0], float(mean), float(most), float(least), tuple(drives[1:]))
