@@ -181,13 +181,17 @@ def _model(chain: Chain) -> Model:
         onto = np.eye(chain.n)[[j.coordinate for j in joints]]
         mimic = onto * xp.array([j.multiplier for j in joints])[:, None], xp.array([j.offset for j in joints])
     turning = np.array([j.kind != PRISMATIC for j in joints])
-    moving = np.array([[float(i in way) for i in range(len(joints))] for way in ways])
+    moving = np.zeros((len(ways), len(joints)))
+    for row, way in zip(moving, ways, strict=True):
+        row[way] = 1.0
     limits = {name: getattr(chain, name) for name in ("lower", "upper", "velocity_limit")}
 
     def some(*names):
         return not all(type(x) is float and math.isinf(x) for name in names for x in limits[name])
 
-    ends = (xp.array([getattr(t.offset, name) for t in chain.tips], float) for name in ("rotation", "position"))
+    rotations, positions = (
+        xp.array([getattr(t.offset, name) for t in chain.tips], float) for name in ("rotation", "position")
+    )
     return Model(
         n=chain.n,
         transforms=_of_joints(xp, joints, turning),
@@ -196,7 +200,7 @@ def _model(chain: Chain) -> Model:
         mimic=mimic,
         balls=chain.balls,
         parents=chain.parents,
-        tips=tuple(_transforms(xp, *ends, 1.0)),
+        tips=tuple(_transforms(xp, rotations, positions, 1.0)),
         carriers=tuple(t.joint for t in chain.tips),
         tip_names=None if len(ways) == 1 else tuple(t.name for t in chain.tips),
         supports=None if moving.all() else moving,

@@ -6,13 +6,14 @@ A task's class is in a later room; its `rows_at` and `lengths` are used.
 import functools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.fixed import IDENTITY, Offset, compose
-from cnclik.robot.model import modelled
+from cnclik.robot.fixed import IDENTITY
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
@@ -67,31 +68,34 @@ def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
     An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
     is singular, and an answer of an inverse may end on the side that was not meant.
     """
-    frames: list = []
-    for joint, parent in zip(chain.joints, chain.parents, strict=True):
-        frames.append(compose(frames[parent] if parent >= 0 else Offset(), joint.origin))
-    if not all(map(errors.concrete, (x for f in frames for x in (*f.position, *sum(f.rotation, ()))))):
+    limits = list(zip(chain.lower, chain.upper, strict=True))
+    if not all(map(errors.concrete, jax.tree.leaves(chain))):
         return []
-    places = np.array([f.position for f in frames], float)
-    axes = np.array([np.array(f.rotation) @ np.array(j.axis) for f, j in zip(frames, chain.joints, strict=True)], float)
-    elbows: dict = {}
+    bends = {
+        i: limits[joint.coordinate]
+        for i, joint in enumerate(chain.joints)
+        if joint.kind == REVOLUTE and not joint.follower and joint.multiplier == 1
+        if limits[joint.coordinate][0] < limits[joint.coordinate][1] < math.inf
+    }
+    if not bends:
+        return []
+    stretched = frames(modelled(chain), np.zeros(chain.n))
+    axes, places, elbows = stretched.axes, stretched.points, {}
     for way in map(chain.way, range(len(chain.tips))):
         way = [i for i in way if chain.joints[i].kind == REVOLUTE]
-        for k, i in enumerate(way):
-            joint, axis = chain.joints[i], axes[i]
-            low, high = (float(bound[joint.coordinate]) for bound in (chain.lower, chain.upper))
-            if joint.follower or joint.multiplier != 1 or not low < high < math.inf:
-                continue
-            across = {j: places[j] - places[i] - axis * (axis @ (places[j] - places[i])) for j in way}
-            near = [j for j in way if abs(axes[j] @ axis) > _PARALLEL and np.linalg.norm(across[j]) > _SHORT]
-            above, below = [j for j in near if j in way[:k]], [j for j in near if j in way[k + 1 :]]
+        for i in [i for i in way if i in bends]:
+            away = {j: places[j] - places[i] for j in way if abs(axes[j] @ axes[i]) > _PARALLEL}
+            across = {j: v - axes[i] * (axes[i] @ v) for j, v in away.items()}
+            near = [j for j in across if np.linalg.norm(across[j]) > _SHORT]
+            above, below = [j for j in near if j < i], [j for j in near if j > i]
             if not (above and below):
                 continue
             back, on = -across[above[-1]], across[below[0]]
-            straight = math.atan2(axis @ np.cross(on, back), on @ back) - float(joint.offset)
+            straight = math.atan2(axes[i] @ np.cross(on, back), on @ back)
+            low, high = bends[i]
             beyond = min(high - straight, straight - low)
             if _BEND[0] < beyond < _BEND[1]:
-                elbows.setdefault(chain.joint_names[joint.coordinate], (straight, beyond))
+                elbows.setdefault(chain.joint_names[chain.joints[i].coordinate], (straight, beyond))
     return [(name, *values) for name, values in elbows.items()]
 
 

@@ -193,15 +193,13 @@ def _edge(file, element) -> Edge:
         raise bad(f"has limits from {lower:g} to {upper:g}, neither of them within ±{MOST:g}")
     lower = lower if lower >= -MOST else -math.inf  # exporters write 1e16 and the like for none
     upper = upper if upper <= MOST else math.inf
+    edge = dataclasses.replace(edge, lower=lower, upper=upper, velocity=velocity)
     if follows is None:
-        return dataclasses.replace(edge, lower=lower, upper=upper, velocity=velocity)
-    factor, shift = (
-        number("mimic", k, follows.get(k, default)) for k, default in (("multiplier", "1"), ("offset", "0"))
-    )
+        return edge
+    factor, shift = (number("mimic", key, follows.get(key, n)) for key, n in (("multiplier", "1"), ("offset", "0")))
     if not (abs(factor) <= MOST and abs(shift) <= MOST):
         raise bad(f"has a mimic multiplier or offset that is not finite, or not within ±{MOST:g}")
-    mimic = follows.get("joint"), factor, shift
-    return dataclasses.replace(edge, lower=lower, upper=upper, velocity=velocity, mimic=mimic)
+    return dataclasses.replace(edge, mimic=(follows.get("joint"), factor, shift))
 
 
 def _rotation(roll, pitch, yaw):

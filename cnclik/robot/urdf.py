@@ -69,14 +69,15 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
             raise errors.fail("tips" if tips else "tip", "be moved by a joint", f"is {link!r}, fixed to {base!r}")
     if tree.inertials:
         walk.beside()
+    leaders = [walk.by_name[name] for name in walk.coordinates]
     places = ((name, *walk.at[link], where) for name, (link, where) in ends.items())
     return assemble(
         walk.joints,
         tuple(Tip(name=name, joint=joint, offset=compose(at, where)) for name, joint, at, where in places),
-        joint_names=[e.name for e in walk.leaders],
-        lower=[e.lower for e in walk.leaders],
-        upper=[e.upper for e in walk.leaders],
-        velocity_limit=[e.velocity for e in walk.leaders],
+        joint_names=list(walk.coordinates),
+        lower=[e.lower for e in leaders],
+        upper=[e.upper for e in leaders],
+        velocity_limit=[e.velocity for e in leaders],
         masses=lumped(tree.inertials, walk.at, len(walk.joints)),
     )
 
@@ -88,7 +89,7 @@ class _Walk:
         self.tree, self.base, self.frozen = tree, base, frozen
         self.by_name = {e.name: e for e in tree.edges}
         self.joints: list[Joint] = []
-        self.leaders: list = []  # the joint that each coordinate belongs to, which mimic joints follow
+        self.coordinates: dict = {}  # {joint, which mimic joints may follow: index of its coordinate}
         self.at: dict = {base: (-1, Offset())}  # {link: (index of the joint that carries it, its place in that frame)}
 
     def to(self, link) -> None:
@@ -107,8 +108,7 @@ class _Walk:
             if leader.name in self.frozen:
                 self._still(edge, turned, multiplier * self.frozen[leader.name] + offset)
                 continue
-            if leader not in self.leaders:
-                self.leaders.append(leader)
+            self.coordinates.setdefault(leader.name, len(self.coordinates))
             self._moving(edge, turned, leader, multiplier, offset)
 
     def beside(self) -> None:
@@ -130,7 +130,7 @@ class _Walk:
                     leader, multiplier, offset = _leader(self.by_name, edge) if edge.mimic else (edge, 1.0, 0.0)
                 except errors.ArgumentError:  # it follows itself, or a joint that is missing
                     leader, multiplier, offset = edge, 1.0, 0.0
-                if leader in self.leaders:
+                if leader.name in self.coordinates:
                     self._moving(edge, turned, leader, multiplier, offset)
                 else:
                     value = self.frozen.get(leader.name, min(max(0.0, leader.lower), leader.upper))
@@ -145,7 +145,7 @@ class _Walk:
             kind=_MOVING[edge.type],
             axis=axis,
             origin=origin,
-            coordinate=self.leaders.index(leader),
+            coordinate=self.coordinates[leader.name],
             multiplier=multiplier,
             offset=offset,
             parent=parent,

@@ -177,7 +177,7 @@ BAD = [
     (lambda: ck.from_dh([1.0], [0.0], [0.0], [0.0, 0.0]), r"`theta` must have shape \(1,\)"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], convention="Standard"), r"`convention` must be one of standard, modified"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
-    (lambda: ck.with_base(ARM, np.eye(3)), r"`base` must be one pose: a 4×4 transform, .*, but has shape"),
+    (lambda: ck.with_base(ARM, np.eye(3)), r"`base` must be one pose: a 4×4 transform, .*, but is array"),
     (lambda: ck.with_tool(ARM, 2 * np.eye(4)), r"`tool` must hold a rotation"),
     (lambda: ck.with_tool(ck.planar_arm([1.0]), TOOL.T), r"`tool` must have the last row 0 0 0 1, but has"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], velocity_limit=[-1.0]), r"`velocity_limit` must be at least 0, but is -1"),

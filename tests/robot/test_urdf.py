@@ -17,7 +17,6 @@ from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
 from tests.oracles import robots
 
-
 ROOT = robots()
 FILES = sorted(str(p.relative_to(ROOT)) for p in ROOT.rglob("*.urdf"))
 CONFIGURATIONS = 20
@@ -439,7 +438,7 @@ def test_encodings_are_those_of_the_parser(encoding, tmp_path):
     assert "рука" in read_urdf(tmp_path / "e.urdf").links
     for data in (text.replace(encoding, "klingon").encode(), text.partition("?>")[2].encode("cp1251")):
         (tmp_path / "e.urdf").write_bytes(data)
-        with pytest.raises(ck.ArgumentError, match="e.urdf is not well-formed XML: "):
+        with pytest.raises(ck.ArgumentError, match=r"e.urdf is not well-formed XML: "):
             read_urdf(tmp_path / "e.urdf")
 
 

@@ -105,7 +105,7 @@ def test_robots_that_are_put_together_weigh_both():
     wanted = np.average([np.asarray(c) for _, c in each], axis=0, weights=weights) + np.array([1, 2, 3])
     close(ck.com(robot, np.concatenate([q, *arms])), wanted, atol=1e-13)
     for mixed in (ck.join(torso, ck.panda(), at="left"), ck.join(ck.panda(), torso)):
-        with pytest.raises(ck.ArgumentError, match="`robot` must have masses.* has none, or was joined from one"):
+        with pytest.raises(ck.ArgumentError, match=r"`robot` must have masses.* has none, or was joined from one"):
             ck.com(mixed, np.zeros(mixed.n))
     assert ck.join(ck.panda(), ck.panda(), prefix="b_").masses == ()
 
