@@ -160,7 +160,7 @@ HAND = {"hands": {"task": "position", "tip": GRIPPERS, "damping": 0.02}}
         ({"task": "z", "tip": GRIPPERS[0]}, {}, "`walls.a.above` must be given, or `below`"),
         ({"tip": GRIPPERS[0], "above": 0}, {}, "`walls.a.task` must be given, or `joints`"),
         ({"task": "pose", "tip": GRIPPERS[0], "above": 0}, {}, "`walls.a.task` must be of positions"),
-        ({"distance": [{}, {"radius": 1}]}, {}, "`walls.a.distance` must be of shapes on two links"),
+        ({"distance": [{}, {"radius": 1}]}, {}, "`walls.a.distance` must be on another link"),
         ({"joints": "left_s0", "above": 0, "below": 1}, {}, "`walls.a.above` must be given, .* but both are"),
         ({"joints": "left_s0", "above": 0.1}, {"limits": "velocity-scaling"}, "`limits` must be bounded, or be left"),
         ({"joints": "left_s0", "above": "10 mm"}, {}, "`walls.a.above` must have the units of what it is for"),
