@@ -211,7 +211,11 @@ def _misshapen(name, shape, shapes, of):
     lengths = [str(*s or (1,)) for s in shapes if len(s) < 2]
     if len(shape) < 2 and len(lengths) == len(shapes) and "None" not in lengths:
         of = of if lengths[-1] != "1" else of.removesuffix("s")
-        return fail(name, f"have {' or '.join(dict.fromkeys(lengths))} {of}", f"has {shape[0]}" if shape else "is a single number")
+        return fail(
+            name,
+            f"have {' or '.join(dict.fromkeys(lengths))} {of}",
+            f"has {shape[0]}" if shape else "is a single number",
+        )
     wanted = " or ".join(_show(s) for s in shapes)
     return fail(name, f"have shape {wanted}", f"has shape {_show(shape)}")
 
