@@ -51,13 +51,8 @@ from .robot.builtin import panda as panda, ur5 as ur5
 from .robot.chain import (
     Chain as Chain, from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
 )
-from .robot.exchange import (
-    from_mujoco_q as from_mujoco_q,
-    from_pinocchio_q as from_pinocchio_q,
-    to_mujoco_q as to_mujoco_q,
-    to_pinocchio_q as to_pinocchio_q,
-)
-from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
+from .robot.exchange import from_model_q as from_model_q, to_model_q as to_model_q
+from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian
 from .robot.mounted import join as join, with_base as with_base, with_tool as with_tool
 from .robot.mjcf import load_mjcf as load_mjcf
 from .robot.urdf import load_urdf as load_urdf

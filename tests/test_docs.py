@@ -151,7 +151,11 @@ def read_aloud(page, folder, less):
         if text in before and argv[0] in NO_FILES and "--out" not in argv:
             continue
         argv = fewer(argv) if less else argv
-        if argv[0] in ELSEWHERE or any(word.partition(".")[0].isupper() and word[0].isalpha() for word in argv[:2]) or argv in done:
+        if (
+            argv[0] in ELSEWHERE
+            or any(word.partition(".")[0].isupper() and word[0].isalpha() for word in argv[:2])
+            or argv in done
+        ):
             continue
         done.append(argv)
         if argv[0] == "view" and not has_viser():

@@ -192,7 +192,7 @@ def metric(law: Law):
     In the norm of errors scaled in this way, the error of a loop with one gain for all tasks never grows, even if the
     tasks conflict.
     """
-    weights = jnp.asarray(law.task.weight_of_each)
+    weights = jnp.asarray(weighted(law.task, np.ones(law.task.m)))
     if isinstance(law.inverse, Levels):
         weights = weights / jnp.stack([one.damping for one in law.inverse.damping])[np.array(law.inverse.level)]
     return weights / jnp.max(weights)

@@ -103,8 +103,6 @@ def wall(
     task = errors.kind("task", task, Task)
     if any(part.turns or part.tied for part in task.parts):
         raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
-    if any(getattr(part, "on_one_link", False) for part in task.parts):
-        raise errors.fail("task", "be of shapes on two links", "is of a distance that never changes")
     if (above is None) == (below is None):
         found = "neither is" if above is None else "both are"
         raise errors.fail("above", "be given, or `below`, but not both", found)
