@@ -263,7 +263,7 @@ class Pose:
 
 def as_joint_values(chain: Chain | Model, q, *, finite=False) -> Float[Array, " n"]:
     """Return q as a floating array (n,), checked."""
-    q = errors.array("q", q, (errors.kind("chain", chain, (Chain, Model)).n,), finite=finite)
+    q = errors.array("q", q, (errors.kind("chain", chain, (Chain, Model)).n,), finite=finite, of="joint values")
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program
 
 

@@ -1,8 +1,8 @@
 """Logs of 15 arms in MuJoCo with inertia, servos, friction, encoders and torque limits, whose loops shake or do not.
 
 A servo on each joint has its own bandwidth; the controller sees encoders, and its commands arrive late. A push moves
-the target by up to 2 cm; a run that strays by 4 cm is stopped, as by a safety system. What is right is found by running:
-the largest gain with which the tip overshoots by less than 5 %.
+the target by up to 2 cm; a run that strays by 4 cm is stopped, as by a safety system. What is right is found by
+running: the largest gain with which the tip overshoots by less than 5 %.
 """
 
 import functools
@@ -91,7 +91,7 @@ def folder() -> pathlib.Path:
 
 @functools.cache
 def text(robot) -> str:
-    """The URDF without shapes, other joints than the arm's fixed, other links than those that these move without mass."""
+    """The URDF without shapes; other joints than the arm's are fixed, links that the arm does not move have no mass."""
     root = ET.parse(folder() / ROBOTS[robot][0]).getroot()
     moved = {j.find("child").get("link") for j in root.findall("joint") if j.get("name") in chain(robot).joint_names}
     for link in root.findall("link"):
