@@ -3,5 +3,7 @@
 from cnclik.diagnosis.check import Finding, LogCheck, check_log
 from cnclik.diagnosis.diagnose import Diagnosis, Kind, diagnose
 from cnclik.diagnosis.fit import DriveFit, fit_drive
+from cnclik.diagnosis.tasks import StackDiagnosis, diagnose_tasks
 
-__all__ = ["DriveFit", "Finding", "LogCheck", "check_log", "fit_drive"]
+__all__ = ["Diagnosis", "DriveFit", "Finding", "Kind", "LogCheck", "StackDiagnosis"]
+__all__ += ["check_log", "diagnose", "diagnose_tasks", "fit_drive"]

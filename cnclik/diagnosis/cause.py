@@ -22,7 +22,7 @@ class Turned(NamedTuple):
     degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
     axis: np.ndarray  # (3,) in the order of the coordinates; of two coordinates the third axis
     z: float  # per row
-    better: float  # decrease of the criterion against frames that are not turned
+    open: float  # range of angles that explain the log as well, with more dead time [degrees]
 
 
 def turned(y) -> Turned | None:
@@ -60,23 +60,31 @@ def turned(y) -> Turned | None:
                     found.append((score + 3 * np.log(N), d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
                 elif z > 0:
                     plain = min(plain, score)
-    least = min((one[0] for one in found), default=0.0) + ALIKE
-    score, _, z, R, share = min((f for f in found if f[0] <= least), key=lambda f: f[1::-1], default=(0, 0, 0, 0, 1))
-    if share > LEFT or (plain - score < BETTER and not _circular(y)):
+    least = min((one[0] for one in found), default=0.0)
+    alike = sorted((one for one in found if one[0] <= least + ALIKE), key=lambda one: one[1::-1])
+    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not _circular(y)):
         return None
+    _, _, z, R, _ = alike[0]
+    angles = [_angle(one[3]) for one in alike if one[0] <= least + BETTER]
     if len(R) == 2:
-        return Turned(float(np.degrees(np.arctan2(R[1, 0], R[0, 0]))), np.array([0.0, 0.0, 1.0]), z, plain - score)
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    axis /= max(np.linalg.norm(axis), 1e-12)
-    up = 1.0 if axis[np.argmax(np.abs(axis))] >= 0 else -1.0
-    angle = np.degrees(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
-    return Turned(float(up * angle), up * axis, z, plain - score)
+        axis, up = np.array([0.0, 0.0, 1.0]), np.sign(R[1, 0]) or 1.0
+    else:
+        axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        up = 1.0 if axis[np.argmax(np.abs(axis))] >= 0 else -1.0
+        axis *= up / max(np.linalg.norm(axis), 1e-12)
+    return Turned(float(up * _angle(R)), axis, z, max(angles, default=180.0) - min(angles, default=0.0))
+
+
+def _angle(R) -> float:
+    return float(np.degrees(np.arccos(np.clip((np.trace(R) - len(R) + 2) / 2, -1, 1))))
 
 
 def _circular(y) -> bool:
     """Whether coordinates follow each other by a quarter turn: those of a loop with dead time swing in phase."""
     free_ = free(np.linspace(-1, 1, len(y))[:, None] ** np.arange(2), y)
-    wave = np.fft.ifft(np.where((np.arange(2 * len(y)) < len(y))[:, None], 2 * np.fft.fft(free_, 2 * len(y), axis=0), 0), axis=0)[: len(y)]
+    wave = np.fft.ifft(
+        np.where((np.arange(2 * len(y)) < len(y))[:, None], 2 * np.fft.fft(free_, 2 * len(y), axis=0), 0), axis=0
+    )[: len(y)]
     both = np.einsum("ni,nj->ij", wave, np.conj(wave))
     shape = np.linalg.eigh(both)[1][:, -1]
     return abs(np.sum(shape**2)) < ROUND

@@ -11,7 +11,7 @@ from cnclik.diagnosis import cause, loop
 from cnclik.diagnosis.recording import LEAST, columns
 from cnclik.integrate.drive import Drive
 from cnclik.quantities import in_samples
-from cnclik.record import ArrayLike, Float, record
+from cnclik.record import ArrayLike, Float, record, replace
 from cnclik.stability.gain import drive_in_words, gains
 
 
@@ -22,20 +22,27 @@ class Kind(enum.StrEnum):
     SUSTAINED = "sustained oscillation"
     GROWING = "growing oscillation"
     DIVERGING = "growth without oscillation"
+    SPIRAL = "spiral"
     CALM = "calm"
     QUIET = "quiet"
     UNDECIDED = "undecided"
 
 
-EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's
-EVIDENCE_KNOWN = 20.0  # the same where the gain of the loop is that of the mode
+EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's, unless its gain is known,
+EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # and that of the mode by less than this factor,
+EVIDENCE_EXCITED, MANY = 90.0, 12.0  # or it does not decay as its mode does: then over so many periods
+LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
 SURELY = 0.9  # share of the probability that loops which swing must have
-TOO_LARGE = 0.55  # ratio of the recommended gain to a known one below which that is why a loop swings
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
-SWEEP = 1.15  # ratio of two speeds of an oscillation of one size beyond which no loop makes it
-SIZES = (0.8, 1.45)  # ratio of two sizes that are one
+TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
+SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
+SIZES = (0.8, 1.7)  # ratio of two sizes that are one
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
-PERIODS = 3.0  # of an oscillation that neither decays nor grows: in fewer a path, or a limit of acceleration, looks alike
+PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
+LONG = 30  # samples of dead time, beyond which a sample more or less counts little
+UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
+DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
+UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
 
 @record
@@ -120,82 +127,105 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     size = np.abs(y - y[0]).max() or 1.0
     scaled, moving = loop.prepared((y - y[0]) / size)
     found = loop.read(scaled) if len(moving) else None
-    made = _seen(scaled, found, len(moving) == y.shape[1], (y - y[0]) / size, Ts, alpha)
-    return Diagnosis(Ts=Ts, alpha=alpha, **made, **_parts(y, found, made.get("period")))
+    made = _seen(scaled, found, (y - y[0]) / size, Ts, alpha)
+    return Diagnosis(Ts=Ts, alpha=alpha, **made, **_parts(y, found, "period" in made))
 
 
-def _seen(scaled, found, whole, y, Ts, alpha) -> dict:
-    """Fields of a `Diagnosis` of columns as `prepared` gives them, and as they are, y, where none is left out."""
+def _seen(scaled, found, y, Ts, alpha) -> dict:
+    """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
-        return {"kind": Kind.QUIET, "note": "No column moves by more than a few steps of its resolution."}
-    if whole and (spin := cause.turned(y)) and 15 < abs(spin.degrees) < 165:
-        return _turned_frames(spin, found)
+        return {"kind": Kind.QUIET, "note": "No column moves by more than some steps of its resolution."}
+    if scaled.shape == y.shape and (spin := cause.turned(y)) and 15 < abs(spin.degrees) < 173:
+        return _turned_frames(spin)
     rate, sure = cause.growth(scaled)
     if rate:
-        return _wrong_sign(rate, sure, Ts, alpha)
-    if found is None:
-        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
-    swings = found.swings > SURELY and np.isfinite(found.period)
-    if not swings or found.evidence < EVIDENCE_KNOWN:
-        return _no_swing(found)
-    period, Ts_ = found.period, Ts
-    held = abs(found.mode.real * period) < np.log(HELD)
-    clipped = found.growth > 1 or held
-    drives = loop.drives_of(found.mode, Ts_, alpha, clipped=clipped, alone=found.alone)
-    faster, larger = cause.swept(loop.main_parts(scaled[found.first : found.last]), period)
-    kind = Kind.SUSTAINED if held else Kind.GROWING if found.mode.real > 0 else Kind.RINGING
-    made = {"kind": kind, "period": period, "growth": found.growth}
-    if SIZES[0] < larger < SIZES[1] and not 1 / SWEEP < faster < SWEEP:
+        note = "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain helps."
+        return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure, "note": note}
+    if found is None or not np.isfinite(found.period) or found.swings < SURELY or found.evidence < EVIDENCE_KNOWN:
+        calm = found is not None and found.evidence > EVIDENCE_KNOWN and found.swings < 1 - SURELY
+        return {"kind": Kind.CALM, "note": DECAYS} if calm else {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+    return _swing(scaled[found.first : found.last], found, Ts, alpha)
+
+
+def _swing(rows, found, Ts, alpha) -> dict:
+    """Fields of a `Diagnosis` of a mode that swings."""
+    change, turns = found.mode.real * found.period, len(rows) / found.period
+    held = abs(change) < np.log(HELD)
+    faster, larger = cause.swept(loop.main_parts(rows), found.period)
+    excited = change < -np.log(HELD) and larger > LASTS
+    same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
+    if turns > SWEPT and same and not 1 / SWEEP < faster < SWEEP:
         return {"kind": Kind.UNDECIDED, "note": "The period changes, as of a sweep or another path, not of a loop."}
-    turns = (found.last - found.first) / period
-    if turns < (PERIODS if held else 2.0 if abs(found.mode.real * period) < np.log(2) else 1.2):
+    drives = loop.drives_of(found.mode, Ts, alpha, clipped=change > 0 or held, alone=found.alone)
+    best, present = _recommended(drives.drive, Ts), alpha or drives.alpha
+    if alpha is not None and best > TOO_LARGE * alpha:
+        note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
+        return {"kind": Kind.CALM, "recommended_alpha": None, "note": note}
+    needed = EVIDENCE_KNOWN if alpha is not None and drives.off < NEAR else EVIDENCE
+    if alpha is None and (excited or held):
+        needed = EVIDENCE_EXCITED if held or turns > MANY else np.inf
+    short = turns < (PERIODS if held else 2.0 if abs(change) < np.log(2) else 1.2)
+    if short or found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS):
         return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
-    best = _recommended(drives.drive, Ts)
-    present = drives.alpha if alpha is None else alpha
-    if best / present > TOO_LARGE and alpha is not None:
-        return {"kind": Kind.CALM, "note": f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."}
-    if found.evidence < EVIDENCE and (alpha is None or drives.off > 1.3):
-        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
-    if alpha is None and found.overshoot < OVERSHOOTS:
-        return _no_swing(found)
-    return made | _gain(found, drives, best, present, alpha, Ts)
+    limited = turns < PERIODS and abs(change) < np.log(1.5)
+    notes = []
+    if held and alpha is not None and alpha > 1.2 * drives.most:
+        notes.append("A linear loop of this alpha would grow: a limit of velocity or torque clips it.")
+    if excited:
+        notes.append("Noise excites it again and again.")
+    if alpha is not None and drives.off > NEAR:
+        notes.append(
+            f"No drive with this mode has this alpha: something changes the gain by a factor of {drives.off:.2g}."
+        )
+    if not found.alone:
+        ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
+        notes.append(f"Likely are drives between {ends}; a recorded step tells more (--step).")
+    notes.append(UNLESS)
+    return {
+        "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,
+        "cause": "dead time" if found.alone else "drive",
+        "period": found.period,
+        "growth": found.growth,
+        "delay": found.dead[0] if found.alone else None,
+        "interval": found.dead[1:] if found.alone else None,
+        "drive": drives.drive,
+        "z": found.z,
+        "recommended_alpha": best,
+        "factor": best / present,
+        "confidence": 0.8 if alpha is None else 0.7 if limited or drives.off > NEAR else 0.95,
+        "note": " ".join(notes),
+    }
 
 
 def _recommended(drive, Ts) -> float:
-    """The gain of `gains` [1/s]. More than 30 samples of dead time are as 30 longer ones, which take less time."""
-    n = max(1, int(drive.delay // 30))
-    from cnclik.record import replace
-
-    late = replace(drive, delay=(drive.delay + 0.5) / n - 0.5)
-    return gains(Ts=n * Ts, drive=late, method="EE").recommended
+    """The gain of `gains` [1/s]. Long dead times are computed at a larger Ts, which takes less time."""
+    n = max(1, int(drive.delay // LONG))
+    return gains(Ts=n * Ts, drive=replace(drive, delay=(drive.delay + 0.5) / n - 0.5), method="EE").recommended
 
 
-def _gain(found, drives, best, present, alpha, Ts) -> dict:
-    made = {"drive": drives.drive, "recommended_alpha": best, "factor": best / present, "z": found.z}
-    notes = []
-    if found.alone:
-        made |= {"cause": "dead time", "delay": found.dead[0], "interval": found.dead[1:]}
-    else:
-        made |= {"cause": "drive"}
-    made["confidence"] = 0.8 if alpha is None else 0.95 if drives.off < 1.3 else 0.7
-    return made | {"note": " ".join(notes)}
+def _turned_frames(spin) -> dict:
+    axis = np.round(spin.axis, 2)
+    if np.max(np.abs(spin.axis)) > 0.99:
+        axis = "xyz"[int(np.argmax(np.abs(spin.axis)))]
+    note = (
+        f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}: no gain "
+        f"helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
+    )
+    made = {"cause": "turned frames", "angle": spin.degrees, "axis": spin.axis, "z": spin.z, "note": note}
+    return {"kind": Kind.SPIRAL, "confidence": 0.95 if spin.open < 10 else 0.7, **made}
 
 
-def _turned_frames(spin, found) -> dict:
-    return {"kind": Kind.UNDECIDED, "cause": "turned frames", "angle": spin.degrees, "axis": spin.axis, "z": spin.z, "confidence": 0.95}
-
-
-def _wrong_sign(rate, sure, Ts, alpha) -> dict:
-    return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure}
-
-
-def _no_swing(found) -> dict:
-    return {"kind": Kind.CALM if found.evidence > EVIDENCE_KNOWN else Kind.UNDECIDED}
-
-
-def _parts(y, found, period) -> dict:
-    k = y.shape[1]
-    return {"amplitude": np.zeros(k), "noise": np.zeros(k), "path": y, "modes": 0 * y}
-
-
-UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
+def _parts(y, found, rings) -> dict:
+    """The path and the oscillation in the rows that were read, and what is left."""
+    if found is None:
+        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0.0, 0, len(y)), False
+    rows = y[found.first : found.last]
+    period = found.period if rings else np.inf
+    path, t = loop.path_basis(len(rows), period), np.arange(len(rows))
+    wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
+    both = np.hstack([path, np.stack([wave.real, wave.imag], 1)]) if rings else path
+    weights = np.linalg.lstsq(both, rows, rcond=1e-12)[0]
+    modes = both[:, path.shape[1] :] @ weights[path.shape[1] :]
+    slow = path @ weights[: path.shape[1]]
+    left = np.std(rows - slow - modes, axis=0)
+    return {"first": found.first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}

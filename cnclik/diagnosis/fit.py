@@ -1,9 +1,8 @@
 """Fit: the drive between recorded commands and motion, by output error with exact step responses. NumPy only.
 
-A row of a log is a sample: the motion measured at t[k], and the command sent then. A constant command between samples
-is a sum of steps, so the motion is the sum of the drive's step responses. Offset, gain and drift of each joint enter
-linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is fitted by itself; the information of
-all is then added up.
+A constant command between samples is a sum of steps, so the motion is the sum of the drive's step responses. Offset,
+gain and drift of each joint enter linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is
+fitted by itself, and the information of all is added up.
 """
 
 from __future__ import annotations
@@ -18,33 +17,25 @@ from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
-NUMBERS = {  # besides the dead time
-    "delay": (),
-    "lag": ("lag",),
-    "second-order": ("natural_frequency", "damping_ratio"),
-    "velocity PI": ("lag", "integral"),  # v' = (u − v + ∫(u − v)/integral)/lag
-}
-PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
+SERVO = ("natural_frequency", "damping_ratio")
+NUMBERS = {"delay": (), "lag": ("lag",), "second-order": SERVO}  # besides the dead time
+NUMBERS["velocity PI"] = ("lag", "integral")  # v' = (u − v + ∫(u − v)/integral)/lag
+BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0), "integral": (0.3, 1e4)}
+SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts: bounds are in samples
 TIMES, RATIOS = np.geomspace(0.3, 150, 12), (0.3, 0.8, 2.0)  # lags [samples] and ζ to start from, a factor of 2 apart
-BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0)}
-BOUNDS["integral"] = (0.3, 1e4)  # all in samples
-FINE = 0.01  # deviation of a number that moves a gain by a per cent
-SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts
+PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
 STEPS = 25  # of Gauss and Newton, from within a factor of two
 EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
 BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
-EXPLAINED = 0.5  # share of a motion that commands must explain
-OTHER_UNIT = 5.0  # factor of a gain beyond which something is wrong: units, another joint, the sign
+EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
 STRUCTURE, SEEN = 4.0, 2e-3  # correlation length [samples] and share of a motion of a residual that a drive leaves out
-OPEN = 0.35  # standard deviation of a number's logarithm: its interval spans a factor of four
+OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
+FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
+NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
 NOT_REBASED = (
-    "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
-    "difference adds up. Begin each command at the last one."
+    "No gain is safe for a loop whose position commands begin at the measured joints: begin each at the last one."
 )
-WIDE = 5.0  # the largest one that is said
-NORMAL = 1.96  # standard deviations in half an interval of 95 %
-APART = 3.1  # the same in one of 1,000, beyond which joints differ
 
 
 @record
@@ -54,12 +45,11 @@ class DriveFit:
     Attributes:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
-      interval: {name: (low, high)} of 95 % of each number; of numbers per joint (k, 2).
-      gain: (k,) motion per commanded motion. drift: (k,) motion without a command [rad/s, m/s].
-      rms: (k,) RMS residual of each motion [rad, m]. explained: share of the motions' variance.
+      interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
+      explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
-      motion: (N, k) of the fit. note: further remarks.
     """
 
     drive: Drive
@@ -83,11 +73,11 @@ class DriveFit:
         said = []
         for name, (low, high) in self.interval.items():
             value = _said(getattr(self.drive, name)).replace(" ", ", ")
-            wide = f" ({_said(low)} to {_said(high)})" if np.ndim(low) == 0 else f" (± {_said(np.max(high - low) / 2)})"
-            said.append(f"{name.replace('_', ' ')} {value}{units[name]}{wide}")
-        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
-        alpha = "" if self.recommended_alpha is None else f"Recommended alpha: {self.recommended_alpha:.4g} 1/s."
+            wide = f"{_said(low)} to {_said(high)}" if np.ndim(low) == 0 else f"± {_said(np.max(high - low) / 2)}"
+            said.append(f"{name.replace('_', ' ')} {value}{units[name]} ({wide})")
         kind = ("dead time", "lag", "second order")[self.drive.order]
+        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
+        alpha = f"Recommended alpha: {self.recommended_alpha:.4g} 1/s." if self.recommended_alpha else ""
         return " ".join(filter(None, (f"{kind}: {', '.join(said)}; {left}.", alpha, self.note)))
 
 
@@ -114,13 +104,11 @@ def fit_drive(
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: the joint values or
         velocities sent at t, and the joint values measured then [rad, m].
-      Ts: sampling time [s]; default: from t.
+      Ts: sampling time [s]; default: from t. command_kind: "position" or "velocity".
       kind: "delay", "lag", "second-order" or, of velocities, "velocity PI"; None: the simplest that explains the log.
-      command_kind: "position" or "velocity".
     Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
-    errors.one_of("command_kind", command_kind, COMMANDS)
-    velocity = command_kind == "velocity"
+    velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
     kinds = list(NUMBERS)[: 3 + velocity]
     kinds = kinds if kind is None else [errors.one_of("kind", kind, kinds)]
     command, motion = columns("command", command), columns("motion", motion)
@@ -135,15 +123,13 @@ def fit_drive(
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts, velocity)
-    best = None
+    best = Fit("", (), np.empty(0), np.inf)
     for one in kinds:
         fit = _least(log, one, PARTS[0], _starts(log, one))
-        if best is None or fit.score < best.score - BETTER:
-            best = fit
+        best = fit if fit.score < best.score - BETTER else best
     for parts in PARTS[1:]:
         fewer = _least(log, best.kind, parts, best.values[:, None])
-        if fewer.score < best.score + BETTER:
-            best = fewer
+        best = fewer if fewer.score < best.score + BETTER else best
     return _made(log, best)
 
 
@@ -152,18 +138,14 @@ class _Log:
 
     def __init__(self, command, motion, Ts, velocity):
         self.command, self.motion, self.Ts, self.velocity = command, motion, Ts, velocity
-        N, self.k = motion.shape
-        self.t = np.arange(N)
-        unit = Ts if velocity else 1.0  # motion per sample and command
+        self.t, self.k = np.arange(len(motion)), motion.shape[1]
         self.size = np.std(motion, axis=0)[:, None]
         self.y = motion.T / self.size
-        first = command[0][:, None]
-        self.base = (unit * first * self.t if velocity else first + 0.0 * self.t) / self.size
-        self.length = 1 << (2 * N - 1).bit_length()
-        changes = unit * np.diff(command, axis=0, prepend=command[:1]).T / self.size
-        self.changes = np.fft.rfft(changes, self.length)
-        line = np.stack([np.ones(N), np.linspace(-1, 1, N)])
-        self.line = np.linalg.qr(line.T)[0].T  # (2, N) orthonormal
+        unit = (Ts if velocity else 1.0) / self.size  # motion per sample and command
+        self.base = unit * command[0][:, None] * (self.t if velocity else 1.0 + 0 * self.t)
+        self.length = 1 << (2 * len(motion) - 1).bit_length()
+        self.changes = np.fft.rfft(unit * np.diff(command, axis=0, prepend=command[:1]).T, self.length)
+        self.line = np.linalg.qr(np.linspace(-1, 1, len(motion))[:, None] ** np.arange(2))[0].T  # (2, N) orthonormal
 
     def response(self, kind, values, joint):
         """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
@@ -178,11 +160,16 @@ class _Log:
     def left(self, kind, values, parts, joint):
         """((..., N) residuals, (...) gains) of drives (..., p) of joints (...)."""
         moved = self.free(self.response(kind, values, joint) + self.base[joint], parts)
-        wanted = self.free(self.y[joint], parts)
-        gain = np.ones(moved.shape[:-1])
+        wanted, gain = self.free(self.y[joint], parts), np.ones(moved.shape[:-1])
         if parts[0]:
             gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
         return wanted - gain[..., None] * moved, gain
+
+    def slopes(self, kind, values, parts, joint):
+        """((..., N) residuals, (..., N, p) their derivatives by the values)."""
+        p, step = values.shape[-1], 1e-4
+        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), parts, joint[..., None])
+        return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
 
 
 def step_response(kind, numbers, t, velocity):
@@ -194,9 +181,8 @@ def step_response(kind, numbers, t, velocity):
     if kind == "delay":  # a position drive without a lag moves on a line from sample to sample
         return after if velocity else np.minimum(after, 1.0)
     if kind == "lag":
-        lag = numbers[..., 0]
-        rest = -np.expm1(-after / lag)
-        return after - lag * rest if velocity else rest
+        rest = -np.expm1(-after / numbers[..., 0])
+        return after - numbers[..., 0] * rest if velocity else rest
     w, zeta, slope = numbers[..., 0], numbers[..., 1], 0.0
     if kind == "velocity PI":  # G = (slope s + w²)/((s − p)(s − p̄))
         slope, w = 1 / w, 1 / np.sqrt(w * zeta)
@@ -213,40 +199,31 @@ def step_response(kind, numbers, t, velocity):
 
 
 def _starts(log, kind):
-    """(k, 2, p) for each joint the best two points of a grid, each with its best whole dead time."""
+    """(k, s, p) for each joint the best two points of a grid, each with its best whole dead time."""
     grid = {
         "delay": [()],
         "lag": [(tau,) for tau in TIMES],
         "second-order": [(2 * ratio / tau, ratio) for tau in TIMES for ratio in RATIOS],
         "velocity PI": [(tau, more * tau) for tau in TIMES for more in (2.5, 8.0)],
     }[kind]
-    latest, N = _latest(log.command, log.motion), len(log.t)
-    values = np.array([[0.0, *np.log(numbers)] for numbers in grid])
-    joints = np.arange(log.k)
-    moved = log.response(kind, values[:, None], joints)  # (grid, k, N)
-    wanted = log.free(log.y - log.base, PARTS[0])
-    both = np.fft.irfft(np.fft.rfft(wanted, log.length) * np.conj(np.fft.rfft(moved, log.length)), log.length)
-    both = both[..., : latest + 1]  # with motions that are late by 0, 1, … samples
-    ends = N - np.arange(latest + 1) - 1
-    power = np.cumsum(moved**2, -1)[..., ends]
-    for row in log.line:
-        across = np.fft.irfft(np.fft.rfft(row, log.length) * np.conj(np.fft.rfft(moved, log.length)), log.length)
-        power = power - across[..., : latest + 1] ** 2
-    cost = -(both**2) / np.maximum(power, 1e-9 * N)
-    late = np.argmin(cost, -1)  # (grid, k)
+    values, N = np.array([[0.0, *np.log(numbers)] for numbers in grid]), len(log.t)
+    sent = np.argmax(np.any(log.command != log.command[0], axis=1))
+    away = np.argmax(np.any(np.abs(log.motion - log.motion[0]) > 0.3 * np.ptp(log.motion, axis=0), axis=1))
+    latest = int(np.clip(away - sent + 2, 2, min(MOST - 1, N // 2)))  # dead time: until a clear motion
+    moved = log.response(kind, values[:, None], np.arange(log.k))  # (grid, k, N)
+    spectrum = np.conj(np.fft.rfft(moved, log.length))
+
+    def across(row):  # with motions that are late by 0, 1, … samples
+        return np.fft.irfft(np.fft.rfft(row, log.length) * spectrum, log.length)[..., : latest + 1]
+
+    power = np.cumsum(moved**2, -1)[..., N - 1 - np.arange(latest + 1)] - sum(across(row) ** 2 for row in log.line)
+    cost = -(across(log.free(log.y - log.base, PARTS[0])) ** 2) / np.maximum(power, 1e-9 * N)
     order = np.argsort(np.min(cost, -1), axis=0)[:2]
     found = values[order]  # (1 or 2, k, p)
-    found[..., 0] = np.take_along_axis(late, order, 0) + 0.2 * (kind != "delay")
+    found[..., 0] = np.take_along_axis(np.argmin(cost, -1), order, 0) + 0.2 * (kind != "delay")
     if kind == "delay":  # piecewise linear in the dead time: no slope at whole samples
         found = np.concatenate([np.abs(found - 0.4), found + 0.4])
     return np.moveaxis(found, 0, 1)
-
-
-def _latest(command, motion) -> int:
-    """The largest possible dead time [samples]: from the first change of a command until a clear motion."""
-    sent = np.argmax(np.any(command != command[0], axis=1))
-    moved = np.argmax(np.any(np.abs(motion - motion[0]) > 0.3 * np.ptp(motion, axis=0), axis=1))
-    return int(np.clip(moved - sent + 2, 2, min(MOST - 1, len(motion) // 2)))
 
 
 class Fit(NamedTuple):
@@ -258,130 +235,107 @@ class Fit(NamedTuple):
     score: float
 
 
-def _least(log, kind, parts, starts, dead=None):
-    """The least squares of each joint, from the better of its starts (k, s, p). dead: a dead time that is given."""
-    values = np.array(starts)
+def _least(log, kind, parts, starts) -> Fit:
+    """The least squares of each joint, from the better of its starts (k, s, p)."""
+    values, (low, high), N = np.array(starts), _ends(kind), len(log.t)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
-    if dead is not None:
-        values[..., 0] = dead
-    names, first = NUMBERS[kind], int(dead is not None)
-    low, high = _ends(names)
-    power, damping = None, np.full(values.shape[:2], 1e-3)
-    here, slope = _slopes(log, kind, values, parts, joint)
-    power = np.sum(here**2, -1)
-    p = values.shape[-1]
+    here, slope = log.slopes(kind, values, parts, joint)
+    power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
-        normal = np.einsum("...ni,...nj->...ij", slope, slope)[..., first:, first:]
-        if p == first:
-            break
-        downhill = np.einsum("...ni,...n->...i", slope, here)[..., first:]
-        scale = np.einsum("...ii->...i", normal) + 1e-12
-        damped = normal + (damping[..., None] * scale)[..., None] * np.eye(p - first)
-        step = np.zeros_like(values)
-        step[..., first:] = np.clip(-np.linalg.solve(damped, downhill[..., None])[..., 0], -1.5, 1.5)
-        tried = np.clip(values + step, low, high)
-        there, slopes = _slopes(log, kind, tried, parts, joint)
-        less = np.sum(there**2, -1)
-        better = less < power
-        small = np.all((np.abs(tried - values) < 1e-4) | ~better[..., None]) and np.all(better | (damping > 1e3))
-        values = np.where(better[..., None], tried, values)
-        here, slope = np.where(better[..., None], there, here), np.where(better[..., None, None], slopes, slope)
-        power = np.where(better, less, power)
+        normal = np.einsum("...ni,...nj->...ij", slope, slope)
+        scale = damping[..., None] * (np.einsum("...ii->...i", normal) + 1e-12)
+        downhill = np.einsum("...ni,...n->...i", slope, here)
+        step = np.linalg.solve(normal + scale[..., None] * np.eye(len(low)), downhill[..., None])[..., 0]
+        tried = np.clip(values - np.clip(step, -1.5, 1.5), low, high)
+        there, slopes = log.slopes(kind, tried, parts, joint)
+        better = np.sum(there**2, -1) < power
+        ends = np.all(better | (damping > 1e3)) and np.all((np.abs(tried - values) < 1e-4) | ~better[..., None])
+        values, here = np.where(better[..., None], tried, values), np.where(better[..., None], there, here)
+        slope, power = np.where(better[..., None, None], slopes, slope), np.sum(here**2, -1)
         damping = np.clip(np.where(better, damping / 5, damping * 10), 1e-7, 1e5)
-        if small:
+        if ends:
             break
-    best = np.argmin(power, 1)
-    each = np.arange(log.k), best
-    values, N = values[each], len(log.t)
+    each = np.arange(log.k), np.argmin(power, 1)
     left = power[each] / N + EXACT**2
-    _, apart = _shared(values, np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
-    count = log.k * (1 + sum(parts)) * np.log(N)
-    own = log.k * (p - first) * np.log(N)
-    score = float(N * np.sum(np.log(left)) + count + min(own, apart + (p - first) * np.log(N)))
-    return Fit(kind=kind, parts=parts, values=values, score=score)
+    _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
+    numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
+    score = N * np.sum(np.log(left)) + log.k * (1 + sum(parts)) * np.log(N) + numbers
+    return Fit(kind, parts, values[each], float(score))
 
 
-def _ends(names):
+def _ends(kind):
     """The least and largest values (p,)."""
-    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in names)]).T
+    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
 
 
-def _slopes(log, kind, values, parts, joint):
-    """((..., N) residuals, (..., N, p) their derivatives by the values)."""
-    p, step = values.shape[-1], 1e-4
-    each = values[..., None, :] + step * np.concatenate([np.zeros((1, p)), np.eye(p)])
-    left, _ = log.left(kind, each, parts, joint[..., None])
-    return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
+# --- all joints together ------------------------------------------------------------------------------
 
 
 def _made(log, fit) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
-    names, k, every = NUMBERS[fit.kind], log.k, np.arange(log.k)
-    information = _information(log, fit)  # (k, p, p)
-    cov = np.linalg.pinv(information.sum(0))
-    mean, apart = _shared(fit.values, information)
-    free = (k - 1) * len(mean)
-    own = bool(names) and apart > free + APART * np.sqrt(2 * free)  # of χ², which is nearly normal
-    if own:  # one dead time for all joints, and each joint's own numbers with it
-        each = np.linalg.pinv(information)
-        cov[0, 0] = 1 / np.sum(1 / each[:, 0, 0])
-        mean[0] = cov[0, 0] * np.sum(fit.values[:, 0] / each[:, 0, 0])
-        values = _least(log, fit.kind, fit.parts, fit.values[:, None], dead=mean[0]).values
-        deviation = np.sqrt(np.diagonal(each, axis1=1, axis2=2))
-        deviation[:, 0] = np.sqrt(cov[0, 0])
-    else:
-        deviation = np.sqrt(np.diag(cov))[None]
-        for _ in range(3):  # from the mean to the least squares of all joints together
-            left, slope = _slopes(log, fit.kind, np.broadcast_to(mean, fit.values.shape), fit.parts, every)
-            scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
-            slope, left = slope / scale[..., None], left / scale
-            step = np.linalg.lstsq(slope.reshape(-1, len(mean)), left.ravel(), rcond=1e-9)[0]
-            mean = np.clip(mean - np.clip(step, -2 * deviation[0], 2 * deviation[0]), *_ends(names))
-        values = np.broadcast_to(mean, fit.values.shape)
-    left, gain = log.left(fit.kind, values, fit.parts, every)
-    explained = 1.0 - float(np.mean(left**2))
-    if explained < EXPLAINED:
+    (kind, parts, fitted, _), names, every = fit, NUMBERS[fit.kind], np.arange(log.k)
+    values, covs, own = _together(log, kind, parts, fitted)
+    left, gain = log.left(kind, np.broadcast_to(values, fitted.shape), parts, every)
+    follows = np.mean(left**2, -1) < 1 - EXPLAINED  # a joint may also move as others shake it
+    explained = 1.0 - float(np.mean(left[follows] ** 2 if follows.any() else left**2))
+    if not follows.any():
         raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
-    if len(odd := np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))):
+    if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
-    line = log.line[1] / (log.line[1, -1] - log.line[1, 0]) * (len(log.t) - 1) * log.Ts
-    still = log.y - gain[:, None] * (log.response(fit.kind, values, every) + log.base)
-    values, deviation = values[: k if own else 1], np.minimum(deviation, WIDE)
-    alpha, notes = _recommended(log, fit.kind, values, deviation, cov, gain)
-    interval = {"delay": tuple(float(max(mean[0] + s * NORMAL * deviation[0, 0], 0.0)) for s in (-1, 1))}
+    alpha, notes = _recommended(log, kind, *((v[follows] if own else v) for v in (values, covs)), gain[follows])
+    wide = NORMAL * np.minimum(np.sqrt(np.diagonal(covs, axis1=1, axis2=2)), WIDE)
+    interval = {"delay": tuple(float(max(values[0, 0] + s * wide[0, 0], 0.0)) for s in (-1, 1))}
     for i, name in enumerate(names, 1):
-        ends = [np.exp(values[:, i] + s * NORMAL * deviation[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
+        ends = [np.exp(values[:, i] + s * wide[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
         interval[name] = tuple(end if own else float(end[0]) for end in ends)
     if (integral := interval.pop("integral", None)) is not None:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
         notes.append(f"{said}: gains for its lag alone are low enough.")
-    rms = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0]
-    length = np.array([correlated(row) for row in left])
+    if not follows.all():
+        said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
+        notes.append(f"Joint {said} does not follow its command, and is left out.")
+    rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
     if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
         notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
     elif np.any(off := np.abs(gain - 1) > OFF):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
-    return DriveFit(
-        drive=_drive(log, fit.kind, values),
-        interval=interval,
-        gain=gain,
-        drift=fit.parts[1] * (still @ line) / (line @ line) * log.size[:, 0],
-        rms=rms,
-        explained=explained,
-        recommended_alpha=alpha,
-        motion=log.motion - (left * log.size).T,
-        note=" ".join(notes),
-    )
+    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fitted.shape), every) + log.base)
+    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * parts[1] * log.size[:, 0]
+    given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
+    motion = log.motion - (left * log.size).T
+    return DriveFit(**given, explained=explained, recommended_alpha=alpha, motion=motion, note=" ".join(notes))
 
 
-def _information(log, fit):
+def _together(log, kind, parts, fitted) -> tuple:
+    """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
+    every, information = np.arange(log.k), _information(log, kind, parts, fitted)
+    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
+    mean, apart = _shared(fitted, information)
+    free = (log.k - 1) * len(mean)
+    if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
+        least = 1 / np.sum(1 / each[:, 0, 0])
+        late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
+        fitted = fitted + each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+        each[:, 0, 0] = least
+        return fitted, each, True
+    most = 2 * np.sqrt(np.diag(cov))
+    for _ in range(3):  # from the mean to the least squares of all joints together
+        left, slope = log.slopes(kind, np.broadcast_to(mean, fitted.shape), parts, every)
+        scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
+        rows = (slope / scale[..., None]).reshape(-1, len(mean))
+        step = np.linalg.lstsq(rows, (left / scale).ravel(), rcond=1e-9)[0]
+        mean = np.clip(mean - np.clip(step, -most, most), *_ends(kind))
+    return mean[None], cov[None], False
+
+
+def _information(log, kind, parts, values):
     """(k, p, p) of the values of each joint: residuals count as often as they are independent, and may be larger where
     the motion is fast (White 1980)."""
-    left, slope = _slopes(log, fit.kind, fit.values, fit.parts, np.arange(log.k))
-    free = max(len(log.t) - slope.shape[-1] - 1 - sum(fit.parts), 1)
+    left, slope = log.slopes(kind, values, parts, np.arange(log.k))
+    free = max(len(log.t) - slope.shape[-1] - 1 - sum(parts), 1)
     power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
     flat = np.linalg.pinv(np.einsum("kni,knj->kij", slope, slope))
     lever = np.einsum("kni,kij,knj->kn", slope, flat, slope)
@@ -393,18 +347,14 @@ def _information(log, fit):
 
 def _shared(values, information):
     """(values (p,) that all joints share, χ² of how far each joint's own (k, p) are from them)."""
-    total = information.sum(0)
-    mean = np.linalg.lstsq(total, np.einsum("kij,kj->i", information, values), rcond=1e-12)[0]
+    mean = np.linalg.pinv(information.sum(0)) @ np.einsum("kij,kj->i", information, values)
     return mean, float(np.einsum("ki,kij,kj->", values - mean, information, values - mean))
 
 
 def correlated(left) -> float:
     """The correlation length of a residual (N,) [samples]: 1 for white noise."""
     left = left - left.mean()
-    power = float(left @ left)
-    if power == 0.0:
-        return 1.0
-    N = len(left)
+    N, power = len(left), float(left @ left) or 1.0
     share = np.fft.irfft(np.abs(np.fft.rfft(left, 2 * N)) ** 2, 2 * N)[: N // 2] / power
     last = int(np.argmax(share < 2 / np.sqrt(N))) or len(share)
     return float(max(1.0, 1.0 + 2.0 * np.sum(share[1:last])))
@@ -419,30 +369,30 @@ def _drive(log, kind, values) -> Drive:
     return Drive(command="velocity" if log.velocity else "position", delay=delay, **made)
 
 
-def _recommended(log, kind, values, deviation, cov, gain) -> tuple:
-    """(gain [1/s] over the interval, or None; [why there is none]). cov: (p, p) of values that are shared."""
-    names = [name for name in NUMBERS[kind] if name != "integral"]
-    for i, name in enumerate(names, 1):
-        low, high = np.log(BOUNDS[name])
-        if np.any(deviation[:, i] > OPEN) or np.any((values[:, i] < low + OFF) | (values[:, i] > high - OFF)):
-            return None, [f"No gain: the log leaves the {name.replace('_', ' ')} open. Record a larger or longer step."]
+def _recommended(log, kind, values, covs, gain) -> tuple:
+    """(gain [1/s] over the interval, or None; [why there is none]) of values (k, p) and their covariances (k, p, p)."""
+    for i, name in enumerate(NUMBERS[kind], 1):
+        slow = np.log(BOUNDS[name][SCALES[name] > 0])  # the end at which a drive is slow, or swings
+        if name != "integral" and np.any(np.abs(values[:, i] - slow) < OFF):
+            return None, [
+                f"No gain: the {name.replace('_', ' ')} is at the end of what is tried. Record a longer step."
+            ]
     drive = _drive(log, kind, values)
-    moved = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
+    rows = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
     slow = drive.lag if drive.order < 2 else 2 * np.maximum(np.pi, drive.damping_ratio) / drive.natural_frequency
-    if moved * log.Ts < np.max(slow):
+    if rows * log.Ts < np.max(slow):
         return None, ["No gain: the log is shorter than the drive's own period. Record until it rests."]
 
-    def alpha(shift):
-        return gains(Ts=log.Ts, drive=_drive(log, kind, values + shift), method="EE").recommended
+    def alpha(shape) -> float:
+        return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
 
-    best = alpha(0.0)
-    if not best:
-        return None, ["No gain: with any, a loop on this drive overshoots."]
-    size = np.sqrt(np.diag(cov))
-    slope = np.zeros(len(size))
-    for i in np.flatnonzero(size[: 1 + len(names)] > FINE):
-        slope[i] = np.log(max(alpha(size[i] * np.eye(len(size))[i]), 1e-9) / best) / size[i]
-    spread = float(np.sqrt(slope @ cov @ slope))
-    if spread > OPEN:
-        return None, ["No gain: gains for the drives that explain the log differ by a factor of four."]
-    return float(best * np.exp(-NORMAL * spread) / np.max(gain)), []
+    best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
+    one = values[j : j + 1]
+    size, ways = np.linalg.eigh(covs[j])
+    size = np.sqrt(np.maximum(size, 0.0))
+    spread = 0.0
+    for s, way in zip(size[size > FINE], ways.T[size > FINE], strict=True):
+        spread += (np.log(alpha(one + min(s, STEP) * way) / alpha(one)) * s / min(s, STEP)) ** 2
+    if best < 1e-6 or spread**0.5 > OPEN:
+        return None, ["No gain: gains for the drives that explain the log differ too much. Record a larger step."]
+    return float(best * np.exp(-NORMAL * spread**0.5) / np.max(gain)), []

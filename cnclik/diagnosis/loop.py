@@ -1,10 +1,10 @@
-"""Loop: the mode of the loop behind a log, by prediction errors, and the gains of all drives that have this mode.
+"""Loop: the mode of the loop behind a log, by prediction errors, and the drives that have this mode.
 
-An error that is fed back late obeys A(B) y = −z b(B) B^(d+1) y + C(B) w with z = alpha·Ts (Ljung 1999). B shifts by a row,
+An error that is fed back late obeys A(B) y = −z b(B) B^(d+1) y + C(B) w, z = alpha·Ts (Ljung 1999). B shifts by a row,
 A is 1 − B, or (1 − B)(1 − aB) with a lag, and w is white. C is 1 for noise of the motion and A for noise of its
 measurement, which the loop feeds back. Dead time, lag and C are on a grid; z, and what a path adds, by least squares.
 
-Of these loops only the mode counts. Dead time alone and dead time with a lag or a servo may have the same mode; the
+Of these loops only the mode counts. Dead time alone and dead time with a lag may have the same mode; the
 gain that does not overshoot differs little among them, as all have the same phase where the loop swings.
 """
 
@@ -17,17 +17,19 @@ import numpy as np
 from cnclik.integrate.drive import MOST, Drive
 
 ROWS = 2000  # rows that are read, those that move most: more change no digit of a gain
-PER_PERIOD = 24  # rows of a period that are kept: its dead time is below a quarter of it
-DEAD = 16  # of these rows of dead time, at most
+PER_PERIOD, DEAD = 24, 16  # rows of a period that are kept, and of dead time, which is below a quarter of it
 LAGS = (0.0, 1.0, 2.5, 6.0, 15.0)  # of these rows; the phase at the limit changes by 20° from one to the next
 COLOURS = (0.8, 1.0)  # θ of C = 1 − θB, besides 0: of noise of the motion and of its measurement together
 PATHS = (0, 1, 2, 4, 8, 12, 16)  # columns of a path's basis: offset, drift, bends, slow sines
 UNMODELLED = 0.02  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
-ZETA = 0.7  # of a servo that may lie behind a mode
-USUAL = 0.02  # [s] of a usual lag: larger ones count less
+ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
+USUAL = 0.05  # [s] of a usual lag: larger ones count less
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-CAREFUL = 0.3  # share of the likely drives for which the gain may be above the one that is recommended
+CAREFUL, TAIL = (
+    0.15,
+    0.1,
+)  # shares of the likely drives that tolerate less than the one that is chosen, and that is said
 
 
 class Loop(NamedTuple):
@@ -36,12 +38,11 @@ class Loop(NamedTuple):
     mode: complex  # s [1/row] of the oscillation or decay that ends last
     evidence: float  # decrease of the information criterion by this loop
     swings: float  # share of the probability of loops that pass their target by VISIBLE
-    dead: tuple  # (dead time in rows of the best loop without a lag, its interval)
+    dead: tuple  # dead time in rows of the best loop without a lag, and its ends
     alone: bool  # whether dead time alone explains the log much better than any lag
     z: float  # of the best loop, per row
     first: int  # rows that were read
     last: int
-    kept: int  # rows that were averaged to one
 
     @property
     def period(self) -> float:
@@ -131,7 +132,7 @@ def free(basis, a):
 def path_basis(N, period=np.inf):
     """(N, up to 16) orthonormal: offset, drift, bends, and sines slower than 2.5 periods of the oscillation."""
     t = np.linspace(-1, 1, N)
-    many = min(int(2 * N / (2.5 * period)), 6) if N > 4 * period else 0
+    many = min(int(2 * N / (2.5 * period)), 6) if 4 * period < N else 0
     sines = [f(np.pi * i * (t + 1) / 2) for i in range(1, many + 1) for f in (np.cos, np.sin)]
     return np.linalg.qr(np.stack([*(t**i for i in range(4)), *sines], 1))[0]
 
@@ -254,100 +255,72 @@ def slowest(dead, lag, z) -> complex:
 def read(y) -> Loop | None:
     """The loop behind y (N, k), columns as `prepared` gives them; None if it is too short."""
     first, last, jumped = window(y)
-    best = None
+    best = -np.inf, 1, np.empty((5, 0))
     for period in periods_of(main_parts(y[first:last])) if last - first > 15 else ():
         m = max(1, min(int(period / PER_PERIOD), (last - first) // 40))
         past = 0 if jumped else min(first, (int(min(DEAD, period / m / 3 + 3)) + 4) * m)
         parts = main_parts(averaged(y[first - past : last], m))
-        if len(parts) < 16:
-            continue
-        loops, none = fits(parts, period / m)
+        loops, none = fits(parts, period / m) if len(parts) > 15 else (np.empty((5, 0)), 0.0)
         loops = loops[:, loops[2] > 0]
-        if loops.size and (best is None or none - loops[4].min() > best[0]):
-            best = none - loops[4].min(), m, loops
-    if best is None:
-        return None
+        best = max(best, (none - loops[4].min(initial=np.inf), m, loops), key=lambda one: one[0])
     evidence, m, loops = best
+    if not loops.size:
+        return None
     dead, lag, z, _, score = loops
     odds = np.exp(-0.25 * (score - score.min()))
     likely = np.flatnonzero(odds > 1e-3)
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
-    over = np.exp(np.pi * np.minimum(modes.real / np.maximum(modes.imag, 1e-9), 10)) * (modes.imag > 1e-9)
+    swings = modes.imag > 1e-9
+    over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
     alone, least = lag == 0, score[lag == 0].min(initial=np.inf)
-    near = dead[alone & (score < least + 8)]
+    near = dead[alone & (score < least + AS_WELL)]
     ends = (dead[score == least][0], near.min() - 0.25, near.max() + 0.25) if len(near) else (0.0, 0.0, DEAD)
     return Loop(
         mode=complex(modes[np.argmax(odds[likely])]),
         evidence=float(evidence),
-        swings=float(np.sum(odds[likely] * (over > VISIBLE)) / np.sum(odds[likely])),
-        dead=tuple(max((end + 0.5) * m - 0.5, 0.0) for end in ends),
+        swings=float(np.sum(odds[likely] * over) / np.sum(odds[likely])),
+        dead=tuple(float(max((end + 0.5) * m - 0.5, 0.0)) for end in ends),
         alone=bool(least < score[~alone].min(initial=np.inf) - ALONE),
         z=float(z[np.argmin(score)] / m),
         first=first,
         last=last,
-        kept=m,
     )
-
-
-ALONE = 15.0  # decrease of the criterion by which dead time alone must be better to be all that is considered
 
 
 # --- drives that have a mode --------------------------------------------------------------------------
 
 
 class Found(NamedTuple):
-    """A drive behind a mode."""
+    """Drives that may be behind a mode."""
 
     drive: Drive  # of which a careful share of the likely drives tolerate less
     alpha: float  # gain of the loop [1/s], the mean of the likely drives
+    most: float  # and the largest of any
     off: float  # least factor between a known gain and that of a drive with this mode
-    ends: tuple  # two drives, between which four fifths of the likely ones are
+    ends: tuple  # two drives, between which most of the likely ones are
 
 
 def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Found:
-    """Drives with dead time, and a lag or a servo, whose loop has a mode s [1/row], and their likelihood.
+    """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
     Args: alpha: the loop's gain [1/s] if known. clipped: whether that of the mode may be lower. alone: dead time only.
     """
     s = mode / Ts
     whole = max((np.pi - np.angle(s)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
-    taus = np.geomspace(0.05, 300, 80) * whole
-    each = [(whole, 0.0, False)]
-    for servo in () if alone else (False, True):
-        for dead in np.linspace(0, 0.95, 12) * whole:
-            turn = np.angle(-s * np.exp(s * dead) / _follows(s, taus, servo))
-            for i in np.flatnonzero((turn[:-1] * turn[1:] < 0) & (np.abs(turn[:-1] - turn[1:]) < 2))[:1]:
-                share = turn[i] / (turn[i] - turn[i + 1])
-                each.append((dead, float(taus[i] * (taus[i + 1] / taus[i]) ** share), servo))
-    gain = np.array([abs(s * np.exp(s * dead) / _follows(s, tau, servo)) for dead, tau, servo in each])
-    calm = np.array([_calm(dead + Ts, tau, servo) for dead, tau, servo in each])
-    odds = -np.log1p((np.array([tau for _, tau, _ in each]) / USUAL) ** 2)
-    odds[0] += np.log(3.0)
-    off = np.zeros(len(each)) if alpha is None else np.log(gain / alpha)
+    dead = whole * (np.ones(1) if alone else np.linspace(1, 0, 25))
+    turn = np.tan(np.angle(-np.exp(-s * dead) / s))  # of τs + 1
+    lag = np.where(dead < whole, turn / (s.imag - s.real * turn), 0.0)
+    dead, lag = dead[lag >= 0], lag[lag >= 0]
+    gain = np.abs(s * np.exp(s * dead) * (1 + lag * s))
+    late = dead + Ts  # where two real poles −x meet nothing overshoots
+    x = 2 / (2 * lag + late + np.sqrt(4 * lag**2 + late**2))
+    calm = x * (1 - lag * x) * np.exp(-x * late)
+    off = np.zeros(len(lag)) if alpha is None else np.log(gain / alpha)
     off = np.maximum(off, 0.0) if clipped else off
-    odds = np.exp(odds - 0.5 * np.minimum((off / KNOWN) ** 2, 60.0))
+    odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
     order = np.argsort(calm)
     total = np.cumsum(odds[order]) / np.sum(odds)
-    careful, low, high = (order[min(np.searchsorted(total, q), len(order) - 1)] for q in (CAREFUL, 0.1, 0.9))
-
-    def made(i) -> Drive:
-        dead, tau, servo = each[i]
-        delay = float(np.clip(dead / Ts - 0.5, 0, MOST - 1))
-        if servo:
-            return Drive(delay=delay, natural_frequency=2 * ZETA / tau, damping_ratio=ZETA)
-        return Drive(delay=delay, lag=tau)
-
-    return Found(made(careful), float(np.sum(odds * gain) / np.sum(odds)), float(np.exp(np.min(np.abs(off)))), (made(low), made(high)))
-
-
-def _follows(s, tau, servo):
-    """G(s) of a lag, or of a servo of the same delay."""
-    return 1 / (1 + tau * s + (tau * s / (2 * ZETA)) ** 2 * servo)
-
-
-def _calm(dead, tau, servo) -> float:
-    """The largest gain without overshoot [1/s]: where two real poles −x meet."""
-    x = np.linspace(1e-3, 1.5, 150) / (dead + tau / 2)
-    gain = x * np.exp(-x * dead) / np.where((g := _follows(-x, tau, servo)) > 0, g, np.inf)
-    turns = np.flatnonzero((gain[1:-1] >= gain[:-2]) & (gain[1:-1] >= gain[2:]))
-    return float(gain[turns[0] + 1] if len(turns) else gain.max())
+    places = [order[min(np.searchsorted(total, q), len(order) - 1)] for q in (CAREFUL, TAIL, 1 - TAIL)]
+    drives = [Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places]
+    mean, least = np.sum(odds * gain) / np.sum(odds), np.exp(np.min(np.abs(off)))
+    return Found(drives[0], float(mean), float(gain.max()), float(least), tuple(drives[1:]))

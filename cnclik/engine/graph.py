@@ -178,7 +178,7 @@ class Graph:
         return block
 
     def apply(self, name, args, dtype, params=None) -> Node:
-        """An elementwise operation on scalars, or on rows of them, simplified where that changes at most a sign of 0.
+        """An elementwise operation on scalars, or on rows of them, simplified.
 
         Args: params: what the operation needs besides, hashable.
         """

@@ -21,7 +21,7 @@ from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.plan import chosen
 from cnclik.engine.program import Program, key_of
 from cnclik.engine.reader import Trace, trace
-from cnclik.engine.rounds import RoundsError, known_rounds
+from cnclik.engine.rounds import RoundsError
 from cnclik.engine.to_jax import Derived, for_few_lanes
 from cnclik.engine.tracing import engine, is_read
 
@@ -117,13 +117,12 @@ class Function:
             if not isinstance(whole, RoundsError):
                 return self._read(avals, whole)
         try:
-            with known_rounds():
-                traced = self.trace(avals)
-                if traced.closed is None:
-                    traced = trace(self.fn, avals)
-                if kind == "scalars":
-                    return Derived(traced, avals, most=most)
-                return self._read(avals, Program(traced, avals, single=kind == "lane", most=most))
+            traced = self.trace(avals)
+            if traced.closed is None:
+                traced = trace(self.fn, avals)
+            if kind == "scalars":
+                return Derived(traced, avals, most=most)
+            return self._read(avals, Program(traced, avals, single=kind == "lane", most=most))
         except UnsupportedError as error:
             return error.with_traceback(None)  # whose frames would keep the graph
 

@@ -51,7 +51,7 @@ class Numbers:
         leaves, treedef = jax.tree.flatten(((known, given), {}))
         every, count = list(map(errors.as_jax_takes, leaves)), len(leaves) - len(jax.tree.leaves(given))
         function, first, avals = self._function(treedef, rounds), every[:count], lane_avals(every, batched=False)
-        numbers, lasting = isinstance(given[0], np.ndarray), not any(map(_is_writable, first))
+        numbers, lasting = not isinstance(given[0], jax.Array), not any(map(_is_writable, first))
         if any(isinstance(x, jax.core.Tracer) for x in every):
             return lambda leaves: function(*first, *leaves)
         form, traced = chosen(function, avals, batch=False), function.trace(avals)

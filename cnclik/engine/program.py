@@ -14,7 +14,7 @@ import numpy as np
 from cnclik.engine.compiler import CompilerError, SlowCompilerError, build_text, can_build, opened
 from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.reader import Trace, read, trace
-from cnclik.engine.rounds import settled
+from cnclik.engine.rounds import known_rounds, settled
 from cnclik.engine.source import write
 from cnclik.threads import side_by_side
 
@@ -39,7 +39,8 @@ class Program:
             raise UnsupportedError("there is no C compiler")
         closed, shapes, self.tree, _ = fn if isinstance(fn, Trace) else trace(fn, avals)
         self.avals, (self.shapes, self.grows) = avals, settled(shapes)
-        text, self.operations = write(*read(closed, most=most), self.shapes, self.grows)
+        with known_rounds():
+            text, self.operations = write(*read(closed, most=most), self.shapes, self.grows)
         if (lines := text.count("\n")) > most:  # pieces load and store, and rows are written where used
             raise SlowError(f"a program of {lines} lines of C takes long to build")
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
@@ -108,16 +109,16 @@ def _built(text, *, scheduled):
             include = [jax.ffi.include_dir()]
             path, kept = build_text(text, pathlib.Path(place), include=include, scheduled=scheduled)
             library = opened(path)  # an open library needs no temporary file
-    except (CompilerError, OSError) as error:
+            library.width.restype = library.work_bytes.restype = ctypes.c_int64
+            library.work_bytes.argtypes = (ctypes.c_int64,)
+            library.run.restype = None
+            library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
+    except (CompilerError, OSError, AttributeError) as error:  # AttributeError: what it built has no such functions
         slow = isinstance(error, SlowCompilerError)
         raise (SlowError if slow else UnsupportedError)(f"the C compiler failed: {error}") from None
     if kept:  # logged as JAX logs its own cache
         jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())
-    library.width.restype = library.work_bytes.restype = ctypes.c_int64
-    library.work_bytes.argtypes = (ctypes.c_int64,)
-    library.run.restype = None
-    library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
     return library, path.name
 
 

@@ -21,6 +21,7 @@ from cnclik.engine.matrices import MATRICES
 from cnclik.engine.operations import NAMES, check_dtype
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
+from cnclik.engine.rounds import known_rounds
 from cnclik.engine.stacks import Deep, Rows, is_cells
 from cnclik.engine.tracing import to_be_read
 
@@ -175,8 +176,8 @@ class Trace(NamedTuple):
 
 
 def trace(fn, avals) -> Trace:
-    """Trace a function of arrays of these avals, to be read."""
-    with to_be_read():
+    """Trace a function of arrays of these avals, to be read. Raises: RoundsError if it depends on unknown rounds."""
+    with known_rounds(), to_be_read():
         closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
     stays = bool(closed.effects) or any(isinstance(x, jax.core.Tracer) for x in closed.consts)
     return Trace(closed, *jax.tree.flatten(shapes), stays)

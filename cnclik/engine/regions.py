@@ -1,5 +1,7 @@
 """Regions: reads scan, while, cond and linear solves as loops and branches."""
 
+import functools
+
 import numpy as np
 
 from cnclik.engine import stacks
@@ -129,13 +131,26 @@ def _while(reader, eqn, *inputs):
     r.first = _flat(reader, inputs[ahead + params["body_nconsts"] :])
     r.carries = g.nodes(r, "carry", _shapes(carried), r.block)
     outside, g.block = g.block, r.asking
-    (begins,) = reader.run(cond.jaxpr, cond.consts, [*of_cond, *_unflat(r.carries, carried)])
-    r.begins, g.block = begins.item(), r.block
-    r.then = _flat(reader, reader.run(body.jaxpr, body.consts, [*of_body, *_unflat(r.carries, carried)]))
+    here = _unflat(r.carries, carried)
+    (begins,) = reader.run(cond.jaxpr, cond.consts, [*of_cond, *here])
+    begins = reader.cells(begins)
+    r.begins = functools.reduce(functools.partial(g.op, "or"), begins.flat, g.const(False, bool))
+    g.block = r.block
+    then = map(reader.cells, reader.run(body.jaxpr, body.consts, [*of_body, *here]))
+    if begins.ndim:  # of a batch: who has ended stays as it is, while others go on
+        then = map(functools.partial(_where, g, begins), then, here)
+    r.then = [node for x in then for node in x.flat]
     g.block = outside
     outside.items.append(r)
     r.outs = g.nodes(r, "end", _shapes(carried), outside)
     return _unflat(r.outs, carried)
+
+
+def _where(g, condition, yes, no):
+    """yes where a condition holds, on their first axes."""
+    condition = condition.reshape(*condition.shape, *[1] * (yes.ndim - condition.ndim))
+    flat = zip(np.broadcast_to(condition, yes.shape).flat, yes.flat, no.flat, strict=True)
+    return array_of([g.select(*cells) for cells in flat], yes.shape)
 
 
 def _cond(reader, eqn, index, *inputs):

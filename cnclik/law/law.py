@@ -50,7 +50,7 @@ class Law:
       error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
         far away or out of reach then acts like one at that distance; see `clamped`.
       near_singular: steps whose least singular value of the task Jacobian is below this are marked NEAR_SINGULAR [m or
-        1]. The value is an estimate from below, within √m; it is exact for the pseudoinverse of one or two rows.
+        1]. The value is an estimate from below, within √m.
 
     Raises: ArgumentError naming the argument that does not fit.
     """

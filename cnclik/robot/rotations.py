@@ -6,6 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.record import register_waiting
+
+register_waiting()  # all of the robot that needs JAX comes by here
+
 
 def library(*arrays):
     """NumPy, which does not compile, if all arrays are NumPy's; otherwise JAX's."""

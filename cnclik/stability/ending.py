@@ -246,10 +246,11 @@ class _Case:
         return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
 
     def lag(self) -> str:
-        """The lag behind the path, where one explains the error."""
-        wanted = np.gradient(self.x + self.e, self.Ts, axis=0)[-self.quarter :]
-        e, speed = self.e[-self.quarter :], np.sum(wanted**2)
-        if self.law.task.angles or not speed:
+        """The lag behind the path, where one explains the errors of lengths."""
+        lengths = list(self.law.task.lengths)
+        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[-self.quarter :]
+        e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
+        if not speed:
             return ""
         late = np.sum(wanted * e) / speed
         left = np.sum((e - late * wanted) ** 2)
@@ -265,7 +266,7 @@ class _Case:
         if over and not remedy:
             change, remedy = (
                 {"limits": "velocity_scaling"},
-                "limits=velocity_scaling() or limits=bounded() keeps joint velocities within their limits",
+                "keep joint velocities within their limits by limits=velocity_scaling() or limits=bounded()",
             )
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
         return Verdict(

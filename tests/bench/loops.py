@@ -17,6 +17,7 @@ import sys
 import time
 
 import jax
+import mujoco
 import numpy as np
 
 import cnclik as ck
@@ -195,8 +196,8 @@ def main() -> None:
         begun = time.process_time()
         rows = measure()
         found[name] = {"seconds": round(time.process_time() - begun, 1), "rows": rows}
-        packages = ("mujoco", "mink", "pin-pink", "pin")
-        found["machine"] = document.machine() | {p: importlib.metadata.version(p) for p in packages}
+        found["machine"] = document.machine() | {"mujoco": mujoco.__version__}
+        found["machine"] |= {name: importlib.metadata.version(name) for name in ("mink", "pin-pink", "pin")}
         print(f"{name}: {found[name]['seconds']} s", file=sys.stderr, flush=True)
         save(found, args.out)
     loops_page.write(found, args.out)

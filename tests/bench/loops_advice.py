@@ -2,7 +2,7 @@
 
 Four arms, eight kinds of servos, 100 to 1000 Hz, 0 to 8 samples of delay; friction, encoders, limits of torque and
 commands that are not followed to the full; measured, commanded and rebased feedback. Each cell records a step of all
-joints, fits the drive, asks `gains`, and runs what it names: from the fit, and with nothing said of the drives.
+joints, fits the drive, and runs the gain that the fit names: from the fit, and with nothing said of the drives.
 Where no gain is named the cell looks for one that would have been stable and without overshoot.
 """
 
@@ -114,6 +114,17 @@ def best(alphas, over) -> float:
     return float(alphas[first - 1] * (alphas[first] / alphas[first - 1]) ** share)
 
 
+def advised(fit, Ts, feedback) -> tuple:
+    """(the gain that a fit recommends for a feedback, 0 if none; why there is none)."""
+    if feedback == "measured":
+        return fit.recommended_alpha or 0.0, fit.note
+    if feedback == "rebased" and NOT_REBASED in fit.note:
+        return 0.0, NOT_REBASED
+    drive = fit.drive if feedback == "rebased" and not fit.drive.order else replace(fit.drive, feedback=feedback)
+    found = gains(Ts=Ts, method="EE", drive=drive)
+    return found.recommended / max(1.0, float(np.max(fit.gain))), found.reason
+
+
 def measure(arm, servo, rate, delay, world, feedback) -> dict:
     """One cell."""
     Ts = 1.0 / rate
@@ -124,11 +135,8 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     except ArgumentError as refused:
         return row | {"not fitted": str(refused)}
     row["fit"] = {"options": fit.options, "explained": float(fit.explained), "note": fit.note}
-    drive = replace(fit.drive, feedback=feedback) if feedback != "rebased" or fit.drive.order else fit.drive
-    said = gains(Ts=Ts, method="EE", drive=drive)
-    alphas = {"recommended": said.recommended}
-    if feedback == "rebased" and NOT_REBASED in fit.note:
-        alphas["recommended"] = 0.0
+    named, why = advised(fit, Ts, feedback)
+    alphas = {"recommended": named}
     if feedback != "rebased":  # where position commands begin at the measured joints, settings name none
         alphas["unknown"] = gains(Ts=Ts, method="EE").recommended
     alphas = {name: alpha for name, alpha in alphas.items() if alpha}
@@ -142,10 +150,7 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     over, grows = over[len(alphas) :], grows[len(alphas) :]
     if "recommended" not in alphas:
         calm = (over <= CALM) & ~grows & arrives(made)[len(alphas) :]
-        return row | {
-            "none named": NOT_REBASED if said.recommended else said.reason,
-            "calm": around[calm].tolist(),
-        }
+        return row | {"none named": why, "calm": around[calm].tolist()}
     row["best"] = best(around, over)
     return row
 

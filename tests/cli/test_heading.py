@@ -33,13 +33,13 @@ def test_what_nobody_gave_is_said_and_called_default(verb, capsys, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     main([verb, "planar:1,1", "--method", "EE", *VERBS[verb]])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "tip end of the last link" in shown and "10 ms" in shown
+    assert "tip end of the last link" in shown and "10 ms" in shown and "no dead time given" in shown
     assert "Start: q0 = [-1.0576, 1.5654] rad (default)." in shown
     assert "Target x y = -0.20756 1.1731 m (default)." in shown  # every joint by 0.3 rad towards 0
     main([verb, "planar:1,1", "--method", "EE", "--Ts", "0.004", "--q0", "0.5", "1", "--target", "0.3", "1.2",
           "--alpha", "4", "--delay", "8", *VERBS[verb]])  # fmt: skip
     shown = " ".join(capsys.readouterr().out.split())
-    assert "8 samples (32 ms)" in shown and "default" not in shown
+    assert "8 samples (32 ms) of dead time" in shown and "default" not in shown
     assert "q0 = [0.5, 1] rad." in shown and "Target x y = 0.3 1.2 m." in shown
 
 
@@ -113,12 +113,15 @@ def test_a_stacks_joints_that_slide_and_turn_have_both_units(tmp_path):
     assert heading.start_and_target(made, {})[-1].endswith("hold from 0.1 0.2 0.3 m, rad (default).")
 
 
-def test_a_lag_is_said_and_that_joints_have_their_own(capsys):
-    made = problem_from("planar:1,1", Ts=0.01, delay=2.0, lag=[0.01, 0.05])
-    said = "2 samples (20 ms) of dead time, velocity drives up to 50 ms behind their commands, feedback measured"
+def test_drives_are_said_and_that_joints_have_their_own():
+    made = problem_from("planar:1,1", Ts=0.01, delay=2.0, measurement_delay=1, lag=[0.01, 0.05], smoothing=0.5)
+    said = "2 samples (20 ms) of dead time, measured 1 sample (10 ms) late, a lag of 10 to 50 ms, error filtered with"
+    assert heading.drive_words(made) == f"{said} ρ = 0.5"
+    made = problem_from("planar:1,1", natural_frequency=30.0, damping_ratio=0.4, command="position", feedback="rebased")
+    said = "a servo of 30 rad/s, ζ = 0.4, position commands, commands from the measured joints"
     assert heading.drive_words(made) == said
-    main(["stability", "planar:1,1", "--Ts", "0.01", "--delay", "2", "--lag", "0.01", "0.05", "--method", "EE"])
-    assert "2 samples (20 ms) of dead time, a lag of 10 to 50 ms." in " ".join(capsys.readouterr().out.split())
+    assert heading.drive_words(problem_from("planar:1,1")) == "no dead time given"
+    assert heading.drive_words(problem_from("planar:1,1", delay=0.0)) == "ideal drives"
 
 
 @pytest.mark.slow
@@ -135,8 +138,8 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--alpha", "20", "--target", "0.3", "0.2", *run])
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(r"up to [\d.]+ rad/s \(j2\), \d{1,3},\d{3} times its limit ", said), said
-    assert said.index("Target x y") < said.index("velocity limit, j") < said.index("position error")  # the answer
-    assert re.search(r"exceed a joint's velocity limit, j2 with up to \d{1,3},\d{3} times it", said), said
+    assert said.index("Target x y") < said.index("velocity limit, by") < said.index("position error")  # the answer
+    assert re.search(r"exceed a joint's velocity limit, by up to \d{1,3}(,\d{3})+ %", said), said
     main(["solve", str(file), "--q0", "0.5", "0.9", "0.2", "--reference", "circle", "--radius", "0.05", *run])
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
@@ -180,7 +183,7 @@ def test_a_loop_begins_on_its_path_for_any_task(task):
         ("with error_clamp=(0.1, 0.05)", "with --error-clamp 0.1 0.05"),
         ("use stage=chord(2)", "use --stage chord --M 2"),
         ('use method="EXP-MIDPOINT", which has', "use --method EXP-MIDPOINT, which has"),
-        ("keep the joints inside with limits=velocity_scaling().", "with --limits velocity-scaling."),
+        ("by limits=velocity_scaling() or limits=bounded().", "by --limits velocity-scaling or --limits bounded."),
         ("period=-12.5 s (left out, it grows with N)", "--period -12.5 s (left out, it grows with N)"),
         (
             "FrameTask(gain=0.5), dt=0.1, jerk=1e-4, drive=ck.Drive()",

@@ -220,7 +220,9 @@ def over(setup, plant, alpha) -> float:
 
 def growing(setup, plant, alpha) -> bool:
     N = int(np.clip(40 * late(setup) / setup.Ts, 120, 4000))
-    e = np.linalg.norm(run(setup._replace(noise=0.0), plant, alpha, N, push(setup, np.random.default_rng(1), N, 0.01)).e, axis=1)
+    e = np.linalg.norm(
+        run(setup._replace(noise=0.0), plant, alpha, N, push(setup, np.random.default_rng(1), N, 0.01)).e, axis=1
+    )
     return len(e) < N or e[2 * N // 3 :].max() > 0.95 * e[N // 3 : 2 * N // 3].max() > 0.003
 
 

@@ -74,25 +74,25 @@ def plain(fn, *args):
         return jax.jit(jax.vmap(fn))(*args)
 
 
-def check(fn, *args, ulps=4.0, each=False, by=None, scalar_too=True, derived_too=True):
+def check(fn, *args, ulps=4.0, each=False, signs=False, by=None, scalar_too=True, derived_too=True):
     """Raises AssertionError where the engine's programs and `jax.vmap` of it, or of `by`, differ.
 
     Without a C compiler only the program that the engine writes for JAX is checked.
 
     Whole numbers and truths have to be equal, and infinity and NaN where they are in JAX. Other numbers may differ by
-    some ulps: each by its own, or all by those of the largest one in their array.
+    some ulps: each by its own, or all by those of the largest one in their array. Zeros have their signs if asked.
     """
     found = wanted = plain(by or fn, *args)
     if derived_too or not can_build():
-        same(found := derived(fn, *args), wanted, ulps=ulps, each=each)
+        same(found := derived(fn, *args), wanted, ulps=ulps, each=each, signs=signs)
     if can_build():
-        same(found := in_c(fn, *args), wanted, ulps=ulps, each=each)
+        same(found := in_c(fn, *args), wanted, ulps=ulps, each=each, signs=signs)
     if can_build() and scalar_too:
-        same(in_scalar_c(fn, *args), wanted, ulps=ulps, each=each)
+        same(in_scalar_c(fn, *args), wanted, ulps=ulps, each=each, signs=signs)
     return found
 
 
-def same(found, wanted, *, ulps=4.0, each=False):
+def same(found, wanted, *, ulps=4.0, each=False, signs=False):
     """What `check` asserts, of two trees of arrays."""
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
     for a, b in zip(*(map(np.asarray, jax.tree.leaves(x)) for x in (found, wanted)), strict=True):
@@ -101,6 +101,8 @@ def same(found, wanted, *, ulps=4.0, each=False):
             np.testing.assert_array_equal(a, b)
             continue
         good = np.isfinite(b)
+        if signs:
+            np.testing.assert_array_equal(np.signbit(a[b == 0]), np.signbit(b[b == 0]))
         np.testing.assert_array_equal(np.where(good, 0, a), np.where(good, 0, b))
         size = np.abs(b[good]) if each else np.abs(b[good]).max(initial=0)
         off = np.abs(a[good] - b[good]) - ulps * np.finfo(a.dtype).eps * size - 2 * np.finfo(a.dtype).tiny

@@ -124,7 +124,7 @@ def test_a_loop_over_a_known_mask_or_that_asks_for_it_is_written_out(reverse, un
         return lax.scan(one, (x, 0), (mask, x), reverse=reverse, unroll=unroll)
 
     check(fn, batch(3))
-    graph, _, _, _ = read(fn, jax.ShapeDtypeStruct((3,), np.float32))
+    graph = read(trace(fn, [jax.ShapeDtypeStruct((3,), np.float32)]).closed)[0]
     assert not any(isinstance(item, Scan) for item in graph.root.items)
 
 
@@ -262,6 +262,48 @@ def test_loops_that_count_compute_once_what_does_not_change_in_them():
     assert "exp" in [n.op for n in g.root.items[:at]] and outs[0].item().value[0] is g.root.items[at]
 
 
+def test_while_loops_of_a_batch_within_a_lane():
+    def halved(x, least):
+        return lax.while_loop(lambda s: jnp.sum(s[0]) > least, lambda s: (s[0] / 2, s[1] + 1), (x, 0))
+
+    def fn(x, least, counts):
+        several = jax.vmap(halved, (0, None))(jnp.abs(x) + 1, 0.7)
+        inner = jax.vmap(lambda v, k: lax.fori_loop(0, k, lambda i, c: c * 1.1 + i, v))(x[:, 0], counts)
+        return several, jax.vmap(halved)(jnp.abs(x), 0.5 + jnp.abs(least)), inner
+
+    check(fn, batch(4, 2), batch(4, seed=1), np.arange(4 * SIZE, dtype=np.int32).reshape(SIZE, 4) % 5 - 1)
+
+
+@pytest.mark.parametrize("dtype", ["int8", "int32", "int64"])
+def test_whole_numbers_wrap_in_loops(monkeypatch, dtype):
+    """As optimised as users have it: C compilers take for granted that nothing overflows."""
+    monkeypatch.setenv("CFLAGS", "-O2")
+
+    def fn(x):
+        one, high = np.array(1, dtype), np.array(np.iinfo(dtype).max - 99, dtype) + x
+        grows = lax.while_loop(
+            lambda s: (s[0] + one > s[0]) & (s[1] < 200), lambda s: (s[0] + one, s[1] + 1), (high, 0)
+        )
+        drawn = lax.fori_loop(0, 99, lambda i, c: c * np.array(109, dtype) + np.array(89, dtype), x)
+        return grows, drawn, abs(drawn) < 0
+
+    check(fn, np.arange(1, SIZE + 1, dtype=dtype))
+    x = np.array(5, dtype)
+    same(jax.tree.map(np.asarray, ck.native(fn)(x)), jax.tree.map(np.asarray, fn(x)))
+
+
+def test_zeros_keep_their_signs():
+    """The angle of (0, −1) and of (−0, −1) are a turn apart."""
+
+    def fn(x):
+        one = lax.optimization_barrier(jnp.ones_like(x))
+        zeros = 0 - x, -(x - one), -(one - x), jnp.sin(x), jnp.sin(x - one), x * 0.5, -x, -(x * 2), jnp.tan(x), x - 0.0
+        return [*zeros, *(jnp.arctan2(v, -1.0) for v in zeros)]
+
+    for dtype in ("float32", "float64"):
+        check(fn, np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.0], dtype), signs=True, ulps=8, each=True)
+
+
 def test_while_loops_end_for_each_lane_at_its_own_time():
     def halved(x):
         return lax.while_loop(lambda s: s[0] > 1, lambda s: (s[0] / 2, s[1] + 1), (x, jnp.int32(0)))
@@ -338,8 +380,8 @@ def test_pieces_pass_numbers_on_in_memory_that_does_not_grow_with_their_number(m
                 x = jnp.sin(A @ x)
             return x
 
-        graph, given, outs, (shapes, _) = read(fn, jax.ShapeDtypeStruct((3,), np.float32))
-        return int(re.search(r"define WORK.*\((\d+) \+", write(graph, given, outs, shapes)[0])[1])
+        text = text_of(fn, [jax.ShapeDtypeStruct((3,), np.float32)])
+        return int(re.search(r"define WORK.*\((\d+) \+", text)[1])
 
     monkeypatch.setattr(source, "LONG", 50)
     monkeypatch.setattr(source, "PIECE", 20)

@@ -77,8 +77,8 @@ def test_what_depends_on_the_number_has_a_program_for_each(fn):
     with pytest.raises(RoundsError, match="rounds"):
         Program(functools.partial(fn, N=any_rounds()), [jax.ShapeDtypeStruct((), float)])
     for N in (8, 30):
-        run = Numbers(lambda x, N: fn(x, N), lets_go=True, N=N)
-        assert run((), (np.float64(1.5),)) == fn(1.5, N)
+        run = Numbers(lambda x, N: fn(x, N), lets_go=True)
+        assert run((), (np.float64(1.5),), N=N) == fn(1.5, N)
 
 
 @NEEDS_C

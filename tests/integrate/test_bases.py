@@ -196,8 +196,6 @@ def test_drives_move_a_base():
 def test_rest_is_judged_in_the_chart():
     """Breaks for a loop that is differentiated by the rotation vector: R(z) is then another in each posture."""
     assert ck.spectral_radius(LAW, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
-    found = ck.recommend(LAW, None, start(), Ts=0.01, method="EE", drive=ck.Drive(delay=2))
-    assert found.largest == pytest.approx(61.8, abs=0.1)
 
 
 @pytest.mark.slow
@@ -206,7 +204,7 @@ def test_rest_of_other_methods_and_what_is_said_of_a_run():
         assert ck.spectral_radius(LAW, None, start(), 0.1, method) == pytest.approx(factor, abs=1e-12)
     law = ck.replace(LAW, alpha=230.0)
     said = ck.verdict(law, PATH, ck.solve(law, PATH, start(0.1), 0.01, 50, "EE"), Ts=0.01, method="EE")
-    assert str(said).startswith("diverging") and "spectral radius at rest is 1.3" in str(said)
+    assert said.kind == "growing" and said.change == {"alpha": pytest.approx(25.0)}
 
 
 def test_what_a_free_base_has_not_is_one_line():

@@ -147,13 +147,11 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
     worst = [float(np.abs(run.e).max()) for run in runs]
     assert worst[1] < 3 * worst[0] + 1e-9 and worst[2] > 0.005
     assert Drive(measurement_delay=4, delay=1.5).lumped.delay == 5.5
-    with jax.ensure_compile_time_eval():
-        from cnclik.stability import driven_limits
-
-        limits = [driven_limits("EE", Ts=Ts, drive=Drive(measurement_delay=d, delay=4 - d)).stable for d in (0, 3)]
+    late = (Drive(measurement_delay=d, delay=4 - d) for d in (0, 3))
+    limits = [ck.gains(Ts=Ts, method="EE", drive=drive).largest_stable for drive in late]
     assert limits[0] == limits[1]
     for share, settles in ((0.95, True), (1.05, False)):
-        law = ck.replace(LAW, alpha=share * limits[0] / Ts)
+        law = ck.replace(LAW, alpha=share * limits[0])
         e = ck.solve(law, ck.hold(start + np.array([1e-7, 0])), Q, Ts, 400, "EE", drive=Drive(measurement_delay=4)).e
         assert (np.abs(e[-20:]).max() < 1e-7) == settles
 
@@ -235,6 +233,10 @@ def test_float32_runs_in_float32():
         ({"feedback": "rebased"}, "`feedback` must come with command position and a lag"),
         ({"command": "torque"}, "`command` must be one of velocity, position, but is 'torque'"),
         ({"feedback": "mesured"}, "did you mean 'measured'"),
+        ({"smoothing": 1.0}, "`smoothing` must be below 1"),
+        ({"cutoff": 0.0}, "`cutoff` must be positive"),
+        ({"cutoff": 3.0, "smoothing": 0.5}, "`cutoff` must be left out where there is a smoothing"),
+        ({"smoothed": "errors"}, "did you mean 'error'"),
     ],
 )
 def test_what_is_no_drive_is_refused(given, words):

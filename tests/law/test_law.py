@@ -44,13 +44,13 @@ def test_gains_and_inverses(gain, inverse):
     ours = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.3)}[inverse]
     theirs = {"pseudoinverse": np.linalg.pinv, "damped": damped_inverse(0.3)}[inverse]
     found = qdot(ck.Law(ARM, ck.position("xy"), alpha=alpha, inverse=ours))
-    close(found, oracle(alpha, inverse=theirs), rtol=1e-10)
+    close(found, oracle(alpha, inverse=theirs), atol=1e-13)
 
 
 def test_feedforward_factor():
     for factor in (1, 0.0, 0.5):
         law = ck.Law(ARM, ck.position("xy"), alpha=5.0, feedforward=factor)
-        close(qdot(law), oracle(velocity=factor * VELOCITY), rtol=1e-10)
+        close(qdot(law), oracle(velocity=factor * VELOCITY), atol=1e-13)
 
 
 def test_weights():
@@ -61,7 +61,7 @@ def test_weights():
     v = w * (VELOCITY + 5 * (TARGET - planar_position(LENGTHS, Q)))
     law = ck.Law(ARM, weighted, alpha=5.0, inverse=ck.damped(0.3))
     close(qdot(law), damped_inverse(0.3)(j) @ v, atol=1e-13)
-    close(qdot(ck.Law(ARM, weighted, alpha=5.0)), oracle(), rtol=1e-10)  # full rank: no effect
+    close(qdot(ck.Law(ARM, weighted, alpha=5.0)), oracle(), atol=1e-13)  # full rank: no effect
     # One joint, two coordinates: weighted least squares.
     one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0, inverse=ck.damped(0.3))
     q = np.array([0.4])
@@ -73,9 +73,9 @@ def test_weights():
 def test_a_posture_pulls_in_the_null_space():
     rest = np.array([1.0, -0.5, 0.25])
     law = ck.Law(ARM, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(rest, 2.0))
-    close(qdot(law), oracle(null=2.0 * (rest - Q)), rtol=1e-10)
+    close(qdot(law), oracle(null=2.0 * (rest - Q)), atol=1e-13)
     moved = qdot(law) - qdot(ck.replace(law, null_velocity=None))
-    close(planar_jacobian(LENGTHS, Q) @ moved, 0, atol=1e-12)  # J q̇_null = 0
+    close(planar_jacobian(LENGTHS, Q) @ moved, 0, atol=1e-14)  # J q̇_null = 0
     assert np.linalg.norm(moved) > 0.1
 
 
@@ -85,9 +85,9 @@ def test_the_rate_of_a_posture_may_be_traced():
     def joint(k, q):
         return qdot(ck.replace(law, null_velocity=ck.posture(np.zeros(3), k)), q)
 
-    close(jax.grad(lambda k: joint(k, Q)[0])(2.0), (oracle(null=-3 * Q) - oracle(null=-2 * Q))[0], rtol=1e-10)
+    close(jax.grad(lambda k: joint(k, Q)[0])(2.0), (oracle(null=-3 * Q) - oracle(null=-2 * Q))[0], atol=1e-13)
     many = jax.vmap(joint, (0, None))(jnp.arange(3.0), Q)
-    close(many[2], oracle(null=-2 * Q), rtol=1e-10)
+    close(many[2], oracle(null=-2 * Q), atol=1e-13)
 
 
 def test_pose_task_on_a_spatial_arm():
@@ -124,7 +124,7 @@ def test_pose_task_on_a_spatial_arm():
 def test_kinds_of_gain(alpha):
     found = qdot(ck.Law(ARM, ck.position("xy"), alpha=alpha, feedforward=1, near_singular=0))
     assert found.dtype == jnp.float64
-    close(found, oracle(), rtol=1e-10)
+    close(found, oracle(), atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_kinds_of_gain(alpha):
 def test_kinds_of_joint_values_and_times(q):
     made = ck.step(ck.Law(ARM, ck.position("xy"), alpha=5), REFERENCE, q, 0, 1, "EE")
     assert made.q.dtype == jnp.float64
-    close(made.qdot, oracle(q=np.array([0.0, 1, 0])), rtol=1e-10)
+    close(made.qdot, oracle(q=np.array([0.0, 1, 0])), atol=1e-13)
 
 
 def test_single_precision_loop_in_a_double_precision_session():

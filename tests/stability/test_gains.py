@@ -107,10 +107,11 @@ def _closed(loop, w, s):
     return s * loop.unit_gain(np.exp(1j * w))
 
 
-def test_a_response_is_that_of_a_run():
-    """The step of a planar arm through a servo with dead time, in time: overshoot, settling time and lag."""
-    arm = ck.planar_arm([1.0, 1.0])
-    drive = Drive(delay=3, natural_frequency=40.0, damping_ratio=0.8, command="position")
+@pytest.mark.parametrize("smoothed", ["", "error", "command"])
+def test_a_response_is_that_of_a_run(smoothed):
+    """The step of a planar arm through a servo with dead time, in time: overshoot and settling time."""
+    arm, filters = ck.planar_arm([1.0, 1.0]), {"smoothing": 0.6, "smoothed": smoothed} if smoothed else {}
+    drive = Drive(delay=3, natural_frequency=40.0, damping_ratio=0.8, command="position", **filters)
     found = ck.gains(Ts=0.01, drive=drive)
     alpha = 2.0 * found.without_overshoot
     q0, step = np.array([0.3, 1.2]), 1e-5

@@ -84,7 +84,7 @@ def everything(rng, folder):
         )(gain),
         "lanes": lanes,
         "reach": lambda: ck.reach(law.chain, np.append(run.x[-1], 0.0), task=law.task),
-        "recommend": lambda: ck.recommend(law, None, q, Ts=Ts),
+        "gains": lambda: ck.gains(Ts=Ts, drive=ck.Drive(delay=int(rng.integers(0, 9)), lag=float(gain) / 100)),
         "verdict": lambda: ck.verdict(law, reference, run, Ts=Ts, method=method),
         "sweep": lambda: ck.sweep(
             lambda alpha: ck.measure_run(
