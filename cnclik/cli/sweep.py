@@ -76,8 +76,8 @@ def _join(place) -> dict:
         if place == "auto":
             jax.distributed.initialize()
         else:
-            host, *counts = place.rsplit(":", 2)
-            jax.distributed.initialize(host, *map(int, counts))
+            host, count, number = place.rsplit(":", 2)
+            jax.distributed.initialize(host, int(count), int(number))
     except (ValueError, TypeError, RuntimeError) as error:
         found = f"is {place!r}: {str(error).strip().splitlines()[0]}"
         raise errors.fail("distributed", "be auto or HOST:PORT:PROCESSES:PROCESS", found) from None

@@ -51,10 +51,9 @@ def _number(where, value):
 
 def _counts(where, values):
     """Return whole numbers as such."""
-    values = np.asarray(values)
-    if values.ndim != 1 or values.dtype.kind not in "if" or (values % 1).any():
-        raise errors.fail(where, "hold one whole number each", f"is {values.tolist()!r}")
-    return values.astype(int)
+    if not all(isinstance(v, (int, float, np.number)) and v % 1 == 0 for v in values):
+        raise errors.fail(where, "hold one whole number each", f"is {np.array(values, object).tolist()!r}")
+    return np.array(values, int)
 
 
 def _generated(where, value, joints):

@@ -12,6 +12,7 @@ import functools
 import os
 import pathlib
 import zlib
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +21,8 @@ from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import evaluations_per_step, named
 from cnclik.law.law import check_loop
-from cnclik.measure import metrics
+from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
+from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import robot_and_tip, stage_from
@@ -85,11 +87,11 @@ class Spec:
         """Return one loop. Args: as for `loop`."""
         return self.loop(program, lane).build()
 
-    def study(self, /, draws=None, **values) -> metrics.Metrics:
+    def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
         made = self.build(values, {})
         run = made.run(draws)
-        return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
+        return measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
     def draws(self, program: dict, lanes: dict) -> dict:
         """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""
@@ -101,8 +103,9 @@ class Spec:
 
     def evaluations(self, program: dict) -> float:
         """Return the evaluations of f that one lane of a program costs, masked passes included."""
-        p = self.build(program, self.first(last=True))
-        stage = dataclasses.replace(p.stage, M=getattr(p.stage, "maximum", p.stage.M))
+        p = self.build(program)
+        stage: Any = p.stage
+        stage = dataclasses.replace(stage, M=stage.maximum)
         return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
 
     def programs(self):
@@ -306,8 +309,8 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     texts = {key: written.get(key, "") for key in ("question", "expectation")}
     for key, text in [*texts.items(), *((f"units.{own}", unit) for own, unit in units.items())]:
         errors.kind(key, text, str, "be a text")
-    names = written.get("metrics", list(metrics.DEFAULT))
-    if not isinstance(names, list) or not names:
+    names = written.get("metrics", list(DEFAULT))
+    if not isinstance(names, list) or not names or not all(isinstance(own, str) for own in names):
         raise errors.fail("metrics", "be a list of names", f"is {names!r}")
     places = {"fixed": fixed, "axes": axes}
     places |= {f"axes.{axis}.{label}": table for axis, labels in tables.items() for label, table in labels.items()}
@@ -334,7 +337,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         for last in (False, True):
             made = spec.build(program, spec.first(last))
             check_loop(made.law, made.reference)
-            metrics.check(spec.metrics, made.law)
+            check_metrics(spec.metrics, made.law)
     return spec
 
 

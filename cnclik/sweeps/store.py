@@ -41,8 +41,9 @@ class Store:
 
         self.folder, self.path = folder, folder / DATA
         try:
-            self._mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksums"))
-            if self._mark["description"] != _checksum_of_files(self.path, [_DESCRIPTION]):
+            mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksums"))
+            description, self._mark = mark["description"], mark["coordinates"]
+            if description != _checksum_of_files(self.path, [_DESCRIPTION]):
                 raise ValueError("its description is damaged")
             self.group: Any = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(str(self.group.attrs["config"]))
@@ -55,7 +56,7 @@ class Store:
     def whole(self) -> bool:
         """Whether the coordinates are as they were written."""
         with contextlib.suppress(OSError):
-            return self._mark["coordinates"] == _checksum_of_files(self.path, _files_of(self.path, self.coordinates))
+            return self._mark == _checksum_of_files(self.path, _files_of(self.path, self.coordinates))
         return False
 
     @property

@@ -10,7 +10,6 @@ import cnclik as ck
 from cnclik.cli import main
 from cnclik.engine.compiler import can_build
 from cnclik.problem import OF_SHAPE, OF_WALL
-from cnclik.sweeps.files import read
 from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
@@ -92,14 +91,6 @@ def test_corners_of_feet_are_walls_of_the_centre_of_mass():
         ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table, "soles_2": {"joints": "left_s0", "above": 0}})
     other = ck.problem_from(TOGETHER, tasks=HAND, walls={"soles": table | {"corners": corners}}).law
     close(ck.wall_distance(other, q), ck.wall_distance(made, q), atol=1e-12)
-
-
-def test_walls_of_a_file_stay_where_a_sweep_varies_its_tasks(file, tmp_path):
-    head = 'question = "q"\nexpectation = "e"\n'
-    fixed = f'[fixed]\nrobot = "{BAXTER}"\nN = 4\nstack = "{file}"\n'
-    (tmp_path / "s.toml").write_text(f"{head}{fixed}[axes]\ntasks.hands.alpha = [1, 2]\n")
-    spec = read(tmp_path / "s.toml")
-    assert len(spec.build(**{"tasks.hands.alpha": 1.0}).law.limits.walls) == 5 and "walls" in spec.data()
 
 
 STACK = """

@@ -88,7 +88,7 @@ def _boundary(ax, part, layout) -> list:
         return []
     at = part[other]
     if not limit.ndim and at.dtype.kind == "f":  # a smooth line
-        at = xarray.DataArray(np.linspace(*at.values[[0, -1]], 400), dims=other)
+        at = xarray.DataArray(np.linspace(at.values[0], at.values[-1], 400), dims=other)
     edge = (limit / at if own == "alpha" else limit + 0 * at).values
     edge, at = np.where(np.isfinite(edge), edge, np.nan), at.values
     if limit.ndim:  # a step for each value

@@ -13,7 +13,7 @@ import numpy as np
 import xarray
 
 from cnclik.errors import ArgumentError
-from cnclik.sweeps import files, program, store
+from cnclik.sweeps import program, spec, store
 from tests.specs import reaching
 from tests.stress.fuzz.nasty import any_of, chance, damaged
 
@@ -33,7 +33,7 @@ def whole():
     """(the spec, the folder of its finished run, its data, its first program's outputs)."""
     folder = pathlib.Path(_place().name)
     (folder / "a.toml").write_text(TEXT, encoding="utf-8")
-    read, folder = files.read(folder / "a.toml"), folder / "whole"
+    read, folder = spec.read(folder / "a.toml"), folder / "whole"
     assert store.run(read, folder)
     _, first = program.fit(read.study, read.grid())
     return read, folder, store.read(folder).load(), first
