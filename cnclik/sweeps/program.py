@@ -91,14 +91,11 @@ def _named(result) -> dict:
 
 
 def _output(name, v, result) -> Output:
-    about, dims = {"units": UNITS.get(name, "")}, ()
+    about = {"units": UNITS.get(name, "")}
     if isinstance(result, Metrics):
         task, metric = named(name)
-        about, dims = {"units": result.units[name]}, result.dims[name]
-        about["long_name"] = f"{task}: {metric.label}" if task else metric.label
-    if len(dims) != v.ndim:
-        dims = tuple(f"{name}_{i}" for i in range(v.ndim))
-    return Output(name, v.shape, np.dtype(v.dtype), tuple(dims), about)
+        about = {"units": result.units[name], "long_name": f"{task}: {metric.label}" if task else metric.label}
+    return Output(name, v.shape, np.dtype(v.dtype), tuple(f"{name}_{i}" for i in range(v.ndim)), about)
 
 
 def fit(study, of: Grid, memory=MEMORY):

@@ -179,11 +179,11 @@ def _build(path, spec, of, outputs):
         for o in outputs:
             group.create_array(
                 o.name,
-                shape=(*of.shape, *o.shape),
-                chunks=(*of.block, *(max(n, 1) for n in o.shape)),
+                shape=of.shape,
+                chunks=of.block,
                 dtype=o.dtype,
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
-                dimension_names=(*(a.name for a in of.axes), *o.dims),
+                dimension_names=[a.name for a in of.axes],
                 attributes=o.about,
                 **packed,
             )

@@ -9,7 +9,6 @@ import numpy as np
 from cnclik.measure.files import save_csv
 
 FILES = ("summary.csv", "config.json")
-HISTORY = ("time", "step")
 _WRONG = {  # counts of steps that are 0 for a safe loop, and the words for it
     "diverged": "not diverging",
     "growing": "not diverging",
@@ -22,7 +21,7 @@ STATISTICS = {"min": 0.0, "q10": 0.1, "median": 0.5, "q90": 0.9, "max": 1.0}  # 
 
 def scalars(data) -> list:
     """Return the variables with one number for each loop."""
-    return [name for name in data.data_vars if not set(data[name].dims) & set(HISTORY)]
+    return [name for name in data.data_vars if set(data[name].dims) <= set(data.coords)]
 
 
 def main_value(data):

@@ -167,6 +167,6 @@ def estimate(spec, *, set=()) -> Estimate:
         programs=len(programs),
         blocks=len(blocks),
         memory=program.memory * blocks_at_once() + _REST,
-        disk=of.size * sum(o.dtype.itemsize * int(np.prod(o.shape)) for o in program.outputs),
+        disk=of.size * sum(o.dtype.itemsize for o in program.outputs),
         time=compile_time * len(programs) + run_time,
     )

@@ -16,7 +16,7 @@ from cnclik.writing import LIST
 from tests.specs import reaching
 
 TEXT = reaching(
-    metrics=["final_error", "max_qdot", "evaluations", "error"],
+    metrics=["final_error", "max_qdot", "evaluations"],
     N=6,
     method=["EE", "HEUN"],
     alpha="{ geomspace = [1, 30, 9] }",
@@ -95,7 +95,7 @@ def test_check_says_what_it_will_take_and_writes_nothing(path, capsys, tmp_path,
     assert not list(tmp_path.iterdir())
     (found,) = made
     assert (found.loops, found.programs) == (63, 1) and found.blocks >= 4
-    assert found.disk == 63 * 8 * (3 + 7)  # three metrics, and a history of N + 1
+    assert found.disk == 63 * 8 * 3  # three metrics
     assert found.time > 0 and found.memory > 2**28
 
 

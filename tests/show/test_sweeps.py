@@ -20,7 +20,7 @@ LIMITS = [2.0, 1.0, 1.2]
 
 
 def data(limit=True, **axes):
-    """A dataset such as a sweep makes: an error z^30-like over the axes, its cost, and a history."""
+    """A dataset such as a sweep makes: an error z^30-like over the axes, and its cost."""
     rng = np.random.default_rng(0)
     about = {"alpha": ("α", "1/s"), "Ts": ("Ts", "s"), "z": ("z = α·Ts", "1")}
     coords = {}
@@ -41,7 +41,6 @@ def data(limit=True, **axes):
     variables = {
         "max_error": (dims, 2 * error.values, {"units": "m", "long_name": "error ‖e‖, largest"}),
         "evaluations": (dims, np.broadcast_to(np.arange(1, shape[-1] + 1.0) * 10, shape), {"units": "1"}),
-        "error": ((*dims, "time"), rng.random((*shape, 6)), {"units": "m", "long_name": "error ‖e[k]‖"}),
     }
     return xarray.Dataset(variables, coords)
 
@@ -136,9 +135,9 @@ def test_figures_that_cannot_be(table, words):
 def test_defaults_follow_from_the_grid():
     kinds = [(t["kind"], t.get("x")) for t in defaults(data(**PLANE))]
     assert kinds == [("heat", "alpha"), ("best", "alpha"), ("slices", "evaluations")]
-    line = data(M=np.arange(3), alpha=np.linspace(1, 2, 4)).drop_vars(["evaluations", "error"])
+    line = data(M=np.arange(3), alpha=np.linspace(1, 2, 4)).drop_vars("evaluations")
     assert [(t["kind"], t["x"], t["y"]) for t in defaults(line)] == [("heat", "alpha", "M")]
-    starts = data(q0=np.arange(5)).drop_vars(["evaluations", "error"])
+    starts = data(q0=np.arange(5)).drop_vars("evaluations")
     assert defaults(starts) == [{"kind": "distribution", "value": "max_error", "over": "q0"}]
     found = data(**PLANE).assign_attrs(spec=json.dumps({"figures": [{"kind": "heat"}, {"kind": "heat", "log": True}]}))
     assert list(sweeps.figures(found)) == ["heat_max_error", "heat_max_error_2"]

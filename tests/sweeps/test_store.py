@@ -24,7 +24,7 @@ from cnclik.sweeps.spec import read
 from tests.specs import reaching
 
 TEXT = reaching(
-    metrics=["final_error", "ok", "error"],
+    metrics=["final_error", "ok", "max_error"],
     more="lanes = 16",
     method=["EE", "HEUN"],
     alpha="{ linspace = [1, 20, 12] }",
@@ -61,11 +61,11 @@ def test_a_store_is_the_sweep_in_memory(path, undisturbed):
     with jax.enable_x64(False):  # the default in Python makes no difference
         wanted = run_spec(path)
     found = store.read(undisturbed).load()
-    assert list(found.dims) == ["method", "alpha", "Ts", "time"]
+    assert list(found.dims) == ["method", "alpha", "Ts"]
     assert json.loads(found.config) == json.loads(wanted.config)
     wanted["method"] = wanted["method"].astype(object)
     xarray.testing.assert_identical(found.assign_attrs(config=""), wanted.assign_attrs(config=""))
-    for name in ("final_error", "ok", "error"):
+    for name in ("final_error", "ok", "max_error"):
         assert found[name].attrs["units"] in ("m", "1") and found[name].attrs["long_name"]
     with xarray.open_zarr(undisturbed / "data.zarr", chunks=None) as plain:
         assert plain.question == "Does it end well?" and plain.alpha.units == "1/s"

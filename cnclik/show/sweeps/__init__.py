@@ -10,7 +10,6 @@ import json
 import numpy as np
 
 from cnclik import errors
-from cnclik.measure.metrics import named
 from cnclik.show.sweeps import kinds
 from cnclik.show.sweeps.layout import arrange, defaults, view
 from cnclik.sweeps.labels import coordinates
@@ -24,8 +23,7 @@ def check(spec) -> None:
 
     of = spec.grid()
     dims, shape = tuple(a.name for a in of.axes), of.shape
-    more = {name: named(name)[1].dims for name in spec.metrics}
-    values = {n: ((*dims, *own), np.broadcast_to(0.0, (*shape, *[1] * len(own)))) for n, own in more.items()}
+    values = {name: (dims, np.broadcast_to(0.0, shape)) for name in spec.metrics}
     data = xarray.Dataset(values, coordinates(of, spec.all_units()))
     for i, table in enumerate(spec.figures):
         with errors.within(f"figure[{i}]"):

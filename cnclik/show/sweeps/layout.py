@@ -7,7 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.show import style
 from cnclik.sweeps.axes import known_keys
-from cnclik.sweeps.summary import HISTORY, main_value, scalars
+from cnclik.sweeps.summary import main_value, scalars
 
 LONGEST = 8  # a longer dimension gets no panels
 KINDS = {
@@ -57,7 +57,7 @@ def samples(data) -> list:
 def defaults(data) -> list:
     """Return figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
     axes, starts, value = [d for d in numeric(data) if d != "seed"], samples(data), main_value(data)
-    if value is None:  # the data hold only histories
+    if value is None:
         return []
     methods = data.sizes.get("method", 1)
     out: list = []
@@ -87,7 +87,7 @@ def arrange(data, table: dict) -> Layout:
     select = errors.kind("select", table.get("select", {}), dict, "be a table of a dimension and its value")
     for dim, wanted in select.items():
         _check_selected(f"select.{dim}", wanted, data[errors.one_of("select", dim, list(data[value].dims))])
-    dims = [d for d in data[value].dims if d not in HISTORY and d not in select]
+    dims = [d for d in data[value].dims if d not in select]
     axes, drawn = [d for d in numeric(data) if d in dims], [d for d in samples(data) if d in dims]
     known = {"x": [*dims, *scalars(data)]} if kind == "slices" else {}
     roles: dict[str, Any] = dict.fromkeys(ROLES)
