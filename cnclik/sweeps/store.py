@@ -3,8 +3,8 @@
 `data.zarr` is created with all coordinates and attributes before the first block runs; one block of the grid is one
 chunk of each variable. A block is done once its checksum is in the group `progress`, written last, and only while the
 data match it. So a killed run, a lost process or a full disk costs only the blocks in progress, and a rerun ends with
-the same bytes as an undisturbed run. The description and the coordinates have checksums too: a reader refuses damaged
-ones, and a rerun writes coordinates again.
+the same bytes as an undisturbed run. Description and coordinates have one checksum together, without which nothing is
+read.
 """
 
 import contextlib
@@ -28,7 +28,6 @@ from cnclik.sweeps.spec import Spec
 from cnclik.writing import OWN, check_own, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
-_DESCRIPTION = "zarr.json"  # file that describes a group or an array
 _NOT_DONE = -1  # checksum of an unfinished block, and its value of counts
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
 
@@ -41,28 +40,15 @@ class Store:
 
         self.folder, self.path = folder, folder / DATA
         try:
-            mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksums"))
-            description, self._mark = mark["description"], mark["coordinates"]
-            if description != _checksum_of_files(self.path, [_DESCRIPTION]):
-                raise ValueError("its description is damaged")
+            mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
+            if mark["checksum"] != _checksum_of_files(self.path, mark["files"]):
+                raise ValueError("its description or a coordinate is damaged")
             self.group: Any = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(str(self.group.attrs["config"]))
             self.lanes, self.names = self.config["lanes"], self.config["variables"]
             self._checksums = self.group["progress/checksum"]
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
-
-    @property
-    def whole(self) -> bool:
-        """Whether the coordinates are as they were written."""
-        with contextlib.suppress(OSError):
-            return self._mark == _checksum_of_files(self.path, _files_of(self.path, self.coordinates))
-        return False
-
-    @property
-    def coordinates(self) -> list:
-        """Names of the coordinates."""
-        return sorted(set(self.group.array_keys()) - set(self.names))
 
     def blocks(self) -> list:
         """Return all blocks, numbered as when the store was created."""
@@ -93,13 +79,6 @@ class Store:
             self.group[name][block.region] = piece[name]
         self._checksums[block.number] = _checksum_of(piece[name] for name in self.names)
 
-    def repair(self, spec: Spec) -> None:
-        """Write damaged coordinates again, which follow from the spec."""
-        if not self.whole:
-            for name, (_, values, _) in coordinates_of(spec, spec.grid()).items():
-                self.group[name][...] = _storable(values)
-            _mark(self.path, self.coordinates)
-
     def data(self, missing):
         """Return the data as an `xarray.Dataset`, as if the missing blocks had not been started; loaded on use."""
         import xarray
@@ -109,13 +88,13 @@ class Store:
         data = data[list(self.names)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
         if not missing:
             return data
-        numbers = {b.number for b in missing}
+        numbers = {block.number for block in missing}
+        done = [block for block in self.blocks() if block.number not in numbers]
         for name in self.names:
             array = self.group[name]
             values = np.full(array.shape, array.fill_value, array.dtype)
-            for block in self.blocks():
-                if block.number not in numbers:
-                    values[block.region] = array[block.region]
+            for block in done:
+                values[block.region] = array[block.region]
             data[name] = data[name].copy(data=values)
         return data
 
@@ -134,18 +113,10 @@ def _checksum_of_files(path, files) -> int:
     return total
 
 
-def _files_of(path, coordinates) -> list:
-    """Return the names of the files with the values of coordinates."""
-    files = (file for name in coordinates for file in (path / name).rglob("*") if file.suffix != ".partial")
-    return sorted(f.relative_to(path).as_posix() for f in files if f.name != _DESCRIPTION and not os.path.isdir(f))
-
-
-def _mark(path, coordinates) -> None:
-    """Write the checksums of the description and the coordinates, which never change, atomically."""
-    files = {"description": [_DESCRIPTION], "coordinates": _files_of(path, coordinates)}
-    partial = path / f"{OWN}.partial"
-    partial.write_text(json.dumps({name: _checksum_of_files(path, some) for name, some in files.items()}))
-    partial.replace(path / OWN)
+def _mark(path) -> None:
+    """Write the checksum of description and coordinates, which never change: the store is then complete."""
+    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if f.is_file())
+    (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum_of_files(path, files)}))
 
 
 def _storable(values):
@@ -190,11 +161,11 @@ def _build(path, spec, of, outputs):
         checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
         group.create_group("progress").create_array("checksum", **checksums, **packed, dimension_names=("block",))
         zarr.consolidate_metadata(path)
-    _mark(path, coords)
+    _mark(path)
 
 
 def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None:
-    """Return the folder's store, repaired, if it belongs to this spec; None if there is none, or no more.
+    """Return the folder's store if it belongs to this spec; None if there is none, or no more.
 
     Raises: ArgumentError if it belongs to another spec or, even with `fresh`, if it is not a sweep's.
     """
@@ -212,32 +183,26 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         with _disk(folder), hidden_folder(folder) as hidden:
             path.rename(hidden / DATA)  # atomically: no reader sees half a store
         return None
-    there, here = (
-        dict(_leaves({k: of[k] for k in ("data", "environment")})) for of in (store.config, fingerprint(spec))
-    )
-    for where in [*there, *here]:
-        if there.get(where) != here.get(where):
-            words = "hold results of this very spec (--fresh starts over, another --out keeps both)"
-            values = [_short(values.get(where)) for values in (there, here)]
-            where = where.removeprefix("data.")
-            raise errors.fail("out", words, f"differs in {where}: {values[0]} there, {values[1]} here")
+    there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
+    for name in [*there, *here]:
+        if there.get(name) != here.get(name):
+            must = "hold results of this very spec (--fresh starts over, another --out keeps both)"
+            raise errors.fail("out", must, f"differs in {name}: {_short(there, name)} there, {_short(here, name)} here")
     with _disk(folder):
         remove_abandoned(path.rglob("*.partial"))  # left by an interrupted write
-        store.repair(spec)
     return store
 
 
-def _leaves(value, where=""):
-    """Yield (dotted name, value) of everything in nested tables."""
-    if not isinstance(value, dict):
-        yield where, value
-        return
-    for key, inner in value.items():
-        yield from _leaves(inner, f"{where}.{key}" if where else key)
+def _flat(config) -> dict:
+    """Return {name: value} of all that a store's numbers depend on, such as "fixed.alpha"."""
+    flat = {}
+    for table, value in (config["data"] | {"environment": config["environment"]}).items():
+        flat |= {f"{table}.{name}": v for name, v in value.items()} if isinstance(value, dict) else {table: value}
+    return flat
 
 
-def _short(value):
-    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
+def _short(values, name) -> str:
+    text = json.dumps(values[name], ensure_ascii=False) if name in values else "nothing"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -316,7 +281,7 @@ def read(folder):
     Every block is first compared with its checksum, which reads all of it once; a damaged one counts as not done
     (`blocks_missing`): NaN, and -1 for counts, never other numbers.
 
-    Raises: ArgumentError if there is none, or if its coordinates are damaged.
+    Raises: ArgumentError if there is none, or if its description is damaged.
     """
     return read_and_missing(folder)[0]
 
@@ -325,9 +290,6 @@ def read_and_missing(folder):
     """Return the result of `read`, and the number of blocks that are not done or damaged."""
     folder = errors.path("folder", folder)
     store = Store(folder, name="folder", mode="r")
-    if not store.whole:
-        words = "hold whole coordinates (the command that made the sweep repairs them)"
-        raise errors.fail("folder", words, f"those of {str(folder)!r} are damaged")
     missing = store.missing()
     return store.data(missing), len(missing)
 
