@@ -11,6 +11,7 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 """
 
 import dataclasses
+import functools
 import importlib
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
@@ -140,6 +141,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
         cls.__repr__ = _in_short
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
     names = tuple(f.name for f in dataclasses.fields(cls))
+    cls.__init__ = _helpful(cls, names)
 
     def flatten(self):
         # A record never changes, so it is taken apart once for each precision; repeated jit calls find the answer here.
@@ -178,6 +180,23 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
     cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
     with_jax(lambda jax: jax.tree_util.register_pytree_node(cls, flatten, unflatten))
     return cls
+
+
+def _helpful(cls, names):
+    """The constructor of a record, which answers an unknown argument with the nearest name."""
+    init = cls.__init__
+
+    @functools.wraps(init)
+    def helpful(self, *args, **given):
+        try:
+            init(self, *args, **given)
+        except TypeError:
+            if unknown := next((name for name in given if name not in names), None):
+                near = errors.nearest(unknown, names) or f" (it has {', '.join(names)})"
+                raise errors.ArgumentError(f"{cls.__name__} has no argument `{unknown}`{near}.") from None
+            raise
+
+    return helpful
 
 
 def _equal(self, other):

@@ -9,8 +9,7 @@ from typing import Literal
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions
-from cnclik.cli.remarks import print_json
+from cnclik.cli.common import ComputeOptions, print_json
 from cnclik.problem.columns import words_of
 from cnclik.quantities import in_samples
 from cnclik.show.output import draw
@@ -47,7 +46,6 @@ class Args(ComputeOptions):
 
 def run(args: Args) -> None:
     from cnclik.diagnosis.recording import clock, no_motion, sampling_time
-    from cnclik.problem.magnitudes import remark_on_times
     from cnclik.problem.tables import read_columns
 
     if not args.step and args.kind is not None:
@@ -56,8 +54,6 @@ def run(args: Args) -> None:
         if getattr(args, name):
             instead = "; gains are given as --tasks hands=20" * (name == "alpha")
             raise errors.fail(name, f"be left out with --tasks{instead}", "is given")
-    if args.Ts is not None and not any(args.written.get("Ts", ())):  # type: ignore[attr-defined]
-        remark_on_times({"Ts": args.Ts}, args.Ts)
     names, table = read_columns("LOG", args.log)
     if args.out is not None:
         with output_folder(args.out, overwrite=args.overwrite, files=["diagnose.png"]):

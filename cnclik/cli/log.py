@@ -8,7 +8,6 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cli.arguments import option
-from cnclik.cli.common import CacheOption
 from cnclik.diagnosis.recording import APART, clock, no_motion, sampling_time
 from cnclik.problem.columns import words_of
 from cnclik.problem.tables import read_columns
@@ -19,7 +18,7 @@ OTHER = {"velocity", "velocities", "vel", "effort", "efforts", "torque", "torque
 
 
 @dataclasses.dataclass(kw_only=True)
-class LogOptions(CacheOption):
+class LogOptions:
     """For verbs that read a log."""
 
     log: pathlib.Path = option(metavar="LOG.csv", positional=True)

@@ -51,10 +51,9 @@ def run(args: Args) -> None:
     question = f"{spec.question}\n" * bool(spec.question)
     print(f"{question}{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
     begun = time.perf_counter()
-    if not args.overwrite:
-        check_free("out", out, summary.FILES)
+    check_free("out", out, summary.FILES, overwrite=args.overwrite)
     with progress.bar("loops", quiet=place["process"] != 0) as report:
-        whole = store.run(spec, out, progress=report, fresh=args.fresh, overwrite=args.overwrite, **place)
+        whole = store.run(spec, out, progress=report, fresh=args.fresh, **place)
     if not whole:
         print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
         return

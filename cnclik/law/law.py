@@ -82,7 +82,7 @@ class Law:
         if isinstance(inverse, Pseudoinverse) and isinstance(limits, Bounded):
             raise undamped(inverse)
         if self.null_velocity is not None:
-            errors.array("rest", self.null_velocity.rest, (n,))
+            errors.array("rest", self.null_velocity.rest, (n,), of="joint values")
         checked = {
             "task": task,
             "limits": limits,

@@ -263,7 +263,7 @@ class Pose:
 def as_joint_values(chain: Chain | Model, q, name="q", *, finite=False) -> Float[Array, " n"]:
     """q as a floating array (n,), checked."""
     n = errors.kind("chain", chain, (Chain, Model)).n
-    q = errors.array(name, q, (n,), finite=finite)
+    q = errors.array(name, q, (n,), finite=finite, of="joint values")
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program
 
 

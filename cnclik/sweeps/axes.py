@@ -5,11 +5,11 @@ import operator
 import numpy as np
 
 from cnclik import errors
-from cnclik.problem.options import NAME, SWEPT, check_values
+from cnclik.problem.options import NAME, OPTIONS, check_values
 from cnclik.sweeps import expression
 from cnclik.sweeps.grid import COUNTED, Axis, axis
 
-NAMES = tuple(name for name, option in SWEPT.items() if option.kind == NAME)  # their values are never expressions
+NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # their values are never expressions
 MOST_VALUES = 10_000_000  # numbers of an axis, at most
 KEYS = {"linspace": (), "geomspace": (), "samples": ("low", "high", "seed")}
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.problem.options import SWEPT
+from cnclik.problem.options import OPTIONS
 
 LONGEST = 500  # characters of an expression: Python's parser takes seconds for some longer ones
 _MATH = {name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log")}
@@ -87,7 +87,7 @@ def _call(name, *arguments):
 
 def _unit(where: str) -> str:
     """Return the unit of the option that a place such as "axes.q0.low" belongs to; "1" of other values."""
-    return next((SWEPT[part].unit for part in where.split(".")[::-1] if part in SWEPT), "1")
+    return next((OPTIONS[part].unit for part in where.split(".")[::-1] if part in OPTIONS), "1")
 
 
 def is_quantity(value) -> bool:

@@ -1,10 +1,10 @@
 """Spec: a study of many loops, as one TOML file.
 
-Everything a loop depends on is a named value, by the names of `cnclik solve`'s options. `[fixed]` gives some, `[axes]`
-varies others. An axis is a list, a table such as { geomspace = [1, 40, 20] }, or tables [axes.AXIS.LABEL] of values
-that belong together: an arm with its start and its target. A value may be an expression of others: period = "N*Ts",
-alpha = "z/Ts", to = ["2 - distance", 0]. `limit` is linear theory's largest stable z = alpha·Ts of the loop's method,
-stage and drive: alpha = "0.5*limit/Ts".
+Everything a loop depends on is a named value, by the names of `problem_from`'s arguments. `[fixed]` gives some values,
+`[axes]` varies others. An axis is a list, a table such as { geomspace = [1, 40, 20] }, or tables [axes.AXIS.LABEL] of
+values that belong together: an arm with its start and its target. A value may be an expression of others: period =
+"N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is linear theory's largest stable z = alpha·Ts of the
+loop's method, stage and drive: alpha = "0.5*limit/Ts".
 """
 
 import dataclasses
@@ -41,9 +41,8 @@ RESERVED = (LIMIT, "progress", *KEYS, *TABLES)
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 STEPS = 30  # values that follow from each other, at most
-OPTIONS = options.SWEPT
-DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
-DEFAULTS |= {"delay": 0, "measurement_delay": 0}
+OPTIONS = options.OPTIONS
+DEFAULTS = options.DEFAULTS | {"delay": 0, "measurement_delay": 0}
 TIMED = {"lag", "natural_frequency", "cutoff"}  # options of a drive with which the largest stable z depends on Ts
 
 
@@ -188,9 +187,8 @@ class Loop(dict):
 
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
-        lengths = self["lengths"] if "lengths" in self.known else None
         robot = self.spec.file(self.known.get("robot")) or self.known.get("robot")
-        return robot_and_tip(robot, self.known.get("tip"), self.known.get("base"), lengths)[0].n
+        return robot_and_tip(robot, self.known.get("tip"), self.known.get("base"))[0].n
 
     def build(self) -> Problem:
         """Return the loop."""

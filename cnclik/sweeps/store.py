@@ -25,7 +25,7 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import OWN, check_own, hidden_folder, remove_abandoned
+from cnclik.writing import OWN, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
 _NOT_DONE = -1  # checksum of an unfinished block, and its value of counts
@@ -164,7 +164,7 @@ def _build(path, spec, of, outputs):
     _mark(path)
 
 
-def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None:
+def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     """Return the folder's store if it belongs to this spec; None if there is none, or no more.
 
     Raises: ArgumentError if it belongs to another spec or, even with `fresh`, if it is not a sweep's.
@@ -175,8 +175,6 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()  # check that the folder is writable
     if not os.path.exists(path):
-        if not overwrite:
-            check_own("out", folder, "a sweep")
         return None
     store = Store(folder)
     if fresh:
@@ -206,12 +204,12 @@ def _short(values, name) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None) -> bool:
+def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
     """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
 
     Args:
       folder: where `data.zarr` is or will be.
-      fresh: start over. overwrite: also in a folder with files that are not a sweep's.
+      fresh: start over.
       process, processes: this process's number among all that run this together.
       meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
         they need each other no more.
@@ -225,12 +223,12 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
     of, first, store = spec.grid(), None, None
     with _together(meet):
         if process == 0:
-            store = prepare(spec, folder, fresh=fresh, overwrite=overwrite)
+            store = prepare(spec, folder, fresh=fresh)
             if store is None:
                 of, first = program.fit(spec.study, of)
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
-                store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of a quicker process
+                store = prepare(spec, folder)  # ours, or that of a quicker process
                 assert store is not None
                 first = first if store.lanes == of.lanes else None
     with _together(meet, last=True):

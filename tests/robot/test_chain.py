@@ -192,7 +192,7 @@ BAD = [
     (lambda: ck.from_dh([1.0], [0.0], [0.0], velocity_limit=[-1.0]), r"`velocity_limit` must be at least 0, but is -1"),
     (
         lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]),
-        r"`lower` must have shape \(1,\), but has shape \(2,\)\.",
+        r"`lower` must have 1 number, but has 2\.",
     ),
     (
         lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[1.0], upper=[0.0]),
@@ -207,9 +207,9 @@ BAD = [
     ),
     (
         lambda: ck.replace(ARM, velocity_limit=(2.0,)),
-        r"`velocity_limit` must have shape \(2,\), but has shape \(1,\)\.",
+        r"`velocity_limit` must have 2 numbers, but has 1\.",
     ),
-    (lambda: ck.replace(ARM, velocity_limit=2.0), r"`velocity_limit` must have shape \(2,\), but has shape \(\)\."),
+    (lambda: ck.replace(ARM, velocity_limit=2.0), r"`velocity_limit` must have 2 numbers, but is a single number\."),
     (lambda: ck.replace(ARM, velocity_limit=("2", 1.0)), r"`velocity_limit` must be an array of real numbers"),
     (lambda: ck.replace(ARM, lower=(0.0, math.nan)), r"`lower` must hold no NaN"),
     (
@@ -224,8 +224,8 @@ BAD = [
     (lambda: ck.from_screws(I3, I3, [1.0, 0.0]), r"`home` must have shape \(3,\), but has shape \(2,\)\."),
     (lambda: ck.with_tool(ck.planar_arm([1.0]), [1.0]), r"`tool` must have shape \(3,\), but has shape \(1,\)\."),
     (lambda: assemble([]), r"`joints` must hold at least one joint"),
-    (lambda: ck.forward(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have shape \(1,\), but has shape \(2,\)\."),
-    (lambda: ck.jacobian(ck.planar_arm([1.0]), 0.0), r"`q` must have shape \(1,\), but has shape \(\)\."),
+    (lambda: ck.forward(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have 1 joint value, but has 2\."),
+    (lambda: ck.jacobian(ck.planar_arm([1.0]), 0.0), r"`q` must have 1 joint value, but is a single number\."),
     (lambda: ck.planar_arm([1.0], joint_names=1.0), "`joint_names` must hold 1 different names, but is 1.0"),
     (lambda: ck.planar_arm([1.0], joint_names="a"), "`joint_names` must hold 1 different names, but is 'a'"),
     (lambda: ck.planar_arm([1.0, 1.0], joint_names=I3[:2]), "`joint_names` must hold 2 different names"),

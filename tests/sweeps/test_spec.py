@@ -28,8 +28,8 @@ N = 4
 Ts = 0.1
 alpha = "z/Ts"
 reference = "line"
-from = [1, 1]
-to = [0, "1 + lift"]
+start = [1, 1]
+target = [0, "1 + lift"]
 [axes]
 method = ["EE", "CN"]
 M = [0, 1, 2]
@@ -80,9 +80,9 @@ def test_what_the_number_of_steps_or_a_dead_time_depends_on_is_compiled_in():
 
 
 def test_an_axis_of_tables_and_samples_that_fit_every_arm():
-    case = {"two": {"robot": "planar:1,1", "to": [0, 1]}, "three": {"robot": "planar:1,1,1", "to": [0, 2]}}
+    case = {"two": {"robot": "planar:1,1", "target": [0, 1]}, "three": {"robot": "planar:1,1,1", "target": [0, 2]}}
     law = {"none": {}, "damped": {"damping": 0.1}}
-    changes = {"fixed__to": None, "fixed__robot": None, "axes__lift": None, "figure": []}
+    changes = {"fixed__target": None, "fixed__robot": None, "axes__lift": None, "figure": []}
     given = written(**changes, fixed__q0="0.1*turn", axes__case=case, axes__law=law)
     given["axes"]["turn"] = {"samples": 5, "low": -1, "high": 1, "seed": 3}
     spec = parse(given)
@@ -114,10 +114,10 @@ def test_changes_on_the_command_line(tmp_path):
 
 TABLES = [
     {},
-    {"from": [1, 1], "to": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "near_singular": 0.1},
+    {"start": [1, 1], "target": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5},
     {"reference": "circle", "radius": 0.1, "period": -2.0, "posture": [0.1, 0.2], "alpha": [2.0, 3.0]},
     {"reference": "lissajous", "frequency": [1, 2], "error_clamp": [0.1, 0.5], "damping": 0.1, "stage": "chord"},
-    {"target": [1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "limits": "velocity-scaling", "future": "unknown"},
+    {"target": [1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "limits": "velocity_scaling", "future": "unknown"},
 ]
 
 
@@ -152,7 +152,7 @@ def test_the_linear_limit_is_a_value():
 def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_path):
     (tmp_path / "way.csv").write_text("0,1,1\n1,0,1\n")
     path = tmp_path / "a.toml"
-    text = TEXT.replace('"line"', '"way.csv"').replace("from = [1, 1]", "").replace('to = [0, "1 + lift"]', "")
+    text = TEXT.replace('"line"', '"way.csv"').replace("start = [1, 1]", "").replace('target = [0, "1 + lift"]', "")
     path.write_text(text)
     spec = read(path, ["lift=0", "alpha=z/Ts + lift"])
     np.testing.assert_allclose(spec.build({"method": "EE"}).reference.curve(1.0)[0], [0, 1], atol=1e-12)
@@ -206,7 +206,7 @@ def test_units_follow_the_task(fixed, axes, unit):
         ({"fixed__q0": [[0], [0, 0]]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__robot": "plnar:1"}, "`robot` must"),
-        ({"fixed__threshold": 0.1}, "`threshold` must be left out"),
+        ({"fixed__threshold": 0.1}, "`threshold` must come with `damping`"),
         ({"axes__method": ["EE", "RK5"]}, "`method` must be one of"),
         ({"axes__method": ["EE", 3]}, "`axes.method` must hold names"),
         ({"axes__M": [True, 2]}, "`axes.M` must hold numbers"),
@@ -329,7 +329,7 @@ def test_expressions_are_arithmetic():
 
 def test_numbers_have_units_as_on_the_command_line():
     given = written(fixed__Ts="4ms", fixed__delay="34ms", fixed__measurement_delay="8 ms", fixed__lag="20ms",
-                    fixed__q0="0 -90 deg", fixed__from=["100cm", 1], axes__method=["EE"], axes__M=[1],
+                    fixed__q0="0 -90 deg", fixed__start=["100cm", 1], axes__method=["EE"], axes__M=[1],
                     axes__z=["pi/2", 1])  # fmt: skip
     spec = parse(given)
     made = spec.build({"method": "EE"}, {"M": 1, "z": 0.2, "lift": 0.0})

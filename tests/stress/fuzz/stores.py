@@ -17,8 +17,8 @@ from cnclik.sweeps import program, spec, store
 from tests.specs import reaching
 from tests.stress.fuzz.nasty import any_of, chance, damaged
 
-TEXT = reaching(["final_error", "ok", "max_error"], N=3, more="lanes = 4", method='["EE", "HEUN"]', alpha="[1.0, 2.0, 5.0]",
-                q0="{ samples = 2 }").replace('q0 = [0, "-pi/2"]\n', "")  # fmt: skip
+TEXT = reaching(["final_error", "ok", "max_error"], N=3, more="lanes = 4", method='["EE", "HEUN"]',
+                alpha="[1.0, 2.0, 5.0]", q0="{ samples = 2 }").replace('q0 = [0, "-pi/2"]\n', "")  # fmt: skip
 DAMAGES = ("flip", "flip", "flip", "cut", "empty", "gone", "swap", "noise", "folder", "longer", "link")
 
 
