@@ -13,6 +13,7 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 import dataclasses
 import functools
 import importlib
+import operator
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
@@ -44,6 +45,7 @@ Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in a
 T = TypeVar("T")
 
 _LITERAL = (float, int, bool, type(None))
+_is_none = functools.partial(operator.is_, None)
 
 
 def is_literal(value) -> bool:
@@ -61,7 +63,7 @@ class Literals:
         self.treedef, self.values = treedef, values
         # A tuple of arrays and literals, or of arrays alone: what most results are, put together without ceremony.
         self.flat = treedef == jax.tree.structure((0,) * len(values))
-        self.all_arrays = self.flat and all(v is HOLE for v in values)
+        self.all_arrays = self.flat and values.count(HOLE) == len(values)
         self._hash = hash((treedef, values))
 
     def __hash__(self):
@@ -90,9 +92,9 @@ HOLE = _Hole()
 
 def partition(tree):
     """Split any tree into its arrays (a list) and its literals (hashable)."""
-    leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
-    arrays = [v for v in leaves if not is_literal(v)]
-    return arrays, Literals(treedef, tuple(v if is_literal(v) else HOLE for v in leaves))
+    leaves, treedef = jax.tree.flatten(tree, is_leaf=_is_none)
+    values = tuple([v if type(v) in _LITERAL or is_literal(v) else HOLE for v in leaves])
+    return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], Literals(treedef, values)
 
 
 def combine(arrays, literals: Literals):

@@ -16,7 +16,7 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.bounded import bounded
-from cnclik.law.inverse import Pseudoinverse, damped, pseudoinverse, singular_damped
+from cnclik.law.inverse import damped, pseudoinverse, singular_damped
 from cnclik.law.law import Law
 from cnclik.law.limits import velocity_scaling
 from cnclik.law.null import posture
@@ -204,7 +204,7 @@ def _problem(robot, given, drive) -> Problem:
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
         drive=drive_from({name: v[name] for name in drive}, chain),
-        noise=_noise(v["noise"], parts.m),
+        noise=noise_from(v["noise"], parts.m),
         seed=errors.seed(v["seed"]),
         given=frozenset(name for name, value in given.items() if not _is_default(name, value)),
     )
@@ -215,33 +215,33 @@ def _is_default(name, value) -> bool:
 
 
 def _law(chain, task, v, Ts) -> Law:
-    inverse = inverse_from(v["damping"], v["threshold"])
-    if task.m > chain.n and isinstance(inverse, Pseudoinverse):
+    _needs(v, "threshold", "damping")
+    _needs(v, "posture_rate", "posture")
+    damping, threshold, rest, rate = v["damping"], v["threshold"], v["posture"], v["posture_rate"]
+    if damping is None and task.m > chain.n:
         names.require_free(chain, task)
-    if v["posture"] is None and v["posture_rate"] is not None:
-        raise errors.fail("posture_rate", "come with `posture`", "comes without")
+    if rest is not None:
+        rate = 1.0 if rate is None else errors.number("posture_rate", rate, positive=True)
+        rest = posture(errors.array("posture", rest, (chain.n,), of="joint values"), rate)
+    regular = pseudoinverse() if damping is None else damped(damping)
     return Law(
         chain,
         task,
         alpha=v["alpha"],
-        inverse=inverse,
-        limits=limits_from(v["limits"], v["limit_rate"], Ts),
-        null_velocity=None if v["posture"] is None else posture_from(chain, v["posture"], v["posture_rate"]),
+        inverse=regular if threshold is None else singular_damped(damping, threshold),
+        limits=_limits(v["limits"], v["limit_rate"], Ts),
+        null_velocity=rest,
         feedforward=v["feedforward"],
         error_clamp=v["error_clamp"],
     )
 
 
-def inverse_from(damping=None, threshold=None):
-    """J#: the pseudoinverse, or damped where `damping` is given, with `threshold` near singularities alone."""
-    if damping is None:
-        if threshold is not None:
-            raise errors.fail("threshold", "come with `damping`", "comes without")
-        return pseudoinverse()
-    return damped(damping) if threshold is None else singular_damped(damping, threshold)
+def _needs(given, name, other) -> None:
+    if given.get(name) is not None and given.get(other) is None:
+        raise errors.fail(name, f"come with `{other}`", "comes without")
 
 
-def limits_from(name, rate, Ts):
+def _limits(name, rate, Ts):
     """The limit method by name, or None.
 
     The default rate [1/s] is 10, but at most 1/Ts: the rate at which one step can stop a joint at its limit.
@@ -257,26 +257,19 @@ def limits_from(name, rate, Ts):
     return bounded(errors.number("limit_rate", rate, positive=True))
 
 
-def posture_from(chain, rest, rate):
-    """The pull towards a posture (n,), by default at 1/s."""
-    rate = 1.0 if rate is None else errors.number("posture_rate", rate, positive=True)
-    return posture(errors.array("posture", rest, (chain.n,), of="joint values"), rate)
-
-
 def drive_from(given, chain=None) -> Drive | None:
     """Return the drive of a table of options, of which lists are one number per joint; None if it has none."""
+    _needs(given, "damping_ratio", "natural_frequency")
     made: dict[str, Any] = {
         name: errors.array(name, v, (None if chain is None else chain.n,)) if isinstance(v, (tuple, list)) else v
         for name, v in given.items()
         if v is not None
     }
-    if "damping_ratio" in made and "natural_frequency" not in made:
-        raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
     return Drive(**made) if made else None
 
 
-def _noise(sigma, m):
-    """The standard deviation of the measured error, checked; an array."""
+def noise_from(sigma, m):
+    """Return the standard deviation of the measured error as an array, checked; or None."""
     if sigma is None:
         return None
     sigma = errors.array("noise", sigma, (), (1,), (m,))

@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import pathlib
+import sys
 import traceback
 
 from cnclik import errors
@@ -10,7 +11,7 @@ from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import named
 from cnclik.law.law import Law, check_loop
 from cnclik.law.paths import hold_at
-from cnclik.problem.build import Problem, drive_from, problem_from
+from cnclik.problem.build import Problem, drive_from, noise_from, problem_from
 from cnclik.problem.names import stage_from, start_from
 from cnclik.problem.options import DEFAULTS, DRIVE
 from cnclik.reading import read_bytes
@@ -60,7 +61,7 @@ def _fields(path, made) -> dict:
 
 
 def _problem(name, made, options) -> Problem:
-    law, given = made["law"], frozenset(made) | set(options)
+    law, given = made["law"], frozenset(made) | set(options) | {"alpha"}
     q0 = start_from(law.chain, law.task, made.get("q0"))
     reference = made.get("reference")
     if reference is None:
@@ -71,7 +72,7 @@ def _problem(name, made, options) -> Problem:
     if own is not None and drive is not None:
         own = dataclasses.replace(drive, **{key: getattr(own, key) for key in options if key in DRIVE})
     loop = {key: options.get(key, made.get(key, DEFAULTS[key])) for key in ("Ts", "N", "method")}
-    others = {key: made[key] for key in ("noise", "seed", "tip", "name", "robot") if key in made}
+    others = {key: made[key] for key in ("seed", "tip", "name", "robot") if key in made}
     return Problem(
         **{"name": name} | others,
         law=law,
@@ -81,16 +82,21 @@ def _problem(name, made, options) -> Problem:
         N=errors.integer("N", loop["N"], at_least=1, at_most=errors.MOST),
         method=named(loop["method"]),
         stage=stage_from(made.get("stage", "picard") if "M" not in options else "picard", options.get("M", 5)),
+        noise=noise_from(made.get("noise"), law.task.m),
         drive=own or (None if drive is None else errors.kind("drive", drive, Drive)),
         given=given,
     )
 
 
 def _executed(path) -> dict:
-    """The names that a file defines."""
+    """The names that a file defines; it may import what is beside it."""
     text = read_bytes("robot", path, "a Python file")
     names = {"__name__": path.stem, "__file__": str(path)}
-    _called(path, lambda: exec(compile(text, str(path), "exec"), names))
+    sys.path.insert(0, str(path.absolute().parent))
+    try:
+        _called(path, lambda: exec(compile(text, str(path), "exec"), names))
+    finally:
+        sys.path.pop(0)
     return names
 
 

@@ -16,7 +16,7 @@ from cnclik.record import replace
 from cnclik.robot import builtin, urdf
 from cnclik.robot.chain import Chain, planar_arm
 from cnclik.robot.files import file_of, read_robot
-from cnclik.robot.posture import is_planar, least_singular_values, singular_values, spread_postures, start_posture
+from cnclik.robot.posture import is_planar, singular_values, spread_postures, start_posture
 from cnclik.robot.tree import text_of
 from cnclik.task import build
 from cnclik.task.task import Task
@@ -149,7 +149,9 @@ def require_free(chain: Chain, task) -> None:
     postures = spread_postures(chain)
 
     def apart(some):
-        return float(np.max(least_singular_values(chain, some, postures))) if some.m <= chain.n else 0.0
+        each = [some.alone(name) for name, _ in some.tasks] or [some]
+        least = [singular_values(chain, [one], postures)[0] for one in each]
+        return float(np.min(least, axis=0).max()) if some.m <= chain.n else 0.0
 
     if apart(task) > _APART:
         return

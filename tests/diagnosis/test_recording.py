@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cnclik.diagnosis.recording import clock, no_motion, sampling_time
+from cnclik.cli.log import clock, no_motion
+from cnclik.diagnosis.recording import sampling_time
 from cnclik.errors import ArgumentError
 
 TS = 0.002

@@ -68,6 +68,7 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
         (ONE.replace("alpha=4.0", "gain=4.0"), {}, r"cell.py, line 4: .*`gain` \(did you mean 'alpha'\?\)"),
         (TWO.replace("0.2]", "0.2, 1]"), {}, "`q0` must have 3 joint values, but has 4"),
         (TWO, {"task": "xy"}, r"`task` must be an argument of problem\(\) in cell.py, or be left out"),
+        (ONE.replace("N=7", "noise=[0.1, 0.2]"), {}, "`noise` must have 1 or 6 numbers, but has 2"),
         (TWO, {"Ts": -1.0}, "`Ts` must be positive"),
         (TWO, {"lag": [0.1, 0.2]}, "`lag` must have 3 numbers, but has 2"),
     ],
@@ -92,3 +93,9 @@ def test_the_examples_of_the_pages_follow_their_paths(name, tmp_path, monkeypatc
     run = made.run()
     first = made.law.task.tasks[0][0]
     assert np.abs(run[first].e).max() < 1e-6 and made.name == name
+
+
+def test_a_file_may_import_what_is_beside_it(file):
+    path = file("import beside_it\n" + TWO.replace("[1.0, 0.8, 0.5]", "beside_it.LENGTHS"))
+    path.with_name("beside_it.py").write_text("LENGTHS = [1.0, 0.5, 0.25]\n")
+    assert problem_of(path).law.chain.n == 3

@@ -46,7 +46,7 @@ def test_it_is_pinocchios(name):
         place, j, mass = other.center(robot.joint_names, q)
         close(ck.com(robot, q), place, atol=1e-12)
         close(found, j, atol=1e-12)
-        close(sum(m.mass for m in robot.masses), mass, rtol=1e-12)
+        close(sum(mass for mass, _ in robot.masses), mass, rtol=1e-12)
 
 
 def seen(robot, task):
@@ -101,11 +101,11 @@ def test_robots_that_are_put_together_weigh_both():
     for tip, own in zip(("left", "right"), arms, strict=True):
         at = ck.forward(torso, q, tip=tip)
         each.append((panda, at.position + at.rotation @ ck.com(panda, own)))
-    weights = [sum(m.mass for m in robot.masses) for robot, _ in each]
+    weights = [sum(mass for mass, _ in robot.masses) for robot, _ in each]
     wanted = np.average([np.asarray(c) for _, c in each], axis=0, weights=weights) + np.array([1, 2, 3])
     close(ck.com(robot, np.concatenate([q, *arms])), wanted, atol=1e-13)
     for mixed in (ck.join(torso, ck.panda(), at="left"), ck.join(ck.panda(), torso)):
-        with pytest.raises(ck.ArgumentError, match=r"`robot` must have masses.* has none on panda_joint1, panda_j"):
+        with pytest.raises(ck.ArgumentError, match=r"`robot` must have masses.* has none, or was joined from one"):
             ck.com(mixed, np.zeros(mixed.n))
     assert ck.join(ck.panda(), ck.panda(), prefix="b_").masses == ()
 
@@ -198,4 +198,4 @@ ARM = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="{
 def test_an_inertial_that_cannot_be_read_is_remarked_on():
     with pytest.warns(ck.Remark, match="Link 'b' of the text has an inertial of 'heavy 0 0 0'"):
         assert ck.load_urdf(ARM.format("heavy")).masses == ()
-    assert ck.load_urdf(ARM.format("2.5")).masses[1].mass == 2.5
+    assert ck.load_urdf(ARM.format("2.5")).masses[1][0] == 2.5
