@@ -8,6 +8,7 @@ import math
 import pathlib
 import tempfile
 import time
+from array import array
 
 import jax
 import numpy as np
@@ -109,26 +110,26 @@ class Bound:
         self.program, avals = program, program.avals
         self.kept = [np.asarray(x, a.dtype, order="C") for x, a in zip(kept, avals, strict=False)]
         self.given = [(a.dtype, len(a.shape), a.size) for a in avals[len(kept) :]]
-        self.places, self.zeros, self.out = [x.ctypes.data for x in self.kept], [0] * len(kept), program.shapes
-        self.pointers = ctypes.c_void_p * (len(avals) + 1), ctypes.c_int64 * len(avals), ctypes.c_void_p * len(self.out)
+        self.places, self.zeros = [x.ctypes.data for x in self.kept], [0] * len(kept)
 
     def __call__(self, leaves, size, pool=None, cores=1) -> list:
         """Return the results of a batch, as `Program` does, without their alignment. Args: leaves: the others."""
-        made = [np.empty((size, *s.shape), s.dtype) for s in self.out]
+        made = [np.empty((size, *s.shape), s.dtype) for s in self.program.shapes]
         self.run(leaves, made, size, (0,), pool, cores)
         return made
 
     def run(self, leaves, made, size, more, pool=None, cores=1):
         """Fill the results, on the threads of a pool. Args: more: the address of what the C has beside the function's."""
-        program, (places, strides, out) = self.program, self.pointers
-        leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, self.given, strict=True)]
-        ins = places(*self.places, *[x.ctypes.data for x in leaves], *more)
-        stride = strides(*self.zeros, *[n if x.ndim > rank else 0 for x, (_, rank, n) in zip(leaves, self.given, strict=True)])
-        out = out(*[x.ctypes.data for x in made])
+        program, given = self.program, self.given
+        leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, given, strict=True)]
+        strides = [size_ if x.ndim > rank else 0 for x, (_, rank, size_) in zip(leaves, given, strict=True)]
+        ins = array("Q", [*self.places, *[x.ctypes.data for x in leaves], *more])  # quicker than arrays of ctypes
+        strides, out = array("q", self.zeros + strides), array("Q", [x.ctypes.data for x in made])
+        places = [v.buffer_info()[0] for v in (ins, strides, out)]
 
-        def part(start, end, held=(leaves, made)):  # for as long as threads work, also after an exception
+        def part(start, end, held=(leaves, made, ins, strides, out)):  # for as long as threads work, also after an exception
             memory = np.empty(program.work, np.uint8)
-            program.library.run(start, end, ins, stride, out, memory.ctypes.data)
+            program.library.run(start, end, *places, memory.ctypes.data)
 
         if pool is None:
             part(0, size)

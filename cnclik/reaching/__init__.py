@@ -9,5 +9,5 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submod_attrs={"map": ["Reachability", "reachability"], "result": ["Reached", "ReachStatus"], "public": ["reach"]},
+    submod_attrs={"result": ["Reached", "ReachStatus"], "public": ["reach"]},
 )

@@ -12,12 +12,14 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.many import many, path, several
-from cnclik.reaching.result import Reached, fields
-from cnclik.reaching.single import traced
+from cnclik.reaching.result import Reached, from_rows
+from cnclik.reaching.path import path
+from cnclik.reaching.search import search_of
+from cnclik.reaching.several import several
 from cnclik.reaching.targets import aims, read
-from cnclik.reaching.units import inward, outward
-from cnclik.record import ArrayLike, Float, replace
+from cnclik.reaching.traced import traced
+from cnclik.reaching.units import nearer
+from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
 from cnclik.task.task import Task
@@ -35,7 +37,6 @@ def reach(
     jump: float | None = None,
     solutions: int = 1,
     seeds: int = 512,
-    budget: int = 25_000,
     limits: bool = True,
     explain: bool = True,
     base: Float[ArrayLike, "*B 4 4"] | None = None,
@@ -83,38 +84,33 @@ def reach(
     Returns: `Reached`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
+    asked = asked_of(chain, task, tolerance, accept, jump, seeds, seed, limits, explain)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
     errors.progress(progress)
-    if jump is not None and near is None:
-        raise errors.fail("near", "be given with `jump`", "is not")
     pose, alone = read(targets, asked.task, base)
-    known = all(map(errors.concrete, jax.tree.leaves((chain, pose, near, jump))))
+    known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
     previous = isinstance(near, str)
     if previous:
         errors.one_of("near", near, ("previous",))
+    elif near is None and jump is not None:
+        raise errors.fail("near", "be given with `jump`", "is not")
     elif near is not None:
         near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
-        near = np.asarray(near) if known else near
-        near = near + (np if known else jnp).zeros((len(pose), chain.n))  # quicker than broadcast_to
-        near = near.astype(pose.dtype, copy=False)
+        near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n)).astype(pose.dtype)
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
-    xp, around = np if known else jnp, None if previous else near
-    several_tips = {"targets": pose} if len(aims(asked.task)) > 1 else {}
-    pose, inner, moved = inward(asked, pose, around, xp)
-    if not known:
-        made = traced(asked, pose, inner)
-    elif previous and solutions > 1:
+    if previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
+    given = {} if len(aims(asked.task)) < 2 else {"targets": pose[0] if alone else pose}
+    pose, moved = nearer(chain, asked.task, pose, np if known else jnp)
+    if not known:
+        rows = traced(asked, pose, near)
     elif previous:
-        made = path(asked, pose, progress)
+        rows = path(search_of(asked), pose, progress)
     elif solutions > 1:
-        made = several(asked, pose, inner, solutions, progress)
+        rows = several(search_of(asked), pose, near, solutions, progress)
     else:
-        made = many(asked, pose, inner, progress)
-    made, each = outward(asked, made, chain, around, moved, xp), several_tips
-    if alone:
-        each = {name: v[0] for name, v in (fields(made) | each).items()}
-    return replace(made, **each) if each else made
+        rows = search_of(asked).rows(pose, near, progress)
+    rows = rows if moved is None else asked.farther(rows, moved, np if known else jnp)
+    return from_rows(chain, asked.task, rows[0] if alone else rows, solutions=solutions, **given)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -121,37 +122,49 @@ def _missed(aim, target, position, rotation) -> Missed:
     return Missed(np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
 
 
+# --- rows -------------------------------------------------------------------------------------------------
+
+
+class Row(NamedTuple):
+    """What a descent, or a search, comes to: views of the rows (..., 2 n + 7) of targets."""
+
+    q: Float[AnyArray, "*B n"]
+    at_limit: Float[AnyArray, "*B n"]  # 1 or 0
+    status: Float[AnyArray, " *B"]
+    position_error: Float[AnyArray, " *B"]  # [m]
+    orientation_error: Float[AnyArray, " *B"]  # [rad]
+    evaluations: Float[AnyArray, " *B"]
+    distance: Float[AnyArray, " *B"]  # from `near`; NaN without it
+    cost: Float[AnyArray, " *B"]  # squared error in the chain's unit, weighted where it is that of the nearest pose
+    steep: Float[AnyArray, " *B"]  # its gradient there, see `descent.State`
+
+
 def width(n: int) -> int:
-    """Numbers of a target's row: q, status, both errors, evaluations, at_limit, distance, as PER_TARGET has them."""
-    return 2 * n + 5
+    """Return the numbers of a row."""
+    return 2 * n + len(Row._fields) - 2
 
 
-def from_rows(chain, task, rows) -> Reached:
-    """The record of targets from their rows (B, width), which become its own."""
-    n, rows.flags.writeable = chain.n, False
+def row_of(rows, n: int) -> Row:
+    """Return views of rows (..., width)."""
+    return Row(rows[..., :n], rows[..., n : 2 * n], *[rows[..., i] for i in range(2 * n, 2 * n + 7)])
+
+
+def from_rows(chain, task, rows, **others) -> Reached:
+    """Return the record of targets, or of solutions of each, from their rows (..., width)."""
+    if isinstance(rows, np.ndarray):
+        rows.flags.writeable = False
+    row = row_of(rows, chain.n)
     return Reached(
-        q=rows[:, :n],
-        status=rows[:, n].astype(int),
-        position_error=rows[:, n + 1],
-        orientation_error=rows[:, n + 2],
-        evaluations=rows[:, n + 3].astype(int),
-        at_limit=rows[:, n + 4 : -1] != 0,
-        distance=rows[:, -1],
+        q=row.q,
+        status=row.status.astype(int),
+        position_error=row.position_error,
+        orientation_error=row.orientation_error,
+        evaluations=row.evaluations.astype(int),
+        at_limit=row.at_limit > 0,
+        distance=row.distance,
         chain=chain,
         task=task,
-    )
-
-
-def fields(made: Reached) -> dict:
-    """The fields of the record that have a value per target, by name."""
-    return {name: getattr(made, name) for name in PER_TARGET}
-
-
-def as_rows(of: dict, xp=np):
-    """The rows of some targets' `fields`, or of one target's."""
-    single = xp.ndim(of["status"])
-    return xp.concatenate(
-        [v if xp.ndim(v) > single else v[..., None] for v in (of[name] for name in PER_TARGET)], axis=-1
+        **others,
     )
 
 

@@ -95,7 +95,7 @@ def wanted_at(reference: Reference | References, task: Task, t):
         for part in aim.parts:
             value = next(values)
             rotation = value if part.turns else rotation
-            axes = () if part.turns else range(3) if part.tied else places(part.axes)
+            axes = () if part.turns else places(part.axes)
             place |= {int(i): value[..., k] for k, i in enumerate(axes)}
         position, xp = None, poses.library(*place.values())
         if place:  # coordinates that the task does not control are arbitrary
@@ -168,7 +168,7 @@ def _parts(name, targets, aim):
         return found
     targets = errors.array(name, targets, finite=False)
     shape = targets.shape
-    if not aim.angular and len(shape) in (1, 2) and shape[-1] in (3, len(_alone(aim))):
+    if not aim.angular and len(shape) in (1, 2) and shape[-1] in (3, len(aim.linear)):
         return _positions(name, targets, aim), None
     if not aim.linear:
         return None, poses.rotations(name, targets, finite=False)
@@ -179,21 +179,15 @@ def _parts(name, targets, aim):
     raise errors.fail(name, f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
 
 
-def _alone(aim):
-    """The axes of a position whose coordinates may stand alone: those of the base or of another tip."""
-    return () if aim.own[0] else aim.linear
-
-
 def _positions(name, value, aim):
     """Positions (..., 3), of which the task's coordinates may stand alone; the others are arbitrary."""
-    alone = _alone(aim)
-    some = {3, len(alone)} - {0}
+    some = {3, len(aim.linear)}
     value = errors.array(name, value, *((size,) for size in some), *((None, size) for size in some), finite=False)
     value = np.asarray(value, float) if errors.concrete(value) else value
     if value.shape[-1] == 3:
         return value
     xp = poses.library(value)
-    each = dict(zip(alone, xp.moveaxis(value, -1, 0), strict=True))
+    each = dict(zip(aim.linear, xp.moveaxis(value, -1, 0), strict=True))
     return xp.stack([each.get(axis, xp.zeros(value.shape[:-1])) for axis in range(3)], -1)
 
 
@@ -228,17 +222,11 @@ class Aim:
     to: str | None  # the tip from which it is seen; None: the base
     linear: tuple[int, ...]  # axes of the position
     angular: tuple[int, ...]
-    own: tuple[bool, bool] = (False, False)  # whether those of position and orientation are the tip's own
 
     @property
     def label(self) -> str:
         """Its name as a text, such as "hands.left", or "right in left" of a tip as seen from another."""
         return ".".join(self.path) + (f" in {self.to}" if self.to else "")
-
-    @property
-    def placed(self) -> tuple[int, ...]:
-        """Axes of the targets' frame that the aim fixes; none where it is given along some of the tip's own axes."""
-        return () if self.own[0] and len(self.linear) < 3 else self.linear
 
     def way(self, chain: Chain) -> list[int]:
         """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
@@ -263,8 +251,7 @@ def _aims(task):
         linear, angular = (tuple(map(int, of)) for of in axes)
         if len({*linear, *(3 + i for i in angular)}) < len(linear + angular):
             raise errors.fail("task", "have each axis of a tip once", f"has {', '.join(own.names)}")
-        tied = tuple(any(part.tied for part in own.parts if part.turns == turns) for turns in (False, True))
-        found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular, own=tied))
+        found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular))
     return tuple(found)
 
 
