@@ -127,7 +127,9 @@ class Bound:
         strides, out = array("q", self.zeros + strides), array("Q", [x.ctypes.data for x in made])
         places = [v.buffer_info()[0] for v in (ins, strides, out)]
 
-        def part(start, end, held=(leaves, made, ins, strides, out)):  # for as long as threads work, also after an exception
+        def part(
+            start, end, held=(leaves, made, ins, strides, out)
+        ):  # for as long as threads work, also after an exception
             memory = np.empty(program.work, np.uint8)
             program.library.run(start, end, *places, memory.ctypes.data)
 

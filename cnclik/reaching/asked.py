@@ -5,13 +5,14 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import LRU
 from cnclik.precision import as_numbers
-from cnclik.reaching.descent import TOUCHING, Terms
+from cnclik.reaching.descent import Terms
 from cnclik.reaching.result import ReachStatus, Row, row_of
-from cnclik.reaching.targets import WIDTH, aims, task_of
+from cnclik.reaching.targets import task_of
 from cnclik.reaching.units import unit_of
 from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
+from cnclik.task.aims import WIDTH, aims
 from cnclik.task.task import Task
 
 MOST_SEEDS = ((1 << 31) - 1) // 16  # the numbers of all tries must fit int32
@@ -53,9 +54,8 @@ class Asked:
         return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))
 
     def terms(self, *, jump=True, limits=True, weights=False, xp=np) -> Terms:
-        """Return the terms of descents. Args: which of the bounds hold. weights: whether errors are weighted."""
-        lower, upper = self.limited()
-        lower, upper = (lower, upper) if limits else (lower - np.inf, upper + np.inf)
+        """Return the terms of descents. Args: jump, limits: whether they hold. weights: whether errors have them."""
+        lower, upper = self.limited() if limits else np.full((2, self.chain.n), [[-np.inf], [np.inf]])
         most = self.jump if jump and limits and self.jump is not None else np.inf
         roots = self.task.weights if weights and self.task.weights is not None else np.ones(self.task.m)
         numbers = lower, upper, most, self.tolerance / self.scale, xp.sqrt(xp.asarray(roots, float))
@@ -96,35 +96,33 @@ class Asked:
 
         Args: finite, far: results of the methods. sure: whether enough was tried. why: the result of `meaning`.
         """
-        row, jumps = row_of(rows, self.chain.n), why == ReachStatus.JUMP
+        row, status = row_of(rows, self.chain.n), ReachStatus
         missed, clear = (~self.within(row, times, xp) for times in (MISSED, CLEAR))
         rests = (row.steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | far
-        status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
+        made = xp.where(rests, int(status.OUT_OF_REACH), int(status.OUT_OF_BUDGET))
         certain = (self.chain.n <= FEW) | (self.seeds < SURE) | (self.squares(row, xp) >= DOUBT**2)
-        held = (why == ReachStatus.AT_LIMIT) & (row.at_limit > 0).any(axis=-1) & certain
-        status = xp.where((jumps | held) & sure & missed, why, status)
+        held = (why == status.AT_LIMIT) & (row.at_limit > 0).any(axis=-1) & certain
+        made = xp.where(((why == status.JUMP) | held) & sure & missed, why, made)
         if self.accept is not None:
             enough = (row.position_error <= self.accept[0]) & (row.orientation_error <= self.accept[1])
-            status = xp.where(enough, int(ReachStatus.ACCEPTED), status)
-        status = xp.where(row.status == ReachStatus.SOLVED, int(ReachStatus.SOLVED), status)
-        status = xp.where((status <= ReachStatus.ACCEPTED) & self.away(row), int(ReachStatus.JUMP), status)
-        status = xp.where(finite, status, int(ReachStatus.NON_FINITE))
-        none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE) | ~xp.isfinite(row.position_error)
-        none = none | (status > ReachStatus.ACCEPTED) & (not self.explain)
-        gone = xp.where(none, xp.nan, 0.0)[..., None]
-        q, held = row.q + gone, xp.where(none[..., None], 0.0, row.at_limit)
-        errors_ = xp.stack([row.position_error, row.orientation_error], -1) + gone
-        rest = xp.stack([row.evaluations, row.distance, row.cost, row.steep], -1)
-        return xp.concatenate([q, held, status[..., None], errors_, rest], -1)
+            made = xp.where(enough, int(status.ACCEPTED), made)
+        made = xp.where(row.status == status.SOLVED, int(status.SOLVED), made)
+        made = xp.where((made <= status.ACCEPTED) & self.away(row), int(status.JUMP), made)
+        made = xp.where(finite, made, int(status.NON_FINITE))
+        none = (made == status.JUMP) | (made == status.NON_FINITE) | ~xp.isfinite(row.position_error)
+        none = (none | (made > status.ACCEPTED) & (not self.explain))[..., None]
+        gone, n = xp.where(none, xp.nan, 0.0), self.chain.n
+        numbers = xp.stack([row.position_error, row.orientation_error], -1) + gone
+        parts = row.q + gone, xp.where(none, 0.0, row.at_limit), made[..., None], numbers, rows[..., 2 * n + 3 :]
+        return xp.concatenate(parts, -1)
 
     def farther(self, rows, moved, xp=np):
         """Return rows (B, ..., width) of targets that were searched for nearer by so much (B,) [m], see `units`."""
         row, moved = row_of(rows, self.chain.n), moved.reshape(-1, *(1,) * (rows.ndim - 2))
         claims = (row.status <= ReachStatus.AT_LIMIT) | (row.status == ReachStatus.JUMP)  # of a target that was nearer
         status = xp.where((moved > 0) & claims, int(ReachStatus.OUT_OF_BUDGET), row.status)
-        made = [status[..., None], (row.position_error + moved)[..., None]]
-        n = 2 * self.chain.n
-        return xp.concatenate([rows[..., :n], *made, rows[..., n + 2 :]], axis=-1)
+        numbers, n = xp.stack([status, row.position_error + moved], -1), 2 * self.chain.n
+        return xp.concatenate([rows[..., :n], numbers, rows[..., n + 2 :]], -1)
 
     def away(self, row: Row):
         """Return whether answers jump all the same, as where `near` is outside the limits."""
@@ -140,10 +138,9 @@ def asked_of(chain, *rest) -> Asked:
     key = rest, tuple(map(type, rest))  # types too: 1.0 equals 1 but is no valid number of seeds
     try:
         hash(key)
-        lasting = all(map(errors.concrete, rest))
     except TypeError:  # lists, arrays
-        lasting = False
-    if not lasting:
+        return _asked(chain, *rest)
+    if not all(map(errors.concrete, rest)):
         return _asked(chain, *rest)
     return memoized(chain, "_asked", lambda _: LRU()).made(key, lambda _: _asked(chain, *rest))
 
@@ -158,7 +155,6 @@ def _asked(chain, task, tolerance, accept, jump, seeds, seed, limits, explain) -
     as_numbers("reach", *others.items(), ("limits", limits), ("explain", explain))
     if jump is not None:
         errors.number("jump", jump, positive=True)
-    errors.integer("seeds", seeds, at_least=1, at_most=MOST_SEEDS)
     tolerance, task = _pair("tolerance", tolerance), task_of(task).on(chain)
     aims(task)
     return Asked(
@@ -167,7 +163,7 @@ def _asked(chain, task, tolerance, accept, jump, seeds, seed, limits, explain) -
         tolerance=np.array([tolerance[0], 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # a chord
         accept=None if accept is None else _pair("accept", accept),
         jump=leaf(jump),
-        seeds=np.int32(seeds),
+        seeds=np.int32(errors.integer("seeds", seeds, at_least=1, at_most=MOST_SEEDS)),
         seed=np.int32(errors.seed(seed)),
         limits=errors.truth("limits", limits),
         explain=errors.truth("explain", explain),

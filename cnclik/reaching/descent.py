@@ -20,26 +20,27 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik.engine.native import scalars
 from cnclik.engine.plan import in_c
-from cnclik.engine.program import Bound, Program
-from cnclik.hints import LIGHT_COMPILE, as_here, quick_jit
-from cnclik.integrate.lanes import tiled
+from cnclik.hints import as_here
+from cnclik.integrate.batches import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
 from cnclik.reaching.result import ReachStatus, row_of
 from cnclik.reaching.starts import Starts, binned, empty, is_free, start, turned
-from cnclik.reaching.targets import WIDTH, aims, told_apart
 from cnclik.reaching.units import per_unit, unit_of
 from cnclik.record import Array, Bool, Float, Int, cast, memoized
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import quaternion_from_rotation
+from cnclik.task.aims import WIDTH, aims, told_apart
 from cnclik.task.parts import At, places
 from cnclik.task.task import Task, rows
-from cnclik.threads import cores
 
-PLAIN, CAREFUL, DOWNHILL = 9, 24, 150
+PLAIN, CAREFUL, DOWNHILL = (
+    9,
+    24,
+    150,
+)  # looks, at most: of plain descents, of careful ones, of those to the nearest pose
 COARSE, SLOW = 2e-5, 30  # careful descents that are so close to the target have so many looks more
 STUCK, STILL = 1e-5, 1e-10  # of `State.steep`: careful descents whose error falls so slowly end; to the nearest pose
 OF_ERROR = 0.03  # λ² per squared error
@@ -62,6 +63,11 @@ class Terms(NamedTuple):
     tolerance: Float[Array, " 2"]  # [units], chord of an angle [rad]
     roots: Float[Array, " m"]  # of the weights of the task's coordinates
 
+    def box(self, near):
+        """Return the bounds (n,) of answers about `near`: those of the limits nearest to it where it is beyond."""
+        low = jnp.minimum(jnp.maximum(self.lower, near - self.jump), self.upper)
+        return low, jnp.maximum(jnp.minimum(self.upper, near + self.jump), self.lower)
+
 
 class State(NamedTuple):
     q: Float[Array, " n"]  # the next posture
@@ -76,7 +82,7 @@ class State(NamedTuple):
 
 @precise
 def look(chain, task: Task, q, target):
-    """The error (m,), J (m, n), and the squared errors of position and orientation, the largest of all tips.
+    """Return the error (m,), J (m, n), and the squared errors of position and orientation, the largest of all tips.
 
     All are in the chain's unit, see `units`. Args: target: (t,) twelve numbers of each of the task's aims [m].
     """
@@ -94,50 +100,8 @@ def look(chain, task: Task, q, target):
     return jnp.concatenate(each), j, functools.reduce(jnp.maximum, squares)
 
 
-def descend(chain, task: Task, terms: Terms, q, target, near, low, high, most, free) -> Array:
-    """Descend from a posture (n,) within bounds (n,), by at most `most` looks. Returns: the row of `result.Row`.
-
-    Args: near: (n,), NaN where there is none. free: whether bounds are ignored: the row has the posture within them.
-    """
-    zero, careful, around = 0.0 * q[0], most > PLAIN, jnp.where(jnp.isnan(near), 0.0, near)
-    least, most_, per = zero + jnp.inf, jnp.where(careful, most + SLOW, most), jnp.asarray(per_unit(chain), q.dtype)
-    bounds = jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)
-    begin = State(q, q, jnp.stack([least, least]), least, least, zero + 1.0, 0 * most, zero > 1)
-
-    def goes_on(s):
-        close = (s.squares <= COARSE**2).all() & (s.looks < most_)
-        stuck = careful & (s.steep <= jnp.where(most <= CAREFUL, STUCK, STILL))
-        return ~s.arrived & ((s.looks < most) | close) & ~stuck
-
-    def once(s):
-        return _step(chain, task, terms, s, target, bounds, careful, per)
-
-    s = lax.while_loop(goes_on, once, begin)
-    q = jnp.clip(turned(s.best, around, np.array(chain.periodic), low, high, jnp), low, high)
-    at_limit = (q <= terms.lower + TOUCHING * per) | (q >= terms.upper - TOUCHING * per)
-    miss = jnp.sqrt(s.squares) * jnp.array([unit_of(chain), 0.5], q.dtype)
-    arrived = jnp.where(free, FREE, int(ReachStatus.SOLVED))
-    return jnp.concatenate(
-        [
-            q,
-            at_limit.astype(q.dtype),
-            jnp.stack(
-                [
-                    jnp.where(s.arrived, arrived, int(ReachStatus.OUT_OF_BUDGET)).astype(q.dtype),
-                    miss[0],
-                    2.0 * jnp.arcsin(jnp.minimum(miss[1], 1.0)),
-                    s.looks.astype(q.dtype),
-                    jnp.max(jnp.abs(q - near)),
-                    s.cost,
-                    s.steep,
-                ]
-            ),
-        ]
-    )
-
-
 @precise
-def _step(chain, task, terms, s: State, target, bounds, careful, per) -> State:
+def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State:
     """Look at `q` and step from there; a descent that has arrived does not move."""
     e, j, squares = look(chain, task, s.q, target)
     if task.weights is not None:
@@ -153,25 +117,40 @@ def _step(chain, task, terms, s: State, target, bounds, careful, per) -> State:
     downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, j)
     step = dense.solved(dense.shifted(left @ left.T, damping), e) @ left
     steep = downhill @ downhill / jnp.where(cost * size > 0, cost * size, 1.0)
-    kink = (trust > 1) & (damping > SHORT * size)
+    steep = jnp.where((trust > 1) & (damping > SHORT * size), 0.0, steep)  # at a kink
+    step = jnp.asarray(per_unit(chain), step.dtype) * jnp.clip(step, -LONGEST, LONGEST)
     best = jnp.where(better, s.q, s.best)
-    onward = jnp.where(better, jnp.clip(s.q + per * jnp.clip(step, -LONGEST, LONGEST), low, high), best)
-    return State(
-        q=jnp.where(here, s.q, onward),
-        best=best,
-        squares=jnp.where(better, squares, s.squares),
-        cost=jnp.where(better, cost, s.cost),
-        steep=jnp.where(better, jnp.where(kink, 0.0, steep), s.steep),
-        trust=trust,
-        looks=s.looks + 1,
-        arrived=here,
-    )
+    onward = jnp.where(better, jnp.clip(s.q + step, low, high), best)
+    kept = [jnp.where(better, *v) for v in ((squares, s.squares), (cost, s.cost), (steep, s.steep))]
+    return State(jnp.where(here, s.q, onward), best, *kept, trust, s.looks + 1, here)
 
 
-def box(terms: Terms, near):
-    """Return the bounds (n,) of answers about `near`; those of the limits that are nearest to it where it is beyond."""
-    low = jnp.minimum(jnp.maximum(terms.lower, near - terms.jump), terms.upper)
-    return low, jnp.maximum(jnp.minimum(terms.upper, near + terms.jump), terms.lower)
+def descend(chain, task: Task, terms: Terms, q, target, near, most, free) -> Array:
+    """Descend from a posture (n,) by at most `most` looks. Returns: the row of `result.Row`.
+
+    Args: near: (n,), NaN where there is none. free: whether bounds are ignored: the row has the posture within them.
+    """
+    careful, around, zero = most > PLAIN, jnp.where(jnp.isnan(near), 0.0, near), 0.0 * q[0]
+    low, high = terms.box(around)
+    free = free & (jnp.isfinite(low) | jnp.isfinite(high)).any()
+    bounds, q = (jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)), jnp.clip(q, low, high)
+
+    def goes_on(s):
+        close = careful & (s.squares <= COARSE**2).all() & (s.looks < most + SLOW)
+        stuck = careful & (s.steep <= jnp.where(most <= CAREFUL, STUCK, STILL))
+        return ~s.arrived & ((s.looks < most) | close) & ~stuck
+
+    far = zero + jnp.inf
+    begin = State(q, q, jnp.stack([far, far]), far, far, zero + 1.0, 0 * most, zero > 1)
+    s = lax.while_loop(goes_on, lambda s: _step(chain, task, terms, s, target, bounds, careful), begin)
+    q = jnp.clip(turned(s.best, around, np.array(chain.periodic), low, high, jnp), low, high)
+    touching = jnp.asarray(TOUCHING * per_unit(chain), q.dtype)
+    at_limit = (q <= terms.lower + touching) | (q >= terms.upper - touching)
+    status = jnp.where(s.arrived, jnp.where(free, FREE, int(ReachStatus.SOLVED)), int(ReachStatus.OUT_OF_BUDGET))
+    position, turn = unit_of(chain) * jnp.sqrt(s.squares[0]), jnp.minimum(jnp.sqrt(s.squares[1]) / 2, 1.0)
+    cost = jnp.where(free, jnp.inf, s.cost)
+    rest = status, position, 2.0 * jnp.arcsin(turn), s.looks, jnp.max(jnp.abs(q - near)), cost, s.steep
+    return jnp.concatenate([q, at_limit.astype(q.dtype), jnp.stack([jnp.asarray(v, q.dtype) for v in rest])])
 
 
 def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away, k, most, seed) -> Array:
@@ -181,10 +160,9 @@ def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away
       near: (n,), NaN where there is none. given, away: see `starts.start`.
       k: int32, the number of the try. most: int32, looks. seed: int32.
     """
-    low, high = box(terms, jnp.where(jnp.isnan(near), 0.0, near))
+    low, high = terms.box(jnp.where(jnp.isnan(near), 0.0, near))
     q = start(chain, task, starts, target, given, away, low, high, k, seed)
-    bounded = (jnp.isfinite(low) | jnp.isfinite(high)).any()
-    return descend(chain, task, terms, q, target, near, low, high, most, is_free(k) & bounded)
+    return descend(chain, task, terms, q, target, near, most, is_free(k))
 
 
 def tips(chain, task, q):
@@ -202,9 +180,7 @@ def along(chain, task, terms: Terms, target, near):
 
     def once(carry, target):
         near, going = carry
-        low, high = box(terms, near)
-        most = jnp.where(going, PLAIN, 0).astype(np.int32)
-        row = descend(chain, task, terms, jnp.clip(near, low, high), target, near, low, high, most, jnp.bool_(False))
+        row = descend(chain, task, terms, near, target, near, jnp.where(going, PLAIN, 0).astype(np.int32), False)
         made = row_of(row, chain.n)
         going = going & (made.status == ReachStatus.SOLVED) & (made.distance <= CLOSE)
         return (jnp.where(going, made.q, near), going), row
@@ -214,109 +190,59 @@ def along(chain, task, terms: Terms, target, near):
 
 # --- for batches of NumPy's numbers -----------------------------------------------------------------------
 
-ALONE = 1024  # lanes, at most, of which one thread makes the tries
-TILE, CAPACITY = 64, 1024  # lanes side by side, and of a call, without a compiler
-
 
 class Attempts:
-    """`attempt` for batches, as C or by XLA, with the starts of a chain."""
+    """`attempt` for batches, with the starts of a chain."""
 
-    def __init__(self, chain, task, in_c):
-        n, t, none = chain.n, WIDTH * len(aims(task)), empty(chain, task)
-        f, i = (functools.partial(jax.ShapeDtypeStruct, dtype=d) for d in (np.float64, np.int32))
-        self.chain, self.task, self.made, self.kept = chain, task, SharedProgram if in_c else Tiled, {}
-        self.nowhere = np.full(n, np.nan)
-        self.terms = [f((n,)), f((n,)), f(()), f((2,)), f((task.m,))]
-        avals = [*(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in none), *self.terms]
-        avals += [f((t,)), f((n,)), f((n,)), f(()), i(()), i(()), i(())]
+    def __init__(self, chain, task):
+        n, t, f, i = chain.n, WIDTH * len(aims(task)), np.float64, np.int32
+        self.chain, self.task, self.kept, self.nowhere = chain, task, {}, np.full(n, np.nan)
+        self.terms = [jax.ShapeDtypeStruct(shape, f) for shape in ((n,), (n,), (), (2,), (task.m,), (t,), (n,))]
+        avals = [*(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in empty(chain, task)), *self.terms]
+        avals += [jax.ShapeDtypeStruct(*of) for of in (((n,), f), ((), f), ((), i), ((), i), ((), i))]
 
         def flat(*args):
             return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
 
-        with jax.enable_x64(True), ThreadPoolExecutor() as pool:
-            program = pool.submit(as_here(self.made), flat, avals)
-            self.starts = starts_of(chain, task, in_c)
-            self.program = program.result()
+        with ThreadPoolExecutor() as pool:
+            program = pool.submit(as_here(Batches), flat, avals, often=True)
+            self.starts, self.program = starts_of(chain, task), program.result()
 
     def __call__(self, terms: Terms, pose, near, given, away, k, most, seed, pool=None) -> np.ndarray:
-        """Return the rows of tries k, or of one try, of targets (T, t), or of one target; see `attempt`.
+        """Return the rows of tries k of targets (T, t), or of one target; see `attempt`.
 
-        Args: near, given: or None. pool: threads for more than a few targets.
+        Args: near, given: or None. pool: threads for more than a few tries.
         """
         bound = self.kept.get(id(terms))
         if bound is None:
-            bound = self.kept[id(terms)] = self.program.bound((*self.starts, *terms)), terms
+            bound = self.kept[id(terms)] = self.program.bound(*self.starts, *terms), terms
         near, given = self.nowhere if near is None else near, self.nowhere if given is None else given
-        return bound[0]((pose, near, given, away, k, most, seed), len(k) if np.ndim(k) else len(pose), pool)
+        return bound[0]((pose, near, given, away, k, most, seed), len(k), pool)
 
-    def along(self, count):
+    def along(self, terms: Terms, count):
         """Return `along` for `count` targets."""
-        f = functools.partial(jax.ShapeDtypeStruct, dtype=np.float64)
-        avals = [*self.terms, f((count, WIDTH * len(aims(self.task)))), f((self.chain.n,))]
+        *shared, target, near = self.terms
 
         def flat(*args):
             return along(self.chain, self.task, Terms(*args[:5]), *args[5:])
 
-        with jax.enable_x64(True):
-            return self.made(flat, avals, 1)
+        avals = [*shared, jax.ShapeDtypeStruct((count, *target.shape), target.dtype), near]
+        program = memoized(self, f"_along_{count}", lambda _: Batches(flat, avals, single=True))
+        return program.bound(*terms)
 
 
-class SharedProgram:
-    """A function of one lane as C."""
-
-    def __init__(self, fn, avals, most=CAPACITY):
-        self.program = Program(fn, avals, quick=True, single=most == 1)
-
-    def bound(self, kept):
-        """Return the function of a batch. Args: kept: the first arguments, shared by all lanes of all calls."""
-        call = Bound(self.program, kept)
-        return lambda leaves, size, pool=None: call(leaves, size, pool if size > ALONE else None, cores())[0]
-
-
-class Tiled:
-    """A function of one lane by XLA: one program for batches of all sizes."""
-
-    def __init__(self, fn, avals, most=CAPACITY):
-        one, self.avals, self.most = scalars(fn), avals, most
-
-        def run(kept, lanes, count):
-            return tiled(lambda *lane: one(*kept, *lane), min(TILE, most), *lanes, count=count)
-
-        self.run = quick_jit(run, compiler=LIGHT_COMPILE)
-
-    def bound(self, kept):
-        kept, avals = jax.device_put(kept), self.avals[len(kept) :]
-
-        def call(leaves, size, pool=None):
-            leaves = [np.broadcast_to(np.asarray(x, a.dtype), (size, *a.shape)) for x, a in zip(leaves, avals, strict=True)]
-
-            def part(first):
-                some = [x[first : first + self.most] for x in leaves]
-                more = self.most - len(some[0])
-                some = [np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)]) for x in some] if more else some
-                return np.asarray(self.run(kept, some, np.int32(self.most - more)))[: self.most - more]
-
-            with jax.enable_x64(True):
-                every = range(0, size, self.most)
-                return np.concatenate(list(map(part, every) if pool is None else pool.map(as_here(part), every)))
-
-        return call
-
-
-def starts_of(chain, task, in_c) -> Starts:
+def starts_of(chain, task) -> Starts:
     """Return the starts of a chain, made once for it and a task's aims."""
 
     def make(chain):
-        with jax.enable_x64(True):
-            aval = jax.ShapeDtypeStruct((chain.n,), np.float64)
-            to_tips = (SharedProgram if in_c else Tiled)(functools.partial(tips, chain, task), [aval]).bound(())
-        return binned(chain, task, lambda q: to_tips((q,), len(q)))
+        q = jax.ShapeDtypeStruct((chain.n,), np.float64)
+        call = Batches(functools.partial(tips, chain, task), [q]).bound()
+        return binned(chain, task, lambda q: call((q,), len(q)))
 
     return memoized(chain, f"_starts_{told_apart(task)}", make)
 
 
 def attempts(chain, task) -> Attempts:
-    """Return the tries of a chain, made once for it and a task's aims."""
-    native = in_c()
-    name = f"_attempts_{told_apart(task)}_{task.weights is None}_{native}"
-    return memoized(chain, name, lambda chain: Attempts(chain, task, native))
+    """Return the tries of a chain, made once for it, a task's aims and the engine that is chosen."""
+    name = f"_attempts_{told_apart(task)}_{task.weights is None}_{in_c()}"
+    return memoized(chain, name, lambda chain: Attempts(chain, task))

@@ -12,17 +12,20 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.result import Reached, from_rows
 from cnclik.reaching.path import path
+from cnclik.reaching.result import Reached, from_rows
 from cnclik.reaching.search import search_of
 from cnclik.reaching.several import several
-from cnclik.reaching.targets import aims, read
+from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
 from cnclik.reaching.units import nearer
 from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
+from cnclik.task.aims import aims
 from cnclik.task.task import Task
+
+POOL, REPORTED = 1 << 17, 1 << 13  # targets of one search, as it needs memory, and with progress
 
 
 @np.errstate(over="ignore", invalid="ignore")  # by targets far beyond any robot, whose status reports it
@@ -107,10 +110,15 @@ def reach(
     if not known:
         rows = traced(asked, pose, near)
     elif previous:
-        rows = path(search_of(asked), pose, progress)
-    elif solutions > 1:
-        rows = several(search_of(asked), pose, near, solutions, progress)
+        rows = path(search_of(asked), pose)
     else:
-        rows = search_of(asked).rows(pose, near, progress)
+        rows, size = [], POOL if progress is None else REPORTED
+        for i in range(0, len(pose), size):
+            part = pose[i : i + size], None if near is None else near[i : i + size]
+            search = search_of(asked)
+            rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
+            if progress is not None:
+                progress(min(i + size, len(pose)), len(pose))
+        rows = rows[0] if len(rows) == 1 else np.concatenate(rows)
     rows = rows if moved is None else asked.farther(rows, moved, np if known else jnp)
     return from_rows(chain, asked.task, rows[0] if alone else rows, solutions=solutions, **given)

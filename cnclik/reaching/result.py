@@ -5,16 +5,15 @@ from __future__ import annotations
 import enum
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.reaching.targets import WIDTH, aims
 from cnclik.record import AnyArray, Bool, Float, Int, record
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import task_jacobians
+from cnclik.task.aims import WIDTH, aims
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 

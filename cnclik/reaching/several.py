@@ -4,7 +4,7 @@ import numpy as np
 
 from cnclik.reaching.descent import CAREFUL, FREE
 from cnclik.reaching.result import ReachStatus, row_of
-from cnclik.reaching.search import Search, Targets, blank, targets_of
+from cnclik.reaching.search import Search, Targets, blank
 from cnclik.reaching.starts import spans, turned
 
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] answers differ by more in some joint; of a redundant arm
@@ -14,11 +14,11 @@ PATIENCE = 64  # the search ends after so many tries without a new answer, plus 
 AT_ONCE = 1 << 16  # answers compared at once
 
 
-def several(search: Search, pose, near, solutions, progress=None) -> np.ndarray:
+def several(search: Search, pose, near, solutions) -> np.ndarray:
     """Return rows (B, solutions, width) of targets (B, t): the nearest ones first; NO_OTHER where there are fewer."""
-    size, first, made = max(AT_ONCE // (MOST_DRAWN + solutions), 1), search.rows(pose, near, progress), []
+    size, first, made = max(AT_ONCE // (MOST_DRAWN + solutions), 1), search.rows(pose, near), []
     for i in range(0, len(pose), size):
-        own = targets_of(search.asked, pose[i : i + size], None if near is None else near[i : i + size])
+        own = search.targets(pose[i : i + size], None if near is None else near[i : i + size])
         made.append(_several(search, first[i : i + size], own, solutions))
     return np.concatenate(made)
 
@@ -31,7 +31,9 @@ def _several(search, first, of: Targets, solutions):
     newest, done, size, left = np.zeros(B, int), 0, DRAWN, np.flatnonzero(count)
     while len(left) and solutions > 1:
         own = of.some(left)
-        best, there = _nearest(search.asked, np.concatenate([found[left], _drawn(search, own, done, size)], 1), own.near)
+        best, there = _nearest(
+            search.asked, np.concatenate([found[left], _drawn(search, own, done, size)], 1), own.near
+        )
         found[left] = np.where((np.arange(solutions) < there[:, None])[..., None], best[:, :solutions], _no_other(n))
         there = np.minimum(there, solutions)
         done, size = done + size, min(2 * size, MOST_DRAWN)
@@ -56,8 +58,8 @@ def _drawn(search, of: Targets, k, size):
     """
     asked, n, B = search.asked, search.n, len(of.pose)
     each, own = of.some(np.repeat(np.arange(B), size)), search.stages[0].terms
-    wide = n <= asked.task.m
-    rows = search.tried(search.wide if wide else own, each, None, 0.0, np.tile(np.arange(k, k + size), B), CAREFUL)
+    wide, k, none = n <= asked.task.m, np.arange(k, k + size), np.zeros(size)
+    rows = search.tried(of, search.wide if wide else own, None, none, k, CAREFUL).reshape(B * size, -1)
     row = row_of(rows, n)
     again = row.status == FREE
     if wide:
@@ -69,7 +71,8 @@ def _drawn(search, of: Targets, k, size):
         again = (row.status == ReachStatus.SOLVED) & (beyond < EDGE)
         row.status[:] = int(ReachStatus.OUT_OF_BUDGET)
     ids = np.flatnonzero(again)
-    rows[ids] = search.tried(own, each.some(ids), row.q[ids], 0.0, -1, CAREFUL)
+    given = row.q[ids][:, None]
+    rows[ids] = search.tried(each.some(ids), own, given, none[:1], np.array([-1]), CAREFUL)[:, 0]
     return rows.reshape(B, size, -1)
 
 

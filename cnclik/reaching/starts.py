@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.reaching.targets import WIDTH, aims, owners
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import evenly
+from cnclik.task.aims import WIDTH, aims, owners
 
 COUNT = 1 << 17  # postures
 PER_BIN, TURNS = 5, 3  # about so many of them in a bin; bins along a coordinate of a turn
@@ -148,30 +148,18 @@ def island_of(k):
     return (k // ISLANDS + k) % ISLANDS
 
 
-def about(k, near, xp=np):
-    """Return where tries k (W,) of the first group begin about `near` (..., n): the first ones, each one farther off.
+def origins(k, downhill, near, places, costs, xp=np) -> tuple:
+    """Return where tries k (W,) begin: their numbers (W,), `given` (..., W, n) and `away` (W,) of `start`.
 
-    Returns: `given` (..., W, n) and `away` (W,) of `start`.
-    """
-    return xp.where((k < ABOUT)[:, None], near[..., None, :], xp.nan), k / ABOUT
-
-
-def about_places(k, places, costs, xp=np):
-    """Return where tries k (W,) of later groups begin, every second about the best posture of its island so far.
-
-    Of answers with joints at their limits they find ten to a thousand times as many as tries from anywhere.
-    Args: places: (..., ISLANDS, n), with their costs. Returns: as `about`.
+    The first ABOUT tries begin about `near` (..., n) or None, each one farther off than the one before; others of the
+    first BINNED in the target's bin. Of later ones every second begins about the best posture of its island so far, of
+    `places` (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as tries
+    from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, the first ones begin at
+    the best postures, the others anywhere, every second stretched.
     """
     island = island_of(k)
-    by = (k % 2 == 0) & xp.isfinite(costs[..., island])
-    return xp.where(by[..., None], places[..., island, :], xp.nan), xp.where(k // 16 % 2 == 0, *SCATTERED)
-
-
-def downhill(k, places, costs, xp=np):
-    """Return where descents k (W,) to the nearest pose begin: at the best postures so far, and then anywhere.
-
-    Returns: the numbers (W,) of tries that begin so, and `given` of `start`.
-    """
-    first = (k < ISLANDS) & xp.isfinite(costs[..., k % ISLANDS])
-    given = xp.where(first[..., None], places[..., k % ISLANDS, :], xp.nan)
-    return BINNED + k // 2 * 4 + k % 2 * 3, given  # all within bounds, every second of those from anywhere stretched
+    by = xp.isfinite(costs[..., island]) & xp.where(downhill, k < ISLANDS, (k >= BINNED) & (k % 2 == 0))
+    given, about = xp.where(by[..., None], places[..., island, :], xp.nan), xp.logical_not(downhill) & (k < ABOUT)
+    given = given if near is None else xp.where(about[:, None], near[..., None, :], given)
+    away = xp.where(about, k / ABOUT, xp.where(downhill, 0.0, xp.where(k // 16 % 2 == 0, *SCATTERED)))
+    return xp.where(downhill, BINNED + k // 2 * 4 + k % 2 * 3, k), given, away

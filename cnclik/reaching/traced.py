@@ -7,17 +7,16 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.engine.native import native
-from cnclik.engine.plan import in_c
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import SURE, Asked
-from cnclik.reaching.descent import CAREFUL, DOWNHILL, PLAIN, attempt, box, look, starts_of
+from cnclik.reaching.descent import attempt, look, starts_of
 from cnclik.reaching.result import ReachStatus, row_of
-from cnclik.reaching.search import GROUP, Found, Stage, after, begins_anew, going_on, joined, nothing, round_of, stages, wanted
-from cnclik.reaching.starts import BINNED, Starts, about, about_places, downhill, empty, island_of, turned
-from cnclik.reaching.targets import aims
+from cnclik.reaching.search import ANEW, ROUND, Found, Stage, advanced, begins_anew, nothing, stages, wanted
+from cnclik.reaching.starts import Starts, empty, turned
 from cnclik.reaching.units import per_unit
 from cnclik.record import replace
+from cnclik.task.aims import aims
 
 LEAST = 64  # smallest tolerance, in roundings
 _attempt = native(attempt)
@@ -26,7 +25,7 @@ _attempt = native(attempt)
 def traced(asked: Asked, pose, near):
     """Return the rows of targets (B, t), near (B, n) or None."""
     known = all(map(errors.concrete, jax.tree.leaves(asked.chain)))
-    starts = starts_of(asked.chain, asked.task, in_c()) if known else empty(asked.chain, asked.task)
+    starts = starts_of(asked.chain, asked.task) if known else empty(asked.chain, asked.task)
     return jax.vmap(lambda pose, near: _answer(asked, starts, pose, near), (0, None if near is None else 0))(pose, near)
 
 
@@ -37,7 +36,7 @@ def _answer(asked, starts, pose, near):
     of = replace(asked, chain=chain, tolerance=np.maximum(asked.tolerance, least * asked.scale))
     made, sure, why, far = _searched(of, starts, pose_, near_)
     row = row_of(made.rows, asked.chain.n)
-    low, high = box(of.terms(xp=jnp), 0.0 if near is None else near_)
+    low, high = of.terms(xp=jnp).box(0.0 if near is None else near_)
     touching = row.at_limit.astype(bool) | (row.q <= low) | (row.q >= high)
     q = refined(asked.chain, asked.task, pose, row.q, touching, row.status == ReachStatus.SOLVED)
     rows = jnp.concatenate([q, made.rows[asked.chain.n :]])
@@ -52,54 +51,43 @@ def _searched(asked, starts, pose, near):
     table = jax.tree.map(lambda v: v.astype({"f": dtype, "i": np.int32, "b": bool}[v.dtype.kind]), table)
     finite, far = asked.finite(pose, near, jnp), asked.too_far(pose, jnp)
     inside = None if near is None else turned(near, near, np.array(chain.periodic), *asked.limited(), jnp)
-    there, order = jnp.full(n, jnp.nan, dtype) if near is None else near, jnp.arange(GROUP, dtype=jnp.int32)
-    starts = Starts(*map(jnp.asarray, starts))
+    nowhere, starts, seed = jnp.full(n, jnp.nan, dtype), Starts(*map(jnp.asarray, starts)), jnp.int32(asked.seed)
 
     def tried(terms, given, away, k, most):
         def one(given, away, k, most):
-            return _attempt(chain, task, starts, terms, pose, there, given, away, k, most, jnp.int32(asked.seed))
+            there = nowhere if near is None else near
+            return _attempt(chain, task, starts, terms, pose, there, given, away, k, most, seed)
 
-        return jax.vmap(one)(given.astype(dtype), away.astype(dtype), k, most.astype(jnp.int32))
+        given = jnp.broadcast_to(given, (len(k), n)).astype(dtype)
+        return jax.vmap(one)(given, away.astype(dtype), k, jnp.broadcast_to(most, k.shape).astype(jnp.int32))
 
     def once(carry):
-        (p, k, end), found, beyond, base, sure, why = carry
+        (p, k), found, beyond, sure, why = carry
         stage = Stage(*jax.tree.map(lambda v: v[p], table))
-        down, aside = stage.downhill, stage.status > 0
-        beyond = _choose(aside & ~down & (k == 0), nothing((), n, jnp, dtype), beyond)
+        aside = stage.status > 0
+        beyond = _choose(aside & ~stage.downhill & (k == 0), nothing((), n, jnp, dtype), beyond)
         made = _choose(aside, beyond, found)
-        begins = (k == stage.first) | (k >= end)
-        made = made._replace(costs=jnp.where(begins & begins_anew(k) & ~down, jnp.inf, made.costs))
-        base = _choose(begins, made, base)
-        end = jnp.where(begins, jnp.where(down, stage.last, k + round_of(k, jnp)), end)
+        anew = ~stage.downhill & begins_anew(k) & (k % ANEW < ROUND)
+        made = made._replace(costs=jnp.where(anew, jnp.inf, made.costs))
         want = wanted(asked, stage, found, beyond, finite, far, sure, why, jnp)
-        numbers = k + order
-        given, away = about_places(numbers, base.places, base.costs, jnp)
-        begin, farther = about(numbers, there if near is None else inside, jnp)
-        given, away = jnp.where(k < BINNED, begin, given), jnp.where(k < BINNED, farther, away)
-        others, places = downhill(numbers, base.places, base.costs, jnp)
-        given, away = jnp.where(down, places, given), jnp.where(down, 0.0, away)
-        looks = (numbers < stage.last) * want * jnp.where(down, DOWNHILL, PLAIN)
-        block = tried(stage.terms, given, away, jnp.where(down, others, numbers), looks)
-        on = going_on(block, n, GROUP, jnp) & want & ~down
-        again = tried(stage.terms, row_of(block, n).q, 0 * away, 0 * order - 1, jnp.where(on, CAREFUL, 0))
-        block = joined(block, again, GROUP, jnp)
-        first = (p == 0) & (k == 0)
-        made = _choose(want, after(made, block, n, near is not None, first, down, jnp.tile(island_of(numbers), 2), None, jnp), made)
+        stage = stage._replace(last=jnp.where(want, stage.last, 0))  # nothing is tried then
+        order = k + jnp.arange(ROUND, dtype=jnp.int32)
+        made = _choose(want, advanced(stage, made, order, inside, tried, xp=jnp), made)
         found, beyond = _choose(aside, found, made), _choose(aside, made, beyond)
         row = row_of(made.rows, n)
-        over = ~want | (row.status == ReachStatus.SOLVED) | (k + GROUP >= stage.last)
+        over = (row.status == ReachStatus.SOLVED) | (k + ROUND >= stage.last)
         sure = jnp.where((p == 1) & over, (asked.seeds >= SURE) & ~far, sure)
         why = jnp.where(aside & over & want, asked.meaning(stage.status, row, jnp), why).astype(np.int32)
         following = table.first[jnp.minimum(p + 1, len(every) - 1)]
-        return (p + over, jnp.where(over, following, k + GROUP), end), found, beyond, base, sure, why
+        return (p + over, jnp.where(over, following, k + ROUND)), found, beyond, sure, why
 
     def goes_on(carry):
-        (p, _, _), found, _, _, _, why = carry
+        (p, _), found, _, _, why = carry
         return (p < len(every)) & (row_of(found.rows, n).status != ReachStatus.SOLVED) & finite & (why == 0)
 
     none = nothing((), n, jnp, dtype)
-    first = (jnp.int32(0),) * 3, none, none, none, jnp.zeros((), bool), jnp.int32(0)
-    _, found, _, _, sure, why = lax.while_loop(goes_on, once, first)
+    first = (jnp.int32(0), jnp.int32(0)), none, none, jnp.zeros((), bool), jnp.int32(0)
+    _, found, _, sure, why = lax.while_loop(goes_on, once, first)
     return found, sure, why, far
 
 

@@ -4,13 +4,12 @@ The unit is the power of sixteen, in metres, that is nearest to the arm's length
 For arms between 25 cm and 4 m it is a metre. So an arm of 0.1 mm, or of 1,000 km, is searched as one of a metre.
 """
 
-import jax
 import numpy as np
 
 from cnclik import errors
 from cnclik.record import memoized
-from cnclik.reaching.targets import WIDTH, aims
 from cnclik.robot.posture import arm_length
+from cnclik.task.aims import WIDTH, aims
 
 BASE = 16.0
 SMALLEST = 1e-5  # [m] shorter arms keep the metre
@@ -37,21 +36,17 @@ def per_unit(chain) -> np.ndarray:
 
 
 def nearer(chain, task, pose, xp=np):
-    """Return targets (B, t) [m], those beyond FAR moved towards the first joint, and by how much (B,), or None.
+    """Return targets (B, t) [m], those beyond FAR moved towards the base, and by how much (B,), or None.
 
     Of a target so far off only the direction matters. Of several tips the one that moved most counts.
     """
     most = FAR * unit_of(chain)
     if xp is np and np.abs(pose).max() <= most:
         return pose, None
-    places, moved, parts = pose.reshape(len(pose), -1, WIDTH)[..., :3], xp.zeros(len(pose), pose.dtype), []
-    for k, aim in enumerate(aims(task)):
-        where = places[:, k]
-        first = xp.stack(chain.joints[aim.way(chain)[0]].origin.position if aim.to is None else [0.0] * 3)
-        away = jax.lax.stop_gradient(where - first) if xp is not np else where - first
-        size = xp.max(xp.abs(away[:, list(aim.linear)]), axis=1, initial=0.0)
-        shrink = xp.where(size > most, most / xp.maximum(size, most), 1.0)[:, None]
-        length = size * xp.sqrt(xp.sum((away[:, list(aim.linear)] / xp.maximum(size, 1e-9)[:, None]) ** 2, axis=1))
-        moved = xp.maximum(moved, length - shrink[:, 0] * length)
-        parts += [xp.where(shrink < 1, first + shrink * away, where), pose[:, WIDTH * k + 3 : WIDTH * (k + 1)]]
-    return xp.concatenate(parts, axis=1), moved
+    counts = np.array([[i in aim.linear for i in range(3)] for aim in aims(task)], float)  # others are arbitrary
+    every = pose.reshape(len(pose), -1, WIDTH)
+    size = xp.max(xp.abs(xp.where(counts > 0, every[..., :3], 0.0)), axis=2, keepdims=True)
+    shrink = xp.where(size > most, most / xp.maximum(size, most), 1.0)
+    within = xp.where(shrink < 1, shrink * every[..., :3], every[..., :3])
+    length = size[..., 0] * xp.sqrt(xp.sum((counts * every[..., :3] / xp.maximum(size, 1e-9)) ** 2, axis=2))
+    return xp.concatenate([within, every[..., 3:]], axis=2).reshape(pose.shape), ((1 - shrink[..., 0]) * length).max(1)
