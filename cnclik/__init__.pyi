@@ -52,7 +52,6 @@ from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .problem.names import load as load
-from .reaching.map import reachability as reachability
 from .reaching.public import reach as reach
 from .reaching.result import ReachStatus as ReachStatus, Reached as Reached
 from .record import replace as replace

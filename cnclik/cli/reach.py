@@ -1,11 +1,10 @@
-"""`cnclik reach`: joint values for targets of a file, for random ones, or over a map of positions."""
+"""`cnclik reach`: joint values for targets of a file, for one, or for random ones."""
 
 import contextlib
 import dataclasses
 import functools
 import pathlib
 import time
-from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
@@ -37,14 +36,6 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """With --stack: number of targets on the paths, evenly spaced in time; 1 is where the paths begin."""
     random: int | None = None
     """Number of random reachable poses, in place of TARGETS."""
-    map: Literal["xy", "xz", "yz", "box"] | None = None
-    """Map where the robot can reach, over a plane or a box, in place of TARGETS."""
-    cells: int = 40
-    """Number of positions of --map along each axis."""
-    orientations: int = 24
-    """Number of orientations of --map at each position."""
-    at: float = option(0.0, unit="m")
-    """Position of the plane of --map along the third axis [m]."""
     seed: int = 0
     """Seed of the random numbers of --random and of the search."""
     tolerance: tuple[float, float] = option((1e-6, 1e-6), unit="m, rad")
@@ -59,16 +50,14 @@ class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
     """Largest distance of each joint from --near or from the previous answer [rad, m]."""
     solutions: int = 1
     """Number of different answers for each target."""
-    seeds: int | None = None
-    """Largest number of start postures for each target; default: 512, or 32 with --map."""
-    budget: int = 25_000
-    """Largest number of evaluations for a target that has no answer yet."""
+    seeds: int = 512
+    """Largest number of tries for each target."""
     limits: bool = True
     """Keep joint values within their limits."""
     json: bool = False
     """Print the summary as JSON. The search then runs twice, to measure its time without compilation."""
     out: pathlib.Path | None = None
-    """File for the answers: FILE.npz, .nc or .csv. With --map: folder; default: reach-out."""
+    """File for the answers: FILE.npz, .nc or .csv."""
 
 
 def run(args: Args) -> None:
@@ -79,9 +68,6 @@ def run(args: Args) -> None:
     asked = [wanted.title, *wanted.lines, _search(args, wanted.chain)]
     if not args.json:
         print(*asked, sep="\n")
-    if args.map:
-        _map(args, wanted.chain, wanted.task)
-        return
     with errors.called("targets", "target") if args.target else contextlib.nullcontext():
         _answers(args, wanted, asked)
 
@@ -99,14 +85,12 @@ def _search(args, chain) -> str:
 
 
 def _check(args):
-    ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random, "--map": args.map}
+    ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random}
     given = [name for name, value in ways.items() if value is not None]
     if len(given) > 1 or (not given and args.stack is None):
         found = f"are {' and '.join(given)}" if given else "is none of them"
-        must = "One of TARGETS, --target X Y Z, --random N, --map PLANE and --stack FILE must be given"
+        must = "One of TARGETS, --target X Y Z, --random N and --stack FILE must be given"
         raise errors.ArgumentError(f"{must}, but there {found}.")
-    if args.map and (args.stack is not None or len(args.tip) > 1):
-        raise errors.fail("map", "be left out for several tips", f"is {args.map}")
     if errors.integer("points", args.points, at_least=1, at_most=errors.MOST) > 1 and (given or args.stack is None):
         raise errors.fail("points", "come with the paths of a stack", f"is {args.points}")
     if args.random is not None:
@@ -115,31 +99,26 @@ def _check(args):
         raise errors.fail("near", "be left out with --path", "is given")
 
 
-def _options(args, *names):
-    """Options of the search by name, and those that every search has; `seeds` if they are given."""
-    names = (*names, "tolerance", "budget", "limits", "seed", *["seeds"] * (args.seeds is not None))
-    return {name: getattr(args, name) for name in names}
+_OPTIONS = "tolerance", "accept", "jump", "solutions", "seeds", "limits", "seed"
 
 
 def _answers(args, wanted, asked):
     from cnclik.measure.answers import ENDINGS, answers, save
     from cnclik.reaching.public import reach
-    from cnclik.reaching.result import fields
+    from cnclik.reaching.result import with_axis
     from cnclik.reaching.targets import read, transforms
-    from cnclik.record import replace
 
     chain, task, targets = wanted.chain, wanted.task, wanted.targets
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
-    options = _options(args, "accept", "jump", "solutions") | {"near": "previous" if args.path else args.near}
+    options = {name: getattr(args, name) for name in _OPTIONS} | {"near": "previous" if args.path else args.near}
     with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
         begun = time.perf_counter()
         with progress.bar("targets", len(pose)) as report:
             made = reach(chain, targets, task=task, **options, progress=report)
         first = time.perf_counter() - begun
-        if made.q.ndim == 1:
-            made = replace(made, **{name: v[None] for name, v in fields(made).items()})
+        made = with_axis(made)
         if folder is not None:
             folder.write(args.out.name, functools.partial(save, answers(made, transforms(pose))))
     again = first
@@ -151,7 +130,7 @@ def _answers(args, wanted, asked):
     if args.json:
         print_json({"asked": asked} | summary)
     else:
-        _tell(made, summary, first)
+        _tell(made, summary, first, args.path)
         if args.out is not None:
             print(f"Wrote {args.out}.")
     if args.report is not None:
@@ -213,12 +192,12 @@ def _summary(made, first, again):
     }
 
 
-def _tell(made, summary, seconds):
+def _tell(made, summary, seconds, path):
     """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
     from cnclik.reaching.result import ReachStatus
-    from cnclik.reaching.targets import aims
+    from cnclik.task.aims import aims
 
     count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
     evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"
@@ -234,6 +213,8 @@ def _tell(made, summary, seconds):
         print(f"  error {missed}; least singular value {least:.3g}")
         for aim, own in zip(aims(made.task), made.each, strict=True) if made.targets is not None else ():
             print(f"    {aim.label}: {_error(own, aim.linear, aim.angular)}")
+    if path and np.isfinite(made.strays).any():
+        print(f"  half-way between rows the tip strays by up to {aloud(float(np.nanmax(made.strays)), 'm')}")
     held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
     if len(held):
         often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
@@ -252,48 +233,8 @@ _MEANING = {
     "AT_LIMIT": "reachable only beyond the joint limits; the nearest pose within them is given",
     "OUT_OF_REACH": "not reachable, even without joint limits; the nearest pose is given",
     "JUMP": "reachable only by a jump; no joint values are given",
-    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds or a larger --budget",
+    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds",
     "NON_FINITE": "the target, or --near, is not finite",
     "NO_OTHER": "fewer solutions than requested",
 }
 
-
-def _map(args, chain, task):
-    import numpy as np
-
-    from cnclik.reaching.map import reachability
-
-    if args.solutions > 1 or args.near is not None or args.path or args.jump is not None or args.accept is not None:
-        raise errors.ArgumentError("Options of single targets must be left out with --map, but some are given.")
-    kind = "pose" if task.orientation else "position"
-    if args.task not in (None, "pose", "position"):
-        raise errors.fail("task", "be pose or position with --map", f"is {args.task!r}")
-    out = args.out or pathlib.Path("reach-out")
-    count = args.cells ** (3 if args.map == "box" else 2) * (args.orientations if task.orientation else 1)
-    begun = time.perf_counter()
-    with output_folder(out, overwrite=args.overwrite, files=["map.npz", "map.png"]) as folder:
-        with progress.bar("targets", count) as report:
-            found = reachability(
-                chain, args.map, task=kind, progress=report, **_options(args, "cells", "orientations", "at")
-            )
-        places = dict(zip(found.axes, found.places, strict=True))
-        numbers = dict(share=found.share, least_singular_value=found.least_singular_value, **places)
-        folder.write("map.npz", lambda path: np.savez_compressed(path, **numbers))
-    seconds = time.perf_counter() - begun
-    title = f"{_name(args)}: where the tip can go"
-    about = {"Title": title, "Comment": f"cnclik reach {args.robot} --map {args.map}"}
-    figures = {"map.png": (drawn_by("reach", "reachability", found, title=title), about)}
-    with args.figures_first():
-        draw(figures, out, overwrite=args.overwrite)
-    summary = {"targets": count, "solve_rate": float(found.share.mean()), "seconds": seconds}
-    answer = f"{100 * np.mean(found.share > 0):.1f} % of the positions can be reached"
-    if kind == "pose":
-        answer += f", {100 * np.mean(found.share == 1):.1f} % in every orientation that was tried"
-    if args.json:
-        print_json(summary)
-    else:
-        print(f"{count:,} targets in {seconds:.2f} s: {answer}")
-        print(f"Wrote map.png and map.npz to {out}/.")
-    args.write_report(
-        title, f"{answer}.", facts=[("targets", f"{count:,}"), ("time", f"{seconds:.2f} s")], figures=figures
-    )

@@ -17,11 +17,12 @@ from cnclik.problem.names import robot_and_tip, robot_name, start_from, task_fro
 from cnclik.problem.reference import reference_from
 from cnclik.problem.stack import Table, ranks_of, read_stack, references_of, stack_from, tables_from, task_of, tips_of
 from cnclik.problem.tables import read_targets
-from cnclik.reaching.seeds import spans
-from cnclik.reaching.targets import aims, by_name, of_tips, read, transforms, wanted_at
+from cnclik.reaching.starts import spans
+from cnclik.reaching.targets import by_name, read, transforms, wanted_at
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
+from cnclik.task.aims import aims, of_tips
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 
@@ -35,7 +36,7 @@ class Wanted(NamedTuple):
     chain: Chain
     task: Task
     title: str  # robot, tips and task in words
-    targets: Any = None  # as `cnclik.reach` takes them, several for each tip; None for a map
+    targets: Any = None  # as `cnclik.reach` takes them, several for each tip
     lines: tuple = ()  # the other lines at the head of the answer
 
 
@@ -47,8 +48,6 @@ def wanted_of(args) -> Wanted:
     task = task_from(args.task, chain) if len(args.tip) < 2 else _of_each(args, chain)
     name = robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
     made = Wanted(chain, task, robot_and_task(name, tip, task))
-    if args.map:
-        return made
     every = aims(task)
     if args.target:
         if len(args.target) != len(every):

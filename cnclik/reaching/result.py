@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import AnyArray, Bool, Float, Int, record
+from cnclik.record import AnyArray, Bool, Float, Int, record, replace
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
@@ -31,7 +31,7 @@ class ReachStatus(enum.IntEnum):
     NO_OTHER = 7  # fewer different solutions were found than asked for; q is NaN
 
 
-PER_TARGET = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
+_PER_TARGET = "q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance"
 
 
 class Missed(NamedTuple):
@@ -104,6 +104,20 @@ class Reached:
             found.append(_missed(aim, own, at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)))
         return found
 
+    @property
+    def strays(self) -> Float[np.ndarray, " B-1"]:
+        """(B − 1,) by how much a tip leaves the straight line half-way between each row and the next [m].
+
+        While all joints move evenly from one answer to the next; NaN where one of both is missing. Of several tips the
+        one that strays most.
+        """
+        q, chain = np.where(self.solved[:, None], self.q, np.nan), modelled(self.chain)
+        tips = dict.fromkeys((aim.tip, aim.to) for aim in aims(self.task))
+        there, between = At(chain, q), At(chain, (q[1:] + q[:-1]) / 2)
+        ends = [there.position(*tip) for tip in tips]
+        away = [between.position(*tip) - (p[1:] + p[:-1]) / 2 for tip, p in zip(tips, ends, strict=True)]
+        return np.max([np.linalg.norm(v, axis=1) for v in away], axis=0)
+
     def __str__(self):
         status = np.atleast_1d(np.asarray(self.status))
         parts = ", ".join(f"{number:,} {name}" for name, number in count(status).items())
@@ -115,10 +129,8 @@ class Reached:
 def _missed(aim, target, position, rotation) -> Missed:
     """Errors of positions (..., 3) and rotations (..., 3, 3) of a tip."""
     away, turn = target[..., :3] - position, target[..., 3:].reshape(*target.shape[:-1], 3, 3)
-    away = ((away[..., None, :] @ rotation)[..., 0, :] if aim.own[0] else away)[..., np.array(aim.linear, int)]
-    turn = rotation.mT @ turn if aim.own[1] else turn @ rotation.mT
-    chord = 2 * np.linalg.norm(poses.quaternions(turn)[..., 1:][..., np.array(aim.angular, int)], axis=-1)
-    return Missed(np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
+    chord = 2 * np.linalg.norm(poses.quaternions(turn @ rotation.mT)[..., 1:][..., list(aim.angular)], axis=-1)
+    return Missed(np.hypot.reduce(away[..., list(aim.linear)], axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
 
 
 # --- rows -------------------------------------------------------------------------------------------------
@@ -165,6 +177,14 @@ def from_rows(chain, task, rows, **others) -> Reached:
         task=task,
         **others,
     )
+
+
+def with_axis(made: Reached) -> Reached:
+    """Return the record of one target as that of a batch of one."""
+    if np.ndim(made.status) > (made.solutions > 1):
+        return made
+    values = {name: np.asarray(value)[None] for name, value in vars(made).items() if name in _PER_TARGET}
+    return replace(made, **values)
 
 
 def count(status) -> dict:

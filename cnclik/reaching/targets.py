@@ -171,6 +171,11 @@ def _parts(name, targets, aim):
     if shape[-1:] == (3,) and len(shape) in (1, 2):
         must = f"be {_FORMS['pose']}, one or an array of them"
         raise errors.fail(name, must, "holds positions alone, which are for task position (--task position)")
+    if len(shape) in (1, 2):
+        count = "7 numbers, x y z [m] and a quaternion w x y z" if aim.angular else "3 numbers, x y z [m]"
+        alone = f"{len(aim.linear)} numbers, {' '.join('xyz'[i] for i in aim.linear)} [m], or "
+        alone *= not aim.angular and len(aim.linear) < 3
+        raise errors.fail(name, f"hold {alone}{count}", f"holds {shape[-1]}")
     kind = "pose" if aim.angular else "position"
     raise errors.fail(name, f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
 
