@@ -5,39 +5,31 @@ from . import (
     problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )
-from .programs import use_cache as use_cache
+from .cache import use_cache as use_cache
+from .diagnosis.check import check_log as check_log
 from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
 from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
-from .hints import use_hints as use_hints
 from .integrate.drive import Drive as Drive
-from .integrate.history import History as History
 from .integrate.lanes import lanes as lanes
 from .integrate.method import (
-    CN as CN, EE as EE, EXP_AB2 as EXP_AB2, EXP_AB3 as EXP_AB3, EXP_AB4 as EXP_AB4, EXP_EE as EXP_EE,
-    EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4, HEUN as HEUN, IE as IE, METHODS as METHODS,
-    MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
+    CN as CN, EE as EE, EXP_EE as EXP_EE, EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4,
+    HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
 )
-from .integrate.method import AB2 as AB2, AB3 as AB3, AB4 as AB4, Multistep as Multistep
-from .integrate.pace import Pace as Pace, Pacing as Pacing, pace_at_rest as pace_at_rest, paced as paced
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
 from .integrate.trajectory import Trajectory as Trajectory
 from .law.bounded import bounded as bounded
 from .law.inverse import (
-    damped as damped, error_damped as error_damped, levels as levels,
-    manipulability_damped as manipulability_damped, pseudoinverse as pseudoinverse,
-    singular_damped as singular_damped, transpose as transpose,
+    damped as damped, error_damped as error_damped, levels as levels, pseudoinverse as pseudoinverse,
+    singular_damped as singular_damped,
 )
 from .law.law import Law as Law
-from .law.limits import (
-    exponential_rate as exponential_rate, saturation as saturation, velocity_scaling as velocity_scaling,
-    weighted_least_norm as weighted_least_norm,
-)
-from .law.null import maximize_manipulability as maximize_manipulability, posture as posture
+from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
+from .law.null import posture as posture
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
     lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,
@@ -83,6 +75,6 @@ from .task.build import (
 )
 from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
 from .task.task import Task as Task
-from .tuning.tune import calibrate as calibrate
+from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

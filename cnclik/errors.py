@@ -6,14 +6,13 @@ is loaded for a message.
 
 import contextlib
 import difflib
-import functools
 import math
 import os
 import pathlib
 import re
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from cnclik import quantities
 
@@ -284,26 +283,6 @@ def _show(shape):
 
 class Remark(UserWarning):
     """Input that can be used but is probably not meant: degrees as radians, millimetres as metres."""
-
-
-F = TypeVar("F", bound=Any)  # a function
-
-
-def renamed(**names: str):
-    """Decorator: an argument may have its name of the version before, old=new, and then warns."""
-
-    def of(fn: F) -> F:
-        @functools.wraps(fn)
-        def known(*args, **given):
-            for old in names.keys() & given.keys():
-                said = f"the argument {old} of {fn.__name__} is {names[old]} now"
-                warnings.warn(said, DeprecationWarning, stacklevel=2)
-                given[names[old]] = given.pop(old)
-            return fn(*args, **given)
-
-        return known  # type: ignore[return-value]
-
-    return of
 
 
 def remark(text: str) -> None:

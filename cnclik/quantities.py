@@ -40,6 +40,8 @@ def units(unit: str) -> dict:
     """
     if unit == "1/s":
         return {"1/s": (1.0, unit), "/s": (1.0, unit)}
+    if unit == "Hz":
+        return {"Hz": (1.0, unit), "kHz": (1e3, unit)}
     if unit == SAMPLES:
         times = {word: (factor, "s") for word, factor in _TIMES.items()}
         return times | {word: (1.0, SAMPLES) for word in ("sample", SAMPLES)}

@@ -13,10 +13,10 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 import dataclasses
 import importlib
 import sys
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
 from typing import Annotated as Float
 from typing import Annotated as Int
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import ArrayLike as ArrayLike  # JAX's has no lists of numbers

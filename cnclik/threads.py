@@ -1,8 +1,11 @@
-"""Threads: how many work side by side, and an end that waits for none of them."""
+"""Threads: how many work side by side, an end that waits for none of them, and LAPACK among them."""
 
 import contextlib
 import os
 from concurrent.futures import ThreadPoolExecutor
+
+_LAPACK_NAMES = "cholesky eig eigh geqp3 geqrf hessenberg householder_product lu qr schur svd triangular_solve"
+_LAPACK = frozenset(_LAPACK_NAMES.split())
 
 
 def cores() -> int:
@@ -26,3 +29,32 @@ def side_by_side(count: int | None = None):
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
+
+
+def shares_threads(jaxpr) -> bool:
+    """Whether a traced program calls LAPACK, which hands a batch out to XLA's threads and waits for them on one.
+
+    Where as many such calls run side by side as there are threads, each waits for the others, for ever (jaxlib 0.10).
+    """
+    return any(equation.primitive.name in _LAPACK for equation in equations(jaxpr))
+
+
+def equations(jaxpr):
+    """Yield all equations of a traced program, those inside its calls and loops too."""
+    for equation in jaxpr.eqns:
+        yield equation
+        for value in equation.params.values():
+            for inner in value if isinstance(value, (tuple, list)) else (value,):
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    yield from equations(inner)
+
+
+def after(value, other):
+    """An array as it is, to be computed when another one is there: so that batches of LAPACK don't meet, see above."""
+    import jax  # threads are older than JAX's
+    import jax.numpy as jnp
+
+    one = jax.lax.stop_gradient(jnp.ravel(other)[0])
+    nothing = jnp.where(one == one, jnp.minimum(jnp.abs(one), 0), 0)  # 0, which the compiler doesn't know
+    return value + nothing.astype(value.dtype)

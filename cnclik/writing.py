@@ -17,11 +17,10 @@ OWN = ".cnclik"  # a file in each store of a sweep
 LIST = ".cnclik-files"  # in a folder of results: checksums and names of files that do not say who wrote them
 _SIGNS = {  # what files of each kind have in them that say so: others are known by the list
     ".png": rb"Software\0cnclik",
-    ".json": rb'\A\{\s*("digest": "[^"]*",.*)?"cnclik": "\d+\.',
+    ".json": rb'\A\{\s*"cnclik": "\d+\.',
     ".nc": rb"\0cnclik\0|orientation_error.{,40}least_singular_value",
     ".csv": rb"position_error,orientation_error,least_singular_value,",
     ".npz": rb"least_singular_value\.npy",
-    ".html": rb'<meta name="generator" content="cnclik">',
 }
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed

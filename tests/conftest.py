@@ -39,10 +39,7 @@ MOST_MEMORY = 3 << 29
 LONG = {f"tests/{line}" for line in (pathlib.Path(__file__).parent / "long.txt").read_text().splitlines()}
 LONGEST = (
     "test_docs.py",
-    "test_verdict.py",
     "test_reach.py",
-    "test_paced.py",
-    "test_spectrum.py",
     "test_store.py",
     "test_cli_stack.py",
     "test_walls.py",

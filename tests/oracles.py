@@ -173,12 +173,12 @@ def clik(method, f, q0, Ts, N, M=5):
 def planar_law(lengths, target, velocity, alpha, sense=1.0, inverse=np.linalg.pinv, null=None):
     """f(q, t) of a planar arm: J#(ẋ_d + K e) + (I − J#J) q̇₀. `target` and `velocity` are functions of t."""
     lengths = np.asarray(lengths, float)
-    gain = np.diag(np.broadcast_to(alpha, 2)) if np.ndim(alpha) < 2 else np.asarray(alpha)
+    gains = np.broadcast_to(alpha, 2)
 
     def f(q, t):
         e = np.asarray(target(t)) - planar_position(lengths, q, sense)
         j = planar_jacobian(lengths, q, sense)
-        out = inverse(j) @ (np.asarray(velocity(t)) + gain @ e)
+        out = inverse(j) @ (np.asarray(velocity(t)) + gains * e)
         return out if null is None else out + null - inverse(j) @ (j @ null)
 
     return f

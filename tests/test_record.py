@@ -11,7 +11,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.record import combine, is_literal, partition, record, replace, stack
-from cnclik.stability import Remedy
+from cnclik.stability import Verdict
 
 
 @record
@@ -177,7 +177,9 @@ def test_records_of_the_same_content_are_equal():
         lambda lag=0.05: ck.Drive(delay=3, lag=np.full(2, lag)),
         lambda alpha=5.0: ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=alpha, inverse=ck.damped(0.1)),
         lambda x=0.3: ck.hold(jnp.array([x, 0.2])),
-        lambda gain=1.0: Remedy(change={"alpha": [gain, 2.0]}, words="", mends="error"),
+        lambda gain=1.0: Verdict(
+            kind="settled", sentence="", remedy="", change={"alpha": [gain, 2.0]}, error=0.1, tasks={}
+        ),
     ]
     for made in pairs:
         one, same, other = made(), made(), made(0.25)

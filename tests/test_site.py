@@ -96,8 +96,8 @@ def test_the_api_has_a_line_for_every_argument():
     """Also for those that share a line of the docstring, as in "x: a point. y: another."."""
     text = described("function", "cnclik.advise", ck.advise)
     assert ":param Ts: sampling time [s]." in text and ":param stage: as for `solve`." in text
-    assert ":param q: the loop at rest, as for `recommend`.\n" in text
-    assert ":param together: how many" in described("function", "cnclik.tuning.judge", ck.tuning.judge)
+    assert ":param drive: as for `gains`.\n" in text
+    assert ":param q0: (n,) start [rad, m], or (B, n)." in described("function", "cnclik.tune", ck.tune)
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -1,4 +1,4 @@
-"""Pages are read at full speed: short sentences, the field's words, and no page longer than 250 lines."""
+"""Pages are read at full speed: short sentences, the field's words, and no page longer than 280 lines."""
 
 import ast
 import pathlib
@@ -11,7 +11,7 @@ MADE = (("results",), ("gallery-pages",))  # by a build of the site
 OUTSIDE = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "sweeps/README.md")
 PAGES = [*(ROOT / name for name in OUTSIDE), *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES if p.relative_to(ROOT).parts[1:2] not in MADE]
-MOST_WORDS, MOST_LINES = 40, 250
+MOST_WORDS, MOST_LINES = 40, 280
 # Words with a meaning of their own in earlier texts, and the field's word for each.
 PRIVATE = {
     r"bears?": "tolerates",

@@ -16,7 +16,7 @@ from cnclik.errors import ArgumentError
 from cnclik.measure import answers
 from cnclik.measure.files import save_netcdf
 from cnclik.reading import read_bytes, remembered
-from cnclik.show import report, style
+from cnclik.show import style
 from cnclik.writing import output_folder
 
 
@@ -73,7 +73,7 @@ FOREIGN = {
 }
 
 
-@pytest.mark.parametrize("name", ["png", "json", "nc", "csv", "npz", "html", "zarr"])
+@pytest.mark.parametrize("name", ["png", "json", "nc", "csv", "npz", "zarr"])
 def test_what_cnclik_wrote_is_known_again(tmp_path, name):
     """By what files of version 0.2 say of themselves, too; results of others may lie beside."""
     (tmp_path / "README.md").write_text("mine")
@@ -83,9 +83,7 @@ def test_what_cnclik_wrote_is_known_again(tmp_path, name):
         case "png":
             style.save(plt.figure(), file, {})
         case "json":
-            file.write_text('{"digest": "…", "cnclik": "0.2.0"}')
-        case "html":
-            file.write_text(report.page(report.Report(title="a", answer="b")))
+            file.write_text('{"cnclik": "0.2.0"}')
         case "zarr":
             file.mkdir()
             (file / writing.OWN).write_text("1")

@@ -9,12 +9,10 @@ import gc
 import importlib
 import os
 import sys
-import time
 
 from cnclik.cli import terminal
 from cnclik.version import __version__
 
-_BEGUN = time.time()
 _NO_PLATFORM = RuntimeError, AssertionError  # which JAX raises if it finds no device
 VERBS = {
     "reproduce": "repeat the paper's experiments: data, figures and a check of its claims",
@@ -22,11 +20,12 @@ VERBS = {
     "solve": "run one loop on one robot: trajectory, figures, verdict",
     "reach": "find joint values that put the tip at one target or at a million, with a reason where there are none",
     "stability": "compute which gain is safe at which sampling time: limits, margins, stability regions and maps",
+    "check": "read a log of joints: the limits that it breaks and where, missing rows, jumps; exit code 1 if one is",
     "diagnose": "read a recording: does the loop ring, what is its dead time, which gain stops it; or fit its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
     "plot": "draw the figures of a finished sweep",
-    "tune": "tune gains by gradient under a stability margin: tuned.json, figures, one-page summary",
-    "view": "show a robot and its loop in a browser with sliders, play a finished run, or write a moving page",
+    "tune": "tune gains by gradient, between bounds that the drives allow: tuned.json and a figure",
+    "view": "play a run in a browser: the robot by its meshes, targets, walls, a slider over time",
     "export": "write a step of the loop as C for a controller: header, source, test vectors, README",
 }
 
@@ -53,7 +52,7 @@ def main(argv=None) -> None:
 
 def _run(verb, *options) -> None:
     from cnclik import errors, reading
-    from cnclik.cli import arguments, common, remarks, timings  # not at the top: `cnclik --help` answers at once
+    from cnclik.cli import arguments, common, remarks  # not at the top: `cnclik --help` answers at once
     from cnclik.show.output import FigureError
 
     module = None
@@ -62,15 +61,11 @@ def _run(verb, *options) -> None:
         with _nothing_collected():
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
-        _check_report(args, ["cnclik", verb, *options])
-        if isinstance(args, common.ComputeOptions):  # the other verbs do not need JAX
+        if isinstance(args, common.ComputeOptions) and getattr(args, "computes", True):  # the others do not need JAX
             with _nothing_collected():
                 _prepare(args.cache)
-        watched = timings.watch(_BEGUN) if getattr(args, "timings", False) else contextlib.nullcontext()
-        with remarks.listening(module.Args), reading.remembered(), watched as spans:
+        with remarks.listening(module.Args), reading.remembered():
             module.run(args)
-            if spans is not None:
-                print(spans)
     except errors.ArgumentError as error:
         _leave(2, error if module is None else arguments.of_options(module.Args, error))
     except FigureError as error:
@@ -82,17 +77,6 @@ def _run(verb, *options) -> None:
             raise
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
         _leave(2, errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}"))
-
-
-def _check_report(args, argv) -> None:
-    """Check that a report can be written before anything is computed, and store the command line for it."""
-    if getattr(args, "report", None) is not None:
-        import shlex
-
-        from cnclik.writing import checked_file
-
-        checked_file("report", args.report, ".html", overwrite=args.overwrite)
-        args.typed = shlex.join(argv)
 
 
 def _has_platform() -> bool:
@@ -126,18 +110,12 @@ def _prepare(cache: bool) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from cnclik.programs import keep
+    from cnclik.cache import use_cache
 
-    place = None
     if cache:
-        from cnclik.programs import use_cache
-
-        place = use_cache()
+        use_cache()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
-    keep(
-        None if "JAX_COMPILATION_CACHE_DIR" in os.environ else place
-    )  # other programs may write into the folder that the variable names
 
 
 def _overview() -> str:

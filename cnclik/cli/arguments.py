@@ -167,6 +167,7 @@ def _split(named, argv):
             continue
         typed, equals, value = token.partition("=")
         name = "--" + typed.lstrip("-").replace("_", "-")
+        name = "--smoothing" if name == "--filter" and "--smoothing" in named else name
         one = (named | off).get(name)
         if one is None or not typed.startswith("--"):
             raise _unknown(named, typed, value if equals else "".join(queue[:1]))
@@ -287,7 +288,7 @@ def _metavar(kind) -> str:
 
 
 class _Form(argparse.RawDescriptionHelpFormatter):
-    """Help without breaks within a name, such as EXP-AB3."""
+    """Help without breaks within a name, such as EXP-RK4."""
 
     def _split_lines(self, text, width):
         return textwrap.wrap(text, width, break_on_hyphens=False)

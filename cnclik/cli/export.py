@@ -1,7 +1,6 @@
 """`cnclik export`: the step of a loop as C, for a controller."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -22,11 +21,11 @@ class Args(ComputeOptions, ProblemOptions):
 
     out: Path
     """Folder for the files."""
-    what: Literal["step", "solve", "reach", "fk", "jacobian"] = "step"
-    """What the function computes: one step; N steps in one call (solve); joint values for one target (reach); forward
-    kinematics (fk); the Jacobian."""
-    name: str = "clik_step"
-    """Name of the function and of the files; `clik_` is prepended unless the name begins with it."""
+    kinematics: bool = False
+    """Export pose and Jacobian of each tip instead of a step."""
+    name: str | None = None
+    """Name of the function and of the files; `clik_` is prepended unless the name begins with it. Default: clik_step,
+    or clik_kinematics."""
     dtype: Literal["double", "float"] = "double"
     """C type of all numbers."""
     runtime: tuple[str, ...] | None = None
@@ -35,44 +34,44 @@ class Args(ComputeOptions, ProblemOptions):
     """Compile in all parameters."""
     paths: bool = True
     """Compile in the given paths; with --no-paths all targets are arguments."""
-    batch: bool = False
-    """Also write NAME_batch.c, which runs many loops at once with vector instructions (GCC, Clang)."""
-    seeds: int | None = None
-    """With --what reach: number of start postures after the given joint values; default: 64."""
 
 
 def run(args: Args) -> None:
     from cnclik.export.example import BUILD
-    from cnclik.export.write import MANIFEST, c
+    from cnclik.export.source import prefixed
+    from cnclik.export.write import c
 
     if args.compiled_in and args.runtime:
         raise errors.fail("runtime", "be left out with --compiled-in", f"is {' '.join(args.runtime)}")
     made = problem(args)
     given = [table(args)] if made.tables is None else made.tables.values()
-    along = args.paths and args.what in ("step", "solve") and any(map(_has_path, given))
-    reference = made.reference if along else None
+    along = args.paths and not args.kinematics and any(map(_has_path, given))
+    name = args.name or ("kinematics" if args.kinematics else "step")
     with progress.bar("C"):
-        folder = c(
-            made.law,
-            reference,
+        c(
+            made.law.chain if args.kinematics else made.law,
+            made.reference if along else None,
+            out=args.out,
             method=made.method,
             stage=made.stage,
+            dtype=args.dtype,
+            name=name,
             runtime=() if args.compiled_in else args.runtime,
-            **{name: getattr(args, name) for name in ("out", "what", "dtype", "name", "batch", "seeds", "overwrite")},
+            overwrite=args.overwrite,
         )
     print(*_heading(args, made, along), sep="\n")
-    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    print(f"Wrote {', '.join(sorted([*manifest['files'], MANIFEST]))} to {folder}/.")
-    print(f"Build and test: {BUILD.format(sources=manifest['name'] + '.c example.c')} && ./example")
+    name = prefixed(name)
+    print(f"Wrote {name}.h, {name}.c, example.c and README.md to {args.out}/.")
+    print(f"Build and test: {BUILD.format(name=name)} && ./example")
 
 
 def _heading(args, made, along) -> list:
-    """What was asked."""
+    """Return what was asked, line by line."""
     from cnclik.problem.heading import loop_in_words, robot_and_task, start_and_target, unless_given
 
-    title = f"{robot_and_task(made.name, made.tip, made.law.task)}: {args.what} in {args.dtype}"
-    if args.what not in ("step", "solve"):
-        return [title]
+    if args.kinematics:
+        return [f"{made.name}: kinematics in {args.dtype}"]
+    title = f"{robot_and_task(made.name, made.tip, made.law.task)}: step in {args.dtype}"
     if made.tables is None:
         where = f"along {args.reference}" if along else "to a target that is an argument"
     else:
@@ -83,5 +82,5 @@ def _heading(args, made, along) -> list:
 
 
 def _has_path(given) -> bool:
-    """Whether the options give a path or a target."""
+    """Return whether the options give a path or a target."""
     return given.get("reference", "hold") != "hold" or any(name in given for name in PATH)

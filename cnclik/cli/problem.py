@@ -10,7 +10,7 @@ from typing import Any
 
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PACE, PATH, SWEPT
+from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PATH, SWEPT
 
 _TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
 
@@ -43,7 +43,6 @@ ReferenceOptions: Any = _group("ReferenceOptions", _PATHS)
 LoopOptions: Any = _group("LoopOptions", [n for n in OPTIONS if n not in (*_ROBOT, *_TASK, *_PATHS)])
 DriveOptions: Any = _group("DriveOptions", DRIVE)
 MeasuredOptions: Any = _group("MeasuredOptions", MEASURED)
-PaceOptions: Any = _group("PaceOptions", PACE)
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -4,8 +4,11 @@ import contextlib
 import sys
 import time
 
-from cnclik.cli.timings import EVENTS
-
+_EVENTS = {  # of jax.monitoring, which reports a beginning as a scalar and an end as a duration
+    "/jax/core/compile/jaxpr_trace_duration": "tracing",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
+    "/jax/core/compile/backend_compile_duration": "compiling",
+}
 _BETWEEN_LINES = 10.0  # [s] between plain lines
 
 
@@ -61,11 +64,11 @@ def _phases(tell):
     from jax import monitoring
 
     def begun(event, value, **_):
-        if event in EVENTS:
-            tell(EVENTS[event])
+        if event in _EVENTS:
+            tell(_EVENTS[event])
 
     def ended(event, start, end, **_):
-        if EVENTS.get(event) == "compiling":
+        if _EVENTS.get(event) == "compiling":
             tell("running")
 
     monitoring.register_scalar_listener(begun)

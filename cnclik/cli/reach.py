@@ -1,4 +1,4 @@
-"""`cnclik reach`: joint values for targets of a file, for one, or for random ones."""
+"""`cnclik reach`: joint values for targets of a file, or for random ones."""
 
 import contextlib
 import dataclasses
@@ -9,16 +9,15 @@ import time
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import RobotOptions, TaskOptions
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud
-from cnclik.show.output import draw, drawn_by
 from cnclik.writing import checked_file, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, TaskOptions, RobotOptions):
     """Find joint values that put the tip at targets, or several tips at their targets at the same time. Several tips
     have a --tip and a --target each, or are those of a stack's file, with targets on their paths:
 
@@ -99,9 +98,6 @@ def _check(args):
         raise errors.fail("near", "be left out with --path", "is given")
 
 
-_OPTIONS = "tolerance", "accept", "jump", "solutions", "seeds", "limits", "seed"
-
-
 def _answers(args, wanted, asked):
     from cnclik.measure.answers import ENDINGS, answers, save
     from cnclik.reaching.public import reach
@@ -112,7 +108,8 @@ def _answers(args, wanted, asked):
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
-    options = {name: getattr(args, name) for name in _OPTIONS} | {"near": "previous" if args.path else args.near}
+    names = ("tolerance", "accept", "jump", "solutions", "seeds", "limits", "seed")
+    options = {name: getattr(args, name) for name in names} | {"near": "previous" if args.path else args.near}
     with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
         begun = time.perf_counter()
         with progress.bar("targets", len(pose)) as report:
@@ -133,46 +130,6 @@ def _answers(args, wanted, asked):
         _tell(made, summary, first, args.path)
         if args.out is not None:
             print(f"Wrote {args.out}.")
-    if args.report is not None:
-        _report(args, made, answers(made, transforms(pose)), summary, first)
-
-
-def _report(args, made, data, summary, seconds):
-    """The page: how many of each status, and the robot at the first targets."""
-    solved = round(summary["solve_rate"] * summary["targets"])
-    facts = [
-        ("time", f"{seconds:.2f} s, compilation included"),
-        ("evaluations per target", f"{summary['evaluations_per_target']:.0f}"),
-        ("largest error of the reached targets", _largest(made)),
-    ]
-    rows = [(name, f"{number:,}", _MEANING[name]) for name, number in summary["status"].items()]
-    args.write_report(
-        f"{_name(args)}: joint values for {summary['targets']:,} targets",
-        f"{solved:,} of {summary['targets']:,} targets are reached ({100 * summary['solve_rate']:.4g} %).",
-        facts=facts,
-        tables=[("Answers", ("status", "targets", "meaning"), rows)],
-        motions=functools.partial(_motions, args, made.chain, data),
-    )
-
-
-def _name(args) -> str:
-    from cnclik.problem.names import robot_name
-
-    return robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
-
-
-def _largest(made) -> str:
-    parts = ((made.position_error, "m"), (made.orientation_error, "rad"))
-    if not made.solved.any():
-        return "none is reached"
-    return ", ".join(aloud(float(values[made.solved].max()), unit) for values, unit in parts)
-
-
-def _motions(args, chain, data):
-    from cnclik.show.viewer.files import MOST_TARGETS, answers_motion, links_of, of_answers
-
-    found = of_answers(data.isel(target=slice(0, MOST_TARGETS)))
-    return [answers_motion(chain, found, name=_name(args), links=links_of(args.robot, args.base, chain))]
 
 
 def _summary(made, first, again):
@@ -237,4 +194,3 @@ _MEANING = {
     "NON_FINITE": "the target, or --near, is not finite",
     "NO_OTHER": "fewer solutions than requested",
 }
-

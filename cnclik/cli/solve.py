@@ -3,12 +3,11 @@
 import dataclasses
 import functools
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, ReportOption, as_options, print_table
-from cnclik.cli.problem import MeasuredOptions, PaceOptions, ProblemOptions, problem, table
+from cnclik.cli.common import ComputeOptions, as_options, print_table
+from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
 from cnclik.cli.remarks import print_json
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
@@ -16,7 +15,7 @@ from cnclik.writing import Refused, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOptions):
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did. The loop
     has one task, or several:
 
@@ -33,12 +32,10 @@ class Args(ReportOption, ComputeOptions, PaceOptions, MeasuredOptions, ProblemOp
 
 
 def run(args: Args) -> None:
-    from cnclik.engine.plan import called_once
-    from cnclik.hints import as_here
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
     from cnclik.problem import heading
-    from cnclik.stability.verdict import prepare, verdict
+    from cnclik.stability.ending import verdict
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
@@ -46,18 +43,13 @@ def run(args: Args) -> None:
     config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
     config |= {} if made.tables is None else {"tasks": made.tables}
     config |= {} if made.walls is None else {"walls": made.walls}
-    with called_once(made.N):
-        beside = ThreadPoolExecutor(1).submit(as_here(prepare), made.law, made.reference, made.q0, **asked)
-        trajectory, time_per_step, data, written, refused = _kept(made, args, config)
-        with progress.bar("verdict"):
-            beside.result()
-            judged = verdict(made.law, made.reference, trajectory, **asked, pace=made.pace, noise=made.noise)
+    trajectory, time_per_step, data, written, refused = _kept(made, args, config)
+    with progress.bar("verdict"):
+        judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     along = f"reference {args.reference}" * (made.tables is None)
-    late = heading.drive_words(made) or heading.dead_time(made)
-    said = heading.loop_in_words(made, args.written), along, late, heading.pace_words(made)
-    loop = "; ".join(filter(None, said))
+    loop = "; ".join(filter(None, (heading.loop_in_words(made, args.written), along, heading.drive_words(made))))
     where = heading.start_and_target(made, table(args))
     facts = _summary(made, trajectory, time_per_step)
     answer = as_options(f"{judged.sentence[0].upper()}{judged.sentence[1:]}")
@@ -69,42 +61,27 @@ def run(args: Args) -> None:
         print_table(facts, box=None, padding=(0, 2, 0, 0))
     if refused is not None:
         raise refused
-    figures = _figures(data, made) if args.figures or args.report else {}
-    with args.figures_first(), progress.bar("figures") as report:
-        written += draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
+    with progress.bar("figures") as report:
+        figures = _figures(data, made) if args.figures else {}
+        written += draw(figures, args.out, progress=report, overwrite=args.overwrite)
     if not args.json:
         print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
-    args.write_report(
-        title,
-        answer,
-        facts=[("loop", loop), ("from, to", " ".join(where)), *facts],
-        figures=figures,
-        captions=_CAPTIONS,
-        motions=lambda: args.motions(made.law, (trajectory, {"note": answer, "radius": judged.radius})),
-        dtype=str(trajectory.q.dtype),
-    )
 
 
-_CAPTIONS = {
-    "joints": "Joint values over time; dashed: a limit that is near.",
-    "error": "Norm of the error over time.",
-    "velocities": "Joint velocities, constant during each step; dashed: a limit that is near.",
-    "status": "Status of each step; an empty row means that no step had it.",
-    "tip": "Path of the tip and of its target in the base frame.",
-}
+_FIGURES = ("joints", "error", "velocities", "status", "tip")
 
 
 def _kept(made, args, config):
     """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
 
-    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _CAPTIONS]
+    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _FIGURES]
     whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
     data = refused = None
     try:
         with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
-            with progress.bar("steps") as report:
-                trajectory, time_per_step = _march(made, report)
+            with progress.bar("steps"):
+                trajectory, time_per_step = _march(made)
             from cnclik.measure.dataset import to_dataset
 
             data = to_dataset(trajectory, made.law, config=config)
@@ -118,28 +95,15 @@ def _kept(made, args, config):
     return trajectory, time_per_step, data, folder.made, refused
 
 
-def _march(made, report):
-    """The whole trajectory, run in pieces that report progress, and the time per step without compiling, in words.
-
-    Through drives or at a pace it is one piece: each piece would begin with drives at rest.
-    """
+def _march(made):
+    """The trajectory, and the time per step without compiling, in words."""
     import jax
 
-    from cnclik.integrate.solve import in_pieces, joined, piece_of, ran_in_c
-
-    size = piece_of(made.method, made.N) if made.alone else made.N
-
-    def run():
-        return in_pieces(*made.loop, size=size) if made.alone else iter([made.run()])
-
-    report(0, made.N)
-    jax.block_until_ready(next(run()))  # compiles
-    parts, begun = [], time.perf_counter()
-    for part in run():
-        parts.append(jax.block_until_ready(part))
-        report(min(len(parts) * size, made.N), made.N)
-    each = 1e6 * (time.perf_counter() - begun) / (len(parts) * size)
-    return joined(parts, made.N), f"{plainly(each)} µs{'' if ran_in_c(size) else ' (by XLA, not C)'}"
+    trajectory = jax.block_until_ready(made.run())  # compiles
+    begun = time.perf_counter()
+    jax.block_until_ready(made.run())
+    each = 1e6 * (time.perf_counter() - begun) / made.N
+    return trajectory, f"{plainly(each)} µs"
 
 
 def _rows(data):
@@ -172,7 +136,7 @@ def _figures(data, made) -> dict:
             functools.partial(pictures.KINDS[kind], data, made.law.chain),
             {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
         )
-        for kind in _CAPTIONS
+        for kind in _FIGURES
     }
 
 
@@ -191,14 +155,10 @@ def _summary(made, trajectory, time_per_step):
         each = [("", trajectory, law.task)]
     rows = [row for one in each for row in task_rows(*one)]
     rows += [] if trajectory.walls is None else _of_walls(trajectory, law)
-    if trajectory.path_time is not None:
-        done, whole = float(trajectory.path_time[-1]), float(trajectory.t[-1])
-        rows.append(("path", f"{done:.4g} s of the path in {whole:.4g} s; the path waits for the robot"))
     rows.append(("steps", counted(trajectory.status)))
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
-    if made.pace is None or not made.pace.smooth:  # at a smooth pace no step reverses a velocity
-        rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
+    rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
     rows.append(("time per step", time_per_step))
     return rows
 

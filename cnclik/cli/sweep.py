@@ -8,14 +8,14 @@ from typing import Literal
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.plot import draw
 from cnclik.quantities import in_samples
 from cnclik.writing import check_free, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions):
+class Args(ComputeOptions):
     spec: pathlib.Path = option(positional=True)
     """The spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md."""
     set: list[str] = option(list)
@@ -65,31 +65,8 @@ def run(args: Args) -> None:
     if not whole:
         print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
         return
-    seconds = time.perf_counter() - begun
-    print(f"Done in {seconds:.1f} s: {out / store.DATA}")
-    with args.figures_first():
-        finish(out, spec.figures if args.figures else None, export=args.export, overwrite=args.overwrite)
-    if args.report is not None:
-        _report(args, spec, store.read(out), grid, seconds)
-
-
-def _report(args, spec, data, grid, seconds) -> None:
-    """The page: the question, its numbers and figures, and the best and the worst loop on their robots."""
-    from cnclik.show.sweeps import drawings
-    from cnclik.show.viewer.swept import loops_of
-    from cnclik.sweeps.summary import best, texts
-
-    header, *cells = texts(data, digits=4)
-    figures = {f"{name}.png": (make, {"Title": name}) for name, make in drawings(data, spec.figures).items()}
-    args.write_report(
-        f"{spec.name}: {spec.question}",
-        f"{grid.size:,} loops in {seconds:.1f} s. Expected: {spec.expectation}",
-        facts=[("grid", str(grid)), ("dead time", _dead_time(spec)), ("metrics", ", ".join(spec.metrics))],
-        figures=figures,
-        lines=best(data),
-        tables=[("Metrics over the numeric axes", header, cells)],
-        motions=lambda: loops_of(data, spec),
-    )
+    print(f"Done in {time.perf_counter() - begun:.1f} s: {out / store.DATA}")
+    finish(out, spec.figures if args.figures else None, export=args.export, overwrite=args.overwrite)
 
 
 def finish(out: pathlib.Path, figures, *, export=None, overwrite=False) -> None:

@@ -1,194 +1,106 @@
-"""`cnclik tune`: gains by gradient under a stability margin, with the numbers that a controller needs."""
+"""`cnclik tune`: gains by gradient, between bounds that the drives allow."""
 
 import dataclasses
 import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
-from cnclik import errors
+from cnclik import errors, quantities
 from cnclik.cli import common, progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, ReportOption
+from cnclik.cli.common import ComputeOptions
 from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
-from cnclik.quantities import SAMPLES
-from cnclik.show.output import draw, load_ahead
+from cnclik.show.output import draw, drawn_by, load_ahead
 from cnclik.version import __version__
 from cnclik.writing import output_folder
 
-_SHAPES = ("as-given", "scalar", "per-axis", "matrix")
-
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ReportOption, ComputeOptions, MeasuredOptions, ProblemOptions):
-    """Tune the loop that these options describe. Writes tuned.json, figures and summary.md."""
+class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
+    """Tune the loop that these options describe. Writes tuned.json and a figure of the error before and after. A gain
+    is at most the recommended one of `cnclik stability` for the same drives: without any option of the drives, 30 ms of
+    dead time and a lag of 100 ms are assumed."""
 
     N: int = 200
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha, schedule, damping, null_gain, feedforward, links, tool, Ts. With --stack also weights, and
-    parameters of one task, as in hands.alpha; of a posture only so."""
-    shape: str = "as-given"
-    """Form of the gain: scalar, per-axis, matrix (symmetric positive definite), or as-given, the form of --alpha."""
+    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward, links, tool; with --stack
+    also parameters of one task, as in hands.alpha, and of a posture only so."""
+    bounds: tuple[str, ...] = option((), metavar="NAME=LOWER,UPPER ...")
+    """Bounds in place of the defaults, as in alpha=0.1,12."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")
-    """What to minimize: tracking (RMS), worst, settling, effort, jerk, noise, delay. Several have weights, as in
-    tracking=1 jerk=1e-4."""
-    delay_margin: float = option(1.0, unit=SAMPLES)
-    """Additional dead time [samples] with which a step must still not overshoot."""
-    noise_gain: float = 0.5
-    """Largest ratio of joint motion to measurement noise (standard deviations)."""
-    ringing: bool = False
-    """Drop --delay-margin and --noise-gain: only the loss is minimized, and the loop may ring."""
-    margin: float | None = None
-    """Largest spectral radius along the path (factor of small errors per step); default: 1, or 0.9 with --ringing."""
-    alpha_bounds: tuple[float, float] | None = option(None, unit="1/s")
-    """Bounds of the gain [1/s]; default: z = alpha·Ts from 0.001 to 10."""
-    Ts_bounds: tuple[float, float] | None = option(None, unit="s")
-    """Bounds of the sampling time [s] where it is tuned; default: --Ts/4 to 4·--Ts."""
-    velocity_limit: float | None = option(None, unit="q/s")
-    """Velocity limit [rad/s, m/s] of all joints, in place of the robot's own limits; 0: no limit."""
-    model_error: float = 0.0
-    """Relative error of the link lengths in the law's model of the robot."""
-    draws: int = 1
-    """Number of random scenarios of noise and model error."""
-    tolerance: float = 1e-3
-    """For the loss `settling`: error below which the tip has settled [m, rad]."""
+    """What to minimize: tracking (RMS of the error), settling, effort, jerk. Several have weights, as in tracking=1
+    jerk=1e-4."""
+    velocity_limit: tuple[float, ...] | None = option(None, unit="q/s")
+    """Joint speed that the run keeps [rad/s, m/s], one number or one per joint; inf: no limit. Default: the robot's."""
     steps: int = 100
-    """Number of gradient evaluations per start."""
+    """Number of gradient evaluations per start, at most."""
     starts: int = 1
     """Number of descents, the first from --alpha, the others from random values."""
     out: Path = Path("tuned")
-    """Folder for tuned.json, summary.md and figures."""
+    """Folder for tuned.json and the figure."""
     figures: bool = True
-    """Draw the figures."""
+    """Draw the figure."""
 
 
 def run(args: Args) -> None:
-    made = _problem(args)
-    asked = _asked(args, made)
-    from cnclik import tuning
-    from cnclik.problem.heading import dead_time, name_and_tip, robot_and_task, start_and_target
-    from cnclik.tuning.page import CAPTIONS, page_rows
+    bounds, loss = _pairs("bounds", args.bounds, 2), _pairs("loss", args.loss, 1)
+    made = problem(args)
+    from cnclik.problem.heading import robot_and_task, start_and_target
+    from cnclik.tuning import tune
 
     if args.figures:
         load_ahead("cnclik.show.style")
-    drawn = [f"{name}.png" for name in CAPTIONS]
-    whole = dict(files=["tuned.json", "summary.md", *drawn * args.figures], replaces=drawn)
-    with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
+    noise = None if made.noise is None else made.drawn()
+    limit = args.velocity_limit[0] if args.velocity_limit and len(args.velocity_limit) == 1 else args.velocity_limit
+    loop: dict[str, Any] = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage, drive=made.drive)
+    asked: dict[str, Any] = dict(over=args.over, bounds=bounds, loss=loss, noise=noise, velocity_limit=limit)
+    asked |= dict(steps=args.steps, starts=args.starts)
+    with output_folder(args.out, overwrite=args.overwrite, files=["tuned.json", "error.png"]) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
-            loop = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage)
-            found = tuning.tune(made.law, made.reference, made.q0, **loop, progress=report, **asked)
+            found = tune(made.law, made.reference, made.q0, **loop, **asked, progress=report)
         seconds = time.perf_counter() - begin
-        data = {"cnclik": __version__} | tuning.to_json(found, config=_config(args))
+        data = _plain(found, args)
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
-        drawn = {}
-        if args.figures or args.report:
-            from cnclik.show.tuning import drawings
-
-            drawn = drawings(found)
-        name, shown = name_and_tip(made.name, made.tip), tuple(drawn) if args.figures else ()
-        text = tuning.page(found, name, seconds=seconds, figures=shown)
-        folder.write_text("summary.md", text)
-    heading = [
-        f"{robot_and_task(made.name, made.tip, made.law.task)}, Ts {1e3 * made.Ts:g} ms, {dead_time(made)}.",
-        *start_and_target(made, table(args)),
-        *_assumed(made),
-    ]
-    print("\n".join(heading))
-    print(text.split("\n## Figures")[0].rstrip().replace(found.why, common.as_options(found.why)))
-    about = json.dumps(data["config"])
-    figures = {f"{n}.png": (make, {"Title": f"{made.name}: {n}", "Comment": about}) for n, make in drawn.items()}
-    written = []
-    with args.figures_first(), progress.bar("figures") as report:
-        written = draw(figures if args.figures else {}, args.out, progress=report, overwrite=args.overwrite)
-    print(f"\nWrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
-    facts = page_rows(found, seconds)
-    values = "; ".join(f"{name} = {text}" for name, text in facts[: len(found.parameters)])
-    args.write_report(
-        f"{'Tuned' if found.satisfied else 'Not tuned'}: {made.name}",
-        f"{found.why} {values}.",
-        facts=[("asked", " ".join(heading)), *facts],
-        figures=figures,
-        captions=CAPTIONS,
-        motions=lambda: args.motions(
-            found.law, (found.after.run, {"name": "as tuned"}), (found.before.run, {"name": "before"})
-        ),
-    )
+    print(f"{robot_and_task(made.name, made.tip, made.law.task)}, {made.method}, Ts {1e3 * made.Ts:g} ms, N {made.N}.")
+    print("\n".join(start_and_target(made, table(args))))
+    print(found)
+    print(f"{found.evaluations} evaluations in {seconds:.1f} s, compilation included.")
+    about = {"Title": f"{made.name}: tuned", "Comment": json.dumps(data["config"])}
+    figures = {"error.png": (drawn_by("tuning", "error", found), about)} if args.figures else {}
+    written = draw(figures, args.out, overwrite=args.overwrite)
+    print(f"Wrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
     if not found.satisfied:
         sys.exit(1)
 
 
-def _assumed(made) -> list:
-    """A sentence about the assumed drives if only their dead time was given."""
-    from cnclik.integrate.drive import Drive
-    from cnclik.stability.recommend import assumed_of
-
-    said = assumed_of(made.drive or Drive(), made.Ts)
-    measure = "A lag needs a smaller gain: measure it with `cnclik diagnose LOG.csv --step`, which prints the options"
-    return [f"{said} {measure} to give here."] if said else []
-
-
-def _asked(args, made) -> dict:
-    """The conditions of the loop, as `tune` takes them."""
-    from cnclik.tuning import Conditions, Descent
-
-    gain = "schedule" if "schedule" in args.over and "alpha" not in args.over else "alpha"
-    bounds = {name: b for name, b in ((gain, args.alpha_bounds), ("Ts", args.Ts_bounds)) if b is not None}
-    limit = args.velocity_limit
-    return dict(
-        over=args.over,
-        bounds=bounds,
-        loss=_loss(args.loss),
-        **{name: getattr(args, name) for name in ("delay_margin", "noise_gain", "ringing", "margin")},
-        velocity_limit="chain" if limit is None else None if limit == 0 else limit,
-        conditions=Conditions(
-            **{name: getattr(args, name) for name in ("model_error", "draws", "tolerance")},
-            **{} if made.drive is None else {"drive": made.drive},
-            noise=0.0 if made.noise is None else made.noise,
-            seed=int(made.seed),
-        ),
-        descent=Descent(steps=args.steps, starts=args.starts),
-    )
-
-
-def _problem(args):
-    import numpy as np
-
-    from cnclik.record import replace
-
-    errors.one_of("shape", args.shape, _SHAPES)
-    made = problem(args)
-    alpha, m = np.asarray(made.law.alpha), made.law.task.m
-    if args.shape == "scalar" and alpha.ndim:
-        raise errors.fail("alpha", "be one number for --shape scalar", f"holds {alpha.size}")
-    if args.shape in ("per-axis", "matrix"):
-        alpha = np.broadcast_to(alpha, (m,)).astype(float)
-        made = dataclasses.replace(
-            made, law=replace(made.law, alpha=np.diag(alpha) if args.shape == "matrix" else alpha)
-        )
+def _pairs(name, words, count) -> dict:
+    """`tracking`, `tracking=1 jerk=1e-4` or `alpha=0.1,12` as a table."""
+    made: dict = {}
+    for word in words:
+        key, _, text = word.partition("=")
+        values = [quantities.number(part) for part in text.split(",")] if text or count > 1 else [1.0]
+        if key in made or len(values) != count or None in values:
+            what = "weights as numbers, such as jerk=1e-4" if count == 1 else "NAME=LOWER,UPPER"
+            raise errors.fail(name, f"give {what}, each name once", f"is {' '.join(words)!r}")
+        made[key] = values[0] if count == 1 else tuple(values)
     return made
 
 
-def _loss(words):
-    """`tracking`, or `tracking=1 jerk=1e-4`."""
-    made = {}
-    for word in words:
-        name, _, weight = word.partition("=")
-        if name in made:
-            raise errors.fail("loss", "name each loss once", f"is {' '.join(words)!r}")
-        try:
-            made[name] = float(weight) if weight else 1.0
-        except ValueError:
-            raise errors.fail("loss", "give weights as numbers, such as jerk=1e-4", f"is {word!r}") from None
-    from cnclik.tuning.losses import terms
+def _plain(found, args) -> dict:
+    """The result as nested tables of plain numbers, lists and texts."""
+    from cnclik.measure.files import plain
 
-    terms(made)
-    return made if len(made) > 1 or next(iter(made.values())) != 1.0 else next(iter(made))
-
-
-def _config(args) -> dict:
-    """Every option that the numbers depend on, with its value."""
-    own = {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
-    given = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures", *common.NAMES)}
-    return table(args) | {name.rstrip("_"): v for name, v in given.items()}
+    allowed, own = found.advice.gains, {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
+    config = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures", *common.NAMES)}
+    made = {"cnclik": __version__, "alpha": found.law.alpha}
+    made |= {name: {p.name: getattr(p, name) for p in found.parameters} for name in ("start", "lower", "upper", "unit")}
+    made |= {
+        name: getattr(found, name) for name in ("values", "loss", "losses", "speeds", "satisfied", "status", "why")
+    }
+    made |= {"evaluations": found.evaluations, "drive": found.drive, "response": found.advice.rates[0].response}
+    made["gains"] = {k: getattr(allowed, k) for k in ("recommended", "without_overshoot", "largest_stable", "assumed")}
+    return plain(made | {"config": table(args) | {name.rstrip("_"): v for name, v in config.items()}})

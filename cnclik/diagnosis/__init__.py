@@ -1,14 +1,9 @@
-"""What a recording shows about the loop behind it.
+"""What a log shows: the limits that it breaks, the drive behind it, and why it shakes. NumPy and SciPy only."""
 
-`diagnose` finds ringing, the dead time, the present gain, and the gain that stops the ringing; `diagnose_tasks` finds
-which task's gain of a stack causes it. `fit_drive` fits the drive between recorded commands and the recorded motion.
-NumPy and SciPy only.
-"""
-
-from cnclik.diagnosis.diagnose import Diagnosis, diagnose
+from cnclik.diagnosis.check import Finding, LogCheck, check_log
+from cnclik.diagnosis.diagnose import Diagnosis, Kind, diagnose
 from cnclik.diagnosis.fit import DriveFit, fit_drive
-from cnclik.diagnosis.judge import Kind
-from cnclik.diagnosis.tasks import StackDiagnosis, TaskDiagnosis, diagnose_tasks
+from cnclik.diagnosis.tasks import StackDiagnosis, diagnose_tasks
 
-__all__ = ["Diagnosis", "DriveFit", "Kind", "StackDiagnosis", "TaskDiagnosis"]
-__all__ += ["diagnose", "diagnose_tasks", "fit_drive"]
+__all__ = ["Diagnosis", "DriveFit", "Finding", "Kind", "LogCheck", "StackDiagnosis"]
+__all__ += ["check_log", "diagnose", "diagnose_tasks", "fit_drive"]

@@ -1,93 +1,84 @@
-"""Diagnose: whether a recording rings, the dead time that it shows, and the gain that stops the ringing."""
+"""Diagnose: whether a log shows a loop that swings or grows, why, and the gain that stops it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+import enum
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis import judge
-from cnclik.diagnosis.advice import advice, advice_excited, growth_without_end
-from cnclik.diagnosis.blocks import orthogonal, within
-from cnclik.diagnosis.calm import is_as_large, is_calm
-from cnclik.diagnosis.excited import excited
-from cnclik.diagnosis.judge import LEAST, OSCILLATING, Kind, spans
-from cnclik.diagnosis.modes import EXACT, Modes, find_modes, polynomials, shape_of, trend
-from cnclik.diagnosis.recording import columns
-from cnclik.precision import of_numbers
+from cnclik.diagnosis import cause, loop
+from cnclik.diagnosis.recording import LEAST, columns
+from cnclik.integrate.drive import Drive
 from cnclik.quantities import in_samples
-from cnclik.record import ArrayLike, Float, record
+from cnclik.record import ArrayLike, Float, record, replace
+from cnclik.stability.gain import drive_in_words, gains
 
-LONGEST = 250  # samples of a period; slower motion counts as a path
-WANDERS = 1.15  # factor between the periods of two parts of a recording beyond which no loop causes it
-FADED = 0.3  # ratio of an oscillation's sizes in two parts below which they are not compared
-NOISY = 0.05  # noise as a share of an oscillation above which noise may sustain it
-MUCH, CLEAR, ALL = 10.0, 60.0, 0.8  # factor, likelihood and share of the motion above which growth is not a path's
-PART = 0.25  # of a recording's range, up to which it may grow by a linear loop
-SURELY = 0.9  # confidence in a loop above which growth in few periods is not the start of a swing
-STILL = 1e-12  # share of the largest value that counts as rounding
-UNFINISHED = (
-    "It may be the start of an oscillation, a path, or columns that do not belong to one loop, such as commands (what "
-    "joints do after commands is for `cnclik diagnose --step` and `fit_drive`): the gain cannot be judged. Record the "
-    "loop at rest: push it and wait until it rests again. If it never does, its gain may be far too large: reduce the "
-    "gain until it does."
-)
-HIDDEN = (
-    "Whether its gain is a little too large cannot be known from this noise: push the loop at rest by ten times as "
-    "much, and record that."
-)
-SLOW = "Slow motion is taken as a path; an error that grows as slowly looks alike. A longer recording decides."
+
+class Kind(enum.StrEnum):
+    """What a log shows."""
+
+    RINGING = "ringing"
+    SUSTAINED = "sustained oscillation"
+    GROWING = "growing oscillation"
+    DIVERGING = "growth without oscillation"
+    SPIRAL = "spiral"
+    CALM = "calm"
+    QUIET = "quiet"
+    UNDECIDED = "undecided"
+
+
+EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's, unless its gain is known,
+EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # and that of the mode by less than this factor,
+EVIDENCE_EXCITED, MANY = 90.0, 12.0  # or it does not decay as its mode does: then over so many periods
+LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
+SURELY = 0.9  # share of the probability that loops which swing must have
+OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
+TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
+SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
+SIZES = (0.8, 1.7)  # ratio of two sizes that are one
+HELD = 1.15  # change in a period, at most, of a sustained oscillation
+PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
+LONG = 30  # samples of dead time, beyond which a sample more or less counts little
+UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
+DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
+UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
 
 @record
 class Diagnosis:
-    """What a recording shows, and the loop e[k+1] = e[k] − z e[k−d] behind it. A field that is unknown is None.
+    """What a log shows. A field that is unknown is None.
 
     Attributes:
-      kind: a `Kind`.
-      Ts: sampling time of recording and loop [s].
-      period: of the oscillation [samples]; growth: factor of its amplitude per sample. A monotone decay has growth
-        alone.
-      factors: (g,) complex, of all modes, the dominant one first; one of each conjugate pair.
-      z, delay: gain per sample, z = alpha Ts, and dead time d [samples]. SUSTAINED: z is a lower bound. For a
-        wrong sign z is negative: −alpha·Ts, or, without alpha, the value without dead time.
-      lag: time constant [s], if there is one; then d may be a fraction.
-      cause: "dead time", "lag" (with dead time), "turned frames" or "wrong sign".
+      kind: a `Kind`. cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
+      Ts: sampling time of log and loop [s]. period: of the oscillation [samples]. growth: factor per sample.
+      delay: dead time [samples], and interval: its ends, where dead time alone explains the log.
+      drive: a likely `Drive`. z: gain per sample of the best loop.
+      alpha: of the loop [1/s], if given. recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the
+        drives may scale a gain, so factor is what the present one is to be multiplied by.
       angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn
         the error by −angle.
-      phase_delay: dead time from the phase of the dominant factor alone, not a whole number.
-      confidence: in d, 0 to 1. pure: whether gain and dead time explain the whole recording; otherwise a drive lags,
-        too, and d includes its delay.
-      stable, monotone, recommended: limits of z at this dead time, see `DrivenLimits`.
-      factor: factor for the gain. alpha, recommended_alpha: present gain, if given, and recommended gain [1/s].
-      amplitude: (k,) largest part of the oscillation, or decay, in each column [unit of the column].
-      noise: (k,) standard deviation of the residual of each column.
-      first: first row of the analysed part. path, modes: (n, k) the path and the modes in this part.
+      confidence: that cause and gain are right, 0 to 1; without alpha at most 0.8.
+      amplitude: (k,) half the range of the oscillation in each column [unit of the column]. noise: (k,) deviation of
+        what is left. first: first row that was read. path, modes: (n, k) of the rows from there on.
       note: further remarks.
     """
 
     kind: Kind
     Ts: float
+    cause: str | None = None
     period: float | None = None
     growth: float | None = None
-    factors: Sequence[complex] | np.ndarray = ()
-    z: float | None = None
     delay: float | None = None
-    lag: float | None = None
-    cause: str | None = None
-    angle: float | None = None
-    axis: Float[np.ndarray, " 3"] | None = None
-    phase_delay: float | None = None
-    confidence: float | None = None
-    pure: bool | None = None
-    stable: float | None = None
-    monotone: float | None = None
-    recommended: float | None = None
-    factor: float | None = None
+    interval: tuple[float, float] | None = None
+    drive: Drive | None = None
+    z: float | None = None
     alpha: float | None = None
     recommended_alpha: float | None = None
+    factor: float | None = None
+    angle: float | None = None
+    axis: Float[np.ndarray, " 3"] | None = None
+    confidence: float | None = None
     amplitude: Float[np.ndarray, " k"]
     noise: Float[np.ndarray, " k"]
     first: int = 0
@@ -98,299 +89,143 @@ class Diagnosis:
     @property
     def rings(self) -> bool:
         """Whether it oscillates."""
-        return self.kind in OSCILLATING
-
-    @property
-    def period_seconds(self):
-        """Of the oscillation [s]."""
-        return None if self.period is None else self.period * self.Ts
-
-    @property
-    def delay_seconds(self):
-        """Dead time [s]."""
-        return None if self.delay is None else self.delay * self.Ts
+        return self.kind in (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
 
     def __str__(self):
-        return f"{self.kind}: {_sentence(self)}." + (f" {self.note}" if self.note else "")
+        said = [str(self.kind)]
+        if self.period is not None:
+            said.append(f"period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample")
+        elif self.growth is not None:
+            said.append(f"the error grows × {self.growth:.6g} per sample")
+        if self.drive is not None:
+            late = self.drive if self.delay is None else Drive(delay=self.delay)
+            said[-1] += f", as with {drive_in_words(late, self.Ts)}"
+        words = ": ".join(said) + "."
+        if self.recommended_alpha is not None:
+            words += f" Use an alpha of {self.recommended_alpha:.4g} 1/s"
+            words += f", {self.factor:.3g} times the present gain." if self.factor is not None else "."
+        return f"{words} {self.note}".strip()
 
 
-@of_numbers
-def diagnose(
-    signal: Float[ArrayLike, "N ..."],
-    Ts: float,
-    *,
-    alpha: float | None = None,
-    longest: float = LONGEST,
-    progress: Callable | None = None,
-) -> Diagnosis:
-    """Whether a recording rings, the dead time that it shows, and the gain that stops the ringing.
+def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | None = None) -> Diagnosis:
+    """Diagnose a log: whether its loop swings or grows, why, and the gain that stops it.
 
-    The recording may start at rest, have an offset, drift, follow a slow path and be noisy. Several columns, such as
-    several joints, belong to one loop. The recording needs a row for each sample of the loop.
+    The log may start at rest, have an offset, drift, follow a slow path and be noisy. Several columns, such as several
+    joints, belong to one loop. The log needs a row for each sample of the loop.
 
     Args:
-      signal: (N,) or (N, k): joint values, errors, or commanded steps.
+      signal: (N,) or (N, k): joint values, errors, or commanded steps. Two, three or six columns may be coordinates.
       Ts: sampling time [s]. alpha: gain of the loop [1/s], if known.
-      longest: motion with a longer period [samples] is taken as motion of a path.
-      progress: progress(done, total, note) is called as the work proceeds.
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
-    errors.number("longest", longest, at_least=2)
     if alpha is not None:
         alpha = float(errors.number("alpha", alpha, positive=True))
     y = columns("signal", signal)
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
-    given: dict[str, Any] = {"Ts": Ts, "alpha": alpha}
-    moving = np.ptp(y, axis=0) > STILL * np.abs(y).max(0)
-    if not moving.any():
-        still = np.zeros(y.shape[1])
-        return Diagnosis(kind=Kind.QUIET, path=y, modes=np.zeros_like(y), amplitude=still, noise=still, **given)
-    report = progress or (lambda *_: None)
-    report(0, 4, "modes")
-    size = np.where(moving, np.ptp(y, axis=0), 1.0)
-    scaled = ((y - y[0]) / size)[:, moving]
-    seen = judge.looked_at(scaled, longest)
-    stepped = _stepped(scaled, seen)
-    if stepped.any():
-        moving[moving] = ~stepped
-        scaled = scaled[:, ~stepped]
-        seen = judge.looked_at(scaled, longest)
-    first, last, found = _found(scaled, seen, longest)
-    part = _part(first, scaled[first:last], found, longest)
-    if stepped.any() and part.kind is Kind.MONOTONE:  # the response to these steps, perhaps, which is no loop's
-        part = part._replace(kind=Kind.UNDECIDED)
-    report(1, 4, "what it has come to")
-    part = _come_to(part, longest)
-    report(2, 4, "the loop behind it")
-    made = _fields(part, scaled[:last], size[moving], longest, alpha, Ts, report)
-    if made["kind"] is Kind.UNDECIDED and (start := _start(scaled[:last], seen[0], longest)):
-        part, last = start, seen[0] + len(start.rows)
-        made = _fields(part, scaled[:last], size[moving], longest, alpha, Ts, report)
-    found, chosen = part.found, part.chosen
-    rest = [i for i in range(len(found.factors)) if i not in chosen]
-    most = np.minimum(spans(found.parts[chosen]), spans(found.parts)) if len(chosen) else np.zeros(moving.sum())
-
-    def every(values):  # for all columns, in their units
-        full = np.zeros((*values.shape[:-1], y.shape[1]))
-        full[..., moving] = values
-        return full * size
-
-    return Diagnosis(
-        factors=found.factors[[*chosen, *rest]],
-        amplitude=every(0.5 * most),
-        noise=every(found.noise),
-        first=part.first,
-        path=every(found.path) + y[0],
-        modes=every(found.parts.sum(0)),
-        **given,
-        **made,
-    )
+    size = np.abs(y - y[0]).max() or 1.0
+    scaled, moving = loop.prepared((y - y[0]) / size)
+    found = loop.read(scaled) if len(moving) else None
+    made = _seen(scaled, found, (y - y[0]) / size, Ts, alpha)
+    return Diagnosis(Ts=Ts, alpha=alpha, **made, **_parts(y, found, "period" in made))
 
 
-def _stepped(y, seen):
-    """Which columns (k,) rest from the first motion on, to rounding: their fit would be one of roundings."""
-    _, begun, last = seen
-    rests = np.ptp(y[begun:last], axis=0) <= EXACT
-    return rests & ~rests.all()
+def _seen(scaled, found, y, Ts, alpha) -> dict:
+    """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
+    if not scaled.shape[1]:
+        return {"kind": Kind.QUIET, "note": "No column moves by more than some steps of its resolution."}
+    if scaled.shape == y.shape and (spin := cause.turned(y)) and 15 < abs(spin.degrees) < 173:
+        return _turned_frames(spin)
+    rate, sure = cause.growth(scaled)
+    if rate:
+        note = "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain helps."
+        return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure, "note": note}
+    if found is None or not np.isfinite(found.period) or found.swings < SURELY or found.evidence < EVIDENCE_KNOWN:
+        calm = found is not None and found.evidence > EVIDENCE_KNOWN and found.swings < 1 - SURELY
+        return {"kind": Kind.CALM, "note": DECAYS} if calm else {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+    return _swing(scaled[found.first : found.last], found, Ts, alpha)
 
 
-class _Part(NamedTuple):
-    """The rows to be judged, from `first` on, and the results of `judged`."""
-
-    first: int
-    rows: np.ndarray  # (N, k)
-    found: Modes
-    kind: Kind
-    chosen: np.ndarray
-    own: np.ndarray
-
-    @property
-    def factor(self):
-        return self.found.factors[self.chosen[0]]
-
-
-def _part(first, rows, found, longest) -> _Part:
-    return _Part(first, rows, found, *judge.judged(rows, found, longest))
-
-
-def _come_to(part, longest) -> _Part:
-    """The second half of a growing or ringing part, if the oscillation is sustained there."""
-    half = len(part.rows) // 2
-    if part.kind not in (Kind.GROWING, Kind.RINGING) or len(part.rows) < 4 * LEAST:
-        return part
-    late = _part(part.first + half, part.rows[half:], find_modes(part.rows[half:], longest), longest)
-    stays = late.kind is Kind.SUSTAINED
-    stays = stays and np.any(spans(late.found.parts[late.chosen]) > 0.1 * spans(part.found.parts))
-    return late if stays else part
-
-
-def _fields(part, scaled, size, longest, alpha, Ts, report) -> dict:
-    """Fields of the `Diagnosis` of a part of a recording (N, k), whose columns were divided by `size` (k,)."""
-    kind, found, chosen = part.kind, part.found, part.chosen
-    shape = shape_of(part.rows, found, chosen[0]) * (size / size.max()) if len(chosen) else None  # squares underflow
-    stays = kind is Kind.GROWING and _moved_before(scaled, part.first)
-    kind = Kind.SUSTAINED if stays else kind
-    made: dict[str, Any] = {"kind": kind}
-    whole, periods = True, None
-    if kind in OSCILLATING:
-        loop = part.rows - found.path - found.parts[~part.own].sum(0)
-        made = advice(kind, part.factor, shape, loop, found.noise, alpha, Ts)
-        whole = made.pop("whole", True)
-        periods = _wandering(scaled, part.first, longest)
-        begins = kind is Kind.GROWING and _begins(part, made, whole, alpha, periods)
-        if begins or (kind is Kind.GROWING and not judge.likelier(part.rows, found)):
-            kind, made, whole = Kind.UNDECIDED, {"kind": Kind.UNDECIDED}, True
-    report(3, 4, "noise")
-    noisy = kind in OSCILLATING and np.max(found.noise / np.maximum(spans(found.parts[chosen]), STILL)) > NOISY
-    if kind is Kind.NOISE or not whole or periods or noisy or stays:
-        driven = _noise_driven(scaled[-judge.MOST :], longest, alpha, Ts)
-        if periods and not driven:
-            made = {name: made[name] for name in ("kind", "period", "growth") if name in made}
-            made["note"] = (
-                f"The period goes from {periods[0]:.3g} to {periods[1]:.3g} samples, as of a sweep or another path, "
-                "not of a loop: no gain is named."
-            )
-        if driven and (noisy or stays or periods or driven["confidence"] > made.get("confidence", 0)):
-            made = driven  # all of it: a gain of the first answer does not stop another loop
-    restless = made["kind"] is Kind.NOISE and not is_as_large(scaled)
-    if restless or (made["kind"] in (Kind.MONOTONE, Kind.NOISE) and not is_calm(part.rows, longest)):
-        kind, made = Kind.UNDECIDED, {"kind": Kind.UNDECIDED}
-    if kind is Kind.DIVERGING:
-        made |= growth_without_end(part.factor, shape, _is_clear(part), alpha, Ts)
-    elif kind is Kind.UNDECIDED:
-        made["note"] = UNFINISHED
-    elif made["kind"] in (Kind.QUIET, Kind.NOISE):
-        moved = np.ptp(found.path + found.parts.sum(0), axis=0)
-        slow = np.any(moved > judge.ABOVE_NOISE * found.noise + STILL)
-        made["note"] = SLOW if slow else HIDDEN if kind is Kind.NOISE else ""
-    elif kind is Kind.MONOTONE:
-        made |= _monotone(float(np.abs(part.factor)), alpha, Ts)
-    return made
-
-
-def _begins(part, made, whole, alpha, periods) -> bool:
-    """Whether growth may be the start of a swing: it shows few periods, and its loop is not certain."""
-    alone = made.get("pure") or alpha is not None  # with a lag, few rows fit many loops
-    sure = "angle" in made or (whole and alone and made["confidence"] > SURELY)
-    return len(part.rows) < judge.TURNS * made["period"] and not (sure or periods)
-
-
-def _is_clear(part) -> bool:
-    """Whether no path grows like this."""
-    rows, found = part.rows, part.found
-    most = np.max(spans(found.parts[part.chosen]) / np.ptp(rows, axis=0))
-    grown = len(rows) * np.log(np.abs(part.factor)) > np.log(MUCH)
-    return bool(most > ALL and grown and found.score < polynomials(rows) - CLEAR)
-
-
-def _found(y, seen, longest):
-    """(first row, last row, modes) of the rows to be judged. A growing motion is small at first, which is not rest.
-
-    Args: seen: of `looked_at`.
-    """
-    first, begun, last = seen
-    if begun > first and (found := judge.growing(y[first:last], longest)):
-        return first, last, found
-    begun, found = _explained(y[begun:last], begun, longest)
-    return begun, last, found
-
-
-def _start(y, first, longest) -> _Part | None:
-    """The rows from `first` on in which a loop grows to a part of the range; beyond, it may move without a rule."""
-    y = y[first : first + int(np.argmax(np.any(np.abs(y[first:] - y[first]) > PART, axis=1)))]
-    found = judge.growing(y, longest) if len(y) >= 2 * LEAST else None
-    part = found and _part(first, y, found, longest)
-    return part if part and part.kind is Kind.GROWING else None
-
-
-def _explained(seen, first, longest):
-    """(first row, modes) of the longest last part that modes explain, as large motions are not linear.
-
-    The whole if nothing is explained.
-    """
-    whole = first, find_modes(seen, longest)
-    at, found = whole
-    while not judge.explained(seen, found):
-        cut = len(seen) // 4
-        if len(seen) - cut < 4 * LEAST:
-            return whole
-        at, seen = at + cut, seen[cut:]
-        if not np.all(np.ptp(seen, axis=0) > STILL):
-            return whole
-        found = find_modes(seen, longest)
-    return at, found
-
-
-def _moved_before(y, first) -> bool:
-    """Whether a recording oscillated before row `first` as it does after: then it did not grow."""
-    before, seen = y[max(2 * first - len(y), 0) : first], y[first:]
-    least = np.std(np.diff(seen, axis=0), axis=0) / judge.HELD
-    return len(before) >= LEAST and bool(np.any(np.std(np.diff(before, axis=0), axis=0) > least))
-
-
-def _wandering(y, first, longest):
-    """The periods (2,) of an oscillation in two parts of a recording, if they differ; otherwise None.
-
-    The parts are the rows from `first` on and as many before it, or otherwise the halves.
-    """
-    N = len(y) - first
-    parts = (y[first - N : first], y[first:]) if first >= N else (y[first : first + N // 2], y[first + N // 2 :])
-    periods, sizes = [], []
-    for part in parts:
-        if len(part) < 2 * LEAST or not np.all(np.ptp(part, axis=0) > STILL):
-            return None
-        found = find_modes(part, longest)
-        kind, chosen, _ = judge.judged(part, found, longest)
-        if kind not in OSCILLATING:
-            return None
-        sizes.append(spans(found.parts[chosen]).max())
-        periods.append(float(2 * np.pi / np.abs(np.angle(found.factors[chosen[0]]))))
-    faded = min(sizes) < FADED * max(sizes)  # then noise may affect one of them
-    return periods if max(periods) > WANDERS * min(periods) and not faded else None
-
-
-def _noise_driven(seen, longest, alpha, Ts) -> dict:
-    """Fields of a loop that noise excites, if there is one."""
-    if len(seen) < 4 * LEAST or np.any(np.ptp(seen, axis=0) <= STILL):
-        return {}
-    basis, _ = orthogonal(trend(len(seen), longest if len(seen) > 3 * longest else None))
-    loops = excited(seen - within(basis, seen), Ts, None if alpha is None else alpha * Ts, basis.shape[1])
-    return advice_excited(loops, alpha, Ts) if loops else {}
-
-
-def _monotone(slowest, alpha, Ts) -> dict:
-    note = f"A real factor leaves the dead time open; without any, z is 1 − {slowest:.4g} = {1 - slowest:.4g}"
-    gain = "" if alpha is None else f", where alpha·Ts is {alpha * Ts:.4g}"
-    return {"growth": slowest, "z": 1 - slowest, "note": f"{note}{gain}. No smaller gain is needed."}
-
-
-# --- in words -----------------------------------------------------------------------------------------
-
-
-def _sentence(d) -> str:
-    still = {
-        Kind.QUIET: "no oscillation, and no noise",
-        Kind.NOISE: f"no oscillation above noise with a standard deviation of {np.max(d.noise):.3g}",
-        Kind.UNDECIDED: "no oscillation was found, and the motion has not come to rest",
+def _swing(rows, found, Ts, alpha) -> dict:
+    """Fields of a `Diagnosis` of a mode that swings."""
+    change, turns = found.mode.real * found.period, len(rows) / found.period
+    held = abs(change) < np.log(HELD)
+    faster, larger = cause.swept(loop.main_parts(rows), found.period)
+    excited = change < -np.log(HELD) and larger > LASTS
+    same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
+    if turns > SWEPT and same and not 1 / SWEEP < faster < SWEEP:
+        return {"kind": Kind.UNDECIDED, "note": "The period changes, as of a sweep or another path, not of a loop."}
+    drives = loop.drives_of(found.mode, Ts, alpha, clipped=change > 0 or held, alone=found.alone)
+    best, present = _recommended(drives.drive, Ts), alpha or drives.alpha
+    if alpha is not None and best > TOO_LARGE * alpha:
+        note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
+        return {"kind": Kind.CALM, "recommended_alpha": None, "note": note}
+    needed = EVIDENCE_KNOWN if alpha is not None and drives.off < NEAR else EVIDENCE
+    if alpha is None and (excited or held):
+        needed = EVIDENCE_EXCITED if held or turns > MANY else np.inf
+    short = turns < (PERIODS if held else 2.0 if abs(change) < np.log(2) else 1.2)
+    if short or found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS):
+        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+    limited = turns < PERIODS and abs(change) < np.log(1.5)
+    notes = []
+    if held and alpha is not None and alpha > 1.2 * drives.most:
+        notes.append("A linear loop of this alpha would grow: a limit of velocity or torque clips it.")
+    if excited:
+        notes.append("Noise excites it again and again.")
+    if alpha is not None and drives.off > NEAR:
+        notes.append(
+            f"No drive with this mode has this alpha: something changes the gain by a factor of {drives.off:.2g}."
+        )
+    if not found.alone:
+        ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
+        notes.append(f"Likely are drives between {ends}; a recorded step tells more (--step).")
+    notes.append(UNLESS)
+    return {
+        "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,
+        "cause": "dead time" if found.alone else "drive",
+        "period": found.period,
+        "growth": found.growth,
+        "delay": found.dead[0] if found.alone else None,
+        "interval": found.dead[1:] if found.alone else None,
+        "drive": drives.drive,
+        "z": found.z,
+        "recommended_alpha": best,
+        "factor": best / present,
+        "confidence": 0.8 if alpha is None else 0.7 if limited or drives.off > NEAR else 0.95,
+        "note": " ".join(notes),
     }
-    if d.kind in still:
-        return still[d.kind]
-    if d.kind is Kind.MONOTONE:
-        return f"the error shrinks × {d.growth:.4g} per sample"
-    if d.kind is Kind.DIVERGING and d.cause == "wrong sign":
-        return f"the error grows × {d.growth:.6g} per sample"
-    end = " at the end" if d.z is None else ""
-    said = f"period {in_samples(d.period, d.Ts)}{end}, amplitude × {d.growth:.4g} per sample"
-    if end or d.cause == "turned frames":
-        return said
-    more = "at least " if d.kind is Kind.SUSTAINED else ""
-    said += f", like a loop with z = {more}{d.z:.4g} and {in_samples(d.delay, d.Ts)} of dead time"
-    said += "" if d.lag is None else f" and a lag of {d.lag:.3g} s"
-    if d.factor is None:
-        return said
-    most = "at most " if d.kind is Kind.SUSTAINED else ""
-    if d.recommended_alpha is not None:
-        return f"{said}. Reduce alpha to {most}{d.recommended_alpha:.4g} 1/s (× {d.factor:.3g}) to stop it"
-    return f"{said}. Multiply the gain by {most}{d.factor:.3g} to stop it"
+
+
+def _recommended(drive, Ts) -> float:
+    """The gain of `gains` [1/s]. Long dead times are computed at a larger Ts, which takes less time."""
+    n = max(1, int(drive.delay // LONG))
+    return gains(Ts=n * Ts, drive=replace(drive, delay=(drive.delay + 0.5) / n - 0.5), method="EE").recommended
+
+
+def _turned_frames(spin) -> dict:
+    axis = np.round(spin.axis, 2)
+    if np.max(np.abs(spin.axis)) > 0.99:
+        axis = "xyz"[int(np.argmax(np.abs(spin.axis)))]
+    note = (
+        f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}: no gain "
+        f"helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
+    )
+    made = {"cause": "turned frames", "angle": spin.degrees, "axis": spin.axis, "z": spin.z, "note": note}
+    return {"kind": Kind.SPIRAL, "confidence": 0.95 if spin.open < 10 else 0.7, **made}
+
+
+def _parts(y, found, rings) -> dict:
+    """The path and the oscillation in the rows that were read, and what is left."""
+    if found is None:
+        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0.0, 0, len(y)), False
+    rows = y[found.first : found.last]
+    period = found.period if rings else np.inf
+    path, t = loop.path_basis(len(rows), period), np.arange(len(rows))
+    wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
+    both = np.hstack([path, np.stack([wave.real, wave.imag], 1)]) if rings else path
+    weights = np.linalg.lstsq(both, rows, rcond=1e-12)[0]
+    modes = both[:, path.shape[1] :] @ weights[path.shape[1] :]
+    slow = path @ weights[: path.shape[1]]
+    left = np.std(rows - slow - modes, axis=0)
+    return {"first": found.first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}

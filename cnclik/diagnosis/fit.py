@@ -1,91 +1,84 @@
-"""Fit: the drive between recorded commands and the recorded motion, by least squares with exact sampling.
+"""Fit: the drive between recorded commands and motion, by output error with exact step responses. NumPy only.
 
-A row of a recording is a sample: the motion measured at t[k], and the command sent then. Before the first row the first
-command is constant. Each joint has an offset and, if the recording needs them, a gain and a drift: motion = gain ·
-(drive's motion) + offset + drift · t. These enter linearly, so the search eliminates them (Golub & Pereyra 1973).
+A constant command between samples is a sum of steps, so the motion is the sum of the drive's step responses. Offset,
+gain and drift of each joint enter linearly: each evaluation eliminates them (Golub & Pereyra 1973). Every joint is
+fitted by itself, and the information of all is added up.
 """
 
 from __future__ import annotations
 
-import itertools
+from typing import NamedTuple
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.judge import LEAST
-from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
-from cnclik.diagnosis.response import NUMBERS, Shape, response
-from cnclik.diagnosis.spread import correlated, stable_range
-from cnclik.integrate.drive import COMMANDS, Drive
-from cnclik.precision import of_numbers
-from cnclik.record import ArrayLike, Float, record, replace
+from cnclik.diagnosis.recording import LARGEST, LEAST, columns, sampling_time
+from cnclik.integrate.drive import COMMANDS, MOST, Drive
+from cnclik.record import ArrayLike, Float, record
+from cnclik.stability.gain import gains
 
-KINDS = ("delay", "lag", "second-order")  # by their order
-DELAYS = 200  # samples of dead time to be tried, at most
-MOVED = 0.2  # share of the range that counts as a clear motion
-TIMES = np.geomspace(0.2, 200, 16)  # lags, or 1/ω₀, to start from [samples]
-RATIOS = (0.1, 0.3, 0.7, 1.0, 2.0, 4.0)  # ζ
-BETTER = 10.0  # decrease of the information criterion that justifies another number
-EXPLAINED = 0.5  # share of a motion that a command must explain
-EXACT = 1e-5  # share of a motion that counts as rounding
-EVALUATIONS = 15  # evaluations per number, in a fit from one start
+SERVO = ("natural_frequency", "damping_ratio")
+NUMBERS = {"delay": (), "lag": ("lag",), "second-order": SERVO}  # besides the dead time
+NUMBERS["velocity PI"] = ("lag", "integral")  # v' = (u − v + ∫(u − v)/integral)/lag
+BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0), "integral": (0.3, 1e4)}
+SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts: bounds are in samples
+TIMES, RATIOS = np.geomspace(0.3, 150, 12), (0.3, 0.8, 2.0)  # lags [samples] and ζ to start from, a factor of 2 apart
+PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
+STEPS = 25  # of Gauss and Newton, from within a factor of two
+EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
+BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
+EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
-REST = 5e-3  # share of a motion by which its last two tenths may differ at rest
-OTHER_UNIT = 5.0  # factor of a gain beyond which something is wrong: units, another joint, the sign
-STRUCTURE = 4.0  # correlation length of the residual [samples] above which the model is too simple
-SEEN = 2e-3  # unless the residual is below this share of a motion's range
-PARTS = (("gain", "drift"), ("gain",), ())  # of a joint, besides its offset
-CAUGHT_UP = 0.5  # share of a velocity drive's delay; a larger residual hides a lag
+STRUCTURE, SEEN = 4.0, 2e-3  # correlation length [samples] and share of a motion of a residual that a drive leaves out
+OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
+FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
+NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
 NOT_REBASED = (
-    "No gain is safe for a loop whose position commands begin at the measured joints (feedback rebased): the "
-    "difference adds up, so that it runs away or does not arrive. Begin each command at the last one."
+    "No gain is safe for a loop whose position commands begin at the measured joints: begin each at the last one."
 )
 
 
 @record
 class DriveFit:
-    """A drive that was fitted to a recording.
+    """A drive that was fitted to a log.
 
     Attributes:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
-        uncertainty.
-      uncertainty: {name: standard deviation} of its numbers; the largest one over the joints.
-      gain: (k,) motion per commanded motion. drift: (k,) [rad/s, m/s] motion without a command.
-      rms: (k,) RMS residual of each motion [rad, m]. explained: share of the motions' variance.
-      largest_stable_alpha: (low, high) [1/s]: the range in which explicit Euler with measured joints becomes unstable;
-        None where the recording does not determine it.
-      motion: (N, k) of the fit. note: further remarks.
+        uncertainty. Of a velocity servo with an integral part, its lag without that part.
+      interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
+      explained: share of the motions' variance.
+      recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
+        the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
     """
 
     drive: Drive
-    uncertainty: dict[str, float]
+    interval: dict[str, tuple]
     gain: Float[np.ndarray, " k"]
     drift: Float[np.ndarray, " k"]
     rms: Float[np.ndarray, " k"]
     explained: float
-    largest_stable_alpha: tuple[float, float] | None
+    recommended_alpha: float | None
     motion: Float[np.ndarray, "N k"]
     note: str = ""
 
     @property
     def options(self) -> str:
         """As `cnclik stability` and `tune` take it."""
-        drive = self.drive
-        said = [f"--{name.replace('_', '-')} {_said(getattr(drive, name))}" for name in self.uncertainty]
-        return " ".join([*said, f"--command {drive.command}"])
+        said = [f"--{name.replace('_', '-')} {_said(getattr(self.drive, name))}" for name in self.interval]
+        return " ".join([*said, f"--command {self.drive.command}"])
 
     def __str__(self):
         units = {"delay": " samples", "lag": " s", "natural_frequency": " rad/s", "damping_ratio": ""}
         said = []
-        for name, deviation in self.uncertainty.items():
+        for name, (low, high) in self.interval.items():
             value = _said(getattr(self.drive, name)).replace(" ", ", ")
-            said.append(f"{name.replace('_', ' ')} {value} ± {deviation:.1g}{units[name]}")
+            wide = f"{_said(low)} to {_said(high)}" if np.ndim(low) == 0 else f"± {_said(np.max(high - low) / 2)}"
+            said.append(f"{name.replace('_', ' ')} {value}{units[name]} ({wide})")
+        kind = ("dead time", "lag", "second order")[self.drive.order]
         left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
-        more = ""
-        if self.largest_stable_alpha is not None:
-            low, high = self.largest_stable_alpha
-            more = f"With measured joints explicit Euler becomes unstable at an alpha of {low:.4g} to {high:.4g} 1/s."
-        return " ".join(filter(None, (f"{KINDS[self.drive.order]}: {', '.join(said)}; {left}.", more, self.note)))
+        alpha = f"Recommended alpha: {self.recommended_alpha:.4g} 1/s." if self.recommended_alpha else ""
+        return " ".join(filter(None, (f"{kind}: {', '.join(said)}; {left}.", alpha, self.note)))
 
 
 def _said(value) -> str:
@@ -93,7 +86,6 @@ def _said(value) -> str:
     return " ".join(f"{0.0 if abs(v) < 1e-6 else v:.4g}" for v in np.ravel(value))
 
 
-@of_numbers
 def fit_drive(
     t: Float[ArrayLike, " N"] | None,
     command: Float[ArrayLike, "N ..."],
@@ -105,20 +97,20 @@ def fit_drive(
 ) -> DriveFit:
     """Fit a drive to recorded commands and motion, such as of a step: dead time, and a lag or a second-order servo.
 
-    Each order is fitted by least squares with the exactly sampled drive, with and without a gain and a drift of each
-    joint. The simplest one is chosen unless another is much better by an information criterion (Schwarz 1978). The
-    first command is assumed to be constant for a long time before the recording.
+    Each model is fitted by least squares with the exactly sampled drive, with a gain and a drift of each joint if the
+    log needs them. The simplest one is chosen unless another is much better by an information criterion (Schwarz 1978).
+    The first command is assumed to be constant for a long time before the log.
 
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: the joint values or
         velocities sent at t, and the joint values measured then [rad, m].
-      Ts: sampling time [s]; default: from t. kind: "delay", "lag" or "second-order"; None: the simplest that explains
-        the recording.
-      command_kind: "position" or "velocity".
-    Raises: ArgumentError for a recording without motion, or with motion that the command does not explain.
+      Ts: sampling time [s]; default: from t. command_kind: "position" or "velocity".
+      kind: "delay", "lag", "second-order" or, of velocities, "velocity PI"; None: the simplest that explains the log.
+    Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
-    errors.one_of("command_kind", command_kind, COMMANDS)
-    orders = range(3) if kind is None else (KINDS.index(errors.one_of("kind", kind, KINDS)),)
+    velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
+    kinds = list(NUMBERS)[: 3 + velocity]
+    kinds = kinds if kind is None else [errors.one_of("kind", kind, kinds)]
     command, motion = columns("command", command), columns("motion", motion)
     if command.shape != motion.shape:
         raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
@@ -130,250 +122,277 @@ def fit_drive(
     Ts = sampling_time(t, Ts)
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
-    log = _Log(command, motion, Ts)
-    shapes = [Shape(start=Drive(command=command_kind), Ts=Ts, order=order) for order in orders]
-    best = _best(shapes, log)
-    if hides := _catches_up(best, log):
-        log.rates = True
-        best = _best(shapes if kind else shapes[1:2], log)
-    return _made(best, log, hides)
-
-
-def _best(shapes, log):
-    found = sorted((fit for shape in shapes for fit in _fits(shape, log)), key=lambda fit: fit.count)
-    best = found[0]
-    for other in found[1:]:
-        if other.score < best.score - BETTER:
-            best = other
-    return best
-
-
-def _catches_up(fit, log) -> bool:
-    """Whether the residual amounts to more than half of the fit's delay.
-
-    A velocity servo with an integral part makes up for its lag, so its joints are hardly delayed at the end; only the
-    velocities show the lag.
-    """
-    if fit.shape.start.command != "velocity":
-        return False
-    left = log.motion - log.motions(fit.shape, fit.values, fit.parts)[0]
-    length, most = np.array([correlated(c) for c in left.T]), np.abs(left).max(0)
-    speed = np.abs(np.diff(log.motion, axis=0)).max(0) / log.Ts
-    late = max(float(fit.shape.drive(values).late_by(log.Ts)) for values in fit.values)
-    seen = (length > STRUCTURE) & (most > SEEN * np.ptp(log.motion, axis=0))
-    return bool(np.any(seen & (most > CAUGHT_UP * late * speed)))
-
-
-def _made(fit, log, hides) -> DriveFit:
-    motion, k = log.motion, log.motion.shape[1]
-    made, gain, drift = log.motions(fit.shape, fit.values, fit.parts)
-    left = motion - made
-    explained = 1.0 - float(np.sum(left**2 / np.var(motion, axis=0)) / motion.size)
-    if explained < EXPLAINED:
-        raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
-    odd = np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))
-    if len(odd):
-        found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
-        raise errors.fail("motion", "move by about what is commanded", found)
-    length = np.array([correlated(c) for c in left.T])  # correlated residuals carry less information
-    deviations = log.deviations(fit.shape, fit.values, fit.parts, fit.own) * np.sqrt(length)[:, None]
-    numbers = [fit.shape.numbers(values) for values in fit.values]
-    same = all(row == numbers[0] for row in numbers)
-    changes = {n: float(numbers[0][n]) if same else np.array([row[n] for row in numbers]) for n in numbers[0]}
-    drive = replace(fit.shape.start, **changes | {"delay": numbers[0]["delay"]})
-    rms = np.sqrt(np.mean(left**2, axis=0))
-    structured = hides or bool(np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(motion, axis=0))))
-    scale = np.array([[1.0, *list(row.values())[1:]] for row in numbers])  # the deviation of a logarithm is relative
-    stable, why = stable_range(fit, deviations, gain, structured, log.command)
-    uncertainty = dict(zip(numbers[0], (deviations * scale).max(0).tolist(), strict=True))
-    return DriveFit(
-        drive=drive,
-        uncertainty=uncertainty,
-        gain=gain,
-        drift=drift,
-        rms=rms,
-        explained=explained,
-        largest_stable_alpha=stable,
-        motion=made,
-        note=" ".join(_notes(_at_rest(log, gain, drift, drive.command), structured, k, why, drive.command)),
-    )
-
-
-def _at_rest(log, gain, drift, command_kind):
-    """Gains (k,) of position drives, from where commands and motions have come to rest, if they have: joints that
-    oscillate together distort the fitted gains.
-    """
-    last = len(log.motion) // 10
-    if command_kind != "position" or last < 2 or np.any(log.command[-2 * last :] != log.command[-1]):
-        return gain
-    still = log.motion - np.arange(len(log.motion))[:, None] * log.Ts * drift
-    before, after = still[-2 * last : -last].mean(0), still[-last:].mean(0)
-    moved, sent = after - still[0], log.command[-1] - log.command[0]
-    rests = (np.abs(after - before) < REST * np.abs(moved)) & (sent != 0)
-    return np.where(rests, moved / np.where(rests, sent, 1.0), gain)
-
-
-def _notes(gain, structured, k, why, command_kind) -> list:
-    said = []
-    off = np.flatnonzero(np.abs(gain - 1) > OFF)
-    if len(off):
-        where = "" if k == 1 else f" (joint {', '.join(str(i + 1) for i in off)})"
-        least, most = gain[off].min(), gain[off].max()
-        span = f"{least:.3g}" if most - least < 5e-3 else f"{least:.3g} to {most:.3g}"
-        said.append(
-            f"Motion is {span} times what is commanded{where}, and a loop has as many times its alpha: divide the "
-            f"gains that are recommended for this drive by {gain.max():.3g}."
-        )
-        if command_kind == "position":
-            said.append(NOT_REBASED)
-    if structured:
-        said.append(
-            "What is left has a structure: the drive has friction, play, a limit or a higher order, which the numbers "
-            "leave out."
-        )
-    return [*said, why] if why else said
+    log = _Log(command, motion, Ts, velocity)
+    best = Fit("", (), np.empty(0), np.inf)
+    for one in kinds:
+        fit = _least(log, one, PARTS[0], _starts(log, one))
+        best = fit if fit.score < best.score - BETTER else best
+    for parts in PARTS[1:]:
+        fewer = _least(log, best.kind, parts, best.values[:, None])
+        best = fewer if fewer.score < best.score + BETTER else best
+    return _made(log, best)
 
 
 class _Log:
-    """A recording, and the residual that a drive leaves."""
+    """A log in samples: (k, N) motions as shares of their deviation, and the changes of commands in frequencies."""
 
-    def __init__(self, command, motion, Ts, rates=False):
-        self.command, self.motion, self.Ts, self.rates = command, motion, Ts, rates
-        self.size, self.change = np.std(motion, axis=0), np.std(np.diff(motion, axis=0), axis=0)
-        self.time = np.linspace(-1, 1, len(motion))
+    def __init__(self, command, motion, Ts, velocity):
+        self.command, self.motion, self.Ts, self.velocity = command, motion, Ts, velocity
+        self.t, self.k = np.arange(len(motion)), motion.shape[1]
+        self.size = np.std(motion, axis=0)[:, None]
+        self.y = motion.T / self.size
+        unit = (Ts if velocity else 1.0) / self.size  # motion per sample and command
+        self.base = unit * command[0][:, None] * (self.t if velocity else 1.0 + 0 * self.t)
+        self.length = 1 << (2 * len(motion) - 1).bit_length()
+        self.changes = np.fft.rfft(unit * np.diff(command, axis=0, prepend=command[:1]).T, self.length)
+        self.line = np.linalg.qr(np.linspace(-1, 1, len(motion))[:, None] ** np.arange(2))[0].T  # (2, N) orthonormal
 
-    def joint(self, j):
-        return _Log(self.command[:, [j]], self.motion[:, [j]], self.Ts, self.rates)
+    def response(self, kind, values, joint):
+        """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
+        h = step_response(kind, np.exp(values[..., None, 1:]), self.t - values[..., :1], self.velocity)
+        return np.fft.irfft(self.changes[joint] * np.fft.rfft(h, self.length), self.length)[..., : len(self.t)]
 
-    def moved(self, shape, values):
-        """(N, k) motions of drives with values (k, p), without offsets."""
-        if np.all(values == values[0]):
-            return response(shape.drive(values[0]), self.command, self.Ts)
-        each = [response(shape.drive(v), self.command[:, [j]], self.Ts) for j, v in enumerate(values)]
-        return np.hstack(each)
+    def free(self, a, parts):
+        """Rows (..., N) without offset, and without drift where there is one."""
+        line = self.line[: 1 + parts[1]]
+        return a - (a @ line.T) @ line
 
-    def motions(self, shape, values, parts):
-        """((N, k) fitted motions, gains (k,), drifts (k,) [1/s])."""
-        moved, k = self.moved(shape, values), self.motion.shape[1]
-        made, gain, drift = np.empty_like(moved), np.empty(k), np.empty(k)
-        for j in range(k):
-            columns = {"offset": np.ones(len(moved)), "gain": moved[:, j] - moved[:, j].mean(), "drift": self.time}
-            fixed = 0.0 if "gain" in parts else columns["gain"]
-            base = np.stack([columns[name] for name in ("offset", *parts)], 1)
-            weights = np.linalg.lstsq(base, self.motion[:, j] - fixed, rcond=1e-12)[0]
-            made[:, j] = fixed + base @ weights
-            fitted = dict(zip(parts, weights[1:], strict=True))
-            gain[j] = fitted.get("gain", 1.0)
-            drift[j] = fitted.get("drift", 0.0) * 2 / ((len(moved) - 1) * self.Ts)
-        return made, gain, drift
+    def left(self, kind, values, parts, joint):
+        """((..., N) residuals, (...) gains) of drives (..., p) of joints (...)."""
+        moved = self.free(self.response(kind, values, joint) + self.base[joint], parts)
+        wanted, gain = self.free(self.y[joint], parts), np.ones(moved.shape[:-1])
+        if parts[0]:
+            gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
+        return wanted - gain[..., None] * moved, gain
 
-    def left(self, shape, values, parts):
-        """(N, k) residual of each motion, or of its changes, as shares of its standard deviation."""
-        left = self.motion - self.motions(shape, values, parts)[0]
-        return np.diff(left, axis=0) / self.change if self.rates else left / self.size
-
-    def deviations(self, shape, values, parts, own):
-        """(k, p) standard deviations of drives' values for white noise. own: whether each joint has its own values."""
-        here = self.left(shape, values, parts)
-        power = np.mean(here**2, axis=0) + EXACT**2
-        slopes = [
-            (self.left(shape, values + step, parts) - here) / (1e-4 * np.sqrt(power))
-            for step in 1e-4 * np.eye(values.shape[1])
-        ]
-        slope = np.stack(slopes, -1)  # (N, k, p)
-        each = np.einsum("nki,nkj->kij", slope, slope)
-        each = each if own else np.broadcast_to(each.sum(0), each.shape)
-        made = np.sqrt(np.abs(np.diagonal(np.linalg.pinv(each), axis1=-2, axis2=-1)))
-        return np.minimum(made, 1e3)  # for a number that hardly matters
+    def slopes(self, kind, values, parts, joint):
+        """((..., N) residuals, (..., N, p) their derivatives by the values)."""
+        p, step = values.shape[-1], 1e-4
+        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), parts, joint[..., None])
+        return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
 
 
-@record
-class Fit:
-    """A fitted drive: values (k, p) of the joints, equal if they share them, and the criterion."""
+def step_response(kind, numbers, t, velocity):
+    """Return the motion (..., N) at times t [samples] after a unit step of the command at 0.
 
-    shape: Shape
-    values: Float[np.ndarray, "k p"]
+    Args: numbers: (..., 1, p) in samples. velocity: whether the command is one; then motion is per sample.
+    """
+    after = np.maximum(t, 0.0)
+    if kind == "delay":  # a position drive without a lag moves on a line from sample to sample
+        return after if velocity else np.minimum(after, 1.0)
+    if kind == "lag":
+        rest = -np.expm1(-after / numbers[..., 0])
+        return after - numbers[..., 0] * rest if velocity else rest
+    w, zeta, slope = numbers[..., 0], numbers[..., 1], 0.0
+    if kind == "velocity PI":  # G = (slope s + w²)/((s − p)(s − p̄))
+        slope, w = 1 / w, 1 / np.sqrt(w * zeta)
+        zeta = slope / (2 * w)
+    apart = zeta**2 - 1
+    root = np.sqrt(np.where(np.abs(apart) < 1e-7, 1e-7, apart).astype(complex))
+    total, ahead = 0.0, 0.0
+    for sign in (1, -1):
+        pole = -w * (zeta + sign * root)
+        weight = (slope * pole + w**2) / (-2 * sign * w * root * pole)  # of the pole in G/s
+        total = total + np.exp(pole * after) * weight / (pole if velocity else 1.0)
+        ahead = ahead + weight / pole
+    return after - ahead.real + total.real if velocity else np.where(t > 0, 1.0 + total.real, 0.0)
+
+
+def _starts(log, kind):
+    """(k, s, p) for each joint the best two points of a grid, each with its best whole dead time."""
+    grid = {
+        "delay": [()],
+        "lag": [(tau,) for tau in TIMES],
+        "second-order": [(2 * ratio / tau, ratio) for tau in TIMES for ratio in RATIOS],
+        "velocity PI": [(tau, more * tau) for tau in TIMES for more in (2.5, 8.0)],
+    }[kind]
+    values, N = np.array([[0.0, *np.log(numbers)] for numbers in grid]), len(log.t)
+    sent = np.argmax(np.any(log.command != log.command[0], axis=1))
+    away = np.argmax(np.any(np.abs(log.motion - log.motion[0]) > 0.3 * np.ptp(log.motion, axis=0), axis=1))
+    latest = int(np.clip(away - sent + 2, 2, min(MOST - 1, N // 2)))  # dead time: until a clear motion
+    moved = log.response(kind, values[:, None], np.arange(log.k))  # (grid, k, N)
+    spectrum = np.conj(np.fft.rfft(moved, log.length))
+
+    def across(row):  # with motions that are late by 0, 1, … samples
+        return np.fft.irfft(np.fft.rfft(row, log.length) * spectrum, log.length)[..., : latest + 1]
+
+    power = np.cumsum(moved**2, -1)[..., N - 1 - np.arange(latest + 1)] - sum(across(row) ** 2 for row in log.line)
+    cost = -(across(log.free(log.y - log.base, PARTS[0])) ** 2) / np.maximum(power, 1e-9 * N)
+    order = np.argsort(np.min(cost, -1), axis=0)[:2]
+    found = values[order]  # (1 or 2, k, p)
+    found[..., 0] = np.take_along_axis(np.argmin(cost, -1), order, 0) + 0.2 * (kind != "delay")
+    if kind == "delay":  # piecewise linear in the dead time: no slope at whole samples
+        found = np.concatenate([np.abs(found - 0.4), found + 0.4])
+    return np.moveaxis(found, 0, 1)
+
+
+class Fit(NamedTuple):
+    """Fitted values (k, p) of all joints: dead time [samples], logarithms of numbers in samples."""
+
+    kind: str
     parts: tuple
-    own: bool
+    values: np.ndarray
     score: float
-    count: int  # number of fitted values
 
 
-def _fits(shape, log):
-    """The drives of an order, for each of PARTS: with shared values, and with values per joint if that is better."""
-    starts = _begin(shape, log)
-    k = log.motion.shape[1]
-    own = [_begin(shape, log.joint(j), most=1) for j in range(k)] if k > 1 and shape.order else None
-    for parts in PARTS:  # each is a subset of the one before, and starts from its values
-        least = _least(shape, starts, log, parts)
-        starts, values = [least], np.tile(least, (k, 1))
-        fit = _scored(shape, values, log, parts, own=False)
-        if own is not None:
-            each = [_least(shape, begin, log.joint(j), parts) for j, begin in enumerate(own)]
-            certain = 1 / (log.deviations(shape, np.array(each), parts, own=True)[:, 0] ** 2 + 1e-12)
-            delay = float(np.average([values[0] for values in each], weights=certain))  # shared by all joints
-            own = [[v] for v in each]
-            each = [_least(shape, [v], log.joint(j), parts, delay) for j, v in enumerate(each)]
-            other = _scored(shape, np.array(each), log, parts, own=True)
-            if other.score < fit.score - BETTER:
-                fit = other
-            else:
-                own = None  # fewer parts need none, either
-        yield fit
+def _least(log, kind, parts, starts) -> Fit:
+    """The least squares of each joint, from the better of its starts (k, s, p)."""
+    values, (low, high), N = np.array(starts), _ends(kind), len(log.t)
+    joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
+    here, slope = log.slopes(kind, values, parts, joint)
+    power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
+    for _ in range(STEPS):
+        normal = np.einsum("...ni,...nj->...ij", slope, slope)
+        scale = damping[..., None] * (np.einsum("...ii->...i", normal) + 1e-12)
+        downhill = np.einsum("...ni,...n->...i", slope, here)
+        step = np.linalg.solve(normal + scale[..., None] * np.eye(len(low)), downhill[..., None])[..., 0]
+        tried = np.clip(values - np.clip(step, -1.5, 1.5), low, high)
+        there, slopes = log.slopes(kind, tried, parts, joint)
+        better = np.sum(there**2, -1) < power
+        ends = np.all(better | (damping > 1e3)) and np.all((np.abs(tried - values) < 1e-4) | ~better[..., None])
+        values, here = np.where(better[..., None], tried, values), np.where(better[..., None], there, here)
+        slope, power = np.where(better[..., None, None], slopes, slope), np.sum(here**2, -1)
+        damping = np.clip(np.where(better, damping / 5, damping * 10), 1e-7, 1e5)
+        if ends:
+            break
+    each = np.arange(log.k), np.argmin(power, 1)
+    left = power[each] / N + EXACT**2
+    _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
+    numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
+    score = N * np.sum(np.log(left)) + log.k * (1 + sum(parts)) * np.log(N) + numbers
+    return Fit(kind, parts, values[each], float(score))
 
 
-def _begin(shape, log, most=2):
-    """The best few points of a grid, each with its best dead time, to start from."""
-    grid = [()] if shape.order == 0 else [(tau,) for tau in np.log(TIMES * log.Ts)]
-    if shape.order == 2:
-        grid = [(-tau, np.log(zeta)) for (tau,), zeta in itertools.product(grid, RATIOS)]
-    N = len(log.motion)
-    delays = min(_latest(log.command, log.motion), N // 2, DELAYS) + 1
-    wanted, tried = (log.motion - log.motion.mean(0)) / log.size, []
-    for numbers in grid:
-        made = response(shape.drive(np.array([0.0, *numbers])), log.command, log.Ts)
-        slope = (made[1] - made[0]) if shape.start.command == "velocity" else 0.0 * made[0]
-        left = np.zeros(delays)
-        for j in range(made.shape[1]):
-            before = made[0, j] - slope[j] * np.arange(delays - 1, 0, -1)
-            late = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, made[:, j]]), N)[::-1] / log.size[j]
-            power = np.sum(late**2, 1) - np.sum(late, 1) ** 2 / N
-            left += np.sum(wanted[:, j] ** 2) - (late @ wanted[:, j]) ** 2 / np.maximum(power, 1e-300)
-        tried.append((left.min(), np.array([np.argmin(left) + 0.3 * (shape.order > 0), *numbers])))
-    return [values for _, values in sorted(tried, key=lambda start: start[0])[:most]]
+def _ends(kind):
+    """The least and largest values (p,)."""
+    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
 
 
-def _latest(command, motion) -> int:
-    """The largest possible dead time [samples]: from the first change of a command until a clear motion."""
-    sent = np.argmax(np.any(command != command[0], axis=1))
-    moved = np.argmax(np.any(np.abs(motion - motion[0]) > MOVED * np.ptp(motion, axis=0), axis=1))
-    return max(int(moved - sent), 0)
+# --- all joints together ------------------------------------------------------------------------------
 
 
-def _least(shape, starts, log, parts, delay=None):
-    """Values (p,) of least squares, the best of several starts, at a given dead time if there is one."""
-    from scipy.optimize import least_squares
+def _made(log, fit) -> DriveFit:
+    """The fit of all joints as one drive, its interval, its gain."""
+    (kind, parts, fitted, _), names, every = fit, NUMBERS[fit.kind], np.arange(log.k)
+    values, covs, own = _together(log, kind, parts, fitted)
+    left, gain = log.left(kind, np.broadcast_to(values, fitted.shape), parts, every)
+    follows = np.mean(left**2, -1) < 1 - EXPLAINED  # a joint may also move as others shake it
+    explained = 1.0 - float(np.mean(left[follows] ** 2 if follows.any() else left**2))
+    if not follows.any():
+        raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
+    if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
+        found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
+        raise errors.fail("motion", "move by about what is commanded", found)
+    alpha, notes = _recommended(log, kind, *((v[follows] if own else v) for v in (values, covs)), gain[follows])
+    wide = NORMAL * np.minimum(np.sqrt(np.diagonal(covs, axis1=1, axis2=2)), WIDE)
+    interval = {"delay": tuple(float(max(values[0, 0] + s * wide[0, 0], 0.0)) for s in (-1, 1))}
+    for i, name in enumerate(names, 1):
+        ends = [np.exp(values[:, i] + s * wide[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
+        interval[name] = tuple(end if own else float(end[0]) for end in ends)
+    if (integral := interval.pop("integral", None)) is not None:
+        said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
+        notes.append(f"{said}: gains for its lag alone are low enough.")
+    if not follows.all():
+        said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
+        notes.append(f"Joint {said} does not follow its command, and is left out.")
+    rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
+    if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
+        notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
+    elif np.any(off := np.abs(gain - 1) > OFF):
+        span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
+        notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
+        notes += [NOT_REBASED] * (not log.velocity)
+    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fitted.shape), every) + log.base)
+    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * parts[1] * log.size[:, 0]
+    given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
+    motion = log.motion - (left * log.size).T
+    return DriveFit(**given, explained=explained, recommended_alpha=alpha, motion=motion, note=" ".join(notes))
 
-    k = log.motion.shape[1]
-    fixed = [] if delay is None else [delay]
-    if shape.order == 0 and delay is None:  # motion is piecewise linear in the dead time: no slope at whole samples
-        starts = [[side] for side in sorted({max(v[0] + s, 0.0) for v in starts for s in (-0.5, 0.5)})]
 
-    def left(free):
-        return log.left(shape, np.tile([*fixed, *free], (k, 1)), parts).ravel()
+def _together(log, kind, parts, fitted) -> tuple:
+    """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
+    every, information = np.arange(log.k), _information(log, kind, parts, fitted)
+    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
+    mean, apart = _shared(fitted, information)
+    free = (log.k - 1) * len(mean)
+    if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
+        least = 1 / np.sum(1 / each[:, 0, 0])
+        late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
+        fitted = fitted + each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+        each[:, 0, 0] = least
+        return fitted, each, True
+    most = 2 * np.sqrt(np.diag(cov))
+    for _ in range(3):  # from the mean to the least squares of all joints together
+        left, slope = log.slopes(kind, np.broadcast_to(mean, fitted.shape), parts, every)
+        scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
+        rows = (slope / scale[..., None]).reshape(-1, len(mean))
+        step = np.linalg.lstsq(rows, (left / scale).ravel(), rcond=1e-9)[0]
+        mean = np.clip(mean - np.clip(step, -most, most), *_ends(kind))
+    return mean[None], cov[None], False
 
-    made = [
-        least_squares(left, values[len(fixed) :], method="lm", x_scale=0.1, xtol=1e-8, ftol=1e-9,
-                      max_nfev=EVALUATIONS * len(values))
-        for values in starts
-    ]  # fmt: skip
-    best = min(made, key=lambda end: end.cost).x
-    return np.concatenate([np.abs([*fixed, *best][:1]), [*fixed, *best][1:]])
+
+def _information(log, kind, parts, values):
+    """(k, p, p) of the values of each joint: residuals count as often as they are independent, and may be larger where
+    the motion is fast (White 1980)."""
+    left, slope = log.slopes(kind, values, parts, np.arange(log.k))
+    free = max(len(log.t) - slope.shape[-1] - 1 - sum(parts), 1)
+    power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
+    flat = np.linalg.pinv(np.einsum("kni,knj->kij", slope, slope))
+    lever = np.einsum("kni,kij,knj->kn", slope, flat, slope)
+    seen = np.einsum("kn,kni,knj->kij", (left / np.maximum(1 - lever, 0.3)) ** 2, slope, slope)
+    robust, plain = (np.diagonal(m, axis1=1, axis2=2) for m in (flat @ seen @ flat, power[:, None, None] * flat))
+    wider = np.maximum(np.max(robust / np.maximum(plain, 1e-300), -1), 1.0)
+    return np.linalg.pinv(flat * (power * wider)[:, None, None])
 
 
-def _scored(shape, values, log, parts, *, own):
-    N, k = log.motion.shape
-    power = np.mean(log.left(shape, values, parts) ** 2, axis=0) + EXACT**2
-    numbers = 1 + len(NUMBERS[shape.order]) * (k if own else 1) + k * (1 + len(parts))
-    score = N * float(np.sum(np.log(power))) + numbers * np.log(N)
-    return Fit(shape=shape, values=values, parts=parts, own=own, score=score, count=numbers)
+def _shared(values, information):
+    """(values (p,) that all joints share, χ² of how far each joint's own (k, p) are from them)."""
+    mean = np.linalg.pinv(information.sum(0)) @ np.einsum("kij,kj->i", information, values)
+    return mean, float(np.einsum("ki,kij,kj->", values - mean, information, values - mean))
+
+
+def correlated(left) -> float:
+    """The correlation length of a residual (N,) [samples]: 1 for white noise."""
+    left = left - left.mean()
+    N, power = len(left), float(left @ left) or 1.0
+    share = np.fft.irfft(np.abs(np.fft.rfft(left, 2 * N)) ** 2, 2 * N)[: N // 2] / power
+    last = int(np.argmax(share < 2 / np.sqrt(N))) or len(share)
+    return float(max(1.0, 1.0 + 2.0 * np.sum(share[1:last])))
+
+
+def _drive(log, kind, values) -> Drive:
+    """The `Drive` of values (1, p), or (k, p) of joints that differ."""
+    names = [name for name in NUMBERS[kind] if name != "integral"]
+    numbers = {name: np.exp(values[:, i]) * log.Ts ** SCALES[name] for i, name in enumerate(names, 1)}
+    made = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
+    delay = float(np.clip(values[0, 0], 0, MOST - 1))
+    return Drive(command="velocity" if log.velocity else "position", delay=delay, **made)
+
+
+def _recommended(log, kind, values, covs, gain) -> tuple:
+    """(gain [1/s] over the interval, or None; [why there is none]) of values (k, p) and their covariances (k, p, p)."""
+    for i, name in enumerate(NUMBERS[kind], 1):
+        slow = np.log(BOUNDS[name][SCALES[name] > 0])  # the end at which a drive is slow, or swings
+        if name != "integral" and np.any(np.abs(values[:, i] - slow) < OFF):
+            return None, [
+                f"No gain: the {name.replace('_', ' ')} is at the end of what is tried. Record a longer step."
+            ]
+    drive = _drive(log, kind, values)
+    rows = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
+    slow = drive.lag if drive.order < 2 else 2 * np.maximum(np.pi, drive.damping_ratio) / drive.natural_frequency
+    if rows * log.Ts < np.max(slow):
+        return None, ["No gain: the log is shorter than the drive's own period. Record until it rests."]
+
+    def alpha(shape) -> float:
+        return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
+
+    best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
+    one = values[j : j + 1]
+    size, ways = np.linalg.eigh(covs[j])
+    size = np.sqrt(np.maximum(size, 0.0))
+    spread = 0.0
+    for s, way in zip(size[size > FINE], ways.T[size > FINE], strict=True):
+        spread += (np.log(alpha(one + min(s, STEP) * way) / alpha(one)) * s / min(s, STEP)) ** 2
+    if best < 1e-6 or spread**0.5 > OPEN:
+        return None, ["No gain: gains for the drives that explain the log differ too much. Record a larger step."]
+    return float(best * np.exp(-NORMAL * spread**0.5) / np.max(gain)), []

@@ -1,7 +1,7 @@
 """Algebra: folds operations on known numbers, and simplifies others.
 
-The rules treat NaN and infinity as JAX does, with one exception: 0 times anything is 0 where the 0 is a constant of the
-model (`Node.exact`).
+The rules treat NaN, infinity and the sign of 0 as XLA does (which leaves out an addition of 0), with one exception: 0
+times anything is 0, and 0 minus it has its other sign, where the 0 is a constant of the model (`Node.exact`).
 """
 
 import numpy as np
@@ -54,10 +54,10 @@ _FOLDED = {
     **{"max": np.maximum, "min": np.minimum, "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp},
     **{"log": np.log, "exp2": np.exp2, "expm1": np.expm1, "log1p": np.log1p, "atan2": np.arctan2, "asin": np.arcsin},
     **{"acos": np.arccos, "atan": np.arctan, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "pow": np.power},
-    **{"floor": np.floor, "ceil": np.ceil, "square": np.square, "is_finite": np.isfinite, "sign": np.sign},
+    **{"floor": np.floor, "ceil": np.ceil, "square": np.square, "is_finite": np.isfinite},
     **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal},
     **{"ne": np.not_equal, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert},
-    **{"rsqrt": lambda x: 1 / np.sqrt(x), "rem": _remainder},
+    **{"rsqrt": lambda x: 1 / np.sqrt(x), "rem": _remainder, "sign": lambda x: np.sign(x) if x else x},
 }
 
 
@@ -107,7 +107,7 @@ def _sub(g, args, params, dtype):
     a, b = args
     if _is(b, 0):
         return a
-    if _is(a, 0):
+    if _is(a, 0) and (a.exact or dtype.kind != "f" or np.signbit(a.value)):  # 0 − 0 is 0
         return g.op("neg", b)
     return g.op("add", a, b.args[0]) if b.op == "neg" else None
 
@@ -150,7 +150,7 @@ def _neg(g, args, params, dtype):
     (a,) = args
     if a.op == "neg":
         return a.args[0]
-    return g.op("sub", *a.args[::-1]) if a.op == "sub" else None
+    return g.op("sub", *a.args[::-1]) if a.op == "sub" and dtype.kind != "f" else None  # −(x − x) is −0
 
 
 def _select(g, args, params, dtype):

@@ -1,7 +1,6 @@
 """Compiler: the system's C compiler, or that of the Python package `ziglang` if it is installed."""
 
 import _ctypes
-import contextlib
 import ctypes
 import functools
 import hashlib
@@ -15,13 +14,11 @@ import shutil
 import signal
 import subprocess
 import tempfile
-import time
 import weakref
 
 from cnclik import errors
-from cnclik.programs import ENDING
 
-# For exports. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
+# For `build`. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
 # for a step with 33 joints and 51 rows. The code is as quick without it.
 FLAGS = (
     *("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fno-thread-jumps"),
@@ -29,10 +26,10 @@ FLAGS = (
 )
 # For the engine's programs, as measured: -O3 gains nothing. Scheduling before register allocation gains 6 to 16 % up to
 # some 2,000 operations without a branch; beyond, it loses up to 30 % with 16 registers. Contraction gains 7 % and is as
-# accurate.
+# accurate. Whole numbers wrap, as XLA's do. GCC before 12 needs -ftree-slp-vectorize for square roots.
 LANES = (
-    *("-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
-    *("-ftree-slp-vectorize", "-fno-strict-aliasing", "-fPIC", "-shared"),  # GCC before 12 needs it to vectorize sqrt
+    *("-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fwrapv"),
+    *("-ftree-slp-vectorize", "-fno-strict-aliasing", "-fPIC", "-shared"),
 )
 SCHEDULED = "-fschedule-insns"
 MOST_SCHEDULED = 2_000
@@ -44,9 +41,8 @@ UNSAFE = (
     "-ffp-model",
 )
 LONG = 20_000  # lines; longer programs are optimized less, as compile time grows faster than length
-LIMIT = 300.0  # [s] time limit of the compiler; the largest exports take half a minute
+LIMIT = 300.0  # [s] time limit of the compiler
 MOST_SECONDS = 120  # [s] the limit where XLA can run the function instead
-DAY = 86_400  # [s] that it is remembered: other work may have kept the compiler waiting
 
 # A shell that runs a command, and a watch that ends it with all its children if standard input closes first, as when
 # this process ends. The shell waits for the watch, which in a container would otherwise stay as a zombie.
@@ -139,7 +135,7 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     """(shared library of the engine's C text, named by its content; whether it existed already)
 
     Args: scheduled: whether the compiler may reorder the operations of a small program, which takes longer.
-    Raises: CompilerError; SlowCompilerError at once where the same compiler took too long less than a day ago.
+    Raises: CompilerError.
     """
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
     order = [SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED)
@@ -150,27 +146,10 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     folder.mkdir(parents=True, exist_ok=True)
     if (found := _kept(folder, name)) is not None:
         return found, True
-    about = os.stat(shutil.which(line[0]) or line[0])
-    limited = [*line, f"{about.st_mtime_ns}, {about.st_size} bytes, {MOST_SECONDS} s"]
-    refused = folder / f"slow-{_key(limited, [text.encode()])}{ENDING}"
-    if os.path.isfile(refused) and time.time() < refused.stat().st_mtime + DAY:
-        raise SlowCompilerError(f"nothing within {MOST_SECONDS:g} s")
     with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
         source = pathlib.Path(own, "lanes.c")
         source.write_text(text, encoding="utf-8")
-        try:
-            return _compiled(line, [source], folder, name, MOST_SECONDS), False
-        except SlowCompilerError:
-            with contextlib.suppress(OSError):  # then it is asked again
-                refused.touch()
-            raise
-
-
-def built(folder, name) -> pathlib.Path:
-    """The library of this name that `build_text` has built. Raises: CompilerError if it no longer exists."""
-    if not _whole(library := folder / name):
-        raise CompilerError(f"{name} is not there")
-    return library
+        return _compiled(line, [source], folder, name, MOST_SECONDS), False
 
 
 def _own_flags():
@@ -190,7 +169,7 @@ def _compiled(line, sources, folder, name, limit):
     part = folder / f"{name}.{os.getpid()}.part"
     try:
         code, said = _run([*line, "-o", str(part), *map(str, sources), "-lm"], limit)
-        if code:
+        if code or not os.path.isfile(part):
             raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80] or "nothing"))
         library = folder / f"{name}-{_digest(part)}.so"
         part.replace(library)
@@ -215,20 +194,20 @@ def _run(line, limit):
     line = [*WATCHED, *line] if group and os.access(WATCHED[0], os.X_OK) else line
     watched, alive = os.pipe()
     try:
-        with subprocess.Popen(
-            line, stdin=watched, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **group
-        ) as process:
-            try:
-                _, said = process.communicate(timeout=limit)
-            except subprocess.TimeoutExpired:
-                raise SlowCompilerError(f"nothing within {limit:g} s") from None
-            finally:  # also after an interrupt
-                if process.poll() is None:
-                    os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+        with tempfile.TemporaryFile() as said:  # no pipe: what the compiler leaves running may hold one open
+            with subprocess.Popen(line, stdin=watched, stdout=subprocess.DEVNULL, stderr=said, **group) as process:
+                try:
+                    process.wait(limit)
+                except subprocess.TimeoutExpired:
+                    raise SlowCompilerError(f"nothing within {limit:g} s") from None
+                finally:  # also after an interrupt
+                    if process.poll() is None:
+                        os.killpg(process.pid, signal.SIGKILL) if group else process.kill()
+            said.seek(0)
+            return process.returncode, said.read().decode(errors="replace")
     finally:
         os.close(watched)
         os.close(alive)
-    return process.returncode, said
 
 
 @functools.cache
@@ -241,11 +220,8 @@ def _processor() -> str:
     return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
 
 
-def opened(library, *, lets_go=True):
-    """The loaded library, closed once nothing refers to it; its functions alone do not keep it open.
-
-    Args: lets_go: release Python's lock during calls, for calls longer than a step.
-    """
-    found = (ctypes.CDLL if lets_go else ctypes.PyDLL)(str(library))
+def opened(library):
+    """The loaded library, closed once nothing refers to it; its functions alone do not keep it open."""
+    found = ctypes.CDLL(str(library))
     weakref.finalize(found, _ctypes.dlclose, found._handle).atexit = False  # a thread may still run its code
     return found

@@ -23,14 +23,6 @@ class SlowError(UnsupportedError):
     """It takes so long to build that the source itself, by XLA, answers sooner."""
 
 
-class TooLargeError(SlowError):
-    """Its graph has more nodes, or its C more lines, than the caller wants to build."""
-
-    def __init__(self, nodes):
-        super().__init__(f"a program of {nodes} operations and more takes long to build")
-        self.nodes = nodes
-
-
 class Node:
     """One scalar, or one row of scalars: an operation, its arguments and parameters, or a constant's value.
 
@@ -128,7 +120,7 @@ class Cond(Region):
 
 
 class Graph:
-    """A graph of at most so many nodes. Raises: TooLargeError from its methods that make the next one."""
+    """A graph of at most so many nodes. Raises: SlowError from its methods that make the next one."""
 
     def __init__(self, most=math.inf):
         self.most = most
@@ -141,7 +133,7 @@ class Graph:
         """A new node, neither looked up nor listed."""
         self.count += 1
         if self.count > self.most:
-            raise TooLargeError(self.count)
+            raise SlowError(f"a program of more than {self.most} operations takes long to build")
         return Node(op, args, params, shape, dtype, value, block, self.count, exact)
 
     def const(self, value, dtype, *, exact=False) -> Node:
@@ -186,7 +178,7 @@ class Graph:
         return block
 
     def apply(self, name, args, dtype, params=None) -> Node:
-        """An elementwise operation on scalars, or on rows of them, simplified where that changes at most a sign of 0.
+        """An elementwise operation on scalars, or on rows of them, simplified.
 
         Args: params: what the operation needs besides, hashable.
         """

@@ -21,7 +21,7 @@ def each_matrix(rule, largest=LARGEST):
         if max(inputs[0].shape[-2:]) > largest:
             raise UnsupportedError(f"`{eqn.primitive.name}` of {inputs[0].shape[-1]} rows has no C form")
         outs = [np.empty(v.aval.shape, object) for v in eqn.outvars]
-        for at in np.ndindex(*lead):
+        for at in np.ndindex(*lead) if any(out.size for out in outs) else ():
             for out, made in zip(outs, rule(g, eqn, *(x[at] for x in inputs)), strict=True):
                 out[at] = made
         return outs

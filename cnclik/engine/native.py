@@ -1,11 +1,11 @@
 """native(fn): a function of small arrays as C, for use inside your own JAX program.
 
-It is a JAX primitive whose CPU lowering calls the C library by XLA's foreign function interface. Its batching rule
-widens the batch. Its derivative is another such function, read from JAX's jvp; it is linear in the tangents, and its
-transpose is read from JAX's vjp. So `jit`, `vmap`, `jvp`, `grad` and `lax.scan` work, to any order.
+It is a JAX primitive. What its CPU lowering calls is decided by `plan`: a C library, by XLA's foreign function
+interface, or the function in JAX. Its batching rule widens the batch. Its derivative is another such function, read
+from JAX's jvp; it is linear in the tangents, and its transpose is read from JAX's vjp. So `jit`, `vmap`, `jvp`, `grad`
+and `lax.scan` work, to any order.
 """
 
-import contextlib
 import functools
 from collections.abc import Callable
 
@@ -17,14 +17,13 @@ from jax.interpreters import ad, batching, mlir, partial_eval
 
 from cnclik import errors
 from cnclik.cache import LRU, bounded_jit
-from cnclik.engine.graph import SlowError
-from cnclik.engine.plan import in_c, in_scalars, most_scalars, use_engine
-from cnclik.engine.program import Program, Programs, key_of, lane_avals
-from cnclik.engine.reader import closes_over_traced
+from cnclik.engine.graph import SlowError, UnsupportedError
+from cnclik.engine.plan import chosen
+from cnclik.engine.program import Program, key_of
+from cnclik.engine.reader import Trace, trace
 from cnclik.engine.rounds import RoundsError
-from cnclik.engine.to_jax import Derived
-from cnclik.engine.tracing import is_read, to_be_read
-from cnclik.programs import needs
+from cnclik.engine.to_jax import Derived, for_few_lanes
+from cnclik.engine.tracing import engine, is_read
 
 _registered = {}  # {name of a library: its program}, kept as XLA may call it as long as the process lives
 
@@ -46,39 +45,25 @@ def native(fn: Callable) -> Callable:
     """
     if not callable(fn):
         raise errors.fail("fn", "be a function of arrays", f"is {fn!r}")
-    return of_rounds(fn)
-
-
-def of_rounds(fn, whole=None, rounds=0):
-    """`native` of a function of so many rounds. Args: whole: the same function of any number of rounds, as `native`."""
-    made = LRU()
-
-    def function_of(treedef, args, named):
-        return Function(_flattened(fn, treedef), whole=whole and whole.of(*args, **named)[0], rounds=rounds)
+    functions = LRU()
 
     def of(*args, **named):
-        """(function of flat arrays, arrays) of some arguments."""
+        """(`Function` of flat arrays, arrays) of some arguments."""
         leaves, treedef = jax.tree.flatten((args, named))
-        function = made.made(treedef, lambda treedef: function_of(treedef, args, named))
+        function = functions.made(treedef, lambda treedef: Function(of_leaves(fn, treedef)))
         return function, list(map(errors.as_jax_takes, leaves))
 
     @functools.wraps(fn)
     def call(*args, **named):
         function, leaves = of(*args, **named)
-        leaves = [jnp.asarray(x) for x in leaves]
-        if is_read():  # as a part of what calls it
-            return function.fn(*leaves)
-        _, tree = function.out([jax.typeof(x) for x in leaves])
-        if function.itself:  # it has effects, or closes over values of a surrounding trace
-            return function.fn(*leaves)
-        return jax.tree.unflatten(tree, native_p.bind(*leaves, function=function, batched=(False,) * len(leaves)))
+        return function(*leaves)
 
     call.of = of  # type: ignore[attr-defined]
     return call
 
 
-def _flattened(fn, treedef):
-    """A function of trees as a function of their leaves."""
+def of_leaves(fn, treedef):
+    """A function of a tree (args, named) as a function of its leaves."""
 
     def flat(*leaves):
         args, named = jax.tree.unflatten(treedef, leaves)
@@ -88,7 +73,7 @@ def _flattened(fn, treedef):
 
 
 class Function:
-    """A function of flat arrays with its programs and the functions of its derivatives.
+    """A function of flat arrays with its forms and the functions of its derivatives.
 
     `linear` counts the last arguments in which it is linear. For a derivative, `of` is (the function, the arguments it
     is differentiated by, which of its results are real). `whole` is the function of any number of rounds, of which this
@@ -97,71 +82,91 @@ class Function:
 
     def __init__(self, fn, linear=0, of=None, whole=None, rounds=0):
         self.fn, self.linear, self.of, self.whole, self.rounds = fn, linear, of, whole, rounds
-        self.programs, self.scalars = Programs(self._flat), Programs(self._flat, Derived, most_scalars)
-        self.single = Programs(self._flat, functools.partial(Program, single=True))  # for a single lane
-        self.derivatives, self.shapes, self.trees, self.itself = {}, {}, {}, False
-        self.lanes_of_whole = {}  # its program for a single lane, of our number of rounds
+        self.traces, self.forms, self.derivatives = LRU(), LRU(), {}
 
-    def _flat(self, *leaves):
-        results, self.trees[key_of(map(jax.typeof, leaves))] = jax.tree.flatten(self.fn(*leaves))
-        return results
+    def __call__(self, *leaves):
+        """Return the tree of its results, as part of a JAX program or by one of its own."""
+        leaves = [jnp.asarray(x) for x in leaves]
+        if is_read():  # as a part of what calls it
+            return self.fn(*leaves)
+        traced = self.trace([jax.typeof(x) for x in leaves])
+        if traced.stays:
+            return self.fn(*leaves)
+        return traced.tree.unflatten(native_p.bind(*leaves, function=self, batched=(False,) * len(leaves)))
 
-    def one_lane(self, avals, *, known=False):
-        """The program for a single lane, or the reason why there is none. Args: known: None if it is not yet made."""
-        found = self.whole and (self.whole.single.known(avals) if known else self.whole.single.of(avals))
-        if found is None or isinstance(found, RoundsError):
-            return self.single.known(avals) if known else self.single.of(avals)
-        key = key_of(avals)
-        if isinstance(found, Program) and key not in self.lanes_of_whole:
-            self.trees[key] = self.whole.trees[key]
-            self.lanes_of_whole[key] = found.of_rounds(self.rounds)
-        return self.lanes_of_whole.get(key, found)
+    def flat(self, *leaves) -> list:
+        """Return its results, leaf by leaf."""
+        return jax.tree.leaves(self.fn(*leaves))
 
-    def out(self, avals) -> tuple:
-        """(avals of the results, leaf by leaf, their tree)"""
-        key = key_of(avals)
-        for program in (self.programs.known(avals), self.one_lane(avals, known=True)):
-            if isinstance(program, Program):  # it is already traced
-                return program.shapes, self.trees[key]
-        if key not in self.shapes:
-            given = [_aval(a.shape, a) for a in avals]
-            with to_be_read():  # as its programs do, so that JAX caches most of it for them
-                closed, shapes = jax.make_jaxpr(self.fn, return_shape=True)(*given)
-            self.itself |= bool(closed.effects) or closes_over_traced(closed)
-            self.shapes[key] = jax.tree.flatten(shapes)
-        return self.shapes[key]
+    def trace(self, avals) -> Trace:
+        """Return its trace for arguments of these avals. What is read already may be without its jaxpr."""
+        return self.traces.made(key_of(avals), lambda _: _without_tracers(trace(self.fn, avals)))
+
+    def form(self, kind, avals, most):
+        """Return its C for "lanes" or one "lane", or its "scalars" for JAX; or the reason why there is none.
+
+        Args: most: nodes of its graph.
+        """
+        return self.forms.made((kind, most, key_of(avals)), lambda _: self._made(kind, avals, most))
+
+    def _made(self, kind, avals, most):
+        if kind == "lane" and self.whole is not None:
+            whole = self.whole.form(kind, avals, most)
+            if isinstance(whole, Program):
+                whole = whole.of_rounds(self.rounds)
+            if not isinstance(whole, RoundsError):
+                return self._read(avals, whole)
+        try:
+            traced = self.trace(avals)
+            if traced.closed is None:
+                traced = trace(self.fn, avals)
+            if kind == "scalars":
+                return Derived(traced, avals, most=most)
+            return self._read(avals, Program(traced, avals, single=kind == "lane", most=most))
+        except UnsupportedError as error:
+            return error.with_traceback(None)  # whose frames would keep the graph
+
+    def _read(self, avals, form):
+        """The form. A program's trace is not needed again."""
+        if isinstance(form, Program):
+            self.traces[key_of(avals)] = Trace(None, form.shapes, form.tree, False)
+        return form
 
     def jvp(self, by, real):
-        """The tangents of the results, as a function of the arguments and of the tangents of the arguments `by`.
+        """Return the tangents of the results, as a function of the arguments and of tangents of the arguments `by`.
 
         Args: real: which results have tangents.
         """
-        key = "jvp", by, real
-        if key not in self.derivatives:
-            made = functools.partial(_pushed, self._flat, by, real)
-            self.derivatives[key] = Function(made, len(by), (self, by, real))
-        return self.derivatives[key]
+        return self._derived(
+            (by, real), lambda: Function(functools.partial(_pushed, self.flat, by, real), len(by), (self, by, real))
+        )
+
+    def transposed(self):
+        """Return the cotangents of the last, linear arguments, as a function of the others and of the results'."""
+        of, by, real = self.of
+        return self._derived("transposed", lambda: Function(functools.partial(_pulled_back, of.flat, by, real)))
 
     def only(self, wanted):
-        """The same function with the wanted results only, one bool for each result."""
+        """Return the same function with the wanted results only, one bool for each result."""
         if all(wanted):
             return self
         if self.of is not None:
             of, by, real = self.of
             kept = iter(wanted)
             return of.jvp(by, tuple(r and next(kept) for r in real))
-        if wanted not in self.derivatives:
-            self.derivatives[wanted] = Function(
-                lambda *args: [x for x, w in zip(self._flat(*args), wanted, strict=True) if w]
-            )
-        return self.derivatives[wanted]
+        return self._derived(
+            wanted, lambda: Function(lambda *args: [x for x, w in zip(self.flat(*args), wanted, strict=True) if w])
+        )
 
-    def transposed(self):
-        """The cotangents of the last, linear arguments, as a function of the others and of the results' cotangents."""
-        if "vjp" not in self.derivatives:
-            of, by, real = self.of
-            self.derivatives["vjp"] = Function(functools.partial(_pulled_back, of._flat, by, real))
-        return self.derivatives["vjp"]
+    def _derived(self, key, make):
+        if key not in self.derivatives:
+            self.derivatives[key] = make()
+        return self.derivatives[key]
+
+
+def _without_tracers(traced):
+    """A trace that may be kept: what closes over values of a surrounding trace is not."""
+    return traced._replace(closed=None) if traced.stays else traced
 
 
 def _restricted(fn, by, real, args):
@@ -187,6 +192,8 @@ def _pulled_back(fn, by, real, *args):
     return jax.vjp(of_some, *some)[1](list(args[first:]))
 
 
+# --- the primitive ------------------------------------------------------------------------------------
+
 native_p = Primitive("cnclik_native")
 native_p.multiple_results = True
 
@@ -204,66 +211,50 @@ def _aval(shape, like):
 @native_p.def_abstract_eval
 def _abstract(*avals, function, batched):
     lane, size = _lanes(avals, batched)
-    outs, _ = function.out(lane)
     shape = () if size is None else (size,)
-    return [jax.core.ShapedArray((*shape, *o.shape), o.dtype) for o in outs]
+    return [jax.core.ShapedArray((*shape, *o.shape), o.dtype) for o in function.trace(lane).shapes]
 
 
-def _plain(*args, function, batched):
-    """The function by JAX: scalar by scalar, or the source itself if it cannot be read."""
-    axes = [0 if b else None for b in batched]
-    lane, _ = _lanes([jax.typeof(x) for x in args], batched)
-    found = function.scalars.of(lane) if in_scalars() and not jax.config.jax_disable_jit else None
-    fn = found if isinstance(found, Derived) else function._flat
-    return jax.vmap(fn, axes)(*args) if any(batched) else fn(*args)
-
-
-def _on_a_cpu(ctx, *args, function, batched):
-    """Its lowering: C; or by JAX, and then the source of what it calls, too, if C takes too long to compile."""
+def _lowered(ctx, *args, function, batched, platform):
+    """Its lowering: what `plan` has chosen, for one lane or a batch."""
     lane, size = _lanes(ctx.avals_in, batched)
-    program = None
-    if in_c() and size != 0:
-        program = function.one_lane(lane) if size is None else function.programs.of(lane)
-    if isinstance(program, Program):
-        return _lowered(functools.partial(_called, program, size))(ctx, *args)
-    with contextlib.nullcontext() if not isinstance(program, SlowError) else use_engine("plain"):
-        return _lowered(_plain)(ctx, *args, function=function, batched=batched)
+    batch = size is not None
+    form = chosen(function, lane, batch=batch, platform=platform) if size != 0 else None
+    fn = form if isinstance(form, Derived) else function.flat
+    if isinstance(form, Program):
+        fn = functools.partial(_called, form, size)
+    elif batch:
+        fn = jax.vmap(fn, [0 if b else None for b in batched])
+        fn = for_few_lanes(fn, size) if isinstance(form, Derived) and platform == "cpu" else fn
+    with engine("plain" if isinstance(form, SlowError) else engine.value):
+        return mlir.lower_fun(fn, multiple_results=True)(ctx, *args)
 
 
 def _called(program, size, *args):
+    """Calls a library from XLA."""
     if program.path not in _registered:
-        _register(program)
-    needs(_ready, program.path)
+        jax.ffi.register_ffi_target(program.path, jax.ffi.pycapsule(program.library.call), platform="cpu")
+        _registered[program.path] = program
     shape = () if size is None else (size,)
     outs = [jax.ShapeDtypeStruct((*shape, *s.shape), s.dtype) for s in program.shapes]
     return jax.ffi.ffi_call(program.path, outs)(*args, *[np.int32(program.rounds)] * (program.rounds > 0))
 
 
-def _register(program):
-    jax.ffi.register_ffi_target(program.path, jax.ffi.pycapsule(program.library.call), platform="cpu")
-    _registered[program.path] = program
-
-
-def _ready(path):
-    """Registers with XLA a library that another process has built."""
-    if path not in _registered:
-        _register(Program.kept((), path, ()))
-
-
-_lowered = functools.partial(mlir.lower_fun, multiple_results=True)
-mlir.register_lowering(native_p, _lowered(_plain))
-mlir.register_lowering(native_p, _on_a_cpu, platform="cpu")
+mlir.register_lowering(native_p, functools.partial(_lowered, platform="other"))
+mlir.register_lowering(native_p, functools.partial(_lowered, platform="cpu"), platform="cpu")
 
 
 @native_p.def_impl
 def _now(*args, function, batched):
     if jax.config.jax_disable_jit:
-        return _plain(*args, function=function, batched=batched)
-    return called(*args, function=function, batched=batched)
+        axes = [0 if b else None for b in batched]
+        return jax.vmap(function.flat, axes)(*args) if any(batched) else function.flat(*args)
+    return compiled(*args, function=function, batched=batched)
 
 
 @functools.partial(bounded_jit, static_argnames=("function", "batched"))
-def called(*args, function, batched):
+def compiled(*args, function, batched):
+    """Its results, by a program of its own."""
     return native_p.bind(*args, function=function, batched=batched)
 
 
@@ -333,24 +324,3 @@ batching.primitive_batchers[native_p] = _batch
 partial_eval.dce_rules[native_p] = _used
 ad.primitive_jvps[native_p] = _jvp
 ad.primitive_transposes[native_p] = _transpose
-
-
-def scalars(fn):
-    """The function of one lane with one JAX operation per scalar; unchanged if it cannot be read.
-
-    Its derivatives are those of the original function.
-    """
-    as_c = fn if hasattr(fn, "of") else native(fn)
-
-    @functools.wraps(fn)
-    def call(*args):
-        function, leaves = as_c.of(*args)
-        lane = lane_avals(leaves, batched=False)
-        made = function.scalars.of(lane) if in_scalars() else None
-        if not isinstance(made, Derived):
-            return fn(*args)
-        flat = jax.custom_jvp(made)
-        flat.defjvp(lambda primals, tangents: jax.jvp(function._flat, primals, tangents))
-        return jax.tree.unflatten(function.trees[key_of(lane)], flat(*leaves))
-
-    return call

@@ -1,29 +1,19 @@
 """Numbers: a function called with numbers, as C without JAX around it: NumPy in and out, in microseconds."""
 
-import contextlib
 import ctypes
-import functools
 
 import jax
 import numpy as np
 
-from cnclik import cache
+from cnclik import cache, errors
 from cnclik.cache import LRU
-from cnclik.engine.graph import TooLargeError, UnsupportedError
-from cnclik.engine.native import called, native, of_rounds
-from cnclik.engine.plan import choice, in_c, most_nodes
-from cnclik.engine.program import Program, key_of, lane_avals
-from cnclik.engine.rounds import LEAST, RoundsError, any_rounds
-from cnclik.programs import name_of, recalled, remember
+from cnclik.engine.native import Function, compiled, of_leaves
+from cnclik.engine.plan import chosen
+from cnclik.engine.program import Program, lane_avals
+from cnclik.engine.rounds import LEAST, any_rounds
+from cnclik.engine.tracing import engine, is_read
 
 MOST_BYTES = 1 << 20  # of the results, at most, to lie in one block of memory
-Tracer = jax.core.Tracer
-
-
-@functools.cache
-def whole_of(fn):
-    """A function of two tuples of trees, known and given, and of any number of rounds, its `N`."""
-    return native(lambda known, given: fn(*known, *given, N=any_rounds()))
 
 
 class Numbers:
@@ -33,59 +23,55 @@ class Numbers:
     flattened once. Given are an array, then numbers of the array's type and trees of arrays.
     """
 
-    def __init__(self, fn, *, lets_go, **static):
-        """fn(*known, *given, **static). lets_go: release Python's lock during calls, if they are longer than a step.
-
-        A function of `N` rounds shares its program with those of other numbers, where there is such a program. It is no
-        C where that would take too long to compile, see `most_nodes`.
+    def __init__(self, fn, *, lets_go):
+        """Args:
+        fn: fn(*known, *given, **rounds); with `N` rounds it shares its program with other N where there is such a one.
+        lets_go: release Python's lock during calls, if they are longer than a step.
         """
-        self.fn, self.static, self.lets_go = fn, static, lets_go
-        N = self.rounds = static.get("N", 0)
-        self.native = of_rounds(self.source, whole_of(fn) if N >= LEAST else None, N)
-        self.ready, self.entries = {}, LRU()
-        self.ran_in_c = False  # the last call
+        self.fn, self.lets_go = fn, lets_go
+        self.ready, self.functions, self.entries = {}, LRU(), LRU()
 
-    def source(self, known, given):
-        return self.fn(*known, *given, **self.static)
+    def __call__(self, known, given, **rounds):
+        """Return its results as a tree of read-only NumPy arrays, or of JAX arrays if the first given array is one.
 
-    def __call__(self, known, given):
-        """Its results as a tree of read-only NumPy arrays, or of JAX arrays if the first given array is one.
-
-        None if it does not run as C.
+        Numbers are computed by what `plan` has chosen, C or JAX. What is traced becomes part of a user's program.
         """
+        if is_read():  # the engine reads the source itself
+            return self.fn(*known, *given, **rounds)
         leaves, treedef = jax.tree.flatten(given)
-        key = [treedef, jax.config.jax_enable_x64, *choice(), *map(id, known)]
+        key = [treedef, jax.config.jax_enable_x64, engine.value, *rounds.values(), *map(id, known)]
         for x in leaves:
             key += type(x), x.shape, x.dtype
         key = tuple(key)
-        call = self.ready.get(key) or self._prepared(key, known, given)
-        self.ran_in_c = call is not None
-        return call and call(leaves)
+        call = self.ready.get(key) or self._prepared(key, known, given, rounds)
+        return call(leaves)
 
-    def _prepared(self, key, known, given):
-        if not in_c():
-            return None
-        function, every = self.native.of(known, given)
-        if any(isinstance(x, Tracer) for x in every):
-            return None
-        most = most_nodes(self.rounds)
-        avals, others = lane_avals(every, batched=False), len(jax.tree.leaves(given))
-        program, tree = self._program(function, avals, known, given, most)
-        if not isinstance(program, Program) or program.nodes > most:
-            return None
-        first, given = every[: len(every) - others], every[len(every) - others :]
-        lasting = not any(isinstance(x, np.ndarray) and x.flags.writeable for x in first)
-        if isinstance(given[0], jax.Array):
+    def _prepared(self, key, known, given, rounds):
+        """Return the function of given leaves that computes the results; it is kept unless something is traced."""
+        leaves, treedef = jax.tree.flatten(((known, given), {}))
+        every, count = list(map(errors.as_jax_takes, leaves)), len(leaves) - len(jax.tree.leaves(given))
+        function, first, avals = self._function(treedef, rounds), every[:count], lane_avals(every, batched=False)
+        numbers, lasting = not isinstance(given[0], jax.Array), not any(map(_is_writable, first))
+        if any(isinstance(x, jax.core.Tracer) for x in every):
+            return lambda leaves: function(*first, *leaves)
+        form, traced = chosen(function, avals, batch=False), function.trace(avals)
+        if traced.stays:
+            return lambda leaves: function(*first, *leaves)
+        if not (isinstance(form, Program) and numbers):
             with jax.ensure_compile_time_eval():  # cached values must not become part of a user's trace
-                first, none = jax.device_put(first), (False,) * len(every)
+                first = jax.device_put(first)
 
-            def call(leaves, known=known):  # keeps the known values alive, as their ids are the key
-                return tree.unflatten(called(*first, *leaves, function=function, batched=none))
+            def call(leaves, known=known):  # keeps them alive, as their ids are in the key
+                found = compiled(*first, *leaves, function=function, batched=(False,) * len(every))
+                return traced.tree.unflatten(map(np.asarray, found) if numbers else found)
 
-        elif sum(s.size * s.dtype.itemsize for s in program.shapes) > MOST_BYTES:
-            return lambda leaves: tree.unflatten(map(_only, program([*first, *leaves], 1)))
+        elif sum(s.size * s.dtype.itemsize for s in form.shapes) > MOST_BYTES:
+
+            def call(leaves, known=known):
+                return traced.tree.unflatten(map(_only, form([*first, *leaves], 1)))
+
         else:
-            entry = self.entries.made(program, lambda _: _Entry(program, len(first), tree, self.lets_go))
+            entry = self.entries.made(form, lambda _: _Entry(form, count, self.lets_go))
             call = entry.call_with(first, known)
         if lasting:
             if len(self.ready) >= cache.KEPT_PROGRAMS:
@@ -93,35 +79,20 @@ class Numbers:
             self.ready[key] = call
         return call
 
-    def _program(self, function, avals, known, given, most):
-        """(the program, the tree of its results)"""
-        if function.whole is not None:
-            found, tree = self._made(function.whole, "any", avals, known, given, most)
-            if isinstance(found, Program):
-                return function.one_lane(avals), tree
-            if not isinstance(found, RoundsError):
-                return found, None
-        return self._made(function, self.static, avals, known, given, most)
+    def _function(self, treedef, rounds):
+        """Return the function of the leaves of known and given."""
 
-    def _made(self, function, about, avals, known, given, most):
-        """The same of one function; with a cache of programs, what an earlier process made."""
-        made, trees, key = function.single, function.trees, key_of(avals)
-        name = name_of((self.fn, about), (known, given)) if made.known(avals) is None else None
-        found = recalled(name) if name else None
-        if isinstance(found, int):  # too many nodes for the process that read it
-            if found > most:
-                return TooLargeError(found), None
-        elif found:
-            with contextlib.suppress(UnsupportedError):  # its library no longer exists
-                program = made.found[key] = Program.kept(avals, *found)
-                trees[key] = jax.tree.structure(found[1])
-                return program, trees[key]
-        program = made.of(avals, most=most)
-        if name and isinstance(program, Program):
-            remember(name, lambda: (program.path, trees[key].unflatten(program.shapes), program.grows))
-        elif name and isinstance(program, TooLargeError):
-            remember(name, lambda: program.nodes)
-        return program, trees.get(key)
+        def make(static, **more):
+            return Function(of_leaves(lambda known, given: self.fn(*known, *given, **static), treedef), **more)
+
+        N, whole = rounds.get("N", 0), None
+        if N >= LEAST:
+            whole = self.functions.made((treedef, "any"), lambda _: make({"N": any_rounds()}))
+        return self.functions.made((treedef, N), lambda _: make(rounds, whole=whole, rounds=N))
+
+
+def _is_writable(x) -> bool:
+    return isinstance(x, np.ndarray) and x.flags.writeable
 
 
 def _only(several):
@@ -133,8 +104,8 @@ def _only(several):
 class _Entry:
     """A program's entry for numbers, with the first `count` arguments in a block of their own."""
 
-    def __init__(self, program, count, tree, lets_go):
-        self.program, self.count, self.unflatten = program, count, tree.unflatten
+    def __init__(self, program, count, lets_go):
+        self.program, self.count = program, count
         library = (ctypes.CDLL if lets_go else ctypes.PyDLL)(None, handle=program.library._handle)
         self.run, self.run.argtypes = library.of_numbers, (ctypes.c_int64, *[ctypes.c_void_p] * 2, ctypes.c_int32)
         given = program.avals[count:]
@@ -146,7 +117,7 @@ class _Entry:
         filled, block_of, memory_of = np.zeros((), self.first), self.block, ctypes.c_char * self.block.itemsize
         for name, x in zip(self.first.names or (), first, strict=True):
             filled[name] = x
-        run, unflatten, takes, gives = self.run, self.unflatten, self.takes, self.gives
+        run, unflatten, takes, gives = self.run, self.program.tree.unflatten, self.takes, self.gives
         count, address, rounds = self.count, filled.ctypes.data, self.program.rounds
 
         def call(leaves, kept=(self, known, filled)):  # the library, too

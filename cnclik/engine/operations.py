@@ -16,6 +16,14 @@ TYPES = {  # NumPy dtype: C types of (a vector of lanes, a number)
     "bool": ("M", "uint8_t"),
 }
 _BY_DTYPE = {np.dtype(name): both for name, both in TYPES.items()}
+
+
+def check_dtype(dtype) -> None:
+    """Raise UnsupportedError if numbers of a type, or random keys, have no C form."""
+    if not isinstance(dtype, np.dtype) or dtype.name not in TYPES:
+        raise UnsupportedError(f"numbers of type {dtype} have no C form")
+
+
 _COSTLY = "sin cos tan exp log atan2 expm1 log1p pow tanh asin acos sinh cosh exp2 logistic"
 COST = dict.fromkeys(_COSTLY.split(" "), 30)
 COST |= {"div": 6, "sqrt": 8, "rsqrt": 10, "rem": 10}

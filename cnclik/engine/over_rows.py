@@ -1,9 +1,8 @@
 """Over rows: rules of primitives on stacked rows, with rows as results; reducing over the rounds is a loop."""
 
-import functools
-
 import numpy as np
 
+from cnclik.engine import arrays
 from cnclik.engine.arrays import neutral
 from cnclik.engine.cells import MOVES, array_of
 from cnclik.engine.graph import Scan
@@ -163,12 +162,7 @@ class _Sum:
 def reduced(g, x, axes, name, dtype):
     """A reduction of rows: over inner axes cell by cell, over axis 0 by a loop."""
     inner = tuple(a - 1 for a in axes if a)
-    cells = x.cells
-    if inner:
-        kept = [a for a in range(cells.ndim) if a not in inner]
-        shape = [cells.shape[a] for a in kept]
-        flat = cells.transpose(*kept, *inner).reshape(int(np.prod(shape)), -1)
-        cells = array_of([functools.reduce(functools.partial(g.op, name), r) for r in flat], shape)
+    cells = arrays.reduced(g, x.cells, inner, name, dtype) if inner else x.cells
     if 0 not in axes:
         return Rows(cells, x.length)
     moving = [c for c in cells.flat if c.shape]

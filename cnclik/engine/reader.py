@@ -12,17 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import partial_eval
 
-from cnclik.engine import over_rows, random, stacks
+from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
 from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved, walk
 from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
-from cnclik.engine.operations import NAMES
+from cnclik.engine.operations import NAMES, check_dtype
 from cnclik.engine.places import PLACES, out_of_whole
-from cnclik.engine.random import check_dtype
 from cnclik.engine.regions import REGIONS
+from cnclik.engine.rounds import known_rounds
 from cnclik.engine.stacks import Deep, Rows, is_cells
+from cnclik.engine.tracing import to_be_read
 
 LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
 LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole
@@ -39,27 +40,20 @@ def params_of(eqn):
     return None if key is None else int(eqn.params[key])
 
 
-class Opaque(NamedTuple):
-    """A known value that is no array of numbers: a random key."""
-
-    value: Any
-
-
 class Reader:
-    """Reads jaxprs into a graph. Values are cells, rows or whole arrays (see `stacks`), or opaque."""
+    """Reads jaxprs into a graph. Values are cells, rows or whole arrays (see `stacks`)."""
 
     def __init__(self, graph: Graph):
         self.g = graph
 
     def constant(self, value, aval=None):
-        if hasattr(value, "dtype") and random.is_key(value):
-            return Opaque(value)
+        check_dtype(getattr(value, "dtype", np.dtype(float)))  # random keys, before NumPy refuses them
         value = np.asarray(value, getattr(aval, "dtype", None))
         check_dtype(value.dtype)
         return stacks.constant(self.g, value, LIMIT)
 
     def cells(self, x):
-        return random.as_cell(self, x.value) if isinstance(x, Opaque) else stacks.cells_of(self.g, x, LIMIT)
+        return stacks.cells_of(self.g, x, LIMIT)
 
     def run(self, jaxpr, consts, values) -> list:
         """Results of an open jaxpr."""
@@ -82,12 +76,8 @@ class Reader:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
             return list(inputs)
-        if any(random.is_key(v.aval) for v in (*eqn.invars, *eqn.outvars)):
-            return self._of_keys(eqn, inputs)
         if name == "bitcast_convert_type" and eqn.invars[0].aval.shape != eqn.outvars[0].aval.shape:
             raise UnsupportedError(f"`{name}` to numbers of another size has no C form")
-        if name in random.RANDOM:
-            return random.RANDOM[name](self, eqn, *map(self.cells, inputs))
         for v in eqn.outvars:
             check_dtype(v.aval.dtype)
         inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
@@ -125,19 +115,13 @@ class Reader:
 
     def _by_jax(self, eqn, inputs):
         """Lets JAX compute an equation without a C form, if all its inputs are known."""
-        values = [x.value if isinstance(x, Opaque) else stacks.known_value(x) for x in inputs]
+        values = [stacks.known_value(x) for x in inputs]
         if any(v is None for v in values):
             raise UnsupportedError(f"the operation `{eqn.primitive.name}` has no C form")
-        for i, v in enumerate(eqn.invars):
-            values[i] = values[i] if isinstance(inputs[i], Opaque) else values[i].astype(v.aval.dtype)
+        values = [value.astype(v.aval.dtype) for value, v in zip(values, eqn.invars, strict=True)]
         with jax.ensure_compile_time_eval():
             made = eqn.primitive.bind(*values, **eqn.params)
         return [self.constant(x) for x in (made if eqn.primitive.multiple_results else [made])]
-
-    def _of_keys(self, eqn, inputs):
-        if all(isinstance(x, Opaque) or stacks.known_value(x) is not None for x in inputs):
-            return self._by_jax(eqn, inputs)
-        return random.drawn(self, eqn, list(map(self.cells, inputs)))
 
     def _elementwise(self, eqn, inputs):
         (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
@@ -182,25 +166,31 @@ def _keeps(eqn) -> bool:
     return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
 
 
-def closes_over_traced(closed) -> bool:
-    """Whether a closed jaxpr contains values of a surrounding trace."""
-    return any(isinstance(x, jax.core.Tracer) for x in closed.consts)
+class Trace(NamedTuple):
+    """A traced function: its closed jaxpr, None once it is read, and the shapes and the tree of its results."""
+
+    closed: Any
+    shapes: list
+    tree: Any
+    stays: bool  # where it is called: it has effects, or closes over values of a surrounding trace
 
 
-def read(fn, *avals, most=math.inf):
-    """(graph, input nodes, output values, (output leaves' avals, their tree)) of a function of one lane's arrays.
+def trace(fn, avals) -> Trace:
+    """Trace a function of arrays of these avals, to be read. Raises: RoundsError if it depends on unknown rounds."""
+    with known_rounds(), to_be_read():
+        closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
+    stays = bool(closed.effects) or any(isinstance(x, jax.core.Tracer) for x in closed.consts)
+    return Trace(closed, *jax.tree.flatten(shapes), stays)
 
-    Args: most: nodes of the graph. Raises: TooLargeError as soon as there are more.
+
+def read(closed, known=(), most=math.inf):
+    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}.
+
+    Args: most: nodes of the graph. Raises: SlowError as soon as there are more.
     """
-    closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
-    return (*read_jaxpr(closed, most=most), jax.tree.flatten(shapes))
-
-
-def read_jaxpr(closed, known=(), most=math.inf):
-    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}."""
     if closed.effects:
         raise UnsupportedError(f"effects, such as {next(iter(closed.effects))}, have no C form")
-    if closes_over_traced(closed):
+    if any(isinstance(x, jax.core.Tracer) for x in closed.consts):
         raise UnsupportedError("what the function closes over is traced")
     jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
     g = Graph(most)

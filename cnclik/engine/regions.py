@@ -1,11 +1,13 @@
 """Regions: reads scan, while, cond and linear solves as loops and branches."""
 
+import functools
+
 import numpy as np
 
 from cnclik.engine import stacks
 from cnclik.engine.cells import array_of, consts_and_carry
 from cnclik.engine.graph import Block, Cond, Scan, UnsupportedError, While
-from cnclik.engine.random import Key, check_dtype, is_key
+from cnclik.engine.operations import check_dtype
 from cnclik.engine.residuals import computed_anew
 from cnclik.engine.stacks import Deep, Rows, is_cells, row_node, stacked_node
 
@@ -13,24 +15,20 @@ LARGEST_ROW = 4096  # entries, at most, that one round takes or stacks
 
 
 def _shapes(avals):
-    return [((), np.uint32 if is_key(a) else a.dtype) for a in avals for _ in range(a.size * (1 + is_key(a)))]
+    return [((), a.dtype) for a in avals for _ in range(a.size)]
 
 
 def _flat(reader, values):
-    cells = [cell for v in values for cell in reader.cells(v).flat]
-    return [node for cell in cells for node in (cell if isinstance(cell, Key) else [cell])]
+    return [cell for v in values for cell in reader.cells(v).flat]
 
 
 def _unflat(nodes, avals):
     nodes = iter(nodes)
-    return [
-        array_of([Key(next(nodes), next(nodes)) if is_key(a) else next(nodes) for _ in range(a.size)], a.shape)
-        for a in avals
-    ]
+    return [array_of([next(nodes) for _ in range(a.size)], a.shape) for a in avals]
 
 
-def _small(avals, what, rows=()):
-    for a in rows:
+def _small(avals, what):
+    for a in avals:
         check_dtype(a.dtype)
     largest = max((a.size for a in avals), default=0)
     if largest > LARGEST_ROW:
@@ -45,7 +43,7 @@ def _scan(reader, eqn, *inputs):
     consts, first, xs = inputs[:nc], inputs[nc : nc + nk], inputs[nc + nk :]
     carried, stacked = [v.aval for v in eqn.outvars[:nk]], [v.aval for v in jaxpr.jaxpr.outvars[nk:]]
     scanned = [v.aval for v in jaxpr.jaxpr.invars[nc + nk :]]
-    _small([*carried, *stacked, *scanned], "a round of a scan", [*stacked, *scanned])
+    _small([*carried, *stacked, *scanned], "a round of a scan")
     if length == 0:
         return [*first, *(array_of([], (0, *a.shape)) for a in stacked)]
     if length > 1 and (length == params["unroll"] or any(map(_is_mask, xs, scanned))):
@@ -133,13 +131,26 @@ def _while(reader, eqn, *inputs):
     r.first = _flat(reader, inputs[ahead + params["body_nconsts"] :])
     r.carries = g.nodes(r, "carry", _shapes(carried), r.block)
     outside, g.block = g.block, r.asking
-    (begins,) = reader.run(cond.jaxpr, cond.consts, [*of_cond, *_unflat(r.carries, carried)])
-    r.begins, g.block = begins.item(), r.block
-    r.then = _flat(reader, reader.run(body.jaxpr, body.consts, [*of_body, *_unflat(r.carries, carried)]))
+    here = _unflat(r.carries, carried)
+    (begins,) = reader.run(cond.jaxpr, cond.consts, [*of_cond, *here])
+    begins = reader.cells(begins)
+    r.begins = functools.reduce(functools.partial(g.op, "or"), begins.flat, g.const(False, bool))
+    g.block = r.block
+    then = map(reader.cells, reader.run(body.jaxpr, body.consts, [*of_body, *here]))
+    if begins.ndim:  # of a batch: who has ended stays as it is, while others go on
+        then = map(functools.partial(_where, g, begins), then, here)
+    r.then = [node for x in then for node in x.flat]
     g.block = outside
     outside.items.append(r)
     r.outs = g.nodes(r, "end", _shapes(carried), outside)
     return _unflat(r.outs, carried)
+
+
+def _where(g, condition, yes, no):
+    """yes where a condition holds, on their first axes."""
+    condition = condition.reshape(*condition.shape, *[1] * (yes.ndim - condition.ndim))
+    flat = zip(np.broadcast_to(condition, yes.shape).flat, yes.flat, no.flat, strict=True)
+    return array_of([g.select(*cells) for cells in flat], yes.shape)
 
 
 def _cond(reader, eqn, index, *inputs):

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.engine import reader
 from cnclik.engine.graph import Graph
-from cnclik.engine.reader import read_jaxpr
 from cnclik.engine.tracing import to_be_read
 
 REAL, INT = "real", "int"
@@ -34,11 +34,11 @@ class Routine(NamedTuple):
 
     inputs: dict  # {group: [Field]}
     outputs: dict  # {group: [Field]}
-    graph: Graph | None = None
-    given: Sequence = ()  # its input nodes, field by field
-    outs: Sequence = ()  # its results, field by field
-    fn: Callable | None = None  # of flat arrays, compiled-in ones included
-    fixed: dict | None = None  # {index of an argument of `fn`: its compiled-in value}
+    graph: Graph
+    given: Sequence  # its input nodes, field by field
+    outs: Sequence  # its results, field by field
+    fn: Callable  # of flat arrays, compiled-in ones included
+    fixed: dict  # {index of an argument of `fn`: its compiled-in value}
 
     def places(self, place) -> tuple:
         """The readers and writers for `Writer`; `place(group, field)` gives a field's place in C."""
@@ -71,6 +71,6 @@ def read(fn, groups, outputs, *, dtype, fixed=()) -> Routine:
 
     with to_be_read(), jax.enable_x64(types[REAL].itemsize == 8):
         closed = jax.make_jaxpr(typed)(*(jax.ShapeDtypeStruct(f.shape, t) for _, f, t in every))
-    graph, given, outs = read_jaxpr(closed, known)
+    graph, given, outs = reader.read(closed, known)
     kept = {g: [f for f in some if not (g == "parameters" and f.name in fixed)] for g, some in groups.items()}
     return Routine(kept, outputs, graph, [n for i, n in enumerate(given) if i not in known], outs, typed, known)

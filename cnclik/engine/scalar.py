@@ -129,7 +129,9 @@ _REAL = {
 }
 _WHOLE = {
     **{"max": "{0} > {1} ? {0} : {1}", "min": "{0} < {1} ? {0} : {1}", "sign": "({0} > 0) - ({0} < 0)"},
-    **{"abs": "{0} < 0 ? -{0} : {0}", "rem": "{1} == 0 ? {0} : {minus} ? 0 : {0} % {1}"},
+    **{name: f"({{N}})((uint64_t){{0}} {BINARY[name]} {{1}})" for name in ("add", "sub", "mul")},  # they wrap
+    **{"neg": "({N})(0 - (uint64_t){0})", "abs": "{0} < 0 ? ({N})(0 - (uint64_t){0}) : {0}"},
+    "rem": "{1} == 0 ? {0} : {minus} ? 0 : {0} % {1}",
     "div": "{1} == 0 ? ({N})-1 : {minus} ? ({N})(0 - (uint64_t){0}) : {0} / {1}",
     "shift_left": "(uint64_t){1} < {bits} ? ({N})((uint64_t){0} << {1}) : 0",
     "shift_right_logical": "(uint64_t){1} < {bits} ? ({N})((uint{bits}_t){0} >> {1}) : 0",
@@ -149,9 +151,9 @@ def _text(node, a) -> str:
         return _selected(a, node.args[0].dtype.kind)
     if kind == "b" and name in _OF_BITS:
         return f"{a[0]} {_OF_BITS[name]} {a[1]}"
-    if name in COMPARED or name in BITS or (name in BINARY and (kind == "f" or name != "div")):
+    if name in COMPARED or name in BITS or (name in BINARY and kind == "f"):
         return f"{a[0]} {(COMPARED | BITS | BINARY)[name]} {a[1]}"
-    if name in ("neg", "not"):
+    if name == "not" or (name == "neg" and kind == "f"):
         return f"{'-' if name == 'neg' else '!' if kind == 'b' else '~'}{a[0]}"
     if kind == "u" and name in ("abs", "sign"):
         return f"{a[0]}{' > 0' * (name == 'sign')}"

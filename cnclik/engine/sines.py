@@ -1,6 +1,6 @@
 """Sines: sine and cosine together, by one range reduction and two short polynomials, within 2 ulp: for XLA and for C.
 
-XLA's own sine and cosine cost several times more and dominate a kinematics loop. Here x = k·π/2 + r with |r| ≤ π/4
+XLA's own sine and cosine cost several times more and dominate a kinematics loop. Here |x| = k·π/2 + r with |r| ≤ π/4
 (Cody & Waite 1980). π/2 is split into short parts, so that k times each but the last is exact for |x| ≤ 1e4;
 contracting a·b + c then changes nothing. sin r and cos r are minimax polynomials with a relative error of 4e-9 in
 float32 and 4e-18 in float64. XLA's functions are used beyond this range and for NaN.
@@ -85,7 +85,7 @@ def sincos(angles):
 
 def _reduced(x):
     """(sin x, cos x) for |x| ≤ RANGE; meaningless beyond."""
-    table = TABLES[x.dtype.itemsize]
+    table, negative, x = TABLES[x.dtype.itemsize], jnp.signbit(x), jnp.abs(x)
     *exact, part, tail = map(float, table.half_pi.split())
     k = lax.round(x * (2 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
     for p in exact:
@@ -98,7 +98,7 @@ def _reduced(x):
     quadrant = k.astype(jnp.int32)
     swap = (quadrant & 1) == 1
     s, c = jnp.where(swap, c, s), jnp.where(swap, s, c)
-    return jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
+    return jnp.where(((quadrant & 2) == 2) ^ negative, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
 
 
 def _polynomial(numbers, z):

@@ -16,16 +16,15 @@ from jax.extend.core import jaxpr_as_fun
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation
-from cnclik.engine.reader import read
+from cnclik.engine.reader import Trace, read, trace
 from cnclik.engine.row_texts import all_items, cells_of
 from cnclik.engine.sines import sincos
 from cnclik.engine.stacks import Rows
 from cnclik.engine.to_c import HEAVY, weight
-from cnclik.engine.tracing import to_be_read
-from cnclik.hints import hints_on, one_function
 
 LONGEST, BACK, WORTH = 40, 8, 4  # measured; the speed hardly depends on them
 FEWEST = 3  # operations, at least, of a stage
+FEW = 1024  # lanes, at most, of a batch that is one function of XLA; with more of them XLA:CPU may fail
 
 _OTHER_NAMES = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
 
@@ -37,20 +36,38 @@ class Derived:
     """A function of one lane's arrays, read and written as JAX. Raises: UnsupportedError if it cannot be read."""
 
     def __init__(self, fn, avals, *, most=math.inf):
-        """Args: most: nodes of its graph."""
-        with to_be_read():
-            self.read = *_, (self.shapes, self.tree) = read(fn, *avals, most=most)
-        self.avals, self.written = avals, {}
+        """Args: fn: the function, or its `Trace`. most: nodes of its graph."""
+        traced = fn if isinstance(fn, Trace) else trace(fn, avals)
+        writer = functools.partial(_Writer, *read(traced.closed, most=most), fenced=jax.default_backend() == "cpu")
+        types = [s.dtype for s in traced.shapes]
+        closed = jax.make_jaxpr(lambda *x: writer(x).results(types))(*avals)
+        self.tree, self.call = traced.tree, jaxpr_as_fun(closed)  # one function, so that `vmap` caches its result
 
     def __call__(self, *leaves) -> list:
-        made = self.written.get(hints_on())
-        if made is None:  # made once, so that `vmap` caches its result
-            graph, given, outs, _ = self.read
-            types = [s.dtype for s in self.shapes]
-            writer = functools.partial(_Writer, graph, given, outs, fenced=hints_on())
-            closed = jax.make_jaxpr(lambda *x: writer(x).results(types))(*self.avals)
-            made = self.written[hints_on()] = one_function(jaxpr_as_fun(closed))
-        return made(*leaves)
+        return self.call(*leaves)
+
+
+def for_few_lanes(fn, lanes):
+    """A function of batches as one function of XLA:CPU, if it has so few lanes.
+
+    Otherwise XLA runs each kernel of a loop through its runtime's dispatcher: a fifth of the speed. It fails where such
+    a function has a single, large result, which several threads would compute (jaxlib 0.10). So there is a second one.
+    """
+    if lanes > FEW:
+        return fn
+
+    def inside(*args):  # the mark is for this call, not for those inside it
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
+            return [*fn(*args), lax.optimization_barrier(jnp.bool_(True))]
+
+    jitted = jax.jit(inside, inline=False)
+
+    def call(*args):
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            *found, sure = jitted(*args)
+        return found if len(found) > 1 else [jnp.where(sure, x, jnp.zeros_like(x)) for x in found]
+
+    return call
 
 
 class _Writer:

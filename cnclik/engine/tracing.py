@@ -1,18 +1,18 @@
-"""Tracing: whether the engine reads what is being traced, which then leaves out hints for XLA."""
+"""Tracing: what JAX's traces depend on: the engine that the user has chosen, and whether the engine reads.
 
-import contextlib
+Both are part of JAX's cache keys. They are made together: each such context that JAX gets later makes it compile anew
+what a user has compiled before.
+"""
 
 import jax
 
-from cnclik.hints import few_lanes, use_hints
-from cnclik.hints import read as _read
+engine = jax.make_user_context(default_value=None)  # a name in `cnclik.engine.plan.ENGINES`; None: the quickest
+_read = jax.make_user_context(default_value=False)
 
 
-@contextlib.contextmanager
 def to_be_read():
-    """Context manager: the engine reads what is traced inside, without hints for XLA."""
-    with use_hints(False), few_lanes(0), _read(True):
-        yield
+    """Context manager: the engine reads what is traced inside."""
+    return _read(True)
 
 
 def is_read() -> bool:

@@ -3,82 +3,83 @@
 import jax
 import numpy as np
 
-from cnclik.export.source import GROUPS
+from cnclik.export.source import GROUPS, has_status
 from cnclik.export.trace import place, targets
-from cnclik.hints import QUICK_COMPILE, known_options
-from cnclik.integrate.status import Status
+from cnclik.law.law import Law
 from cnclik.law.paths import hold_at
 from cnclik.law.reference import by_target
 from cnclik.measure.files import markdown
-from cnclik.reaching.result import ReachStatus
 from cnclik.robot.posture import start_posture
 from cnclik.version import __version__
 
-BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {sources} -lm -o example"
+BUILD = "cc -std=c99 -O2 -ffp-contract=off -fno-math-errno {name}.c example.c -lm -o example"
 COUNT = 8
 TOLERANCE = {8: 1e-9, 4: 1e-3}  # {bytes of a number: tolerance}, as other compilers round differently
 
 
 def inputs(request, program) -> dict:
-    """{"group.name": (count, size)}: postures around a good one with targets nearby; the last has a NaN."""
-    random, chain, task = np.random.default_rng(0), request.law.chain, request.law.task
-    start = np.asarray(start_posture(chain, task), float)
-    q = start + random.uniform(-0.2, 0.2, (COUNT, chain.n))
-    known = {"q": q, "t": np.linspace(0, 1, COUNT)[:, None], "Ts": np.full((COUNT, 1), 0.01)}
-    if any(f.name not in known for f in program.inputs["input"]):
-        held = [by_target(hold_at(chain, task, row + random.uniform(-0.05, 0.05, chain.n)), task) for row in q]
-        for i, (before, parts) in enumerate(targets(task)):
-            for part in parts.parts:
-                which = "rotation" if part.turns else "position"
-                known[before + place(part)] = np.array([np.ravel(getattr(one[i][0].curve, which)) for one in held])
-            known[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.width))
-    made = {}
+    """Return {"group.name": (count, size)}: postures with targets nearby; the last has a NaN."""
+    random = np.random.default_rng(0)
+    if isinstance(request.of, Law):
+        values = _of_step(request.of, program, random)
+    else:
+        values = {"q": random.uniform(-1, 1, (COUNT, request.of.n))}
+    values["q"][-1, 0] = np.nan
+    given = {}
     for group, fields in program.inputs.items():
         for f in fields:
-            if group == "input":
-                value = known[f.name]
-            else:
-                value = np.broadcast_to(np.ravel(0 if group == "history" else f.value), (COUNT, f.size))
-            value = value.astype(request.dtype if f.kind == "real" else np.int32)
-            made[f"{group}.{f.name}"] = value
-    made["input.q"][-1, 0] = np.nan
-    return made
+            value = values[f.name] if group == "input" else np.ravel(f.value)
+            dtype = request.dtype if f.kind == "real" else np.int32
+            given[f"{group}.{f.name}"] = np.broadcast_to(value, (COUNT, f.size)).astype(dtype)
+    return given
+
+
+def _of_step(law, program, random) -> dict:
+    """Return the arguments of a step by name, around a good posture."""
+    chain, task = law.chain, law.task
+    q = np.asarray(start_posture(chain, task), float) + random.uniform(-0.2, 0.2, (COUNT, chain.n))
+    values = {"q": q, "t": np.linspace(0, 1, COUNT)[:, None], "Ts": np.full((COUNT, 1), 0.01)}
+    if all(f.name in values for f in program.inputs["input"]):
+        return values
+    held = [by_target(hold_at(chain, task, row + random.uniform(-0.05, 0.05, chain.n)), task) for row in q]
+    for i, (before, parts) in enumerate(targets(task)):
+        for part in parts.parts:
+            which = "rotation" if part.turns else "position"
+            values[before + place(part)] = np.array([np.ravel(getattr(row[i][0].curve, which)) for row in held])
+        values[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.width))
+    return values
 
 
 def results(program, given) -> dict:
-    """{"group.name": (count, size)} of all results; for a search only the status."""
-    if program.fn is None:
-        lost = np.isnan(given["input.q"]).any(1, keepdims=True)
-        return {"output.status": np.where(lost, int(ReachStatus.NON_FINITE), int(ReachStatus.SOLVED))}
-    fields = [(f"{g}.{f.name}", f) for g, some in program.inputs.items() for f in some]
+    """Return {"group.name": (count, size)} of all results."""
+    fields = [(f"{group}.{f.name}", f) for group, some in program.inputs.items() for f in some]
     flat = [given[key].reshape(-1, *f.shape) for key, f in fields]
     for i, value in sorted(program.fixed.items()):
         flat.insert(i, np.broadcast_to(value, (len(flat[0]), *value.shape)))
     with jax.enable_x64(any(x.dtype == np.float64 for x in flat)):
-        found = jax.jit(jax.vmap(program.fn), compiler_options=known_options(QUICK_COMPILE))(*flat)
-    keys = [f"{g}.{f.name}" for g, some in program.outputs.items() for f in some]
-    return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, found, strict=True)}
+        values = jax.jit(jax.vmap(program.fn))(*flat)
+    keys = [f"{group}.{f.name}" for group, some in program.outputs.items() for f in some]
+    return {key: np.asarray(x).reshape(len(x), -1) for key, x in zip(keys, values, strict=True)}
 
 
 def example(request, program, names) -> str:
-    """`example.c`: its main returns the number of test vectors that do not agree."""
+    """Return `example.c`: its main returns the number of test vectors that do not agree."""
     given = inputs(request, program)
     wanted = results(program, given)
-    name = names.name
-    outputs = [(key, f) for f in program.outputs["output"] if (key := f"output.{f.name}") in wanted]
+    name, near, outputs = names.name, names.number(TOLERANCE[names.dtype.itemsize]), program.outputs["output"]
+    groups = [group for group in GROUPS if program.inputs[group]]
     tables = [_table(names, f"in_{f.name}", f, given[f"input.{f.name}"]) for f in program.inputs["input"]]
-    tables += [_table(names, f"out_{f.name}", f, wanted[key]) for key, f in outputs]
-    fill = [_copy(f"input.{f.name}", f"in_{f.name}[i]", f) for f in program.inputs["input"]]
-    near = names.number(TOLERANCE[names.dtype.itemsize])
-    checks = [f"    wrong += {_differs(f, near)};" for _, f in outputs if f.kind == "real"]
-    checks += [f"    wrong += {_is_another(names, f)};" for _, f in outputs if f.kind != "real"]
-    begin = [f"    {names.type(g)} {g};" for g in (*(g for g in GROUPS if program.inputs[g]), "output")]
-    if program.inputs["parameters"]:
-        begin.append(f"    {name}_defaults(&parameters);")
-    if program.inputs["history"]:
-        begin.append("    memset(&history, 0, sizeof history);")
-    called = ", ".join(f"&{g}" for g in (*(g for g in GROUPS if program.inputs[g]), "output"))
-    compare = _comparison(names, near) if any(f.kind == "real" for _, f in outputs) else ""
+    tables += [_table(names, f"out_{f.name}", f, wanted[f"output.{f.name}"]) for f in outputs]
+    lines = [f"    {names.type(group)} {group};" for group in (*groups, "output")]
+    if "parameters" in groups:
+        lines.append(f"    {name}_defaults(&parameters);")
+    lines += [_copy(f"input.{f.name}", f"in_{f.name}[i]", f) for f in program.inputs["input"]]
+    lines.append(f"    {name}({', '.join(f'&{group}' for group in (*groups, 'output'))});")
+    lines += [f"    wrong += {_differs(f, near)};" for f in outputs if f.kind == "real"]
+    if has_status(program):  # where a NaN is expected, other bits than its own may differ
+        lost = f"{name.upper()}_NON_FINITE"
+        found, expected = "output.status", "out_status[i][0]"
+        lines.append(f"    wrong += {expected} & {lost} ? !({found} & {lost}) : {found} != {expected};")
     return f"""/* Runs test vectors through {name} and returns 0 if all agree. Written by cnclik {__version__}. */
 #include <math.h>
 #include <stdio.h>
@@ -87,14 +88,22 @@ def example(request, program, names) -> str:
 #include "{name}.h"
 
 {"".join(tables)}
-{compare}int main(void)
+/* How many numbers differ; how far a NaN spreads is not compared. */
+static int differs(const {names.real} *found, const {names.real} *wanted, int size)
+{{
+  int i, wrong = 0;
+  for (i = 0; i < size; ++i) {{
+    wrong += !isnan(wanted[i]) && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
+  }}
+  return wrong;
+}}
+
+int main(void)
 {{
   int i, failed = 0;
   for (i = 0; i < {COUNT}; ++i) {{
     int wrong = 0;
-{chr(10).join([*begin, *fill])}
-    {names.entry}({called});
-{chr(10).join(checks)}
+{chr(10).join(lines)}
     if (wrong) {{
       printf("vector %d: %d numbers differ\\n", i, wrong);
     }}
@@ -106,15 +115,6 @@ def example(request, program, names) -> str:
 """
 
 
-def _is_another(names, field) -> str:
-    """C: whether a whole number differs; if NaN is expected, whether the status does not report it."""
-    other = f"output.{field.name} != out_{field.name}[i][0]"
-    if names.statuses is not Status:
-        return other
-    lost = f"{names.name.upper()}_NON_FINITE"
-    return f"out_{field.name}[i][0] & {lost} ? !(output.{field.name} & {lost}) : {other}"
-
-
 def _differs(field, near) -> str:
     """C: how many numbers of a result differ. Of `least` it compares squares, as it is the root of a rounding at 0."""
     if field.name == "least":
@@ -123,24 +123,11 @@ def _differs(field, near) -> str:
     return f"differs({'' if field.shape else '&'}output.{field.name}, out_{field.name}[i], {field.size})"
 
 
-def _comparison(names, near) -> str:
-    """The C function that compares numbers; how far a NaN spreads is not compared, as the status reports it."""
-    return f"""static int differs(const {names.real} *found, const {names.real} *wanted, int size)
-{{
-  int i, wrong = 0;
-  for (i = 0; i < size; ++i) {{
-    wrong += !isnan(wanted[i]) && !(fabs(found[i] - wanted[i]) <= {near} * (1 + fabs(wanted[i])));
-  }}
-  return wrong;
-}}
-
-"""
-
-
 def _table(names, name, field, values) -> str:
-    kind = "int32_t" if field.kind != "real" else names.real
-    table = names.rows(values, field.kind)
-    return f"static const {kind} {name}[{len(values)}][{field.size}] = {table};\n"
+    kind = names.real if field.kind == "real" else "int32_t"
+    rows = (", ".join(names.number(v, field.kind) for v in row) for row in values.tolist())
+    lines = ",\n".join(f"  {{{row}}}" for row in rows)
+    return f"static const {kind} {name}[{len(values)}][{field.size}] = {{\n{lines}\n}};\n"
 
 
 def _copy(place, table, field) -> str:
@@ -155,13 +142,11 @@ outside: `q += Ts * output->qdot`, one step a call, and hand them in rounded.
 """
 
 
-def readme(program, names, configuration, files, counted) -> str:
-    """What the files are, how to build them, and the meaning of each number. `counted`: operations at most."""
-    ops = ", ".join(f"{n} {what}" for what, n in counted.items())
+def readme(program, names, configuration) -> str:
+    """Return the README: how to build the files, and the meaning of each number."""
     groups = {**program.inputs, "output": program.outputs["output"]}
-    rows = [(f"`{g}->{f.name}`", f.about, f.size) for g, fields in groups.items() for f in fields]
-    table = markdown(("what", "meaning", "entries"), rows, left=2)
-    build = BUILD.format(sources=f"{names.name}.c example.c")
+    rows = [(f"`{group}->{f.name}`", f.about, f.size) for group, fields in groups.items() for f in fields]
+    build = BUILD.format(name=names.name)
     return f"""# {names.name}
 
 Written by cnclik {__version__}. Do not edit: export again.
@@ -174,11 +159,6 @@ GCC builds a step of tens of thousands of operations in a third of the time with
 
 The code is C99, and C++17 without changes. It has no allocation, no recursion and no variables outside the functions;
 every loop has a known bound.
-A call takes at most {ops} operations; sine and cosine count as library functions.
 
-{table}
-
-{_SINGLE if names.real == "float" and any(f.name == "qdot" for f in program.outputs["output"]) else ""}
-{"Fill `history` with zeros before the first call, and after every pause." if program.inputs["history"] else ""}
-Files: {", ".join(f"`{f}`" for f in files)}. `cnclik.export.load` reads `export.json`.
-""".replace("\n\n\n", "\n\n")
+{markdown(("what", "meaning", "entries"), rows, left=2)}
+{_SINGLE if names.real == "float" and has_status(program) else ""}"""

@@ -16,7 +16,7 @@ _OWN = "own_"  # prefix of fields in a user's records, whose names may be C keyw
 
 
 def leaves(tree, path=()):
-    """(path, array) of every array in a tree of records, in JAX's order."""
+    """Yield (path, array) of every array in a tree of records, in JAX's order."""
     if dataclasses.is_dataclass(tree):
         ours = type(tree).__module__.startswith("cnclik.")
         for field in dataclasses.fields(tree):
@@ -35,7 +35,7 @@ def leaves(tree, path=()):
 
 
 def names(paths) -> list:
-    """A short name for each path: as many of its last words as distinguish it, those of a wall with its name."""
+    """Return a short name for each path: as many of its last words as distinguish it, those of a wall with its name."""
     found = []
     for path in paths:
         least = len(path) - path.index("walls") - 1 if "walls" in path else 1
@@ -49,7 +49,7 @@ def names(paths) -> list:
 
 
 def identifiers(names, kind="task") -> list:
-    """Names as C identifiers; a name that starts with a digit gets its kind as a prefix."""
+    """Return names as C identifiers; a name that starts with a digit gets its kind as a prefix."""
     words = [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names]
     for i, word in enumerate(words):  # names that are equal in C
         words[i] = f"{word}_{i}" if word in words[:i] else word if word[0].isalpha() else f"{kind}_{word}"
@@ -74,7 +74,7 @@ _ABOUT = {
 
 
 def parameters(tree, runtime):
-    """Fields of the arrays in a tree, and the function that replaces the arrays."""
+    """Return the fields of the arrays in a tree, and the function that replaces the arrays."""
     flat, treedef = jax.tree.flatten(tree)
     if not all(map(errors.concrete, flat)):
         raise errors.fail("law", "hold numbers to be exported", "is traced by JAX")

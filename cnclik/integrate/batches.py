@@ -3,10 +3,9 @@
 import jax
 import numpy as np
 
-from cnclik.engine.native import scalars
-from cnclik.engine.plan import in_c
+from cnclik.engine.native import native
+from cnclik.engine.plan import as_here, chosen
 from cnclik.engine.program import Bound, Program
-from cnclik.hints import LIGHT_COMPILE, QUICK_COMPILE, as_here, few_lanes, quick_jit
 from cnclik.integrate.lanes import TILE, tiled
 from cnclik.threads import cores
 
@@ -17,29 +16,25 @@ CAPACITY = 1024  # lanes of a call of XLA's program, which serves batches of all
 class Batches:
     """A function of one lane with one result, compiled in float64 for batches."""
 
-    def __init__(self, fn, avals, *, single=False, often=False):
-        """Args: avals: of all arguments of a lane. single: for one lane only. often: whether speed counts with XLA."""
+    def __init__(self, fn, avals, *, single=False):
+        """Args: avals: of all arguments of a lane. single: for one lane only."""
         self.avals, self.most = avals, 1 if single else CAPACITY
+        as_c = native(fn)
         with jax.enable_x64(True):
-            self.program = Program(fn, avals, quick=True, single=single) if in_c() else None
-        if self.program is None:
-            one = scalars(fn)
+            function, _ = as_c.of(*[np.zeros(a.shape, a.dtype) for a in avals])
+            self.program = chosen(function, avals, batch=not single)
 
-            def run(kept, lanes, count):
-                def lane(*own):
-                    with few_lanes(0):  # XLA's small calls take no large tables
-                        return one(*kept, *own)
+        def run(kept, lanes, count):
+            return tiled(lambda *own: as_c(*kept, *own), min(TILE, self.most), *lanes, count=count)
 
-                return tiled(lane, min(TILE, self.most), *lanes, count=count)
-
-            self.run = quick_jit(run, compiler=LIGHT_COMPILE if often else QUICK_COMPILE)
+        self.run = jax.jit(run)
 
     def bound(self, *kept):
         """Return the function call(leaves, size, pool=None) of batches. Args: kept: the first arguments, of all calls.
 
         Its leaves are the other arguments, (size, ...), or (...) for what all lanes share; `pool`: threads.
         """
-        if self.program is not None:
+        if isinstance(self.program, Program):
             call = Bound(self.program, kept)
             return lambda leaves, size, pool=None: call(leaves, size, pool if size > ALONE else None, cores())[0]
         avals = self.avals[len(kept) :]

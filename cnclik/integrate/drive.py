@@ -102,7 +102,9 @@ class Drive:
     def _check_filter(self):
         if self.cutoff is not None:
             if not _none(self.smoothing):
-                raise errors.fail("cutoff", "be left out where there is a smoothing: a filter has one of both", "is given")
+                raise errors.fail(
+                    "cutoff", "be left out where there is a smoothing: a filter has one of both", "is given"
+                )
             object.__setattr__(self, "cutoff", leaf(errors.number("cutoff", self.cutoff, positive=True)))
         elif not _none(self.smoothing):
             errors.number("smoothing", self.smoothing, at_least=0)
@@ -154,7 +156,7 @@ class Drive:
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
 
     def late_by(self, Ts):
-        """Delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
+        """Return the delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
 
         For stepping positions it is half a sample less, as each is sent at the start of its sample. A filter of the
         command or the target adds Ts ρ/(1 − ρ).
@@ -193,7 +195,7 @@ def library(*values):
 
 
 def _none(value) -> bool:
-    """Whether a quantity is known to be absent."""
+    """Return whether a quantity is known to be absent."""
     return is_literal(value) and value == 0
 
 
@@ -221,6 +223,30 @@ def check_drive(drive, chain) -> Drive:
     return drive
 
 
+def drive_in_words(drive: Drive, Ts: float) -> str:
+    """Return a drive in words: "17 samples (34 ms) of dead time, a lag of 100 ms"."""
+    words = [f"{quantities.in_samples(drive.delay, Ts)} of dead time"] * bool(drive.delay)
+    words += [f"measured {quantities.in_samples(drive.measurement_delay, Ts)} late"] * bool(drive.measurement_delay)
+
+    def span(value, unit, scale=1.0):
+        low, high = (scale * float(pick(np.asarray(value, float))) for pick in (np.min, np.max))
+        return f"{low:.4g}{'' if low == high else f' to {high:.4g}'} {unit}".rstrip()
+
+    if drive.order == 1:
+        words.append(f"a lag of {span(drive.lag, 'ms', 1e3)}")
+    if drive.order == 2:
+        words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
+    words += ["position commands"] * drive.steps_positions
+    words += {
+        "measured": [],
+        "commanded": ["own commands as feedback"],
+        "rebased": ["commands from the measured joints"],
+    }[drive.feedback]
+    if drive.filters:
+        words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
+    return ", ".join(words) or "ideal drives"
+
+
 # --- sampled ------------------------------------------------------------------------------------------
 
 
@@ -244,13 +270,13 @@ class Sampled:
         return self.whole + (self.late is not None)
 
     def moved(self, x, line, u):
-        """The states (..., n, s) one sample later. line: the commands under way, newest first; u: the new command."""
+        """Return the states (..., n, s) one sample later. line: commands under way, the newest first; u: the new."""
         x = (self.phi @ x[..., None])[..., 0] + self.now * (line[self.whole - 1] if self.whole else u)[..., None]
         return x if self.late is None else x + self.late * line[self.whole][..., None]
 
 
 def sampled(drive: Drive, Ts) -> Sampled:
-    """The drive at a sampling time, exact for a constant command (zero-order hold); in NumPy if all is known.
+    """Sample the drive, exactly for a constant command (zero-order hold); in NumPy if all is known.
 
     Γ₀ is the effect of a command in the part of the sample after its arrival, Γ₁ that of the previous command in the
     part before (Åström & Wittenmark 1997, Section 2.3).
@@ -269,13 +295,8 @@ def sampled(drive: Drive, Ts) -> Sampled:
     return Sampled(phi=phi @ first, now=gamma, late=(phi @ late[..., None])[..., 0], whole=whole)
 
 
-def moving(drive: Drive, Ts):
-    """`sampled`, or None if the motion is the controller's own step."""
-    return None if drive.ideal and drive.feedback != "commanded" else sampled(drive, Ts)
-
-
 def _continuous(drive, Ts, xp):
-    """A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; the leading axis, if any, is that of the joints.
+    """Return A (..., s, s) and b (..., s) of ẋ = A x + b u with q = x₀; a leading axis is that of the joints.
 
     G's own states are y = 1/(lag s + 1) u, or ẏ₀ = ω₀ y₁, ẏ₁ = ω₀ (u − y₀) − 2ζω₀ y₁, which are well scaled.
     """
@@ -308,7 +329,7 @@ def _held(a, b, h, xp):
 
 
 def _exponential(a):
-    """exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
+    """Return exp(A) of (..., s, s) in NumPy: exp(A/2ᵏ) − 1 as a series, squared k times.
 
     SciPy's calls LAPACK, whose threads wait for each other longer than such a small matrix takes.
     """

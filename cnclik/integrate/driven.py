@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -17,32 +17,37 @@ class Driven(NamedTuple):
     x: Float[Array, "n s"]
     line: Float[Array, "d n"]  # commands that still act, newest first
     sent: Float[Array, " n"]  # the sum of the controller's steps
-    smooth: Float[Array, " n"] | None  # the filtered command
+    late: tuple[Array, ...]  # measured errors on their way, newest first
+    smooth: Any  # the filtered error (m,), command (n,), or target of each part of the task; None without a filter
 
 
-def resting(chain, drive: Drive, model: Sampled, q) -> Driven:
-    """Drives at rest at q (n,), commanded to stay there."""
+def resting(chain, drive: Drive, model: Sampled, q, late=(), smooth=None) -> Driven:
+    """Return drives at rest at q (n,), commanded to stay there.
+
+    Args: late: the errors on their way. smooth: the filtered error or target.
+    """
     x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
     held = q if drive.steps_positions else jnp.zeros_like(q)
-    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, held if drive.filters == "command" else None)
+    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, late, held if drive.filters == "command" else smooth)
 
 
-def reached(chain, q, at: Driven):
-    """The joint values (n,) after a sample that starts at q (n,), and the drives in the chart centred there."""
-    after = chart.out(chain, q, at.x[:, 0])
-    return after, at._replace(x=at.x.at[:, 0].set(chart.centre(chain, after))) if chain.balls else at
+def driven(chain, drive: Drive, model: Sampled, at: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
+    """Return the joint values (n,) one sample after q (n,), and the drives then.
 
-
-def driven(chain, drive: Drive, model: Sampled, at: Driven, q, step, Ts) -> Driven:
-    """The drives one sample later, after the controller's step (n,) from the joint values q (n,) that it used."""
-    sent = chart.moved(chain, q if drive.feedback == "rebased" else at.sent, step)
-    command, smooth = sent if drive.steps_positions else step / Ts, None
-    if at.smooth is not None:
-        command = smooth = averaged(drive.kept(Ts), at.smooth, command)
+    Args: seen, step: (n,) the joint values that the controller used, and its step from there.
+    """
+    sent = chart.moved(chain, seen if drive.feedback == "rebased" else at.sent, step)
+    command, smooth = sent if drive.steps_positions else step / Ts, at.smooth
+    if drive.filters == "command":
+        command = smooth = averaged(drive.kept(Ts), smooth, command)
     line = jnp.concatenate([command[None], at.line])[: len(at.line)]
-    return Driven(model.moved(at.x, at.line, command), line, sent, smooth)
+    x = model.moved(at.x, at.line, command)
+    after = chart.out(chain, q, x[:, 0])
+    if chain.balls:
+        x = x.at[:, 0].set(chart.centre(chain, after))
+    return after, at._replace(x=x, line=line, sent=sent, smooth=smooth)
 
 
 def averaged(kept, before, new):
-    """One sample of the filter: ρ before + (1 − ρ) new."""
+    """Return one sample of the filter: ρ before + (1 − ρ) new."""
     return kept * before + (1 - kept) * new

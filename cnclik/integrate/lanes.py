@@ -1,9 +1,8 @@
 """lanes(fn): the meaning of jax.vmap(fn), laid out for the processor.
 
-The engine (`cnclik.engine`) reads the function into scalars. On a CPU with a C compiler they become C on vectors.
-Else JAX gets it scalar by scalar, and the batch in tiles of a few dozen lanes, so few that a tile's data stay in the
-cache. A function that cannot be read is vmapped unchanged. Batches run in blocks of bounded size, side by side on all
-cores, or on all devices.
+`cnclik.engine.plan` chooses what runs a batch. On a CPU with a C compiler it is C on vectors, on all cores. Otherwise
+JAX gets it, on a CPU in tiles of a few dozen lanes, so few that a tile's data stay in the cache. Batches run in blocks
+of bounded size, side by side on all cores, or on all devices.
 """
 
 import functools
@@ -17,25 +16,20 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.cache import LRU
-from cnclik.engine.graph import SlowError
-from cnclik.engine.native import native, scalars
-from cnclik.engine.plan import in_c, in_scalars, use_engine
-from cnclik.engine.program import Program, key_of, lane_avals
+from cnclik.engine.native import native
+from cnclik.engine.plan import as_here, chosen
+from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import is_read
-from cnclik.hints import QUICK_COMPILE, as_here, few_lanes, is_wide, known_options, quick_jit, switched_on
 from cnclik.threads import cores as available
 from cnclik.threads import side_by_side
 
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 LANES_PER_CALL = 1 << 15  # lanes per call of a compiled program: few enough for memory, enough to feed the cores
 DEVICE_BLOCK = 1 << 18  # the same on a GPU, to fit its cache: up to twice as fast as 2**20
-OPTIONS = {"xla_cpu_prefer_vector_width": 512}  # XLA:CPU otherwise halves its vectors on processors with AVX-512
 
 
-def lanes(
-    fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None, quick: bool = False
-) -> Callable:
+def lanes(fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None) -> Callable:
     """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but faster.
 
     Every argument is a tree of arrays with one leading batch axis, of any size from 1 to tens of millions. Close over
@@ -47,8 +41,6 @@ def lanes(
       tile: lanes per tile of XLA's programs on a CPU; default: 64. C has its own tiles.
       block: lanes per call of a program, a multiple of `tile`; default: 32768, on a GPU one tile of 2**18 lanes.
       cores: number of CPU cores that may work at once; default: all that this process may use.
-      quick: for a batch that is run once on a CPU: compilation takes a tenth to two thirds of the time, and the program
-        runs ten times slower.
 
     Under jit, vmap or grad it becomes part of that program: as C on JAX's threads, or through XLA on one core. Called
     with arrays it uses all cores or devices.
@@ -58,71 +50,42 @@ def lanes(
     default = max(LANES_PER_CALL if on_cpu else DEVICE_BLOCK, tile)
     block = errors.integer("block", default if block is None else block, at_least=tile)
     cores = available() if cores is None else errors.integer("cores", cores, at_least=1, at_most=1 << 16)
-    quick = errors.truth("quick", quick)
     if not callable(fn):
         raise errors.fail("fn", "be a function of one lane", f"is {fn!r}")
 
-    def traced(*args):
-        return tiled(one, tile, *args, block=block)
-
-    compiled = jax.jit(traced) if not on_cpu else quick_jit(traced) if quick else _hinted(traced)
+    as_c = native(fn)
     # One thread per core, or per device: XLA's own threads gain nothing on so small operations.
     devices = jax.local_devices()
     workers = [None] * cores if on_cpu and len(devices) == 1 else devices
-    ready, as_c = LRU(), native(fn)
-    one = scalars(as_c)
+    in_jax, ready = jax.jit(functools.partial(tiled, as_c, tile, block=block)), LRU()
 
     @functools.wraps(fn)
     def call(*args):
         treedef, (function, leaves) = jax.tree.structure(args), as_c.of(*args)  # leaves are as JAX takes them
         args, size = jax.tree.unflatten(treedef, leaves), _size(leaves)
-        concrete, found, avals = all(map(errors.concrete, leaves)), None, lane_avals(leaves)
-        if in_c() and not is_read():
-            found = function.programs.of(avals)
-        if isinstance(found, SlowError):
-            with use_engine("plain"):
-                return call(*args)
-        if isinstance(found, Program) and not concrete:
+        avals, concrete = lane_avals(leaves), all(map(errors.concrete, leaves))
+        if is_read():  # as a part of what calls it
+            return jax.vmap(fn)(*args)
+        form = chosen(function, avals, batch=True)
+        if isinstance(form, Program) and concrete:
+            return function.trace(avals).tree.unflatten(jax.device_put(form(leaves, size, cores)))
+        if isinstance(form, Program):
             return jax.vmap(as_c)(*args)
-        if not concrete:
-            return traced(*args)
-        if isinstance(found, Program):
-            return jax.tree.unflatten(function.trees[key_of(avals)], jax.device_put(found(leaves, size, cores)))
-        if size <= tile or (workers[0] is not None and len(workers) == 1):  # one device: arrays stay there
-            return compiled(*args)
-        read = in_scalars() and isinstance(function.scalars.of(avals), Derived)
-        able = workers if read or not on_cpu else workers[:1]  # LAPACK, see `cnclik.hints.shares_threads`
-        return _blocks(compiled, ready, leaves, treedef, size, _block(size, tile, block, len(able)), able)
-
-    return call
-
-
-def options(traced, quick=False) -> dict:
-    """Compiler options of a traced program (`jax.jit(fn).trace(...)`), for a CPU and while hints are on."""
-    if jax.default_backend() != "cpu":
-        return {}
-    return known_options(QUICK_COMPILE if quick else OPTIONS if is_wide(traced.jaxpr) else {})
-
-
-def _hinted(fn):
-    """The function compiled with its program's options."""
-    plain, found = jax.jit(fn), LRU()
-    hinted = functools.cache(lambda: jax.jit(fn, compiler_options=known_options(OPTIONS)))
-
-    def call(*args):
-        key = switched_on(), _signature(*jax.tree.flatten(args))
-        return found.made(key, lambda _: hinted() if options(plain.trace(*args)) else plain)(*args)
+        if not concrete or size <= tile or (workers[0] is not None and len(workers) == 1):  # there arrays stay
+            return in_jax(*args)
+        able = workers if isinstance(form, Derived) or not on_cpu else workers[:1]  # LAPACK, see `shares_threads`
+        return _blocks(in_jax, ready, leaves, treedef, size, _block(size, tile, block, len(able)), able)
 
     return call
 
 
 def _signature(leaves, treedef) -> tuple:
-    """The types of one lane of the arguments: equal ones share a program."""
+    """Return the types of one lane of the arguments: equal ones share a program."""
     return treedef, *[(x.shape[1:], x.dtype) for x in leaves]
 
 
 def _size(leaves) -> int:
-    """The batch size of all leaves."""
+    """Return the batch size of all leaves."""
     for leaf in leaves:
         if not hasattr(leaf, "dtype"):  # the numbers of a list have shape ()
             raise errors.fail("args", "be arrays, such as jnp.asarray(...) of a list", f"hold {leaf!r}")
@@ -137,13 +100,13 @@ def _size(leaves) -> int:
 
 
 def _block(size, tile, block, workers):
-    """Lanes per call: at most `block`, in whole tiles, so that all workers get equally many calls."""
+    """Return the lanes per call: at most `block`, in whole tiles, so that all workers get equally many calls."""
     calls = workers * -(-size // (workers * block))
     return -(-size // (calls * tile)) * tile
 
 
 def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
-    """vmap(fn) as a loop over tiles, read and written in place.
+    """Compute vmap(fn) as a loop over tiles, read and written in place.
 
     Args:
       tile, block: lanes of a tile, on a CPU and elsewhere.
@@ -154,9 +117,7 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
     tile = min(tile if jax.default_backend() == "cpu" else block, size)
 
     def one(start):
-        part = jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args)
-        with few_lanes(tile):
-            return jax.vmap(fn)(*part)
+        return jax.vmap(fn)(*jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args))
 
     if size == tile:
         return one(0)
@@ -167,13 +128,13 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
 
     shapes = jax.eval_shape(lambda: one(0))
     empty = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
-    return lax.fori_loop(0, (size + tile - 1) // tile if count is None else (count + tile - 1) // tile, put, empty)
+    return lax.fori_loop(0, ((size if count is None else count) + tile - 1) // tile, put, empty)
 
 
 def _blocks(compiled, ready, leaves, treedef, size, block, workers):
     """Run blocks side by side; each result is copied into place as soon as it is ready."""
     leaves = [np.asarray(leaf) for leaf in leaves]  # no copy on a CPU; slicing a jax.Array would compile
-    key = block, switched_on(), _signature(leaves, treedef)
+    key = block, _signature(leaves, treedef)
 
     @as_here
     def run(start):

@@ -1,7 +1,7 @@
-"""Loop: the loop in time, as a state and a step that measures, advances, paces, and passes the robot's drives.
+"""Loop: the loop in time, as a state and a step that measures, advances, and passes the robot's drives.
 
 `solve` runs it and keeps the trajectory, `outcome` reduces it, tuning differentiates it, sweeps run many. Without
-drive, noise and pace a step is `advance`.
+drive and noise a step is `advance`.
 
 A measurement acts through one vector per step, w[k], the difference between the measured error and the error of the
 law's own chain. It is constant during a step, as for a controller that measures once per sample.
@@ -11,30 +11,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
-from cnclik.integrate.drive import Drive, Sampled, moving
-from cnclik.integrate.driven import Driven, driven, reached, resting
-from cnclik.integrate.history import Begun, History, Stepped, blank, mark, over_history
+from cnclik.integrate.drive import Drive, Sampled, sampled
+from cnclik.integrate.driven import Driven, averaged, driven, resting
 from cnclik.integrate.march import charted, exponential_march, march
-from cnclik.integrate.method import Method, Multistep, early_steps, evaluations_of, starter
-from cnclik.integrate.pace import Pace, Pacing, pace_at_rest, path_waits, share
+from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
-from cnclik.integrate.status import Status, flags, growing, task_flags, too_fast
-from cnclik.integrate.trajectory import assemble
+from cnclik.integrate.status import flags, growing, task_flags
+from cnclik.integrate.trajectory import Trajectory, steps_of
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
-from cnclik.law.limits import inside, room, within
-from cnclik.law.paths import shifted
-from cnclik.law.reference import Corners, Reference, References, check, corners, tangent
+from cnclik.law.limits import inside, within
+from cnclik.law.reference import Reference, References, check, tangent
 from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out
-from cnclik.robot.model import Model, modelled
+from cnclik.robot.model import modelled
+from cnclik.task.task import error
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,190 +40,130 @@ class Loop:
 
     law: Law
     reference: Reference | References
-    method: Method | Multistep
+    method: Method
     stage: Stage
     Ts: Float[Array, ""]
     t0: Float[Array, ""]
     N: int
     drive: Drive  # between command and motion
-    model: Sampled | None  # the drive, sampled by `moving`
+    model: Sampled | None  # the drive from sample to sample; None: ideal
     noise: Float[Array, "N m"] | None  # added to the measured error
-    plant: Model | None  # the real chain, if it is not the law's
-    gained: Callable | None  # gained(law, t): the law at time t
-    pace: Pace | None  # limits that the loop keeps by slowing down
-    waits: bool  # whether the path waits for the robot
-    ahead: Corners | None  # the path's corners, if known
 
     @property
-    def measured(self) -> bool:
-        """Whether command and motion, or motion and measurement, differ."""
-        return not (self.noise is None and self.plant is None and self.drive.prompt)
-
-    @property
-    def late(self) -> int:
-        """Delay of a measurement [samples]."""
-        return 0 if self.drive.feedback == "commanded" else self.drive.measurement_delay
-
-    @property
-    def truth(self):
-        """The law with the real chain."""
-        return self.law if self.plant is None else replace(self.law, chain=self.plant)
+    def direct(self) -> bool:
+        """Whether the robot does what the law asks for, and the controller knows its error."""
+        return self.model is None and self.noise is None
 
 
 class State(NamedTuple):
     """The state of a loop."""
 
     q: Float[Array, " n"]  # the robot's joint values
-    history: History | None  # memory of a multistep method
-    lost: Float[Array, " n"] | None = None  # rounding error of q, in float32
+    lost: Float[Array, " n"] | None = None  # rounding error of q, in float32 without drive and noise
     drives: Driven | None = None
-    late: tuple[Array, ...] = ()  # measured errors on their way
-    path: Float[Array, ""] | None = None  # time on the path, if it waits
-    pacing: Pacing | None = None
 
 
-def loop_of(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None, plant=None, gained=None,
-    pace=None,
-) -> Loop:  # fmt: skip
-    """A loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
+def loop_of(law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, model=None, noise=None) -> Loop:
+    """Return a loop from q0 (n,), in its dtype. Pure: a part of the program that runs it.
 
-    Args: as for `solve`, and for the attributes; `model` if the drive is already sampled.
+    Args: as for `solve`; `model` if the drive is already sampled.
     """
     check(reference, law.task)
     drive = drive or Drive()
-    model = moving(drive, Ts) if model is None else model
-    given = modelled(law), modelled(plant), reference, noise, drive, model, pace
-    law, plant, reference, noise, drive, model, pace = cast(given, q0.dtype)
+    model = None if drive.prompt else model or sampled(drive, Ts)
+    law, reference, drive, model, noise = cast((modelled(law), reference, drive, model, noise), q0.dtype)
     Ts, t0 = jnp.asarray(Ts, q0.dtype), jnp.asarray(t0, q0.dtype)
-    waits = path_waits(pace, reference)
-    looks = waits and reference.known and N > 1 and pace.smooth
-    ahead = corners(reference, law.task, t0 + jnp.arange(N + 1).astype(q0.dtype) * Ts) if looks else None
-    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise, plant, gained, pace, waits, ahead)
+    return Loop(law, reference, method, stage, Ts, t0, N, drive, model, noise)
 
 
 def start(loop: Loop, q0, *, compensated=False) -> State:
-    """The state at rest at q0 (n,). Args: compensated: whether rounding errors of q are carried, see `summed`."""
-    first = observe(loop.truth, loop.reference, loop.t0, q0).e if loop.late else None  # until a measurement arrives
-    return State(
-        q0,
-        blank(loop.law, q0, loop.method),
-        lost=jnp.zeros_like(q0) if compensated else None,
-        drives=None if loop.model is None else resting(loop.law.chain, loop.drive, loop.model, q0),
-        late=() if first is None else (first,) * loop.late,
-        path=loop.t0 if loop.waits else None,
-        pacing=None if loop.pace is None else pace_at_rest(q0),
-    )
+    """Return the state at rest at q0 (n,). Args: compensated: whether rounding errors of q are kept, see `summed`."""
+    if loop.model is None:
+        return State(q0, jnp.zeros_like(q0) if compensated else None)
+    law, drive, smooth = loop.law, loop.drive, None
+    at = observe(law, loop.reference, loop.t0, q0)
+    late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
+    if drive.filters == "error":
+        smooth = jnp.zeros_like(at.e)
+    if drive.filters == "target":  # which was where the robot is, where that is known
+        here = (part.here(at.robot) for part in law.task.parts)
+        smooth = tuple(aim if own is None else own for aim, own in zip(at.aims, here, strict=True))
+    return State(q0, drives=resting(law.chain, drive, loop.model, q0, late, smooth))
 
 
-def one(loop: Loop, starting, state: State, k):
-    """(state after step k, `Step` with q, x and e before it). Pure.
+def one(loop: Loop, state: State, k):
+    """Return (the state after step k, its `Step` with q, x and e before it). Pure.
 
     The extra step at the end, k = N, has length 0: it changes nothing and gives x and e at the last instant.
-
-    Args: starting: whether it is a step of the method that starts a multistep method.
     """
-    law, Ts, q = loop.law, loop.Ts, state.q
-    t = state.path if loop.waits else loop.t0 + k * Ts
-    part = jnp.clip(state.pacing.share, jnp.finfo(q.dtype).eps ** (1 / 3), 1.0) if loop.waits and state.pacing else 1
-    length = jnp.where(k < loop.N, part * Ts, 0.0)
-    now = law if loop.gained is None else loop.gained(law, t)
-    seen, aimed, at, late = _measured(loop, state, t, k) if loop.measured else (q, loop.reference, None, ())
-    made = advance(now, aimed, seen, t, length, loop.method, loop.stage, state.history, starting=starting)
-    lost, pacing, path, drives = state.lost, state.pacing, state.path, state.drives
-    moved = made.q if seen is q else chart.moved(law.chain, q, chart.between(law.chain, seen, made.q))
-    if loop.pace is not None:
-        made, pacing, path = _paced(loop, made, pacing, t, seen)
-        length, moved = Ts, chart.moved(law.chain, q, Ts * made.qdot)
+    law, q, lost = loop.law, state.q, state.lost
+    t, length = loop.t0 + k * loop.Ts, jnp.where(k < loop.N, loop.Ts, 0.0)
+    if loop.direct:
+        made = advance(law, loop.reference, q, t, length, loop.method, loop.stage)
+        after = made.q
+        if lost is not None:
+            after, lost = summed(law, q, length * made.qdot, lost)
+        return State(after, lost), replace(made, q=q)
+    seen, offset, at, drives = _measured(loop, state, t, k)
+    made = advance(law, loop.reference, seen, t, length, loop.method, loop.stage, offset)
+    after, qdot = made.q, made.qdot
     if loop.model is not None and drives is not None:
-        requested = chart.between(law.chain, seen, made.q) if loop.pace is None else Ts * made.qdot
-        drives = driven(law.chain, loop.drive, loop.model, drives, seen, requested, Ts)
-        moved, drives = reached(law.chain, q, drives)
-    elif lost is not None:
-        moved, lost = summed(law.chain, q, length * made.qdot, lost, law if loop.pace is None else None)
-    after = State(moved, made.history, lost, drives, late, path, pacing)
-    if drives is not None or seen is not q:
-        made = replace(made, qdot=1 / Ts * chart.between(law.chain, q, moved))
-    if at is not None:
-        made = replace(made, x=at.x(), e=at.e)
-    return after, replace(made, q=q, history=None)
+        step = chart.between(law.chain, seen, made.q)
+        after, drives = driven(law.chain, loop.drive, loop.model, drives, q, seen, step, loop.Ts)
+        qdot = 1 / loop.Ts * chart.between(law.chain, q, after)
+    return State(after, drives=drives), replace(made, q=q, qdot=qdot, x=at.x(), e=at.e)
 
 
 def _measured(loop, state, t, k):
-    """(joint values the controller uses, its reference then, the true observation, errors still on their way)"""
-    law, reference, q = loop.law, loop.reference, state.q
-    at, commanded = observe(loop.truth, reference, t, q), loop.drive.feedback == "commanded"
-    seen = state.drives.sent if commanded else q
-    # A camera sees the real tip; from its own commands a controller knows only the model's tip.
-    found = at.e if seen is q else observe(law if commanded else loop.truth, reference, t, seen).e
-    measured = (found, *state.late)[loop.late]
+    """Return (joint values that the controller uses, what its measured error has beside theirs, the truth, drives)."""
+    law, reference, drives, seen = loop.law, loop.reference, state.drives, state.q
+    at = observe(law, reference, t, seen)
+    if drives is not None and loop.drive.feedback == "commanded":  # from its commands a controller knows its own tip
+        seen = drives.sent
+    known = at if seen is state.q else observe(law, reference, t, seen)
+    found, filters, kept = known.e, loop.drive.filters, loop.drive.kept(loop.Ts)
+    if filters == "target":
+        parts = zip(law.task.parts, drives.smooth, at.aims, strict=True)
+        drives = drives._replace(smooth=tuple(part.averaged(kept, before, aim) for part, before, aim in parts))
+        found = error(law.task, known.robot, drives.smooth)
+    errors = found, *(drives.late if drives is not None else ())
+    measured = errors[-1]
     if loop.noise is not None:
         measured = measured + loop.noise[k.astype(int)]
-    exact = loop.noise is None and loop.plant is None and not loop.late
-    if not exact:
-        believed = observe(law, reference, t, seen)
-        reference = shifted(reference, law.task, _between(law.task, measured, believed))
-    return seen, reference, at, (found, *state.late)[: loop.late]
+    if filters == "error":
+        measured = averaged(kept, drives.smooth, measured)
+        drives = drives._replace(smooth=measured)
+    offset = None if measured is known.e else measured - known.e
+    return seen, offset, at, None if drives is None else drives._replace(late=errors[:-1])
 
 
-def _between(task, measured, at):
-    """The shift w of the targets that turns the error of `at` into the measured error (m,)."""
-    parts = zip(task.parts, at.aims, task.slices, strict=True)
-    return jnp.concatenate([p.between(at.robot, aim, measured[where], at.e[where]) for p, aim, where in parts])
+def run(loop: Loop, q0) -> Trajectory:
+    """Return the `Trajectory` of a loop from rest at q0 (n,). Pure."""
+    k, task, N = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task, loop.N
+    state = start(loop, q0, compensated=q0.dtype == jnp.float32 and loop.direct)
+    step = functools.partial(one, loop)
+    step = checkpointed(step) if loop.direct else step
 
+    def with_last(carry, k):  # beside the rows: a program that asks for the end alone then stores none
+        after, made = step(carry[0], k)
+        return (after, (made.q, made.x, made.e)), made
 
-def _paced(loop, made, pacing, t, q):
-    """(the step within the limits, the state of the pace, time on the path)
+    empty = jnp.zeros(task.m, q0.dtype)
+    (_, last), steps = jax.lax.scan(with_last, (state, (jnp.zeros_like(q0), empty, empty)), k)
 
-    If the path waits, the method makes a step over the path time of the last step, share·Ts. So methods keep their
-    order, and multistep methods remember even steps. Otherwise steps are made over Ts and then scaled, and a scaled
-    step starts a new memory.
-    """
-    stop, sharpness = (None, 1.0) if loop.ahead is None else loop.ahead.after(t)
-    s, pacing = share(loop.pace, pacing, made.qdot, loop.Ts, stop, sharpness, room(loop.law, q))
-    status = made.status & ~int(Status.OVER_VELOCITY)
-    status |= jnp.where(too_fast(loop.law.chain, pacing.velocity), int(Status.OVER_VELOCITY), 0)
-    status |= jnp.where(pacing.over, int(Status.OVER_ACCELERATION), 0)
-    history = made.history
-    if history is not None:  # the past does not predict the path beyond a corner
-        new = s < 1 if not loop.waits else loop.ahead is not None and stop <= s * loop.Ts
-        count = history.count if new is False else jnp.where(new, 0, history.count)
-        history = replace(history, count=count, Ts=s * loop.Ts if loop.waits else history.Ts)
-    made = replace(made, qdot=pacing.velocity, status=status, history=history)
-    return made, pacing, t + s * loop.Ts if loop.waits else None
+    def rows(name):
+        return jax.lax.slice_in_dim(getattr(steps, name), 0, N)
 
-
-def run(loop: Loop, q0, *, end=False):
-    """The `Trajectory` of a loop from rest at q0 (n,). Pure. Args: end: (q, x, e) of the last instant alone."""
-    k, m = jnp.arange(loop.N + 1).astype(q0.dtype), loop.law.task.m
-    single = q0.dtype == jnp.float32 and not loop.measured
-    state, early = start(loop, q0, compensated=single), early_steps(loop.method, loop.N)
-
-    def step(starting, state, k):
-        after, made = one(loop, starting, state, k)
-        return after, (made, state.path)
-
-    step = step if loop.measured else checkpointed(step)
-
-    def with_last(carry, k):
-        after, found = step(False, carry[0], k)
-        return (after, (found[0].q, found[0].x, found[0].e)), found
-
-    if early:
-        state, begun = jax.lax.scan(functools.partial(step, True), state, jax.lax.slice_in_dim(k, 0, early))
-    none, empty = jnp.zeros_like(q0), jnp.zeros(m, q0.dtype)
-    (_, last), found = jax.lax.scan(with_last, (state, (none, empty, empty)), jax.lax.slice_in_dim(k, early, None))
-    if end:
-        return last
-    if early:
-        found = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), begun, found)
-    cost = evaluations_of(loop.method, loop.stage, loop.law.chain.n, loop.N)
-    steps, path = found
-    tasks = tuple((name, at.start, at.stop) for name, at in loop.law.task.each)
-    made = assemble(loop.t0 + k * loop.Ts, steps, path, last, cost, tasks)
-    if loop.measured:  # with noise an error grows and shrinks at random
+    made = Trajectory(
+        t=loop.t0 + k * loop.Ts,
+        **{name: jnp.concatenate([rows(name), end[None]]) for name, end in zip(("q", "x", "e"), last, strict=True)},
+        **{name: rows(name) for name in steps_of(steps)},
+        evaluations=jnp.asarray(N * evaluations_per_step(loop.method, loop.stage, loop.law.chain.n)),
+        tasks=tuple((name, at.start, at.stop) for name, at in task.each),
+    )
+    if not loop.direct:  # with noise an error grows and shrinks at random
         return made
-    grown, each = growing(loop.law, loop.reference, made.target_time, made.e)
+    grown, each = growing(loop.law, loop.reference, made.t, made.e)
     if made.task_status is not None:
         made = replace(made, task_status=made.task_status | each)
     return replace(made, status=made.status | grown)
@@ -251,7 +188,6 @@ class Step:
       status: bits of `Status`.
       task_status: (tasks,) bits that each task of a stack has alone; None without a stack.
       walls: (k,) margin of the approach velocity at each wall, see `Trajectory`; None without walls.
-      history: memory of a multistep method for its next step; None for one-step methods.
     """
 
     q: Float[Array, " n"]
@@ -264,70 +200,53 @@ class Step:
     status: Int[Array, ""]
     task_status: Int[Array, " tasks"] | None = None
     walls: Float[Array, " k"] | None = None
-    history: History | None = None
 
 
-def advance(law: Law, reference, q, t, Ts, method, stage, history=None, *, starting=False) -> Step:
-    """One step of the loop, of a law whose chain is a `Model`.
-
-    Args:
-      history: of a multistep method, see `cnclik.integrate.history.blank`; None for others.
-      starting: whether a multistep method makes a step of its `starter`, which it remembers.
-    """
+def advance(law: Law, reference, q, t, Ts, method, stage, offset=None) -> Step:
+    """Make one step of the loop, of a law whose chain is a `Model`. Args: offset: see `observe`."""
     known = reference if reference.known else tangent(reference, law.task, t)
-    at, begun = observe(law, known, t, q), None
-    if method.steps == 1 or starting:
-        made_with = starter(method) if starting else method
-        # A loop over the stages compiles several times faster, but runs 15 to 25 % slower.
-        looped = starting or not (made_with.implicit or len(made_with.b) < 3)
-        looped = looped and made_with.c[0] == 0
-        begun = _of_tableau(law, known, q, at, t, Ts, made_with, stage, looped=looped)
-    if begun is not None and method.steps == 1:
-        one = Stepped(begun.moved)
+    at = observe(law, known, t, q, offset)
+    if method.exponential:
+        made = exponential_march(law, known, q, at, t, Ts, method, stage)
     else:
-        one = over_history(law, known, q, at, mark(law, reference, at, t), t, Ts, method, history, begun)
-    made = one.moved
+        made = _plain_march(law, known, q, at, t, Ts, method, stage, offset)
+    y, qdot = made.q, made.qdot
     if law.limits is not None:
-        after, qdot = within(law, centre(law.chain, q), made.qdot, Ts)
-        made = made._replace(q=after, qdot=qdot)
-    made = made._replace(q=out(law.chain, q, made.q))
-    status = flags(law, made.q, made.qdot, made.first.e, made.residual, stage.tolerance, made.first)
-    if one.restarted is not None:
-        status |= jnp.where(one.restarted, int(Status.RESTARTED), 0)
+        y, qdot = within(law, centre(law.chain, q), qdot, Ts)
+    after = out(law.chain, q, y)
+    status = flags(law, after, qdot, at.e, made.residual, stage.tolerance, made.first)
     return Step(
-        q=made.q,
-        x=made.first.x(),
-        e=made.first.e,
-        qdot=made.qdot,
+        q=after,
+        x=at.x(),
+        e=at.e,
+        qdot=qdot,
         residual=made.residual,
         contraction=made.contraction,
         least=jnp.min(made.first.least),
         status=status,
         task_status=task_flags(law, made.first),
         walls=made.first.walls,
-        history=one.history,
     )
 
 
-def summed(chain, q, step, lost, law=None):
-    """q + step, and the rounding error of the sum, to be added with the next step (Kahan 1965). `lost`: that of the
-    last step. With a law, within its position limits. Rotations have no rounding error to carry.
-
-    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
-    target by ulp(q)/2/(alpha·Ts). The rounding error has no derivatives.
-    """
-    step, y = step + lost, centre(chain, q)
-    after = y + step if law is None else inside(law, y, y + step)
-    return out(chain, q, after), jax.lax.stop_gradient(step - (after - y))
-
-
-def _of_tableau(law, reference, q, at, t, Ts, method, stage, *, looped) -> Begun:
-    """A step of a tableau, from the law's observation at q and t."""
-    if method.exponential:
-        return Begun(*exponential_march(law, reference, q, at, t, Ts, method, stage, looped=looped))
+def _plain_march(law, reference, q, at, t, Ts, method, stage, offset):
+    """Make one step of a tableau over the law's field, from its observation at q and t."""
 
     def field(c, q):
-        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q)
+        return evaluate(law, reference, t if type(c) is float and c == 0 else t + c * Ts, q, offset)
 
     field, y = charted(law.chain, q, field), centre(law.chain, q)
-    return Begun(march(field, y, Ts, method, stage, evaluate_at(law, q, at), looped=looped))
+    return march(field, y, Ts, method, stage, evaluate_at(law, q, at))
+
+
+def summed(law, q, step, lost):
+    """Return q + step within the law's position limits, and the rounding error of the sum (Kahan 1965).
+
+    In single precision, steps below half a spacing of q would otherwise be lost: the loop would stop short of its
+    target by ulp(q)/2/(alpha·Ts). Rotations have no rounding error to carry, and the rounding error no derivatives.
+
+    Args: lost: the rounding error of the last step, to be added with this one.
+    """
+    step, y = step + lost, centre(law.chain, q)
+    after = inside(law, y, y + step)
+    return out(law.chain, q, after), jax.lax.stop_gradient(step - (after - y))

@@ -13,31 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.cache import LRU
 from cnclik.engine.numbers import Numbers
-from cnclik.engine.plan import may_be_plain, unless_chosen
-from cnclik.engine.tracing import is_read
-from cnclik.hints import quick_jit
-from cnclik.integrate import history as memory
-from cnclik.integrate.drive import Drive, check_drive, moving
-from cnclik.integrate.history import History
+from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.loop import Step, advance, loop_of, run
-from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
-from cnclik.integrate.pace import Pace, check_pace
+from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
-from cnclik.integrate.trajectory import INSTANTS, Trajectory, join, steps_of, truncate
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
 from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
-from cnclik.record import ArrayLike, Float, Number, cast, on_device, replace
+from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
-
-SOON = 1 << 14  # evaluations of f, per joint and task coordinate, up to which XLA answers sooner
-
-
-def answers_soon(evaluations, law) -> bool:
-    """Whether so few evaluations of f are done sooner by XLA with few passes than by C, compilation included."""
-    return evaluations <= SOON * law.chain.n * law.task.m
-
 
 # --- public -------------------------------------------------------------------------------------------
 
@@ -53,7 +38,7 @@ def solve(
     *,
     t0: Number = 0.0,
     drive: Drive | None = None,
-    pace: Pace | None = None,
+    noise: Float[ArrayLike, "N m"] | None = None,
 ) -> Trajectory:
     """Run the loop for N steps: closed-loop inverse kinematics as time stepping (Drexler 2016, Section IV).
 
@@ -67,51 +52,28 @@ def solve(
       q0: (n,) joint values at t0 [rad, m].
       Ts: sampling time [s], positive.
       N: number of steps, a Python integer.
-      method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method` or `Multistep`. A multistep method
-        starts with RK4 (EXP-RK4) steps.
+      method: default: EXP-MIDPOINT; one of `METHODS`, by name, or your own `Method`.
       stage: how implicit stages are solved, picard(M), chord(M) or newton(M); explicit methods ignore it.
       t0: time at q0 [s], counted from the start of the motion: in float32 the time of day has no resolution of 1 ms.
-      drive: model of the drives between command and motion, see `Drive`; None: ideal.
-      pace: limits of velocity, acceleration and jerk that the loop keeps by slowing down, see `Pace`; None: none.
+      drive: model of the drives between command and motion, at rest at t0, see `Drive`; None: ideal.
+      noise: (N, m) added to the measured error at each step [m, rad], such as rng.normal(0, 1e-3, (N, m)); None: none.
+        `q`, `e` and `qdot` are the robot's own. No step is then marked GROWING, nor through a drive: errors grow and
+        shrink by themselves.
 
     Returns: `Trajectory`. Nothing is raised during the run: check `status`, or pass the run to `require_ok`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    return simulate(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, pace=pace)
-
-
-def simulate(
-    law, reference, q0, Ts, N, method, stage, *, t0=0.0, drive=None, pace=None, noise=None, plant=None, gained=None
-) -> Trajectory:
-    """`solve` on a robot that differs from the law's model: `q`, `e` and `qdot` are those of the real robot.
-
-    The controller steps from the joint values that it gets. `Drive` describes them, and the drives between its step and
-    the motion, from rest at q0 on. No step is marked GROWING: with noise an error grows and shrinks at random.
-
-    Args:
-      noise: (N, m) added to the measured error at each step [m, rad], or None.
-      plant: the real chain, of which the law's chain is a model; None: the same.
-      gained: the law at time t, gained(law, t), where it changes; None: the same.
-    """
     q0, method = check_arguments(law, reference, q0, Ts, method, stage)
-    N, n = errors.integer("N", N, at_least=0, at_most=errors.MOST), law.chain.n
+    N = errors.integer("N", N, at_least=0, at_most=errors.MOST)
     errors.number("t0", t0)
     check_time("t0", t0, Ts, q0.dtype, N)
-    drive = None if drive is None or check_drive(drive, law.chain).prompt else drive
-    pace = None if pace is None else check_pace(pace, n, law.chain)
-    if pace is not None and drive is not None and drive.feedback == "rebased":
-        raise errors.fail("pace", "be left out where commands begin at the measured joints, which jump", "is given")
     if noise is not None:
         noise = errors.array("noise", noise, (N, law.task.m))
-    model = None if drive is None else moving(drive, Ts)  # in NumPy if Ts is known
-    known, given = (law, reference, stage, drive, plant, pace, method), (q0, _number(Ts, q0), _number(t0, q0))
-    if gained is not None:
-        return whole_run(*known, *given, model, noise, N=N, gained=gained)
-    loop = loops.made(N, lambda N: Numbers(whole_run, lets_go=True, N=N))
-    if len(loops) > 1:  # each has its own programs
-        loops.within(lambda loop: len(loop.entries))
-    with unless_chosen(None if pace is None else "plain"):  # XLA compiles a pace ten times faster than C
-        return _computed(loop, known, (*given, model, noise), solve_soon, lambda: _is_soon(law, method, stage, N))
+    if drive is not None:
+        drive = None if check_drive(drive, law.chain).prompt else drive
+    model = None if drive is None else sampled(drive, Ts)  # in NumPy if Ts is known
+    known, given = (law, reference, stage, drive, method), (q0, _number(Ts, q0), _number(t0, q0), model, noise)
+    return a_run(known, given, N=N)  # by the engine that `cnclik.engine.plan.chosen` has chosen
 
 
 def step(
@@ -122,60 +84,28 @@ def step(
     Ts: Number,
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
-    history: History | None = None,
 ) -> Step:
-    """One step, for use in your own control loop: from q(t) to q(t + Ts).
+    """Make one step, for use in your own control loop: from q(t) to q(t + Ts).
 
-    Call it once before the loop starts: the first call compiles, for about a second. A multistep method compiles once
-    more with its second step, the first one with a history. From then on call `step(..., history=made.history)`; with
-    None it starts again with a step of RK4 (EXP-RK4).
+    Call it once before the loop starts: the first call compiles, for about a second.
 
     Args and raises: as `solve`, with q (n,) and t [s] in place of q0 and t0.
     Returns: `Step` with q (n,) after the step, qdot (n,) to send to the robot, e (m,) before the step.
     """
     q, method = check_arguments(law, reference, q, Ts, method, stage, name="q")
-    history = memory.checked(history, method, law)
     errors.number("t", t)
     check_time("t", t, Ts, q.dtype)
-    known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q), history)
-    return _computed(a_step, known, given, step_soon)
-
-
-def _is_soon(law, method, stage, N) -> bool:
-    count = N * evaluations_per_step(method, stage, law.chain.n)
-    return errors.concrete(count) and bool(np.all(answers_soon(count, law)))
-
-
-def _computed(fn, known, given, soon, is_soon=lambda: True):
-    """fn(*known, *given): as C for numbers, otherwise by JAX, in the array type of the joint values.
-
-    Args:
-      fn: `Numbers`.
-      soon: fn for XLA with few passes, for numbers if is_soon(); otherwise the engine's scalars are used.
-    """
-    if is_read():  # the engine reads the source itself
-        return fn.source(known, given)
-    if (found := fn(known, given)) is not None:
-        return found
-    *records, method = known
-    if may_be_plain() and all(map(errors.concrete, jax.tree.leaves((records, given)))) and is_soon():
-        found = soon(*(r and on_device(modelled(r)) for r in records), method, *given, **fn.static)
-    else:
-        found = fn.native(known, given)
-    return jax.tree.map(_as_numpy, found) if isinstance(given[0], np.ndarray) else found
-
-
-def _as_numpy(x):
-    return np.asarray(x) if errors.concrete(x) else x
+    known, given = (law, reference, stage, method), (q, _number(t, q), _number(Ts, q))
+    return a_step(known, given)  # by the engine that `cnclik.engine.plan.chosen` has chosen
 
 
 def _number(value, q):
-    """A known number in the dtype of the joint values, so that one program serves all number types."""
+    """Return a known number in the dtype of the joint values, so that one program serves all number types."""
     return q.dtype.type(value) if errors.concrete(value) else value
 
 
 def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
-    """q as an array (n,) and the method as a `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
+    """Return q as an array (n,), and the `Method`. Raises: ArgumentError if a loop's arguments do not fit."""
     errors.kind("law", law, Law)
     method = named(method)
     errors.kind("reference", reference, REFERENCE, A_REFERENCE)
@@ -215,76 +145,19 @@ def _eps(dtype):
     return float(jnp.finfo(dtype).eps)
 
 
-def ran_in_c(N) -> bool:
-    """Whether the last run of N steps with numbers was C: XLA, with few passes, answers sooner and runs slower."""
-    return N in loops and loops[N].ran_in_c
+def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *, N):
+    """Compute `solve`. Pure."""
+    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
 
 
-def whole_run(law, reference, stage, drive, plant, pace, method, q0, Ts, t0, model, noise, *, N, gained=None):
-    more = dict(drive=drive, plant=plant, pace=pace, model=model, noise=noise, gained=gained)
-    return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, **more), q0)
+a_run = Numbers(whole_run, lets_go=True)
 
 
-def end(law, reference, q0, Ts, N, method, stage):
-    """(q (n,), e (m,)) after N steps, without a trajectory. Pure; the arguments of `solve`, unchecked.
-
-    If `lanes` returns `solve(...).e[-1]`, each step's e is stored on the way, which costs a tenth of an explicit step.
-    """
-    q, _, e = run(loop_of(law, reference, q0, Ts, N, method, stage, t0=np.zeros((), q0.dtype)), q0, end=True)
-    return q, e
-
-
-solve_soon, loops = quick_jit(whole_run, static_argnames=("N", "method")), LRU()
-
-
-def one_step(law, reference, stage, method, q, t, Ts, history):
-    """The computation of `step`. Pure."""
+def one_step(law, reference, stage, method, q, t, Ts) -> Step:
+    """Make the step of `step`. Pure."""
     check(reference, law.task)
-    law, reference, history = cast((modelled(law), reference, history), q.dtype)
-    t, Ts = jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype)
-
-    def one(starting, past):
-        return advance(law, reference, q, t, Ts, method, stage, past, starting=starting)
-
-    if method.steps == 1:
-        return one(False, None)
-    if history is None:
-        return one(True, memory.blank(law, q, method))
-    begins = history.made < method.steps - 1
-    return jax.lax.cond(begins, functools.partial(one, True), functools.partial(one, False), history)
+    law, reference = cast((modelled(law), reference), q.dtype)
+    return advance(law, reference, q, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
 
 
-step_soon, a_step = quick_jit(one_step, static_argnames=("method",)), Numbers(one_step, lets_go=False)
-
-
-# --- a long run in pieces of equal length, so that one program serves runs of any number of steps -----
-
-
-PIECE = 2000  # steps of a piece, at most
-
-
-def piece_of(method, N: int) -> int:
-    """Steps per piece of a run of N; N for a multistep method, which would lose its memory."""
-    return N if method.steps > 1 else min(N, PIECE)
-
-
-def in_pieces(law, reference, q0, Ts, N: int, method, stage, *, size, t0=0.0):
-    """Yield runs of `size` steps each, which together are `solve`'s N steps and the rest of the last piece.
-
-    Args: as for `solve`, with concrete values; the method makes single steps, or `size` is at least N.
-    """
-    part, q = None, q0
-    for begun in range(0, N, size):
-        if part is None or np.isfinite(q).all():
-            part = solve(law, reference, q, Ts, size, method, stage, t0=t0 + begun * Ts)
-        else:  # lost for good
-            last = {name: np.asarray(getattr(part, name)) for name in (*INSTANTS[1:], *steps_of(part))}
-            last = {name: np.broadcast_to(value[-1:], value.shape) for name, value in last.items()}
-            part = replace(part, t=np.asarray(part.t) + size * Ts, **last)
-        yield part
-        q = part.q[-1]
-
-
-def joined(parts, N: int):
-    """Their first N steps as one `Trajectory`, of NumPy arrays."""
-    return truncate(join(parts), N)
+a_step = Numbers(one_step, lets_go=False)

@@ -52,7 +52,7 @@ class _Passes:
         return f"{type(self).__name__.lower()}({self.M})"
 
     def evaluations(self, n):
-        """Evaluations of f in one implicit stage of n joints."""
+        """Return the evaluations of f in one implicit stage of n joints."""
         return self.M
 
 
@@ -99,12 +99,12 @@ class Newton(_FromPrediction):
         return k + jnp.linalg.solve(_matrix(lambda v: v - push(v), k), value - k)
 
     def evaluations(self, n):
-        """Evaluations of f in one implicit stage of n joints, a directional derivative counted as one."""
+        """Return the evaluations of f in one implicit stage of n joints, a directional derivative counted as one."""
         return self.M * (1 + n)
 
 
 def _iterate(stage, improve, start, h) -> Solved:
-    """M passes of k ← improve(k), with the size of the last two changes."""
+    """Make M passes of k ← improve(k), and keep the size of the last two changes."""
     zero, counted = jnp.zeros((), start.dtype), type(stage.M) is int
     # The start counts as the first change, from rest, so that M = 0 has a meaningful residual.
     size = safe_norm(start)
@@ -131,12 +131,12 @@ def _iterate(stage, improve, start, h) -> Solved:
 
 
 def _matrix(linear, like):
-    """The matrix (n, n) of a linear map of vectors over the joints, by mapping all unit vectors at once."""
+    """Return the matrix (n, n) of a linear map of vectors over the joints, by mapping all unit vectors at once."""
     return jax.vmap(linear, out_axes=1)(jnp.eye(len(like), dtype=like.dtype))
 
 
 def _with_implicit_derivative(g, start, iterate) -> Solved:
-    """The iteration's value with the derivative of the exact root of k − g(k) (implicit function theorem)."""
+    """Return the iteration's value with the derivative of the exact root of k − g(k) (implicit function theorem)."""
 
     def solve(_, k):
         solved = iterate(k)
@@ -172,8 +172,8 @@ def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, impl
     −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; the law knows
     it, see `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. With exact J# and
     scalar gain, (I + h J#KJ)⁻¹ r = r − (a z/(1 + a z)) J#(J r). It starts from the law linearised at q, and costs
-    M evaluations of f and as many products with J and J#. Gain matrices, damping, weights and null-space
-    velocities that depend on q are in it.
+    M evaluations of f and as many products with J and J#. Gains per axis, damping, weights and a
+    posture are in it.
 
     Args:
       M, maximum, tolerance: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.

@@ -30,16 +30,13 @@ class Status(enum.IntFlag):
     OVER_VELOCITY = 16  # a joint faster than its velocity limit
     GROWING = 32  # the error grew by more than its target moved, see `growing`; not set by `step`
     TASK_TOO_LARGE = 64  # more task coordinates than joints: the remaining error is a compromise
-    RESTARTED = 128  # a multistep method dropped its memory: after a jump, a limit, another J#
     DIVERGED = 256  # joint values too large to be meaningful, see `far`, but finite
-    OVER_ACCELERATION = 512  # no share of a paced step keeps its limits: the joints braked within them, off the path
     WALLS_CONTRADICT = 1024  # no joint velocities within bounds keep all walls: see `Trajectory.walls`
 
 
 MISSED = 1e-4  # [m/s, rad/s] violation of a wall that exceeds rounding
 
 LOST = Status.NON_FINITE | Status.DIVERGED | Status.GROWING
-NO_DEFECT = Status.RESTARTED
 OWN = Status.NEAR_SINGULAR | Status.GROWING  # the bits that each task of a stack has alone
 
 _REMEDY = {
@@ -50,8 +47,7 @@ _REMEDY = {
     Status.NOT_CONVERGED: "reduce alpha·Ts, raise M (of bounded limits: passes), or use an explicit method",
     Status.NEAR_SINGULAR: "use damped(...), or move the path away from the singularity",
     Status.AT_LIMIT: "choose another start or path",
-    Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or saturation()",
-    Status.OVER_ACCELERATION: "round the path's corners, make targets jump less (resampled), or allow more",
+    Status.OVER_VELOCITY: "reduce alpha, slow the path down, or use limits=velocity_scaling() or bounded()",
     Status.WALLS_CONTRADICT: "move apart the walls whose `walls` of the run are negative, or allow faster joints",
 }
 
@@ -61,40 +57,39 @@ class StepError(RuntimeError):
 
 
 def names(status: ArrayLike) -> str:
-    """A status value in words, such as "NOT_CONVERGED|NEAR_SINGULAR"."""
+    """Return a status value in words, such as "NOT_CONVERGED|NEAR_SINGULAR"."""
     status = int(np.asarray(status))
     return "|".join(str(s.name) for s in Status if s and s & status) or "OK"
 
 
 def level(status: ArrayLike) -> np.ndarray:
-    """The severity of each status, as an index of `cnclik.markup.LEVELS`: 0 fine, 1 warning, 2 lost."""
+    """Return the severity of each status: 0 fine, 1 warning, 2 lost."""
     status = np.asarray(status)
-    return np.where(status & LOST.value, 2, np.where(status & ~NO_DEFECT.value, 1, 0))
+    return np.where(status & LOST.value, 2, np.where(status, 1, 0))
 
 
 def count(status: ArrayLike) -> dict[str, int]:
-    """Number of steps with each status name; a step may have several."""
+    """Return the number of steps with each status name; a step may have several."""
     status = np.asarray(status)
     counts = {"OK": int(np.sum(status == 0))}
     return counts | {str(s.name): int(np.sum((status & s.value) != 0)) for s in Status if s}
 
 
 def counted(status) -> str:
-    """Those that there are, such as "OK 99, AT_LIMIT 1"."""
+    """Return the names that occur with their numbers of steps, such as "OK 99, AT_LIMIT 1"."""
     return ", ".join(f"{name} {steps}" for name, steps in count(status).items() if steps)
 
 
-@errors.renamed(trajectory="run")
 @of_numbers
 def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
-    """Return the run if no step has a status beyond `allow` and RESTARTED, which is no defect; or raise StepError.
+    """Return the run if no step has a status beyond `allow`; or raise StepError.
 
     The message names the first bad step (and lane), its time, and a remedy. The values are read, so this cannot be used
     under jit.
     """
     if not (hasattr(run, "status") and hasattr(run, "t")):  # a Trajectory's class is in a later module
         raise errors.fail("run", "be a Trajectory", f"is {type(run).__name__}")
-    status = np.asarray(run.status) & ~int(allow | Status.RESTARTED)
+    status = np.asarray(run.status) & ~int(allow)
     if not status.any():
         return run
     # Earliest step over all lanes: the last axis is time.
@@ -107,13 +102,13 @@ def require_ok(run: Run, *, allow: Status = Status.OK) -> Run:
 
 
 def rounding_of(qdot):
-    """How much a wall may be missed by rounding, at joint velocities (..., n): (..., 1)."""
+    """Return how much a wall may be missed by rounding, at joint velocities (..., n): (..., 1)."""
     xp = library(qdot)
     return MISSED * (1 + xp.max(xp.abs(qdot), axis=-1, keepdims=True))
 
 
 def flags(law, q, qdot, e, residual, tolerance, first):
-    """Status bits of one step; `first` is the law's evaluation at its start."""
+    """Return the status bits of one step; `first` is the law's evaluation at its start."""
     chain = law.chain
     size = jnp.sum(jnp.abs(q))
     finite = jnp.isfinite(size + jnp.sum(e))
@@ -121,40 +116,40 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is NaN counts as too small.
     status |= jnp.where(jnp.min(first.least) >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
-    outside, fast = first.limited, too_fast(chain, qdot)
+    fast, at_limit = too_fast(chain, qdot), first.limited
     if chain.bounded:
-        outside |= jnp.any(_at_limit(q, chain.lower, chain.upper))
-    broken = False if first.walls is None else jnp.any(first.walls < -rounding_of(first.qdot))
-    bits = ((outside, Status.AT_LIMIT), (fast, Status.OVER_VELOCITY), (broken, Status.WALLS_CONTRADICT))
-    for found, bit in bits:
-        if found is not False:
-            status |= jnp.where(found, int(bit), 0)
+        at_limit |= jnp.any(_at_limit(q, chain.lower, chain.upper))
+    missed = False if first.walls is None else jnp.any(first.walls < -rounding_of(first.qdot))
+    bits = {Status.AT_LIMIT: at_limit, Status.OVER_VELOCITY: fast, Status.WALLS_CONTRADICT: missed}
+    for bit, holds in bits.items():
+        if holds is not False:
+            status |= jnp.where(holds, int(bit), 0)
     if law.task.m > chain.n and not law.task.tasks:
         status |= int(Status.TASK_TOO_LARGE)
     return status | jnp.where(finite, 0, int(Status.NON_FINITE))
 
 
 def task_flags(law, first):
-    """The bits of each task of a stack in one step, (tasks,); None without a stack."""
+    """Return the bits of each task of a stack in one step, (tasks,); None without a stack."""
     if not law.task.tasks:
         return None
     return jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
 
 
 def _at_limit(v, low, high):
-    """Whether a joint is at or beyond a limit; a joint whose limits are equal is not, at that value."""
+    """Return whether a joint is at or beyond a limit; a joint whose limits are equal is not, at that value."""
     return ((v <= low) | (v >= high)) & ((v != low) | (v != high))
 
 
 def too_fast(chain, qdot):
-    """Whether a joint exceeds its velocity limit by more than rounding; False without a limit."""
+    """Return whether a joint exceeds its velocity limit by more than rounding; False without a limit."""
     if not chain.slowed:
         return False
     return jnp.any(jnp.abs(qdot) > chain.velocity_limit * (1 + 64 * jnp.finfo(qdot.dtype).eps))
 
 
 def far(dtype) -> float:
-    """Σ|q_i| [rad, m] above which joint values are meaningless: 1e6, or where the float spacing is 0.002 (float32)."""
+    """Return Σ|q_i| [rad, m] above which joint values mean nothing: 1e6, or where floats are 0.002 apart (float32)."""
     return min(1e6, 2.0**-9 / float(jnp.finfo(dtype).eps))
 
 
@@ -163,15 +158,15 @@ REVERSAL = 0.999  # or if its sign changes and it exceeds this times the one bef
 
 
 def growing(law, reference, t, e):
-    """GROWING or 0 for each step, and for each task of a stack, from its errors e (N + 1, m) at t (N + 1,).
-
-    Returns: (N,), and (N, tasks) or None.
+    """Return GROWING or 0 for each step, and each task of a stack, from its errors e (N + 1, m) at t (N + 1,).
 
     An error grows in a step if ‖e[k+1]‖ > 1.01 ‖e[k]‖ + s, or if e[k+1]·e[k] < 0 and ‖e[k+1]‖ > 0.999 ‖e[k]‖ + s. Here
     s is the target's own motion in the step, plus rounding, 64 eps (1 + ‖e[k]‖). With |R(z)| < 1 the loop stays below
     both, even if it rings; from |R(z)| = 1 on it does not, even if it is bounded. For a stack the norm includes its
     weights and levels, see `cnclik.law.law.metric`: otherwise a task that gives way to others would count as growing.
     For one of its tasks, the decrease of the other tasks' errors is subtracted, too.
+
+    Returns: (N,), and (N, tasks) or None.
     """
     task, moved, each = law.task, motion(reference, law.task, t), []
     e = metric(law) * e if task.tasks else e

@@ -1,14 +1,12 @@
-"""Trajectory: the motion of a loop, instant by instant; assembled, truncated, joined."""
+"""Trajectory: the motion of a loop, instant by instant; and its first steps."""
 
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from cnclik import errors, markup
-from cnclik.integrate.status import OWN, counted, level
+from cnclik import errors
+from cnclik.integrate.status import OWN, counted
 from cnclik.record import Array, Float, Int, record, replace
 
 INSTANTS = ("t", "q", "x", "e")  # N + 1 entries
@@ -30,7 +28,6 @@ class Trajectory:
       contraction: (N,) ratio of the last two changes; at 1 or more the iteration diverges.
       status: (N,) bits of `Status`.
       evaluations: number of evaluations of f(q, t) in the whole run, each with a Jacobian and an inverse.
-      path_time: (N + 1,) time on the path where the path waits for the robot, see `Pace` [s]; None where it equals t.
       tasks: for a stack: (name, first, last + 1) of the coordinates of its tasks; `run["hands"]` is the run of one
         task.
       task_status: (N, tasks) bits of `Status` that each task has alone, NEAR_SINGULAR and GROWING; None without a
@@ -49,7 +46,6 @@ class Trajectory:
     contraction: Float[Array, "*lanes N"]
     status: Int[Array, "*lanes N"]
     evaluations: Int[Array, "*lanes"]
-    path_time: Float[Array, "*lanes N+1"] | None = None
     tasks: tuple[tuple[str, int, int], ...] = ()
     task_status: Int[Array, "*lanes N tasks"] | None = None
     walls: Float[Array, "*lanes N k"] | None = None
@@ -66,11 +62,6 @@ class Trajectory:
             status = (status & ~int(OWN)) | self.task_status[..., i]
         return replace(self, x=self.x[..., own], e=self.e[..., own], status=status, tasks=(), task_status=None)
 
-    @property
-    def target_time(self) -> Float[Array, "*lanes N+1"]:
-        """(N + 1,) times at which the reference gave the targets [s]."""
-        return self.t if self.path_time is None else self.path_time
-
     def __repr__(self):
         *lanes, N = np.shape(self.status)
         of = f"{' × '.join(map(str, lanes))} lanes, each of " if lanes else ""
@@ -82,8 +73,6 @@ class Trajectory:
         lines[0] += f", {e.dtype}"
         if t.size:
             lines.append(f"  t       {t.min():.6g} to {t.max():.6g} s")
-        if self.path_time is not None:
-            lines.append(f"  path    {np.min(self.path_time):.6g} to {np.max(self.path_time):.6g} s")
         if size.size:
             first, last = size[..., 0].max(), size[..., -1].max()
             lines.append(f"  ‖e‖     {first:.4g} at first, {last:.4g} at last, at most {size.max():.4g} [m, rad]")
@@ -95,15 +84,6 @@ class Trajectory:
                 own = np.linalg.norm(e[..., a:b], axis=-1)[..., -1].max()
                 lines.append(f"  {name}: ‖e‖ {own:.4g} at last, {counted(self[name].status)}")
         return "\n".join(lines)
-
-    def _repr_html_(self):
-        """For notebooks: its text and, for one lane, a plot of the error that marks the steps that are not OK."""
-        text = f"<pre>{markup.escaped(repr(self))}</pre>"
-        known = all(errors.concrete(v) and isinstance(v, (np.ndarray, jax.Array)) for v in jax.tree.leaves(self))
-        if not known or np.ndim(self.status) != 1 or len(self.status) == 0:
-            return text
-        size = np.linalg.norm(np.asarray(self.e), axis=-1)
-        return text + markup.error_plot(self.t, size, np.append(level(self.status), 0))
 
 
 def check_run(run, law) -> None:
@@ -122,60 +102,13 @@ def one_lane(run) -> None:
         raise errors.fail("run", "be one lane", f"has {lanes} leading axes")
 
 
-def assemble(t, steps, path, last, evaluations, tasks=()) -> Trajectory:
-    """A trajectory at t (N + 1,) [s]. Pure.
-
-    Args:
-      steps, path: `Step`s at all instants, and the time on a path that waits, or None.
-      last: (q, x, e) at the last instant.
-      tasks: as in `Trajectory`.
-    """
-    N = t.shape[0] - 1
-
-    def first(name):
-        return lax.slice_in_dim(getattr(steps, name), 0, N)
-
-    return Trajectory(
-        t=t,
-        **{k: jnp.concatenate([first(k), end[None]]) for k, end in zip(("q", "x", "e"), last, strict=True)},
-        **{name: first(name) for name in steps_of(steps)},
-        evaluations=jnp.asarray(evaluations),
-        path_time=path,
-        tasks=tasks,
-    )
-
-
 def truncate(run: Trajectory, N: int) -> Trajectory:
-    """The first N steps of a run, one lane; every step costs the same number of evaluations."""
-    made = run.status.shape[0]
-    points = {name: getattr(run, name)[: N + 1] for name in (*INSTANTS, *_path_time(run))}
-    steps = {name: getattr(run, name)[:N] for name in steps_of(run)}
-    return replace(run, **points, **steps, evaluations=run.evaluations * min(N, made) // max(made, 1))
+    """Return the first N steps of a run, one lane."""
+    steps = run.status.shape[0]
+    cut = {name: getattr(run, name)[: N + (name in INSTANTS)] for name in (*INSTANTS, *steps_of(run))}
+    return replace(run, **cut, evaluations=run.evaluations * min(N, steps) // max(steps, 1))
 
 
 def steps_of(run):
-    """Names of the fields per step of a run or a step."""
+    """Return the names of the fields that a run or a step has per step."""
     return STEPS + tuple(name for name in ("task_status", "walls") if getattr(run, name) is not None)
-
-
-def _path_time(run):
-    return () if run.path_time is None else ("path_time",)
-
-
-def join(parts) -> Trajectory:
-    """Join runs end to end, as NumPy arrays; the instant at which one ends and the next starts is kept once."""
-    parts = tuple(parts)
-
-    def steps(name):
-        return np.concatenate([np.asarray(getattr(p, name)) for p in parts])
-
-    def instants(name):
-        values = [np.asarray(getattr(p, name)) for p in parts]
-        return np.concatenate([*(v[:-1] for v in values), values[-1][-1:]])
-
-    return Trajectory(
-        **{name: instants(name) for name in (*INSTANTS, *_path_time(parts[0]))},
-        **{name: steps(name) for name in steps_of(parts[0])},
-        evaluations=sum(np.asarray(p.evaluations) for p in parts),  # type: ignore[arg-type, misc]
-        tasks=parts[0].tasks,
-    )

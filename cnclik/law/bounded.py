@@ -69,7 +69,7 @@ class Problem(NamedTuple):
         """
         across, squares = step.between(walls.rows, walls.rows), walls.rows * walls.rows
         alone = squares @ (1.0 / (jnp.sum(self.b * self.b, axis=0) + self.shift)) + _LEVER**2 / self.shift
-        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.diagonal(across), alone) * walls.slack
+        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.diagonal(across), alone)
         return self._replace(walls=walls, soft=soft, raised=soft * push), across
 
     def missing(self, qdot):
@@ -133,7 +133,7 @@ class Newton(NamedTuple):
 
 
 def newton(hessian, shut) -> Newton:
-    """The factor of H; a joint with a tiny pivot is locked."""
+    """Factor H; a joint with a tiny pivot is locked."""
     size = lax.stop_gradient(jnp.diagonal(hessian))
     lock = jnp.where(shut, size / jnp.finfo(size.dtype).eps ** 2, 0.0)
     hessian = dense.shifted(hessian, lock)[::-1, ::-1]
@@ -141,7 +141,7 @@ def newton(hessian, shut) -> Newton:
 
 
 def nearest(slope, curvature, most, missing, goes, soft):
-    """The t from 0 to `most` that minimizes ½ curvature t² − slope t + ½ Σ max(0, missing − t goes)²/soft.
+    """Return the t from 0 to `most` that minimizes ½ curvature t² − slope t + ½ Σ max(0, missing − t goes)²/soft.
 
     The derivative is linear between kinks, where a wall starts or stops pushing.
     """
@@ -155,7 +155,7 @@ def nearest(slope, curvature, most, missing, goes, soft):
 
 
 def pushed(slope, push, walls):
-    """Minus half the gradient with the forces of the walls."""
+    """Return minus half the gradient with the forces of the walls."""
     return slope if push is None else slope + push @ walls.rows
 
 
@@ -171,7 +171,7 @@ class _Pass(NamedTuple):
 
 
 def swept(of: Problem, hessian, qdot, slope):
-    """One joint after the other at its least within bounds (Gauss-Seidel)."""
+    """Move one joint after the other to its least within bounds (Gauss-Seidel)."""
 
     def one(at, joint):
         (qdot, slope), (row, on, per_size, low, high) = at, joint
@@ -184,7 +184,7 @@ def swept(of: Problem, hessian, qdot, slope):
 
 
 def descent(of: Problem, start, passes) -> _Pass:
-    """The minimum within bounds, after at most `passes` passes from a start; the cost falls in each.
+    """Find the minimum within bounds, by at most `passes` passes from a start; the cost falls in each.
 
     Sweeps over the joints find most that are at a bound in the end; walls are not in them.
 
@@ -243,7 +243,7 @@ def descent(of: Problem, start, passes) -> _Pass:
 
 
 def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
-    """The minimum behind walls: a descent, and more while walls are violated by more than their softness.
+    """Find the minimum behind walls: a descent, and more while walls are violated by more than their softness.
 
     Each further descent uses the multipliers of the one before, and the softness on the face where it ended. The first
     has no multipliers, and the softness within the bounds.
@@ -267,10 +267,10 @@ def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
 
 
-def on_face(of: Problem, walls: Rows | None, shut, push, qdot):
-    """(violations, as a function of q̇; Newton's step) with these joints locked, behind the walls that push."""
+def on_face(of: Problem, walls: Rows | None, shut, push):
+    """Return (violations, as a function of q̇; Newton's step) with these joints locked, behind the walls that push."""
     step = newton(of.hessian(), shut)
-    face, across = (of, None) if walls is None else of.behind(walls.holding(lax.stop_gradient(qdot)), step)
+    face, across = (of, None) if walls is None else of.behind(walls, step)
     return face.missing, face.newton(step, push, across)
 
 
@@ -278,6 +278,7 @@ def on_face(of: Problem, walls: Rows | None, shut, push, qdot):
 class Bounded:
     """See `bounded`."""
 
+    positions = True
     rate: Number
     passes: int
     walls: tuple[Wall, ...] = ()
@@ -294,7 +295,7 @@ class Bounded:
             raise undamped(inverse)
         unlimited = through(plain.apply, rows, velocity, null)
         if not (chain.bounded or chain.slowed or self.walls):
-            return Limited(qdot=unlimited, apply=plain.apply, least=plain.least, limited=False)
+            return Limited(unlimited, plain)
         low, high = bounds(self.rate, chain, q)
         walls = rows_at(self.walls, self.rate, chain, q) if self.walls else None
         still = None if walls is None else jnp.zeros_like(walls.floor)
@@ -308,27 +309,26 @@ class Bounded:
             return even, Problem(b, even * velocity, rest, low, high, least)
 
         def least():
-            _, of = scaled()
-            known, others, found = lax.stop_gradient((of, walls, unlimited))
-            found = kept(known, others, found, self.passes)
-            push = found.push
-            shut = known.shut(found.qdot, pushed(found.slope, push, others))
+            _, problem = scaled()
+            constant, constant_walls, start = lax.stop_gradient((problem, walls, unlimited))
+            end = kept(constant, constant_walls, start, self.passes)
+            shut = constant.shut(end.qdot, pushed(end.slope, end.push, constant_walls))
             # One more step on the face has all derivatives of the minimum there, and removes rounding and violations of
             # walls. Multipliers of walls that contradict grow in each round, so it makes its own, with derivatives.
             # After a descent that was cut short only its derivatives are used.
-            qdot = jnp.where(shut, jnp.where(found.qdot >= high, high, low), found.qdot)
-            missing, solve = on_face(of, walls, shut, push, found.qdot)
-            step, _ = solve(of.slope(qdot), missing(qdot), _ROUNDS)
-            step = jnp.where(found.settled, step, step - lax.stop_gradient(step))
-            return of.clip(qdot + step), shut.astype(unlimited.dtype), ~found.settled, push
+            qdot = jnp.where(shut, jnp.where(end.qdot >= high, high, low), end.qdot)
+            missing, solve = on_face(problem, walls, shut, end.push)
+            step, _ = solve(problem.slope(qdot), missing(qdot), _ROUNDS)
+            step = jnp.where(end.settled, step, step - lax.stop_gradient(step))
+            return problem.clip(qdot + step), shut.astype(unlimited.dtype), ~end.settled, end.push
 
         def locked(t):
             """J# of the joints that are not shut, along the walls that push, once refined."""
-            (even, of), locks = scaled(), shut > 0
-            _, step = on_face(of, walls, locks, push, qdot)
-            first, _ = step((even * t) @ of.b, still)
+            even, problem = scaled()
+            _, step = on_face(problem, walls, shut > 0, push)
+            first, _ = step((even * t) @ problem.b, still)
             missing = None if walls is None else -walls.rows @ first
-            return first + step((even * t - of.b @ first) @ of.b - of.shift * first, missing)[0]
+            return first + step((even * t - problem.b @ first) @ problem.b - problem.shift * first, missing)[0]
 
         fits = jnp.all((low <= unlimited) & (unlimited <= high))
         if walls is not None:
@@ -338,8 +338,7 @@ class Bounded:
         limited = jnp.any((shut > 0) & (low < high))
         return Limited(
             qdot=qdot,
-            apply=lambda t: lax.cond(fits, plain.apply, locked, t),
-            least=plain.least,
+            factored=plain._replace(apply=lambda t: lax.cond(fits, plain.apply, locked, t)),
             limited=limited if push is None else limited | jnp.any(push > 0),
             cut=cut,
             walls=None if walls is None else walls.rows @ qdot - walls.floor,
@@ -347,14 +346,17 @@ class Bounded:
 
 
 def undamped(inverse):
-    """The error of an inverse without damping."""
+    """Return the error of an inverse without damping."""
     return errors.fail("inverse", "be damped with limits=bounded(), as in inverse=damped(0.05)", f"is {brief(inverse)}")
 
 
 def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:
-    """Bounded least squares: the joint velocities within bounds that have the least weighted error.
+    """Find the joint velocities within bounds that have the least weighted error: bounded least squares.
 
-    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds of `saturation`; q̇₀ is the null-space velocity.
+    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds ±Vᵢ and rate·(limit − qᵢ) of q̇ᵢ; q̇₀ is the
+    null-space velocity. A joint approaches its limit exponentially, and one outside its limits comes back, whatever the
+    task asks for.
+
     Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
     possible, in a direction that may differ. With `levels` the lower levels give way first, and the first level by
     about (λ₁/λ₂)². The minimum is found by a descent from face to face of the box, by projected Newton steps (Bertsekas
@@ -368,7 +370,7 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
     A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 
     Args:
-      rate: see `saturation` [1/s].
+      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit, see `exponential_rate`.
       passes: largest number of Newton steps. Up to three are usual; of 60,000 postures of an arm and of a humanoid none
         took more than 13, and at levels of λ = 1e-4 and 0.1 none of 8,000 more than 19. With too few passes the
         velocities are still within bounds and cost no more than clipped ones, but are not the minimum.

@@ -1,13 +1,14 @@
 """Dense linear algebra for tasks of a few rows."""
 
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.scipy.linalg import solve_triangular
+
+SQUARINGS = 5  # of an inverse, to find its largest eigenvalue: the power 32
 
 
 def wide_side(rows):
@@ -47,10 +48,9 @@ def _between_jvp(primals, tangents):
     return between(*primals), da @ right + left.T @ db.T - left.T @ turned @ right
 
 
-def triangular(lower, b, *, transposed=False, unit=False):
-    """Solution x of L x = b, or of Lᵀ x = b; `unit`: with ones in place of L's diagonal."""
-    eye = np.eye(len(lower), dtype=bool)
-    whole = jnp.where(np.tri(len(lower), dtype=bool), jnp.where(eye & unit, 1.0, lower), 0.0)
+def triangular(lower, b, *, transposed=False):
+    """Solve L x = b, or Lᵀ x = b."""
+    whole = jnp.where(np.tri(len(lower), dtype=bool), lower, 0.0)
 
     def solved(transposed):
         return lambda _, b: _substitution(transposed)(whole, b)
@@ -60,170 +60,30 @@ def triangular(lower, b, *, transposed=False, unit=False):
     )
 
 
-def packed(lower):
-    """A Cholesky factor L √D as a vector (m(m+1)/2,), row by row: L below its unit diagonal, and 1/D on it."""
-    inverse = 1.0 / jnp.diagonal(lower)
-    unit = lower * inverse
-    return jnp.where(np.eye(len(lower), dtype=bool), inverse * inverse, unit)[np.tril_indices(len(lower))]
-
-
-def packed_solve(vector, b):
-    """`cholesky_solve` of a vector with a `packed` factor, without a root or a division."""
-    ends = np.cumsum(np.arange(len(b) + 1))  # row by row, as the engine has no C for a large scatter
-    both = jnp.stack([jnp.pad(vector[i:j], (0, len(b) - (j - i))) for i, j in itertools.pairwise(ends)])
-    half = jnp.diagonal(both) * triangular(both, b, unit=True)
-    return triangular(both, half, transposed=True, unit=True)
-
-
 def inverse_trace(lower):
     """Trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite without a factor."""
     trace = jnp.sum(triangular(lower, jnp.eye(len(lower), dtype=lower.dtype)) ** 2)
     return jnp.where(trace > 0, trace, jnp.inf)
 
 
-def _sweeps(m):
-    """Cyclic Jacobi sweeps that make m rows orthogonal to rounding; m = 2 needs exactly one rotation."""
-    return (0, 0, 1, 6, 7, 8, 9)[m] if m <= 6 else 8 + m.bit_length()
+def least_squared(rows, tiny):
+    """Return σ_min² of J, or up to m^(1/32) less where others are as small (6 % for six rows), with smooth derivatives.
 
+    1/tr((JJᵀ)⁻³²)^(1/32) by five products: no decomposition, whose derivatives have no meaning where values are equal.
 
-def orthogonal_rows(rows):
-    """One-sided Jacobi: U and W with J = U W, U orthogonal and the rows of W orthogonal (Hestenes 1958).
-
-    The norms of W's rows are the singular values of J, small ones to high relative accuracy. Made for one
-    matrix of few rows. Do not differentiate through it: at equal singular values U is arbitrary.
+    Args: tiny: the shift of J Jᵀ below which rounding is.
     """
-    m, n = rows.shape
-    if m == 1:
-        return jnp.ones((1, 1), rows.dtype), rows
-    one, other, order, rounds = _round(m)
-
-    def turn(both, _):
-        a, b = both[one], both[other]
-        aa, bb, ab = (jnp.sum(x[:, :n] * y[:, :n], axis=1, keepdims=True) for x, y in ((a, a), (b, b), (a, b)))
-        gap = bb - aa
-        radius = jnp.abs(gap) + jnp.sqrt(gap * gap + 4.0 * ab * ab)
-        none = radius == 0
-        tangent = jnp.where(none, 0.0, 2.0 * ab * jnp.where(gap < 0, -1.0, 1.0) / jnp.where(none, 1.0, radius))
-        cosine = 1.0 / jnp.sqrt(1.0 + tangent * tangent)
-        sine = cosine * tangent
-        return jnp.concatenate([cosine * a - sine * b, sine * a + cosine * b, both])[order], None
-
-    # Each row of W is followed by its row of Uᵀ, so that one rotation turns both.
-    both = jnp.concatenate([rows, jnp.eye(m, dtype=rows.dtype)], axis=1)
-    both, _ = lax.scan(turn, both, None, length=_sweeps(m) * rounds)
-    return both[:, n:].T, both[:, :n]
-
-
-def _round(m):
-    """The pairs of a round-robin tournament of m, the seats of the next round, and the number of rounds.
-
-    The first m, or m − 1 if m is even, rotate around the table. One of them has no opponent and plays the last, who
-    stays. Seats are listed as winners, losers and all.
-    """
-    table = m - 1 + m % 2
-    pairs = [(i, table - 1 - i) for i in range(table // 2)] + [(table // 2, m - 1)] * (m > table)
-    one, other = np.array(pairs, int).reshape(-1, 2).T
-    place = np.arange(m) + 2 * len(pairs)
-    place[one], place[other] = np.arange(len(pairs)), np.arange(len(pairs)) + len(pairs)
-    moved = [(i + 1) % table for i in range(table)] + [m - 1] * (m > table)
-    return one, other, place[moved], table
-
-
-def least_squared(rows):
-    """σ_min² of J as the Rayleigh quotient ‖Jᵀu‖², u its left singular vector.
-
-    With constant u, the derivative uᵀ d(J Jᵀ) u is that of a simple singular value, and finite for any.
-    """
-    left, turned = orthogonal_rows(lax.stop_gradient(rows))
-    squares = jnp.sum(turned**2, axis=1)
-    least = jnp.arange(len(squares)) == jnp.argmin(squares)
-    back = left @ least.astype(left.dtype) @ rows
-    return back @ back
-
-
-def pinv(rows):
-    """Moore-Penrose pseudoinverse, as the m rows of its transpose, and the least singular value.
-
-    For well conditioned J it is Jᵀ (J Jᵀ)⁻¹, refined; the singular value is then a lower estimate, within √m.
-    Otherwise, and for one or two rows, J# = Σ wᵢ uᵢᵀ/σᵢ² over the singular values above max(m, n)·10·eps·σ_max, as
-    numpy.linalg.pinv truncates, so a rank-deficient J is included. Its derivative is taken from the closed form (Golub
-    & Pereyra 1973, eq. 4.12) and not through a decomposition:
-
-      dJ# = −J# dJ J# + J# J#ᵀ dJᵀ (I − J J#) + (I − J# J) dJᵀ J#ᵀ J#,
-
-    exact wherever the rank is locally constant, and finite everywhere. The least singular value carries no
-    derivative.
-    """
-    if len(rows) > rows.shape[1]:
-        inverse, least = pinv(rows.T)
-        return inverse.T, least
-    return _pinv(rows)
-
-
-@jax.custom_jvp
-def _pinv(rows):
-    if len(rows) <= 2:  # one rotation suffices
-        return _pinv_by_rotations(rows)
-    lower, inverse, trusted = _eliminated(rows)
-    first = cholesky_solve(lower, rows)
-    quick = 2.0 * first - first @ rows.T @ first, 1.0 / jnp.sqrt(inverse)
-    return lax.cond(trusted, lambda rows: quick, _pinv_by_rotations, rows)
-
-
-def _eliminated(rows):
-    """The Cholesky factor of J Jᵀ, the trace of (J Jᵀ)⁻¹, and whether to trust them.
-
-    With P = Jᵀ (J Jᵀ)⁻¹ from them, P (2I − J P) squares the error I − J P of size eps·κ². The result is as good as any,
-    eps·κ, while κ³ < 1/eps. The test uses κ² ≤ tr(J Jᵀ) tr((J Jᵀ)⁻¹), which is infinite or NaN for a singular J.
-    """
-    lower = cholesky(rows @ rows.T)
-    size, inverse = jnp.sum(rows**2), inverse_trace(lower)
-    return lower, inverse, size * inverse <= jnp.finfo(size.dtype).eps ** (-2 / 3)
-
-
-@jax.custom_jvp
-def pinv_applied(rows, columns, t):
-    """J# t of `pinv` for at most as many rows as joints, refined with vectors: P t + P (t − J P t).
-
-    Its derivatives use J#'s `columns`, by `pinv`, which are not used otherwise.
-    """
-    if len(rows) <= 2:
-        return t @ _pinv(rows)[0]
-    lower, _, trusted = _eliminated(rows)
-
-    def quick(rows, t):
-        first = cholesky_solve(lower, t) @ rows
-        return first + cholesky_solve(lower, t - rows @ first) @ rows
-
-    return lax.cond(trusted, quick, lambda rows, t: t @ _pinv_by_rotations(rows)[0], rows, t)
-
-
-@pinv_applied.defjvp
-def _pinv_applied_jvp(primals, tangents):
-    return jax.jvp(lambda columns, t: t @ columns, primals[1:], tangents[1:])
-
-
-def _pinv_by_rotations(rows):
-    u, w = orthogonal_rows(rows)
-    squares = jnp.sum(w**2, axis=1)
-    largest = jnp.max(squares)
-    tiny = 10 * max(rows.shape) * jnp.finfo(largest.dtype).eps
-    keep = squares > tiny * tiny * largest
-    inverses = jnp.where(keep, 1.0, 0.0) / jnp.where(keep, squares, 1.0)
-    return (u * inverses) @ w, jnp.sqrt(jnp.min(squares))
-
-
-@_pinv.defjvp
-def _pinv_jvp(primals, tangents):
-    """The closed form of `pinv`, transposed, with nothing larger than m×m and m vectors over the joints.
-
-    With P = J#, A = dJ P, G = J P, S = Pᵀ P and T = dJᵀ S: dP = T + P (Aᵀ − Aᵀ G − A − J T).
-    """
-    (j,), (dj,) = primals, tangents
-    p, least = _pinv(j)
-    a, g, t = dj @ p.T, j @ p.T, p @ p.T @ dj  # t holds the rows of Tᵀ
-    inner = a.T - a.T @ g - a - j @ t.T
-    return (p, least), (t + inner.T @ p, jnp.zeros_like(least))
+    lower = cholesky(shifted(rows @ rows.T, tiny))
+    power = cholesky_solve(lower, jnp.eye(len(rows), dtype=rows.dtype))
+    sizes = []
+    for _ in range(SQUARINGS):
+        sizes.append(jnp.trace(power))
+        power = power / sizes[-1]
+        power = power @ power
+    root = jnp.trace(power)
+    for size in reversed(sizes):
+        root = size * jnp.sqrt(root)
+    return jnp.maximum(1.0 / root - tiny, 0.0)
 
 
 # --- without LAPACK -----------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Constant feedback over a step: the error decays by its exact factor, whatever the gain and the sampling time.
 
 The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). A constant feedback over the step that
-reaches it is (I − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
+reaches it is (1 − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
 
 The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
 law gives Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. The feedback at an instant within
@@ -15,19 +15,14 @@ error is the one measured at the step's start, and unknown motion of the target 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 
 from cnclik.law.curves import Tangent
-from cnclik.law.law import Law, clamped, gain
-from cnclik.law.null import Posture
+from cnclik.law.law import Law, clamped, null_velocity
 from cnclik.law.reference import aims_of, by_target
 from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3
 from cnclik.task.task import velocity
 
-HALVINGS = 24  # doublings of a gain matrix's factor, enough for alpha·Ts = 1e6 and more
-_TERMS = 9  # terms of the series
-_WRITTEN_OUT = 6  # rows of a matrix, at most, for which programs have each term: quicker, but long for large matrices
 _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
 
 
@@ -35,14 +30,8 @@ _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative 
 
 
 def per_step(alpha, Ts):
-    """Φ = (I − e^{−K·Ts})/Ts [1/s], the constant gain over a step with the effect of K; K itself for Ts = 0.
-
-    Args:
-      alpha: K as an array: (), (m,) per axis, or (m, m).
-      Ts: [s].
-    Returns: of alpha's shape.
-    """
-    return alpha * _share(alpha * Ts) if alpha.ndim < 2 else _doubled(alpha, Ts)[1]
+    """Return Φ = (1 − e^{−K·Ts})/Ts [1/s], the constant gain over a step with the effect of K; K itself for Ts = 0."""
+    return alpha * _share(alpha * Ts)
 
 
 def _share(z):
@@ -51,27 +40,6 @@ def _share(z):
     safe = jnp.where(near, 1.0, z)
     series = 1 - z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6))))
     return jnp.where(near, series, -jnp.expm1(-safe) / safe)
-
-
-def _doubled(k, Ts):
-    """(I − e^{−K·t})/t of a matrix for t = Ts/2 and t = Ts: a series for a small part h of Ts, then
-    G ← G − (h/2) G², h ← 2h.
-
-    I − e^{−2hK} = 2D − D² with D = h·G = I − e^{−hK}: nothing cancels, and rounding grows with no doubling.
-    """
-    h = Ts * 2.0**-HALVINGS
-
-    def horner(series, j):  # of K Σⱼ (−hK)ʲ/(j + 1)!
-        return k - h / j * (k @ series), None
-
-    def double(carry, _):
-        g, h = carry
-        return (g - 0.5 * h * (g @ g), 2 * h), None
-
-    terms = jnp.arange(_TERMS, 1, -1, dtype=k.dtype)
-    series, _ = lax.scan(horner, k, terms, unroll=len(terms) if len(k) <= _WRITTEN_OUT else 1)
-    half, _ = lax.scan(double, (series, h), None, length=HALVINGS - 1)
-    return half[0], double(half, None)[0][0]
 
 
 # --- feedback -----------------------------------------------------------------------------------------
@@ -86,16 +54,6 @@ def _along(law, rate, turns, share):
     return jnp.concatenate([own if turn is None else own + share * (turn @ own - own) for own, turn in each])
 
 
-def _mean_rates(law, e, Ts):
-    """Φ e (m,) of half a step, and of all of it; in a stack task by task, as a matrix acts within each."""
-    alpha = jnp.asarray(law.alpha)
-    if alpha.ndim < 2:
-        return [gain(per_step(alpha, c * Ts), e) for c in (0.5, 1.0)]
-    tasks = [at for _, at in law.task.each] if law.task.tasks else [slice(None)]
-    each = [[factor @ e[at] for factor in _doubled(alpha[at, at], Ts)] for at in tasks]
-    return map(jnp.concatenate, zip(*each, strict=True))
-
-
 def held_feedback(law: Law, e, turns, Ts):
     """The feedback (m,) of a step, constant over the step, from the error at its start.
 
@@ -104,14 +62,13 @@ def held_feedback(law: Law, e, turns, Ts):
       turns: of each part T = R_d(t + Ts) R_d(t)ᵀ; None without a turn or a whole orientation.
       Ts: [s]; at 0 it is K e.
     """
-    _, whole = _mean_rates(law, clamped(law, e), Ts)
-    return _along(law, whole, turns, 0.5)
+    return _along(law, per_step(law.alpha, Ts) * clamped(law, e), turns, 0.5)
 
 
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
     """The feedback (m,) of a step at each of some times within it, in units of Ts.
 
-    They are slopes of the parabola through the tip's motion as the error decays, (I − e^{−K·c·Ts}) e, at c = 0, 1/2, 1.
+    They are slopes of the parabola through the tip's motion as the error decays, (1 − e^{−K·c·Ts}) e, at c = 0, 1/2, 1.
     A quadrature of second order or more integrates them to the whole decay; one of order 3 or 4 keeps its order,
     as 3c² − 3c + 1/2, along which they miss the decay, is orthogonal to 1 and c. From K·Ts = 1 on the parabola gives
     way to the chord, whose slope is the same everywhere: 3 e/Ts at first and −e/Ts at last lead a far start astray.
@@ -121,17 +78,17 @@ def feedback_within(law: Law, e, times, turns, Ts) -> list:
       turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
     """
     e = clamped(law, e)
-    half, whole = _mean_rates(law, e, Ts)
-    k = jnp.abs(jnp.asarray(law.alpha))
-    z = Ts * jnp.max(k if k.ndim < 2 else jnp.sum(k, axis=1))
+    half, whole = (per_step(law.alpha, c * Ts) * e for c in (0.5, 1.0))
+    z = Ts * jnp.max(jnp.abs(jnp.asarray(law.alpha)))
     half = whole + 1.0 / (1.0 + (z * z) ** 2) * (half - whole)
     rates = ((2.0 - 4.0 * c) * half + (4.0 * c - 1.0) * whole for c in times)
     return [_along(law, rate, turn, 1.0) for rate, turn in zip(rates, turns, strict=True)]
 
 
-def null_over_step(law: Law, Ts):
-    """Factor of a posture term over a step, (1 − e^{−rate·Ts})/(rate·Ts); None where the term isn't linear."""
-    return _share(law.null_velocity.rate * Ts) if isinstance(law.null_velocity, Posture) else None
+def held_null(law: Law, q, Ts):
+    """Return the pull (n,) of the law's posture over a step, (1 − e^{−rate·Ts})/(rate·Ts) q̇₀; None without one."""
+    posture = law.null_velocity
+    return None if posture is None else _share(posture.rate * Ts) * null_velocity(law, q)
 
 
 # --- the target's motion ------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Law: what the loop does at each instant, q̇ = f(q, t).
 
 f(q, t) = J#(q) (ẋ_d + K e) + (I − J# J) q̇₀, the closed-loop inverse kinematics of Drexler (2016), eqs. 1-2,
-with K the gain and q̇₀ an optional joint velocity in the null space of the task (Siciliano et al. 2009,
+with K the gain and q̇₀ the pull of an optional posture in the null space of the task (Siciliano et al. 2009,
 eq. 3.54).
 """
 
@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import NoneType
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik import errors, markup
+from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
-from cnclik.law.inverse import Factored, Levels, Pseudoinverse, Transpose, damped_apply, least_of, through
-from cnclik.law.limits import Limited
-from cnclik.law.null import Posture, evaluated
+from cnclik.law.inverse import Factored, Levels, Pseudoinverse, damped_apply, least_of, through
+from cnclik.law.limits import Limited, Scaled
+from cnclik.law.null import Posture
 from cnclik.precision import precise
-from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record, replace
+from cnclik.record import Array, Bool, Float, Number, brief, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
@@ -40,18 +41,16 @@ class Law:
       chain: the robot.
       task: what is controlled: position(...), orientation(...) or pose(...) of a tip, joints(...), several of them
         joined by `&`, or a stack(name=task, ...).
-      alpha: gain of the error [1/s]: a number, (m,) per axis, or an (m, m) matrix; for a stack also {name of a task:
-        gain}. It is a rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
-      inverse: J#: pseudoinverse(), damped(λ), transpose(), manipulability_damped(...), singular_damped(...),
-        error_damped(...), levels(...).
-      limits: how joint limits are respected: velocity_scaling(), weighted_least_norm(), saturation(), bounded(), or
-        None.
-      null_velocity: desired joint velocity q̇₀ in the null space: (n,) [rad/s, m/s], or a function of q.
+      alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. It is a
+        rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
+      inverse: J#: pseudoinverse(), damped(λ), singular_damped(...), error_damped(...), levels(...).
+      limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
+      null_velocity: posture(q_rest, rate), whose joint velocity q̇₀ acts in the null space, or None.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
         far away or out of reach then acts like one at that distance; see `clamped`.
       near_singular: steps whose least singular value of the task Jacobian is below this are marked NEAR_SINGULAR [m or
-        1]. The value is an estimate from below, within √m; it is exact for the pseudoinverse of one or two rows.
+        1]. The value is an estimate from below, within √m.
 
     Raises: ArgumentError naming the argument that does not fit.
     """
@@ -59,48 +58,45 @@ class Law:
     chain: Chain
     task: Task
     _: dataclasses.KW_ONLY
-    alpha: Any  # an array, after the constructor
+    alpha: Any  # an array () or (m,), after the constructor
     inverse: Callable[..., Factored] = Pseudoinverse()
-    limits: Callable[..., Limited] | None = None
-    null_velocity: Callable[[Array], Array] | ArrayLike | None = None
+    limits: Scaled | Bounded | None = None
+    null_velocity: Posture | None = None
     feedforward: Number = 1.0
     error_clamp: tuple[Number, Number] | Float[Array, " 2"] | None = None
     near_singular: Number = 0.01
 
     def __post_init__(self):
-        task, n = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model)).n
-        if isinstance(self.chain, Chain):
-            task = task.on(self.chain)
-            object.__setattr__(self, "task", task)
-            if hasattr(self.limits, "on"):
-                object.__setattr__(self, "limits", self.limits.on(self.chain))
-        m = task.m
-        if m > n and isinstance(self.inverse, Pseudoinverse):
+        task, chain = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model))
+        errors.kind("limits", self.limits, (Scaled, Bounded, NoneType), "be None, velocity_scaling() or bounded()")
+        errors.kind("null_velocity", self.null_velocity, (Posture, NoneType), "be None or posture(...)")
+        limits, inverse, n = self.limits, self.inverse, chain.n
+        if isinstance(chain, Chain):
+            task = task.on(chain)
+            limits = limits.on(chain) if isinstance(limits, Bounded) else limits
+        if not callable(inverse):
+            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or levels(...)", f"is {inverse!r}")
+        if isinstance(inverse, Pseudoinverse) and task.m > n:
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
-            raise errors.fail("task", must, f"has {m}: {', '.join(task.names)}")
-        alpha = of_tasks(task, self.alpha) if isinstance(self.alpha, dict) else self.alpha
-        alpha = errors.array("alpha", alpha, (), (m,), (m, m))
-        object.__setattr__(self, "alpha", _within_tasks(task, _not_negative(alpha)))
-        if hasattr(self.inverse, "on"):
-            object.__setattr__(self, "inverse", self.inverse.on(task))
-        for name, least in (("feedforward", None), ("near_singular", 0)):
-            object.__setattr__(self, name, leaf(errors.number(name, getattr(self, name), at_least=least)))
+            raise errors.fail("task", must, f"has {task.m}: {', '.join(task.names)}")
+        if isinstance(inverse, Pseudoinverse) and isinstance(limits, Bounded):
+            raise undamped(inverse)
+        if self.null_velocity is not None:
+            errors.array("rest", self.null_velocity.rest, (n,))
+        checked = {
+            "task": task,
+            "limits": limits,
+            "alpha": _gains(task, self.alpha),
+            "inverse": inverse.on(task) if isinstance(inverse, Levels) else inverse,
+            "feedforward": leaf(errors.number("feedforward", self.feedforward)),
+            "near_singular": leaf(errors.number("near_singular", self.near_singular, at_least=0)),
+        }
         if self.error_clamp is not None:
-            pair = errors.array("error_clamp", self.error_clamp, (2,))
-            if errors.concrete(pair) and not np.all(np.asarray(pair) > 0):
-                raise errors.fail("error_clamp", "be positive", f"is {np.asarray(pair).tolist()}")
-            object.__setattr__(self, "error_clamp", pair)
-        if not callable(self.inverse):
-            raise errors.fail("inverse", "be pseudoinverse(), damped(...) or transpose()", f"is {self.inverse!r}")
-        if self.limits is not None and not callable(self.limits):
-            known = "velocity_scaling(), weighted_least_norm(), saturation() or bounded()"
-            raise errors.fail("limits", f"be None, {known}", f"is {self.limits!r}")
-        if isinstance(self.limits, Bounded) and isinstance(self.inverse, (Pseudoinverse, Transpose)):
-            raise undamped(self.inverse)
-        if isinstance(self.null_velocity, Posture):
-            object.__setattr__(self, "null_velocity", self.null_velocity.on(self.chain))
-        if self.null_velocity is not None and not callable(self.null_velocity):
-            object.__setattr__(self, "null_velocity", errors.array("null_velocity", self.null_velocity, (n,)))
+            checked["error_clamp"] = clamp = errors.array("error_clamp", self.error_clamp, (2,))
+            if errors.concrete(clamp) and not np.all(np.asarray(clamp) > 0):
+                raise errors.fail("error_clamp", "be positive", f"is {np.asarray(clamp).tolist()}")
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self):
         lines = [f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"]
@@ -111,55 +107,17 @@ class Law:
                 lines.append(f"  {name} {brief(getattr(self, name))}")
         return "\n".join(lines)
 
-    def _repr_html_(self):
-        """For notebooks: its sentence and its parts."""
-        sentence, *lines = repr(self).splitlines()
-        rows = [line.strip().partition(" ")[::2] for line in lines[2:]]
-        parts = [("task", brief(self.task)), ("chain", brief(self.chain)), *rows]
-        return f"<p>{markup.escaped(sentence)}</p>{markup.table((), parts, left=2)}"
 
-
-def _not_negative(alpha):
-    """The gain, checked not to push the error away from 0: entries, or real parts of eigenvalues, are at least 0."""
-    if errors.concrete(alpha):
-        rates = np.linalg.eigvals(np.asarray(alpha)).real if alpha.ndim == 2 else np.asarray(alpha)
-        rounding = 0.0 if alpha.ndim < 2 else 100 * np.finfo(rates.dtype).eps * np.abs(alpha).max()
-        if rates.min() < -rounding:
-            what = "have no eigenvalue of negative real part" if alpha.ndim == 2 else "not be negative"
-            raise errors.fail("alpha", what, f"{'has' if alpha.ndim == 2 else 'is'} {rates.min():g}")
-    return alpha
-
-
-def of_tasks(task: Task, values: dict):
-    """Gains of a stack's tasks, by their names, as those of its coordinates: (m,), or (m, m) where one is a matrix."""
-    task.require_each("alpha", "have a gain for each task", values)
-    sizes = {name: at.stop - at.start for name, at in task.each}
-    each = [errors.array(f"alpha[{k!r}]", values[k], (), (m,), (m, m)) for k, m in sizes.items()]
-    xp = np if all(map(errors.concrete, each)) else jnp
-    if all(one.ndim < 2 for one in each):
-        return xp.concatenate([one * xp.ones(sizes[name]) for name, one in zip(sizes, each, strict=True)])
-    blocks = [one if one.ndim == 2 else one * xp.eye(sizes[name]) for name, one in zip(sizes, each, strict=True)]
-    zeros = [[xp.zeros((len(a), len(b))) for b in blocks] for a in blocks]
-    return xp.block([[b if i == k else zeros[i][k] for k in range(len(blocks))] for i, b in enumerate(blocks)])
-
-
-def _within_tasks(task: Task, alpha):
-    """The gain of a stack: a symmetric matrix within each of its tasks, for rows of equal weight.
-
-    The loop's rates are then real and between 0 and the largest gain, for any tasks, weights and damping. A gain matrix
-    across tasks may be unstable in a conflict.
-    """
-    if not task.tasks or alpha.ndim < 2 or not all(map(errors.concrete, (alpha, task.weights))):
-        return alpha
-    left = np.array(alpha)
-    for name, at in task.each:
-        own, w = left[at, at].copy(), np.asarray(task.weight_of_each)[at]
-        left[at, at] = 0
-        mixed = np.ptp(w) > 0 and np.any(own - np.diag(np.diag(own)))
-        if not np.allclose(own, own.T) or mixed:
-            raise errors.fail("alpha", f"be symmetric in the task {name}, of equal weights there", "is not")
-    if np.any(left):
-        raise errors.fail("alpha", "act within each task of a stack", "connects tasks")
+def _gains(task: Task, alpha):
+    """Return the checked gain, () or (m,), from a number, one per coordinate, or {name of a stack's task: gain}."""
+    if isinstance(alpha, dict):
+        task.require_each("alpha", "have a gain for each task", alpha)
+        sizes = {name: at.stop - at.start for name, at in task.each}
+        each = [errors.array(f"alpha[{name!r}]", alpha[name], (), (m,)) * np.ones(m) for name, m in sizes.items()]
+        alpha = (np if all(map(errors.concrete, each)) else jnp).concatenate(each)
+    alpha = errors.array("alpha", alpha, (), (task.m,))
+    if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
+        raise errors.fail("alpha", "not be negative", f"is {np.min(alpha):g}")
     return alpha
 
 
@@ -182,58 +140,54 @@ class Evaluation(NamedTuple):
     newton: Callable  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `newton`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
     cut: bool | Bool[Array, ""] = False  # whether the search within limits was cut short
-    task_velocity: Float[Array, " m"] | None = None  # weighted task velocity
-    memory: Callable | None = None  # memory(): the memory of J#, see `cnclik.law.inverse.remembered`
     walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
 
 
-def evaluate(law: Law, reference, t, q) -> Evaluation:
-    """f(q, t) for q (n,), of a law whose chain is a `Model`."""
-    return evaluate_at(law, q, observe(law, reference, t, q))
+def evaluate(law: Law, reference, t, q, offset=None) -> Evaluation:
+    """Return f(q, t) for q (n,), of a law whose chain is a `Model`. Args: offset: see `observe`."""
+    return evaluate_at(law, q, observe(law, reference, t, q, offset))
 
 
 def evaluate_at(law: Law, q, at) -> Evaluation:
-    """f at q, from an observation there."""
-    task_velocity = law.feedforward * at.xdot_d + gain(law.alpha, clamped(law, at.e))
+    """Return f at q, from an observation there."""
+    task_velocity = law.feedforward * at.xdot_d + law.alpha * clamped(law, at.e)
     return resolve(law, q, at, task_velocity, null_velocity(law, q))
 
 
 @precise
 def resolve(law: Law, q, at, velocity, null) -> Evaluation:
-    """J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity (m,) and a null-space velocity (n,) or None."""
+    """Return J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity v (m,) and a pull q̇₀ (n,) or None."""
     task, inverse = law.task, law.inverse
     rows, velocity = weighted(task, at.rows), weighted(task, velocity)
     if getattr(inverse, "by_error", False):
         inverse = replace(inverse, e=weighted(task, at.e))
     if law.limits is None:
-        made = inverse(rows)
-        qdot = through(made.apply, rows, velocity, null)
+        factored = inverse(rows)
+        moved = Limited(through(factored.apply, rows, velocity, null), factored)
     else:
-        made = law.limits(inverse, law.chain, q, rows, velocity, null)
-        qdot = made.qdot
+        moved = law.limits(inverse, law.chain, q, rows, velocity, null)
+        factored = moved.factored
     return Evaluation(
-        qdot=qdot,
+        qdot=moved.qdot,
         e=at.e,
         x=at.x,
         rows=rows,
-        apply=made.apply,
-        least=made.least if not task.tasks else least_of_tasks(task, at.rows),
-        newton=lambda h, k: newton(law, q, rows, made, velocity, null, qdot, h, k),
-        limited=getattr(made, "limited", False),
-        cut=getattr(made, "cut", False),
-        task_velocity=velocity,
-        memory=getattr(made, "memory", None),
-        walls=getattr(made, "walls", None),
+        apply=factored.apply,
+        least=least_of_tasks(task, at.rows) if task.tasks else factored.least,
+        newton=lambda h, k: newton(law, rows, factored, velocity, moved.qdot, h, k),
+        limited=moved.limited,
+        cut=moved.cut,
+        walls=moved.walls,
     )
 
 
 def least_of_tasks(task: Task, rows):
-    """(tasks,) least singular value of each task's own rows: a conflict between tasks is no singularity."""
+    """Return (tasks,) the least singular value of each task's rows: a conflict between tasks is no singularity."""
     return jnp.stack([least_of(rows[at]) for _, at in task.each])
 
 
 def metric(law: Law):
-    """Factor of each coordinate's error, at most 1: its weight over the damping of its level.
+    """Return a factor of each coordinate's error, at most 1: its weight over the damping of its level.
 
     In the norm of errors scaled in this way, the error of a loop with one gain for all tasks never grows, even if the
     tasks conflict.
@@ -253,18 +207,19 @@ class Observation(NamedTuple):
     x: Callable | None = None  # x(): task coordinates (m,)
     xdot_d: Float[Array, " m"] | None = None
     aims: tuple[Array, ...] = ()  # the targets, of each part of the task
-    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for parts in a tip's own frame
+    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for functions of the target
 
 
 @precise
-def observe(law: Law, reference, t, q) -> Observation:
-    """The law's full observation at q and t."""
+def observe(law: Law, reference, t, q, offset=None) -> Observation:
+    """Observe the robot at q, and the target at t. Args: offset: (m,) what a measurement adds to the error, or None."""
     aims, motion = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
+    e = error(task, robot, aims)
     return Observation(
         rows=rows(task, robot, aims),
         robot=robot,
-        e=error(task, robot, aims),
+        e=e if offset is None else e + offset,
         x=lambda: coordinates(task, robot),
         xdot_d=velocity(task, robot, aims, motion),
         aims=aims,
@@ -274,55 +229,38 @@ def observe(law: Law, reference, t, q) -> Observation:
 
 @precise
 def rows_at(law: Law, q, aims=None) -> Observation:
-    """An observation of the rows of J only."""
+    """Observe the rows of J only."""
     robot = At(modelled(law.chain), q)
     return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
-def newton(law: Law, q, rows, made, v, null, f, h, k):
-    """k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: the Newton step of an implicit stage for any alpha·Ts.
+def newton(law: Law, rows, factored, velocity, f, h, k):
+    """Return k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: a Newton step of an implicit stage, at any gain.
 
-    With the weighted rows B = WJ, A = B# and C = WKW⁻¹ the derivative is −A C B, and by the push-through identity
-    (I + h A C B)⁻¹ = I − h A (I + h C B A)⁻¹ C B, an m×m system. With scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹
-    the whole is Bᵀ (B Bᵀ + s λ² I)⁻¹ (s v + (1 − s) B k), s = 1/(1 + h alpha): one factor and one solve. For exact J#
-    it is A (s v + (1 − s) B k). A null-space velocity that depends on q adds (I − A B) ∂q̇₀/∂q, and the system is n×n.
+    With the weighted rows B = WJ, A = B# and a posture's rate r, the slope is −A K B − r (I − A B). With s = 1 + h r
+    and C = (h/s)(K − r), the push-through identity (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s leaves an m×m
+    system. Without a posture, and with scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹, the whole is
+    Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k), t = 1/(1 + h alpha): one factor and one solve. For exact J# it is
+    A (t v + (1 − t) B k).
 
-    Args: v: weighted task velocity (m,). null: q̇₀ (n,) or None. f: joint velocities (n,).
+    Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
     """
-    apply, exact = made.apply, isinstance(law.inverse, Pseudoinverse)
-    if callable(law.null_velocity):
-        return k + jnp.linalg.solve(_whole(law, q, rows, apply, h), f - k)
-    if np.ndim(law.alpha) == 0 and law.limits is None and (exact or made.shift is not None):
-        s = 1.0 / (1.0 + h * law.alpha)
-        again = apply if exact else damped_apply(rows, s * made.shift)[0]
-        return through(again, rows, s * v + (1.0 - s) * (rows @ k), null)
-    c, task = weighted_gain(law), rows @ (f - k)
-    inverse = jax.vmap(apply, out_axes=1)(jnp.eye(len(task), dtype=task.dtype))
-    return f - h * apply(jnp.linalg.solve(dense.shifted(h * c @ rows @ inverse, 1.0), c @ task))
-
-
-def _whole(law, q, rows, apply, h):
-    """I + h (A C B − (I − A B) ∂q̇₀/∂q), (n, n)."""
-    c = weighted_gain(law)
-    _, push = jax.linearize(lambda y: null_velocity(law, chart.out(law.chain, q, y)), chart.centre(law.chain, q))
-
-    def column(unit):
-        turned = push(unit)
-        return apply(c @ rows @ unit + rows @ turned) - turned
-
-    return dense.shifted(h * jax.vmap(column, out_axes=1)(jnp.eye(len(q), dtype=q.dtype)), 1.0)
-
-
-def weighted_gain(law):
-    """C = W K W⁻¹ (m, m): the gain as it acts on weighted errors."""
-    alpha, w = law.alpha, law.task.weights
-    if alpha.ndim < 2:
-        return alpha * jnp.eye(law.task.m, dtype=alpha.dtype)
-    return alpha if w is None else w[:, None] * alpha / w
+    exact, posture = isinstance(law.inverse, Pseudoinverse), law.null_velocity
+    plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
+    if plain and (exact or factored.shift is not None):
+        t = 1.0 / (1.0 + h * law.alpha)
+        apply = factored.apply if exact else damped_apply(rows, t * factored.shift)[0]
+        return apply(t * velocity + (1.0 - t) * (rows @ k))
+    rate = 0.0 if posture is None else posture.rate
+    s = 1.0 + h * rate
+    gains, change = h / s * (jnp.broadcast_to(law.alpha, len(rows)) - rate), (f - k) / s
+    inverse = jax.vmap(factored.apply, out_axes=1)(jnp.eye(len(rows), dtype=rows.dtype))
+    system = dense.shifted(gains[:, None] * (rows @ inverse), 1.0)
+    return k + change - factored.apply(jnp.linalg.solve(system, gains * (rows @ change)))
 
 
 def clamped(law: Law, e):
-    """The error that the gain multiplies: position and orientation parts shortened to `error_clamp` (Buss & Kim 2005).
+    """Return the error that the gain multiplies: lengths and angles shortened to `error_clamp` (Buss & Kim 2005).
 
     Of a part with both, as joints may be, what is in rad and what is not is shortened separately.
 
@@ -331,29 +269,25 @@ def clamped(law: Law, e):
     """
     if law.error_clamp is None:
         return e
-    found = []
+    parts = []
     for part, where in zip(law.task.parts, law.task.slices, strict=True):
-        turns = np.array([unit == "rad" for unit in part.units])
-        several = ((those, law.error_clamp[i]) for i, those in enumerate((~turns, turns)) if those.any())
-        found.append(sum(_shortened(jnp.where(those, e[where], 0.0), limit) for those, limit in several))
-    return jnp.concatenate(found)
+        angles = np.array([unit == "rad" for unit in part.units])
+        kinds = ((which, law.error_clamp[i]) for i, which in enumerate((~angles, angles)) if which.any())
+        parts.append(sum(_shortened(jnp.where(which, e[where], 0.0), limit) for which, limit in kinds))
+    return jnp.concatenate(parts)
 
 
 def _shortened(e, limit):
-    """A vector of at most this length."""
+    """Return the vector, at most as long as this."""
     return limit / jnp.maximum(safe_norm(e), limit) * e
 
 
-def gain(alpha, e):
-    """K e for a scalar, per-axis or matrix gain."""
-    return alpha @ e if alpha.ndim == 2 else alpha * e
-
-
 def null_velocity(law: Law, q):
-    """q̇₀ (n,), or None, see `evaluated`."""
-    return None if law.null_velocity is None else evaluated(law.null_velocity, q)
+    """Return the pull q̇₀ (n,) of the law's posture, or None."""
+    posture = law.null_velocity
+    return None if posture is None else posture.rate * chart.between(law.chain, q, posture.rest)
 
 
 def weighted(task: Task, items):
-    """Rows (m, n) or components (m,) times the task's weights: the input of J#."""
+    """Return rows (m, n) or components (m,) times the task's weights: the input of J#."""
     return items if task.weights is None else (task.weights * items.T).T

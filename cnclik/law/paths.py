@@ -11,8 +11,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, timed
-from cnclik.law.reference import A_REFERENCE, Reference, References, by_target, of_each, references
-from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
+from cnclik.law.reference import A_REFERENCE, Reference, References, of_each, references
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, replace
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
@@ -202,8 +202,6 @@ def path(fn: Callable) -> Reference:
 def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
     """The same path with another feed-forward: a constant task velocity (m,) in place of the path's own.
 
-    For a part in its tip's own frame the velocity has all three components, in the base frame.
-
     It changes the feed-forward, not the target's motion: zeros for pure feedback, or a deliberate error.
     """
     errors.kind("reference", reference, Reference, A_REFERENCE)
@@ -288,53 +286,3 @@ def rotation_matrix(name, value):
 def _turn(first, last):
     """Rotation vector, in the base frame, from one rotation to another."""
     return log_so3(last @ first.T)
-
-
-# --- shifted: a reference moved by a vector -----------------------------------------------------------
-
-
-@record
-class Shifted:
-    """A curve moved by w: (w,) as a motion of the task's targets [m, rad], or a record that gives it over time."""
-
-    base: Callable
-    task: Task  # the parts that the curve is for
-    first: int  # where their motion begins in w
-    w: ArrayLike | Callable
-
-    def __call__(self, t):
-        w, target = self.w(t) if callable(self.w) else jnp.asarray(self.w), self.base(t)
-        w = w[self.first :]
-        for part, where in zip(self.task.parts, self.task.motions, strict=True):
-            target = part.moved(*target, w[where])
-        return target
-
-
-def shifted(reference, task: Task, w):
-    """The reference whose error is w more than the reference's own; to first order for rotations.
-
-    Args:
-      w: (w,) as an array or a tuple [m, rad]: the velocity stays the curve's own, turned by w's rotation; or a record
-        called with t, whose velocity adds to the curve's.
-    """
-    first = 0
-
-    def one(reference, parts):
-        nonlocal first
-        curve = Shifted(base=reference.curve, task=parts, first=first, w=w)
-        first += parts.width
-        return replace(reference, curve=curve)
-
-    return of_each(one, reference, task)
-
-
-def true_motion(reference, task: Task):
-    """The reference without the shift of `shifted` and without a separate feed-forward."""
-    if not any(isinstance(one.curve, Shifted) or one.feedforward is not None for one, _ in by_target(reference, task)):
-        return reference
-
-    def one(reference, _):
-        curve = reference.curve
-        return replace(reference, curve=curve.base if isinstance(curve, Shifted) else curve, feedforward=None)
-
-    return of_each(one, reference, task)

@@ -10,14 +10,12 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import positive
-from cnclik.record import AnyArray, Array, ArrayLike, Float, Number, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import modelled, one_off
 from cnclik.task.build import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows
-
-SLACK = {8: 1e4, 4: 10.0}  # of level 2, by the bytes of a float: with more, multipliers would need more descents
 
 
 class Rows(NamedTuple):
@@ -25,22 +23,15 @@ class Rows(NamedTuple):
 
     rows: Float[Array, "k n"]
     floor: Float[Array, " k"]
-    slack: Float[AnyArray, " k"]  # factor of each softness, by the wall's level
 
     def size(self, qdot):
         """(k,) size of the terms of each violation, for its rounding."""
         return jnp.abs(self.floor) + jnp.abs(self.rows) @ jnp.abs(qdot)
 
     def missed(self, qdot):
-        """(k,) whether walls are violated by more than the softness of level 1 allows."""
+        """(k,) whether walls are violated by more than their softness allows."""
         size = self.size(qdot)
         return self.floor - self.rows @ qdot > 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
-
-    def holding(self, qdot):
-        """With the softness of level 1 for walls of level 2 that hold: they give way to none."""
-        if np.all(self.slack == 1):
-            return self
-        return self._replace(slack=jnp.where(self.missed(qdot), self.slack, np.ones_like(self.slack)))
 
 
 @record
@@ -51,7 +42,6 @@ class Wall:
     normal: Float[Array, " m"]
     offset: Number
     rate: Number | None
-    level: int = 1
     name: str = ""
 
     def on(self, chain) -> Wall:
@@ -67,21 +57,20 @@ class Wall:
 
 
 def rate_of(wall, rate):
-    """The rate of a wall, or the common one."""
+    """Return the rate of a wall, or the common one."""
     return rate if wall.rate is None else wall.rate
 
 
 def names_of(walls) -> list[str]:
-    """Names of the walls; a number for those without a name."""
+    """Return the names of the walls; a number for those without a name."""
     return [wall.name or str(i + 1) for i, wall in enumerate(walls)]
 
 
 def rows_at(walls, rate, chain, q) -> Rows:
-    """The rows of all walls at q. Args: rate: for walls without their own."""
+    """Return the rows of all walls at q. Args: rate: for walls without their own."""
     robot = At(modelled(chain), q)
     floor = jnp.stack([-rate_of(wall, rate) * wall.distance(robot) for wall in walls])
-    slack = np.array([SLACK[floor.dtype.itemsize] ** (wall.level - 1) for wall in walls], floor.dtype)
-    return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor, slack)
+    return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
 
 
 def wall(
@@ -91,10 +80,9 @@ def wall(
     below: Number | None = None,
     normal: Float[ArrayLike, " m"] | None = None,
     rate: Number | None = None,
-    level: int = 1,
     name: str = "",
 ) -> Wall:
-    """A wall for `bounded(walls=[...])`: the coordinate of a task stays above, or below, a number.
+    """Keep the coordinate of a task above, or below, a number: a wall for `bounded(walls=[...])`.
 
     `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)`
     keeps a knee bent, `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` keeps a hand off
@@ -110,8 +98,6 @@ def wall(
       above, below: one of them [unit of the coordinate].
       normal: (m,) for several coordinates: the wall is about normal·x; with unit length h is a distance.
       rate: [1/s], at most 1/Ts; None: the rate of `bounded`. See `exponential_rate`.
-      level: 1 or 2. Where walls contradict each other, those of level 2 give way: one is missed by 10,000 times as much
-        as the opposite wall of level 1 (in float32 by 10 times).
       name: name of the wall in messages and results; default: its number.
     """
     task = errors.kind("task", task, Task)
@@ -128,12 +114,11 @@ def wall(
     offset = errors.number("above", above) if below is None else -errors.number("below", below)
     normal = normal if below is None else -normal
     rate = None if rate is None else positive("rate", rate)
-    level = errors.integer("level", level, at_least=1, at_most=2)
-    return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, level=level, name=str(name))
+    return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
 
 
 def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray, "*lanes k"]:
-    """Distance to each wall at given joint values, h (..., k) [m, rad]; negative behind it.
+    """Return the distance to each wall at given joint values, h (..., k) [m, rad]; negative behind it.
 
     Args: law: as for `wall_margin`.
     """
@@ -148,10 +133,9 @@ def support_polygon(
     relative_to: str | None = None,
     margin: Number = 0.0,
     rate: Number | None = None,
-    level: int = 1,
     name: str = "",
 ) -> tuple[Wall, ...]:
-    """Walls that keep the centre of mass above the feet: one for each edge of the convex hull of their corners.
+    """Keep the centre of mass above the feet: a wall for each edge of the convex hull of their corners.
 
     The robot does not tip while it stands still with its centre of mass above this polygon. The polygon is in the plane
     z = 0 of the base, or of a tip such as a foot.
@@ -160,7 +144,7 @@ def support_polygon(
       corners: (k, 2) corners of all feet on the ground [m], in any order.
       relative_to: the tip in whose frame they are given; None: the base.
       margin: distance that is kept from the edges [m].
-      rate, level: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
+      rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
     """
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
     hull = _hull(points)
@@ -174,12 +158,12 @@ def support_polygon(
     found = []
     for i, (normal, a) in enumerate(zip(normals, hull, strict=True)):
         edge = f"{name}_{i + 1}" if name else ""
-        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, level=level, name=edge))
+        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, name=edge))
     return tuple(found)
 
 
 def _inradius(normals, hull):
-    """The largest r with normal·(x − corner) ≥ r at some x, for each edge."""
+    """Return the largest r with normal·(x − corner) ≥ r at some x, for each edge."""
     from scipy.optimize import linprog
 
     rows = np.column_stack([-normals, np.ones(len(hull))])
@@ -187,7 +171,7 @@ def _inradius(normals, hull):
 
 
 def _hull(points):
-    """Corners of the convex hull (h, 2), anticlockwise (Andrew 1979)."""
+    """Return the corners of the convex hull (h, 2), anticlockwise (Andrew 1979)."""
     halves = []
     for order in (1, -1):
         half: list = []
@@ -200,7 +184,7 @@ def _hull(points):
 
 
 def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
-    """How far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
+    """Return how far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
 
     κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. In steady motion and to first order in Ts the wall is passed by
     this much by explicit Euler and EXP-EE; otherwise the value is an upper bound, to second order in Ts. Move a wall
@@ -218,7 +202,7 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
 
 
 def _walls_of(law):
-    """(walls, rate of those without their own) of a law."""
+    """Return (walls, rate of those without their own) of a law."""
     walls = getattr(law.limits, "walls", ())
     if not walls:
         raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
@@ -227,7 +211,7 @@ def _walls_of(law):
 
 @one_off
 def apart_from(walls, chain, q):
-    """h (..., k)."""
+    """Return h (..., k)."""
 
     def one(q):
         return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
@@ -236,14 +220,8 @@ def apart_from(walls, chain, q):
 
 
 @one_off
-def bends(walls, chain, q):
-    """∇²h (k, n, n) at q (n,)."""
-    return jax.jacfwd(lambda q: jnp.stack([wall.row(At(chain, q)) for wall in walls]))(q)
-
-
-@one_off
 def _bent(walls, chain, q, qdot):
-    """q̇ᵀ ∇²h q̇ (..., k)."""
+    """Return q̇ᵀ ∇²h q̇ (..., k)."""
 
     def one(q, qdot):
         def along(s):
@@ -256,7 +234,7 @@ def _bent(walls, chain, q, qdot):
 
 
 def _of_each(one, *of):
-    """A function of single vectors applied over all leading axes."""
+    """Apply a function of single vectors over all leading axes."""
     for _ in range(np.ndim(of[0]) - 1):
         one = jax.vmap(one)
     return one(*of)

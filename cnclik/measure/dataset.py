@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-@errors.renamed(trajectory="run")
 @of_numbers
 def to_dataset(
     run: Trajectory,
@@ -73,7 +72,6 @@ def to_dataset(
         "evaluations": (dims, np.broadcast_to(evaluations, lanes), about("evaluations of f(q, t)", "1")),
     }
     some = {
-        "path_time": (instant, about("time on the path, which waits", "s")),
         "task_status": ((*step, "task"), about("status bits of each task", "1") | flags),
         "walls": ((*step, "wall"), about("margin of the approach velocity at a wall", "m/s or rad/s")),
     }

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.pace import Pace, check_pace
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.precision import of_numbers
 from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.chart import apart
+from cnclik.robot.model import modelled
 
 QUANTITIES = ("velocity", "acceleration", "jerk")
 _ROUNDING = 1e-6  # share of a limit that is rounding
@@ -48,7 +48,13 @@ class LimitsTaken:
 
 @of_numbers
 def check_limits(
-    run: Trajectory | Float[ArrayLike, "N+1 n"], pace: Pace, *, chain: Chain | None = None, Ts: Number | None = None
+    run: Trajectory | Float[ArrayLike, "N+1 n"],
+    *,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    jerk: ArrayLike | None = None,
+    chain: Chain | None = None,
+    Ts: Number | None = None,
 ) -> LimitsTaken:
     """Check a motion against limits as a robot's controller does, by differences of sampled joint values from rest.
 
@@ -57,8 +63,8 @@ def check_limits(
 
     Args:
       run: a `Trajectory` of one lane, whose q̇ is used, or joint values (N + 1, n) from any source [rad, m].
-      pace: the limits.
-      chain: for its velocity limits, if `pace` refers to them, and its joint names.
+      velocity, acceleration, jerk: limits, a number or one per joint (n,) [rad/s, rad/s², rad/s³; m]; None: no limit.
+      chain: its joint names, and its velocity limits where `velocity` is None.
       Ts: sampling time of joint values [s].
 
     Raises: ArgumentError for shapes and values that do not fit.
@@ -81,13 +87,15 @@ def check_limits(
         raise errors.fail("run", "have a step", "has none")
     if chain is not None and chain.n != n:
         raise errors.fail("chain", f"have the run's {n} joints", f"has {chain.n}")
-    pace = check_pace(pace, n, chain)
-    if isinstance(pace.velocity, str):
-        raise errors.fail("chain", "be given, for its velocity limits", "is None")
+    if chain is not None and velocity is None:
+        velocity = modelled(chain).velocity_limit
     found, at, value = {}, [], qdot
-    for name in QUANTITIES:
-        limit = getattr(pace, name)
-        most = np.broadcast_to(np.inf if limit is None else np.asarray(limit, float), n)
+    for name, limit in zip(QUANTITIES, (velocity, acceleration, jerk), strict=True):
+        most = np.full(n, np.inf)
+        if limit is not None:
+            most[:] = errors.array(name, limit, (), (n,), finite=False)
+            if not (most >= 0).all():
+                raise errors.fail(name, "be at least 0", f"is {most.min():g}")
         part = np.abs(value) / np.maximum(most, 1e-12)  # a limit of 0 is kept by a joint that does not move
         found[name] = part.max(axis=0)
         at.append(t[part.argmax(axis=0)])

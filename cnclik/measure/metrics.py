@@ -18,13 +18,12 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
-from cnclik.law import dense
 from cnclik.law import reference as ref
+from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
-from cnclik.law.paths import true_motion
 from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import ending, stable
-from cnclik.record import Number, cast
+from cnclik.record import Number, cast, replace
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
@@ -127,9 +126,10 @@ def _rotation(loop):
 def _split(loop):
     """Position error along the path (positive if behind) and across it; at rest the whole error counts as across."""
     task, model = loop.task, modelled(loop.law.chain)
-    path = true_motion(loop.reference, task)  # the path's true direction, whatever is fed forward
+    # The path's own direction, whatever is fed forward.
+    path = ref.of_each(lambda one, _: replace(one, feedforward=None), loop.reference, task)
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
-    e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.target_time, loop.run.q)))
+    e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.t, loop.run.q)))
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
@@ -149,7 +149,7 @@ def _settling_time(loop):
     outside = _norms(loop.run.e) > loop.tolerance
     count = outside.shape[0]
     k = count - _first(outside[::-1])  # the instant after the last one outside the tolerance
-    t = loop.run.target_time
+    t = loop.run.t
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
@@ -212,7 +212,7 @@ def _least_singular_value(loop):
     task, model = loop.task, modelled(loop.law.chain)
 
     def least(q):
-        return safe_sqrt(dense.least_squared(dense.wide_side(weighted(task, task.rows_at(model, q)))))
+        return safe_sqrt(least_squared(weighted(task, task.rows_at(model, q))))
 
     sigma = jax.lax.map(least, loop.run.q)  # vmap would write out C for each posture
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))

@@ -130,7 +130,7 @@ def outcome(
     given = None if scale is None else jnp.asarray(scale, q0.dtype)
 
     def step(carry, k):
-        state, made = one(loop, False, carry[0], k)
+        state, made = one(loop, carry[0], k)
         return (state, _after(carry[1], k, made, N, tolerance, first=given is None)), None
 
     # One step too many is made for the last error: a second function for errors alone would take longer to compile.

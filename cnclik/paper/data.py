@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from cnclik.hints import as_here
+from cnclik.engine.plan import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.measure.files import save_netcdf

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.hints import quick_jit
-from cnclik.integrate.method import CN, METHODS, Method, Multistep, evaluations_of, named
+from cnclik.cache import bounded_jit
+from cnclik.integrate.method import CN, METHODS, Method, evaluations_per_step, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
@@ -31,7 +31,7 @@ from cnclik.task.build import position
 TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
 
 PAPER = ("EE", "IE", "CN")
-BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT", "EXP-AB2")
+BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT")
 
 
 class Arm(NamedTuple):
@@ -81,13 +81,13 @@ def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     return with_feedforward(line(begin, end, duration=N * TS), (-speed, 0.0))
 
 
-def tableau(method: Method | Multistep, Ts: str = "once") -> Method | Multistep:
+def tableau(method: Method, Ts: str = "once") -> Method:
     """The method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
 
     Eq. 7 moves by Ts times an increment that holds a factor Ts already: θ̃ = θ + Ts·(Ts·slope). The slope is
     then taken at a·Ts = Ts² instead of Ts.
     """
-    if Ts == "once" or isinstance(method, Multistep) or not method.implicit:
+    if Ts == "once" or not method.implicit:
         return method
     A = tuple((*row[:-1], row[-1] * TS) for row in method.A)
     return Method(name=method.name, A=A, b=method.b, c=method.c, order=1, source="Drexler (2016), eqs. 6-8 as printed")
@@ -148,7 +148,7 @@ METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"),
 FOLLOWED = ("IE", "CN")
 
 
-@quick_jit(static_argnames=("method", "h", "N_max"))
+@bounded_jit(static_argnames=("method", "h", "N_max"))
 def _program(laws, references, q0, Ts, M, *, method, h, N_max):
     """One method over all lanes, and the passes of the Picard iteration from the states of the first ones.
 
@@ -224,6 +224,6 @@ def _start(arm, nudge):
 
 def _cut(run, n, name, lane) -> Trajectory:
     """The steps and joints of a run that are the lane's own, and what they cost."""
-    cost = evaluations_of(METHODS[name], picard(lane.M), n, lane.N)
+    cost = lane.N * evaluations_per_step(METHODS[name], picard(lane.M), n)
     run = truncate(run, lane.N)
     return replace(run, q=run.q[:, :n], qdot=run.qdot[:, :n], evaluations=np.asarray(cost))

@@ -5,7 +5,7 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "options": ["DEFAULTS", "MEASURED", "OF_SHAPE", "OF_TASK", "OF_WALL", "OPTIONS", "PACE"],
+        "options": ["DEFAULTS", "MEASURED", "OF_SHAPE", "OF_TASK", "OF_WALL", "OPTIONS"],
         "reference": ["reference_from"],
         "words": ["REFERENCES"],
         "build": ["Problem", "problem_from"],

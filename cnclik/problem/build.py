@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, white_noise
-from cnclik.integrate.method import Method, Multistep, named
-from cnclik.integrate.pace import Pace
-from cnclik.integrate.solve import simulate
+from cnclik.integrate.drive import Drive
+from cnclik.integrate.method import Method, named
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.inverse import Pseudoinverse
@@ -23,10 +22,10 @@ from cnclik.law.reference import Reference, References, of_each
 from cnclik.problem import names
 from cnclik.problem import stack as stacks
 from cnclik.problem.magnitudes import check_units
-from cnclik.problem.options import DEFAULTS, DRIVE, PACE, PATH, SWEPT, check_values, in_own_units
+from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT, in_own_units
 from cnclik.problem.reference import as_written, on_path, reference_from
 from cnclik.problem.words import BEGINS, FUTURES
-from cnclik.record import AnyArray, ArrayLike, Float, Number
+from cnclik.record import AnyArray, Float, Number
 from cnclik.robot.chain import Chain
 
 LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
@@ -37,7 +36,7 @@ _OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed to the law u
 class Problem:
     """A loop, `solve(*p.loop)`, with the robot's name, drives and noise; `run()` uses all of it.
 
-    `drive` and `pace` are None if no such option was given. `noise`, a number or (m,), is the standard deviation of the
+    `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the
     measured error, or None; `seed` is the seed of random numbers. `tip` is the name of the robot's tip. `tables` are
     the given tables of a stack's tasks, and `walls` those of its walls.
     """
@@ -48,11 +47,10 @@ class Problem:
     q0: Float[AnyArray, " n"]
     Ts: Number
     N: int
-    method: Method | Multistep
+    method: Method
     stage: Stage
     drive: Drive | None = None
-    pace: Pace | None = None
-    noise: ArrayLike | None = None
+    noise: AnyArray | None = None
     seed: int = 0
     tip: str = ""
     tables: Mapping[str, Mapping[str, Any]] | None = None
@@ -66,15 +64,20 @@ class Problem:
         """(law, reference, q0, Ts, N, method, stage), as `solve` takes them."""
         return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
 
-    def run(self) -> Trajectory:
-        """Run the loop on its robot: with its drives, pace and noise."""
-        noise = None if self.noise is None else white_noise(self.noise, self.N, self.law.task.m, self.seed)
-        return simulate(*self.loop, drive=self.drive, pace=self.pace, noise=noise)
+    def run(self, draws: Float[AnyArray, "N m"] | None = None) -> Trajectory:
+        """Run the loop on its robot: with its drives and noise.
 
-    @property
-    def alone(self) -> bool:
-        """Whether the robot does exactly what the law asks for: no drives, no noise, no pace."""
-        return self.noise is self.pace is None and (self.drive is None or self.drive.absent)
+        Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
+        """
+        return solve(*self.loop, drive=self.drive, noise=self.drawn(draws))
+
+    def drawn(self, draws=None) -> Float[AnyArray, "N m"] | None:
+        """Return the noise of the measured error; None without noise. Args: draws: as for `run`."""
+        if self.noise is None:
+            return None
+        if draws is None:
+            draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
+        return self.noise * draws
 
 
 def problem_from(
@@ -91,7 +94,7 @@ def problem_from(
       tasks: for a stack {name of a task: {option: value}}, with options of `cnclik.problem.OF_TASK`, like the tables in
         the file that `stack` names.
       walls: for a stack {name of a wall: {option: value}}, with options of `cnclik.problem.OF_WALL`.
-      options: names and values of `cnclik.problem.OPTIONS`, `cnclik.problem.MEASURED` and `cnclik.problem.PACE`, which
+      options: names and values of `cnclik.problem.OPTIONS` and `cnclik.problem.MEASURED`, which
         have their meaning and default; None is the default. In Python `start` and `end` stand for `from` and `to`. A
         method or a stage may be the record itself. Numbers may be traced.
 
@@ -121,7 +124,6 @@ def problem_from(
     check_units(chain, task, written)
     law = _law(chain, task, v, Ts, stack)
     q0 = names.start_from(chain, task, v["q0"])
-    seed = errors.seed(given.get("seed", 0))
     begin = errors.one_of("begin", v["begin"], BEGINS)
     unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
     if stack is None:
@@ -140,10 +142,9 @@ def problem_from(
         N=N,
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
-        drive=_drive(chain, given, seed),
-        pace=_pace(chain, given),
-        noise=v["noise"],
-        seed=seed,
+        drive=drive_from(given, chain),
+        noise=_noise(v["noise"], task.m),
+        seed=errors.seed(given.get("seed", 0)),
         **{} if stack is None else {"tables": _as_given(stack.tasks), "walls": _as_given(stack.walls) or None},
     )
 
@@ -169,24 +170,27 @@ def _law(chain, task, v, Ts, stack) -> Law:
         alpha=alpha,
         inverse=inverse,
         limits=names.limits_from(v["limits"], Ts, v["limit_rate"], walls),
-        null_velocity=names.null_from(chain, task, v["posture"], v["posture_rate"], v["manipulability"]),
+        null_velocity=names.null_from(chain, v["posture"], v["posture_rate"]),
         **{name: v[name] for name in _OF_LAW if v[name] is not None},
     )
 
 
-def _drive(chain, given, seed) -> Drive | None:
+def drive_from(given, chain=None) -> Drive | None:
+    """Return the drive of a table of options; None if it has none of them."""
     made = _per_joint(chain, given, DRIVE)
     if "damping_ratio" in made and "natural_frequency" not in made:
         raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
-    return Drive(**made, seed=seed) if made else None
+    return Drive(**made) if made else None
 
 
-def _pace(chain, given) -> Pace | None:
-    made = _per_joint(chain, given, PACE)
-    for name, value in made.items():
-        if errors.concrete(value):
-            check_values(name, name, np.atleast_1d(errors.array(name, value, (), (chain.n,))))
-    return Pace(**{name.removeprefix("max_"): value for name, value in made.items()}) if made else None
+def _noise(sigma, m):
+    """The standard deviation of the measured error, checked; an array."""
+    if sigma is None:
+        return None
+    sigma = errors.array("noise", sigma, (), (1,), (m,))
+    if errors.concrete(sigma) and (sigma < 0).any():
+        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
+    return sigma
 
 
 def _per_joint(chain, given, names) -> dict:
@@ -194,5 +198,6 @@ def _per_joint(chain, given, names) -> dict:
     made = {name: given[name] for name in names if name in given}
     for name, value in made.items():
         if isinstance(value, (tuple, list)):
-            made[name] = value[0] if len(value) == 1 else errors.array(name, value, (chain.n,))
+            shape = (None if chain is None else chain.n,)
+            made[name] = value[0] if len(value) == 1 else errors.array(name, value, shape)
     return made

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from cnclik.integrate.drive import drive_in_words
 from cnclik.law.paths import hold_at
 from cnclik.law.reference import aims_of
 from cnclik.problem.names import near_singular_start
 from cnclik.problem.options import PATH
-from cnclik.quantities import in_samples
 from cnclik.record import in_words
 from cnclik.robot.poses import quaternions
 
@@ -42,35 +42,9 @@ def unless_given(written, *names) -> str:
     return "" if any(name in written for name in names) else " (default)"
 
 
-def dead_time(made) -> str:
-    """The dead time of a problem in samples and ms, or that none was given."""
-    if made.drive is None or not made.drive.lumped.delay:
-        return "no dead time" + " given" * (made.drive is None)
-    late = f"dead time {in_samples(made.drive.delay, made.Ts)}"
-    measured = made.drive.measurement_delay
-    return late + (f", and of the measurement {in_samples(measured, made.Ts)}" if measured else "")
-
-
 def drive_words(made) -> str:
-    """The robot's drives in words, such as "2 samples (20 ms) of dead time, feedback measured"; "" without any."""
-    drive = made.drive
-    if drive is None or drive.absent:
-        return ""
-    said = [f"{in_samples(drive.delay, made.Ts)} of dead time"] * bool(drive.delay)
-    measured = drive.measurement_delay
-    said += [f"measured {in_samples(measured, made.Ts)} late"] * bool(measured)
-    if drive.order:
-        late = 1e3 * (np.asarray(drive.late_by(made.Ts)) - drive.delay * made.Ts)
-        kind, most = "velocity" if drive.command == "velocity" else "position", "up to " * bool(np.ptp(late) > 0)
-        said.append(f"{kind} drives {most}{np.max(late):.3g} ms behind their commands")
-    said.append(f"feedback {drive.feedback}")
-    return ", ".join(said)
-
-
-def pace_words(made) -> str:
-    """The limits to which steps are scaled, in words; "" without any."""
-    named = [name for name in ("velocity", "acceleration", "jerk") if getattr(made.pace, name, None) is not None]
-    return f"steps scaled along the path to limits of {', '.join(named)}" if named else ""
+    """The drives of a problem in words, such as "2 samples (20 ms) of dead time", or that no dead time was given."""
+    return "no dead time given" if made.drive is None else drive_in_words(made.drive, made.Ts)
 
 
 def start_and_target(made, given: dict) -> list:
@@ -95,7 +69,7 @@ def _of_stack(made, name, table) -> str:
     tips = " and ".join(path[-1] for path, _ in own.targets)
     what = f"{own.m} joint{'s' * (own.m > 1)}" if tips == "joints" else f"{' '.join(own.targets[0][1].names)} of {tips}"
     alpha = np.asarray(law.alpha, float)
-    alpha = alpha if alpha.ndim == 0 else alpha[(law.task.of(name),) * alpha.ndim]
+    alpha = alpha if alpha.ndim == 0 else alpha[law.task.of(name)]
     alpha, z = (in_words(v[0] if v.ndim == 1 and np.ptp(v) == 0 else v) for v in (alpha, alpha * made.Ts))
     gain = f"alpha = {alpha.removesuffix('.')} 1/s{'' if 'alpha' in table else ' (of all)'}, z = {z.removesuffix('.')}"
     paths = "; ".join(_path_of_stack(made, name, one) for one in own.targets)

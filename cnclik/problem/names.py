@@ -138,7 +138,7 @@ def task_from(text, chain: Chain | None = None, **of) -> Task:
     On a planar arm the three words mean its plane: xy with rz, xy, rz. The default is `pose` if the chain has
     the joints for it, else `position`.
 
-    Args: of: `tip`, `relative_to`, `frame` and `weights`, as `cnclik.pose` takes them.
+    Args: of: `tip`, `relative_to` and `weights`, as `cnclik.pose` takes them.
     """
     if isinstance(text, Task):
         return text
@@ -236,8 +236,8 @@ def near_singular_start(chain: Chain, task, q0, below) -> str:
 
 def gain_from(alpha):
     """A gain [1/s], at least 0: a number, or one per task coordinate; a list of one is a number."""
-    alpha = errors.array("alpha", alpha)
-    if errors.concrete(alpha) and alpha.ndim < 2 and np.any(np.asarray(alpha) < 0):
+    alpha = errors.array("alpha", alpha, (), (None,))
+    if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
         raise errors.fail("alpha", "be at least 0", f"is {' '.join(f'{v:g}' for v in np.atleast_1d(alpha))}")
     return alpha[0] if alpha.shape == (1,) else alpha
 
@@ -248,7 +248,7 @@ def inverse_from(name=None, damping=None, threshold=None):
     Args:
       name: the default is damped if `damping` is given, else pseudoinverse.
       damping: λ of the damped ones (never λ²).
-      threshold: manipulability or least singular value below which the last two are damped.
+      threshold: least singular value below which singular-damped is damped.
     """
     if name is None:
         name = "pseudoinverse" if damping is None else "damped"
@@ -267,36 +267,25 @@ def limits_from(name="none", Ts=None, rate=None, walls=()):
         raise errors.fail("limits", "be bounded, or be left out, where there are walls", f"is {name!r}")
     name, walls = ("bounded", {"walls": walls}) if walls else (name, {})
     choice = words.LIMITS[errors.one_of("limits", name, words.LIMITS)]
-    if rate is not None:
-        if not choice.takes:
-            several = " or ".join(name for name, other in words.LIMITS.items() if other.takes)
-            raise errors.fail("limit_rate", f"come with limits {several}", f"comes with {name}")
-        return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
-    rate = 10.0
-    if Ts is not None:
-        rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
-    if not choice.maker:
+    if name != "bounded":
+        if rate is not None:
+            raise errors.fail("limit_rate", "come with limits bounded", f"comes with {name}")
+        return choice.make() if choice.maker else None
+    if rate is None:
+        rate = 10.0
+        if Ts is not None:
+            rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
+    return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
+
+
+def null_from(chain: Chain, posture=None, posture_rate=None):
+    """The null-space term, or None: towards a `posture` (n,) at `posture_rate` (default 1/s)."""
+    if posture is None:
+        if posture_rate is not None:
+            raise errors.fail("posture_rate", "come with `posture`", "comes without")
         return None
-    return choice.make(rate, **walls) if choice.takes else choice.make()
-
-
-def null_from(chain: Chain, task, posture=None, posture_rate=None, manipulability=None):
-    """The null-space term, or None: towards a `posture` (n,) at `posture_rate` (default 1/s), or up the manipulability
-    with the gain `manipulability`.
-    """
-    if posture is None and posture_rate is not None:
-        raise errors.fail("posture_rate", "come with `posture`", "comes without")
-    if manipulability is None:
-        rest = None if posture is None else errors.array("posture", posture, (chain.n,))
-        rate = 1.0 if posture_rate is None else errors.number("posture_rate", posture_rate, positive=True)
-        return None if rest is None else null.posture(rest, rate)
-    if posture is not None:
-        raise errors.fail("manipulability", "be left out where `posture` is given", f"is {manipulability!r}")
-    tips = tuple(part for part in task.parts if hasattr(part, "axes"))
-    if not tips:
-        raise errors.fail("manipulability", "be left out for a task without a tip", f"is {manipulability!r}")
-    task = Task(parts=tips, weights=None)
-    return null.maximize_manipulability(chain, task, errors.number("manipulability", manipulability, positive=True))
+    rate = 1.0 if posture_rate is None else errors.number("posture_rate", posture_rate, positive=True)
+    return null.posture(errors.array("posture", posture, (chain.n,)), rate)
 
 
 # --- loop ---------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ class Option(NamedTuple):
     kind: str  # NAME, NAMES, NUMBER, NUMBERS, INTEGER or TABLES
     help: str
     default: Any = None
-    unit: str = "1"  # or "q": unit of the joints; "J", "w", "x": unit of a singular value, a threshold, a point
+    unit: str = "1"  # or "q": unit of the joints; "J", "x": unit of a singular value, a point
     must: str = ""  # condition on each number: a key of `_FITS`
 
 
@@ -70,11 +70,11 @@ OPTIONS = {
     "inverse": Option(NAME, f"Inverse of the Jacobian: {_listed(words.INVERSES)}. Default: pseudoinverse, or damped "
                       "where --damping is given."),
     "damping": Option(NUMBER, "Damping λ (not λ²) of the damped inverses.", unit="J", must="positive"),
-    "threshold": Option(NUMBER, "Manipulability (manipulability-damped) or least singular value (singular-damped) "
-                        "below which the inverse is damped.", unit="w", must="positive"),
+    "threshold": Option(NUMBER, "singular-damped: least singular value of the Jacobian below which the inverse is "
+                        "damped.", unit="J", must="positive"),
     "limits": Option(NAME, f"How joint limits are respected: {_listed(words.LIMITS)}.", "none"),
-    "limit_rate": Option(NUMBER, "weighted-least-norm, saturation and bounded: rate at which a joint may approach its "
-                         "limit [1/s]; default: 1/Ts, at most 10.", unit="1/s", must="positive"),
+    "limit_rate": Option(NUMBER, "bounded: rate at which a joint may approach its limit [1/s]; default: 1/Ts, at most "
+                         "10.", unit="1/s", must="positive"),
     "error_clamp": Option(NUMBERS, "Limits of the position [m] and orientation [rad] error that the gain multiplies. "
                           "They keep joint velocities small when the target is far away.", unit="m, rad",
                           must="positive"),
@@ -85,8 +85,6 @@ OPTIONS = {
     "posture": Option(NUMBERS, "Preferred joint values, approached in the null space [rad, m].", unit="q"),
     "posture_rate": Option(NUMBER, "Rate at which the posture is approached [1/s]; default: 1.", unit="1/s",
                            must="positive"),
-    "manipulability": Option(NUMBER, "Gain with which the null-space motion increases the manipulability.",
-                             must="positive"),
     "q0": Option(NUMBERS, "Joint values at the start [rad, m]; default: a posture within the limits and away from "
                  "singularities.", unit="q"),
     "begin": Option(NAME, "Where the loop starts: at q0, or on-path, at the path's first point with the joint values "
@@ -107,30 +105,19 @@ DRIVE = {  # what lies between a command and its measured motion: fields of `Dri
     "command": Option(NAME, f"Command that the drives take: {_listed(words.COMMANDS)}. Default: velocity."),
     "feedback": Option(NAME, f"Joint values that the controller uses: {_listed(words.FEEDBACKS)}. With rebased they "
                        "are measured, and each position command starts from them. Default: measured."),
-    "drive_velocity": Option(NUMBERS, "Largest joint velocity that the drives reach [rad/s, m/s].", unit="q/s",
-                             must="positive"),
-    "drive_acceleration": Option(NUMBERS, "Largest joint acceleration that the drives reach [rad/s², m/s²].",
-                                 unit="q/s²", must="positive"),
-    "joint_noise": Option(NUMBERS, "Standard deviation of the noise in measured joint values [rad, m].", unit="q",
-                          must="at least 0"),
-    "resolution": Option(NUMBERS, "Resolution of measured joint values [rad, m].", unit="q", must="at least 0"),
+    "smoothing": Option(NUMBER, "Low-pass filter (also --filter): the share of the old value that a moving average "
+                        "keeps, from 0 to below 1.", must="at least 0"),
+    "cutoff": Option(NUMBER, "Cut-off frequency of the filter [Hz], in place of --smoothing.", unit="Hz",
+                     must="positive"),
+    "smoothed": Option(NAME, f"Signal that the filter smooths: {_listed(words.SMOOTHED)}. Default: error."),
 }  # fmt: skip
 NOISE = {
     "noise": Option(NUMBERS, "Standard deviation of white noise in the measured error [m, rad], one number or one per "
                     "task coordinate.", unit="m, rad", must="at least 0"),
     "seed": Option(INTEGER, "Seed of the random numbers; default: 0.", must="at least 0"),
 }  # fmt: skip
-PACE = {  # limits that the loop keeps by moving more slowly along its path: fields of `Pace`
-    "max_velocity": Option(NUMBERS, "Joint velocity limit [rad/s, m/s] that the motion keeps by slowing down along "
-                           "the path, one number or one per joint. Default with --max-acceleration or --max-jerk: the "
-                           "robot's own.", unit="q/s", must="positive"),
-    "max_acceleration": Option(NUMBERS, "Joint acceleration limit that is kept in the same way [rad/s², m/s²].",
-                               unit="q/s²", must="positive"),
-    "max_jerk": Option(NUMBERS, "Joint jerk limit that is kept in the same way [rad/s³, m/s³].", unit="q/s³",
-                       must="positive"),
-}  # fmt: skip
 MEASURED = DRIVE | NOISE  # what a robot adds to a loop
-SWEPT = OPTIONS | MEASURED | PACE
+SWEPT = OPTIONS | MEASURED
 
 DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None}
 PATH = tuple(dict.fromkeys(option for choice in words.REFERENCES.values() for option in choice.options))
@@ -141,7 +128,6 @@ OF_TASK = {  # one task of a stack: a table in the stack's file
     "tip": Option(NAMES, "The tip; several names make the same task for each."),
     "relative_to": Option(NAME, "Tip in whose frame the task is expressed, and relative to which it moves; default: "
                           "the base."),
-    "frame": Option(NAME, f"Frame whose axes the coordinates are along: {_listed(words.FRAMES)}. Default: base."),
     "joints": Option(NAMES, "joints: names of the joints; default: all."),
     "axes": Option(NAME, "center_of_mass: letters of xyz, such as xy for balance; default: all."),
     "weights": Option(NUMBERS, "Least-squares weights: one, or one per coordinate (of each tip).", must="positive"),
@@ -164,7 +150,6 @@ OF_WALL = {  # one wall of a stack: a table in the stack's file
     "margin": Option(NUMBER, "Additional distance from the bound [rad, m].", unit="q", must="at least 0"),
     "rate": Option(NUMBER, "Rate at which the wall may be approached [1/s]; default: --limit-rate.", unit="1/s",
                    must="positive"),
-    "level": Option(INTEGER, "1, or 2 for a wall that gives way where walls contradict; default: 1.", must="positive"),
 }  # fmt: skip
 OF_SHAPE = {  # a point, a sphere, a capsule, or a half-space
     "tip": Option(NAME, "Tip that carries the shape; without one it is fixed in the base frame."),
@@ -228,17 +213,12 @@ def units(law, task, width=None) -> dict:
     Args:
       width: number of values of a point; those after the position are a quaternion's, without unit.
     """
-    from cnclik.law.inverse import ManipulabilityDamped  # imported here, as the table is read without JAX
-
-    power = len(task.lengths)
-    point = ["m"] if power else []
+    length = bool(task.lengths)
+    point = ["m"] if length else []
     if not point or (task.angles and (width or 0) > 3):
         point.append("1")
-    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if power else "1", "x": ", ".join(point)}
-    known["w"] = known["J"]
+    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "J": "m" if length else "1", "x": ", ".join(point)}
     known |= {
         f"q/{time}": ", ".join(f"{u}/{time}" for u in dict.fromkeys(law.chain.units)) for time in ("s", "s²", "s³")
     }
-    if isinstance(law.inverse, ManipulabilityDamped) and power > 1:
-        known["w"] = f"m^{power}"
     return {name: known.get(option.unit, option.unit) for name, option in SWEPT.items() if option.kind != NAME}

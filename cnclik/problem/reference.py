@@ -66,7 +66,7 @@ def reference_from(name, chain: Chain, task, q0, *, horizon=10.0, **given) -> Re
       given: the options named above; `from` and `to` are `start` and `end`.
     """
     tips = task.parts[0].tip, task.parts[0].to
-    coordinates = replace(task, parts=tuple(part.of_target() for part in task.parts))
+    coordinates = replace(task, parts=tuple(replace(part, tip=None, to=None) for part in task.parts))
     arm = ArmAtStart(chain, coordinates, q0, _tip(chain, q0, *tips), tips)
     given = as_written(given)
     if str(name).lower().endswith(".csv"):

@@ -33,7 +33,7 @@ _DAMPING = ("inverse", "damping", "threshold")  # options of the loop, or of one
 # Options of a loop with one task, and what replaces them in a stack.
 _OF_ONE = dict.fromkeys(("task", "tip", "reference", *PATH), "its tasks have their own")
 _OF_ONE |= dict.fromkeys(("posture", "posture_rate"), 'a posture is one of its tasks, task = "joints"')
-_NOT_OF = {"joints": ("tip", "relative_to", "frame", "axes"), "center_of_mass": ("tip", "frame", "joints")}
+_NOT_OF = {"joints": ("tip", "relative_to", "axes"), "center_of_mass": ("tip", "joints")}
 
 
 class Written(NamedTuple):
@@ -170,9 +170,11 @@ def task_of(one: Table, chain: Chain) -> Task:
         return joints(one.given.get("joints"), weights=weights).on(chain)
     if kind == "center_of_mass":
         return center_of_mass(one.given.get("axes", "xyz"), relative_to=to, weights=weights).on(chain)
-    about = {"relative_to": to, "frame": one.given.get("frame", "base"), "weights": weights}
-    tips = _several(one.given.get("tip"))
-    return functools.reduce(operator.and_, (task_from(kind or None, chain, tip=t, **about).on(chain) for t in tips))
+    each = (
+        task_from(kind or None, chain, tip=tip, relative_to=to, weights=weights).on(chain)
+        for tip in _several(one.given.get("tip"))
+    )
+    return functools.reduce(operator.and_, each)
 
 
 def gains_from(tables, task: Task, alpha):
@@ -295,7 +297,7 @@ def _walls(name, one, chain) -> tuple[Wall, ...]:
     for kind, others in _EXTRA.items():
         if kind in given and (extra := [key for key in others if key in given]):
             raise errors.fail(extra[0], f"be left out of a wall with `{kind}`", f"is {given[extra[0]]!r}")
-    kept = {key: given[key] for key in ("rate", "level") if key in given}
+    kept = {"rate": given["rate"]} if "rate" in given else {}
     margin = errors.number("margin", given.get("margin", 0.0), at_least=0)
     if "corners" in given:
         corners = errors.array("corners", given["corners"], (None, 2), (None,))

@@ -36,8 +36,8 @@ class Wanted(NamedTuple):
     chain: Chain
     task: Task
     title: str  # robot, tips and task in words
-    targets: Any = None  # as `cnclik.reach` takes them, several for each tip
-    lines: tuple = ()  # the other lines at the head of the answer
+    targets: Any  # as `cnclik.reach` takes them, several for each tip
+    lines: tuple  # the other lines at the head of the answer
 
 
 def wanted_of(args) -> Wanted:
@@ -47,8 +47,7 @@ def wanted_of(args) -> Wanted:
     chain, tip = _robot(args, dict.fromkeys(args.tip, "tip") if len(args.tip) > 1 else None)
     task = task_from(args.task, chain) if len(args.tip) < 2 else _of_each(args, chain)
     name = robot_name(args.robot, args.tip[0] if len(args.tip) == 1 else None)
-    made = Wanted(chain, task, robot_and_task(name, tip, task))
-    every = aims(task)
+    title, every = robot_and_task(name, tip, task), aims(task)
     if args.target:
         if len(args.target) != len(every):
             labels = ", ".join(aim.label for aim in every)
@@ -64,10 +63,10 @@ def wanted_of(args) -> Wanted:
         sizes = set(map(len, args.target))  # a quaternion alone has four numbers
         units = " m" * (sizes != {4}) + ", quaternion w x y z" * (max(sizes) > 3)
         lines = (f"Target {'; '.join(of)}{units}.",)
-        return made._replace(targets=by_name(task, [[one] for one in args.target]), lines=lines)
+        return Wanted(chain, task, title, by_name(task, [[one] for one in args.target]), lines)
     _look_at_units(args, chain, task)
     drawn = f"{args.random:,} random reachable ones, seed {args.seed}" if args.random else f"those of {args.targets}"
-    return made._replace(targets=_given(args, chain, task), lines=(f"Targets: {drawn}.",))
+    return Wanted(chain, task, title, _given(args, chain, task), (f"Targets: {drawn}.",))
 
 
 def _robot(args, tips):
@@ -88,7 +87,7 @@ def _given(args, chain, task):
         return _random(args, chain, task)
     each = []
     for k, aim in enumerate(every):
-        own, several = Task(parts=tuple(part.of_target() for part in aim.parts)), len(every) > 1
+        own, several = Task(parts=tuple(replace(part, tip=None, to=None) for part in aim.parts)), len(every) > 1
         names = {"number": k, "tip": (aim.label, aim.path[-1])} if several else {}
         each.append(read_targets(file, own, **names))
         if aim.linear and aim.to is None:

@@ -36,20 +36,15 @@ ROBOTS = {
 }
 URDF = Takes(takes=("tip", "base"))
 TASKS = ("pose", "position", "orientation")
-FRAMES = ("base", "tip")
 STACKED = (*TASKS, "joints", "center_of_mass")  # kinds of task in a stack
 INVERSES = {
     "pseudoinverse": Takes("law.inverse:pseudoinverse"),
     "damped": Takes("law.inverse:damped", needs=("damping",)),
-    "transpose": Takes("law.inverse:transpose"),
-    "manipulability-damped": Takes("law.inverse:manipulability_damped", needs=("damping", "threshold")),
     "singular-damped": Takes("law.inverse:singular_damped", needs=("damping", "threshold")),
 }
 LIMITS = {  # `rate` [1/s]: how quickly a joint may near its limit
     "none": Takes(),
     "velocity-scaling": Takes("law.limits:velocity_scaling"),
-    "weighted-least-norm": Takes("law.limits:weighted_least_norm", takes=("rate",)),
-    "saturation": Takes("law.limits:saturation", takes=("rate",)),
     "bounded": Takes("law.bounded:bounded", takes=("rate",)),
 }
 REFERENCES = {
@@ -59,8 +54,8 @@ REFERENCES = {
     "lissajous": Takes("problem.reference:lissajous", takes=("center", "amplitude", "frequency", "phase", "period")),
 }
 METHODS = (
-    *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "AB2", "AB3", "AB4", "ZNN4", "ZEAD4", "ZNN6", "IFD5"),
-    *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4", "EXP-AB2", "EXP-AB3", "EXP-AB4"),
+    *("EE", "IE", "CN", "TRAPEZOID", "HEUN", "MIDPOINT", "RK4"),
+    *("EXP-EE", "EXP-HEUN", "EXP-MIDPOINT", "EXP-RK4"),
 )
 SHAPES = {  # between which a wall keeps a distance
     "half-space": Takes("task.shapes:half_space", needs=("normal",), takes=("offset",)),
@@ -72,3 +67,4 @@ BEGINS = ("q0", "on-path")
 FUTURES = ("known", "unknown")
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
+SMOOTHED = ("error", "command", "target")

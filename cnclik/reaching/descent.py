@@ -20,8 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik.engine.plan import in_c
-from cnclik.hints import as_here
+from cnclik.engine.plan import as_here, in_c
 from cnclik.integrate.batches import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -205,7 +204,7 @@ class Attempts:
             return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
 
         with ThreadPoolExecutor() as pool:
-            program = pool.submit(as_here(Batches), flat, avals, often=True)
+            program = pool.submit(as_here(Batches), flat, avals)
             self.starts, self.program = starts_of(chain, task), program.result()
 
     def __call__(self, terms: Terms, pose, near, given, away, k, most, seed, pool=None) -> np.ndarray:

@@ -74,7 +74,6 @@ def reach(
         400 times.
       seeds: largest number of start postures for each target. Few are needed where there is an answer. Where none is
         found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is reported; with fewer it is OUT_OF_BUDGET.
-      budget: largest number of evaluations for a target that has no answer yet.
       limits: whether to keep the chain's joint limits. A joint that can turn more than once is given in the turn that
         is nearest to `near` or 0.
       explain: whether to find the reason and the nearest pose where there is no answer, which is most of the work for

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from cnclik import errors, markup
+from cnclik import errors
 from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot import poses
 from cnclik.robot.bases import BALL
@@ -138,14 +138,6 @@ class Chain:
             fast = f", up to {speed:.5g} {unit}/s" if math.isfinite(speed) else ""
             lines.append(f"  {name}: {self._kinds[i]}, {room}{fast}")
         return "\n".join(lines)
-
-    def _repr_html_(self):
-        """In a notebook: a table of the joints."""
-        rows = []
-        for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
-            bounds = (self.lower[i], unit), (self.upper[i], unit), (self.velocity_limit[i], f"{unit}/s")
-            rows.append((name, self._kinds[i], *(f"{v:.5g} {u}" if math.isfinite(v) else "—" for v, u in bounds)))
-        return markup.table(("joint", "type", "lower", "upper", "velocity"), rows, left=2)
 
 
 def with_one_tip(chain) -> Chain:

@@ -18,7 +18,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.cache import bounded_jit
 from cnclik.engine.constants import of_the_model
-from cnclik.hints import QUICK_COMPILE, quick_jit
 from cnclik.record import AnyArray, Array, ArrayLike, Bool, Float, cast, mapped, memoized, record, replace
 from cnclik.robot import fixed
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
@@ -237,21 +236,15 @@ def _model(chain: Chain) -> Model:
     )
 
 
-def one_off(fn=None, *, as_given=False, compiler=QUICK_COMPILE, **options):
-    """`jax.jit`, with its arguments, for programs that run once or twice: compiled `quick`, see `quick_jit`.
-
-    Chains among the arguments become `Model`s before the call, so that one program serves all robots of a shape. With
-    `as_given` they stay chains, for a function that changes their links or has one per lane.
-    """
+def one_off(fn=None, **options):
+    """`jax.jit`, with its arguments. Chains become `Model`s before the call: one program serves robots of a shape."""
     if fn is None:
-        return functools.partial(one_off, as_given=as_given, compiler=compiler, **options)
-    jitted, quick = bounded_jit(fn, **options), quick_jit(fn, compiler=compiler, **options)
+        return functools.partial(one_off, **options)
+    jitted = bounded_jit(fn, **options)
 
     @functools.wraps(fn)
     def call(*args, **named):
-        if not all(map(errors.concrete, jax.tree.leaves((args, named)))):
-            return jitted(*args, **named)  # inside another program
-        return quick(*(args if as_given else map(modelled, args)), **named)
+        return jitted(*map(modelled, args), **named)
 
     return call
 

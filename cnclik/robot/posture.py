@@ -12,12 +12,17 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import replace
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.fixed import IDENTITY
+from cnclik.robot.fixed import IDENTITY, Offset, compose
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
 _SINGULAR = 1e-9  # least singular values that are rounding
+_PARALLEL, _SHORT = 0.99, 0.01  # cosine of parallel axes; distance of axes that are one [m]
+_LEAST_BEND, _MOST_BEND = (
+    math.radians(0.5),
+    math.radians(25),
+)  # range of a joint beyond straight that is "a few degrees"
 _SOME = 16  # of the spread postures, by which a coordinate that no joint moves is known
 
 
@@ -59,6 +64,40 @@ def is_planar(chain: Chain) -> bool:
         joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == IDENTITY
         for joint in chain.joints
     )
+
+
+def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
+    """Return (name, straight value, range beyond it) [rad] of elbows and knees that bend both ways, one of them little.
+
+    An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
+    is singular, and an answer of an inverse may end on the side that was not meant.
+    """
+    frames, found = [], {}
+    for joint, parent in zip(chain.joints, chain.parents, strict=True):
+        before = frames[parent] if parent >= 0 else Offset()
+        frames.append(compose(before, joint.origin))
+    if not all(map(errors.concrete, (x for f in frames for x in (*f.position, *sum(f.rotation, ()))))):
+        return []
+    places = np.array([f.position for f in frames], float)
+    axes = np.array(
+        [np.array(f.rotation, float) @ np.array(j.axis, float) for f, j in zip(frames, chain.joints, strict=True)]
+    )
+    for way in map(chain.way, range(len(chain.tips))):
+        way = [i for i in way if chain.joints[i].kind == REVOLUTE]
+        for k, i in enumerate(way):
+            joint, axis = chain.joints[i], axes[i]
+            low, high = (float(bound[joint.coordinate]) for bound in (chain.lower, chain.upper))
+            apart = {j: places[j] - places[i] - axis * (axis @ (places[j] - places[i])) for j in way}
+            near = [j for j in way if abs(axes[j] @ axis) > _PARALLEL and np.linalg.norm(apart[j]) > _SHORT]
+            above, below = [j for j in near if j in way[:k]], [j for j in near if j in way[k + 1 :]]
+            if not (above and below) or joint.follower or joint.multiplier != 1 or not low < high < math.inf:
+                continue
+            back, on = -apart[above[-1]], apart[below[0]]
+            straight = math.atan2(axis @ np.cross(on, back), on @ back) - float(joint.offset)
+            beyond = min(high - straight, straight - low)
+            if _LEAST_BEND < beyond < _MOST_BEND:
+                found.setdefault(chain.joint_names[joint.coordinate], (straight, beyond))
+    return [(name, *values) for name, values in found.items()]
 
 
 def task_jacobians(chain: Chain, task, postures):

@@ -1,11 +1,14 @@
 """Rotations as arrays: exponential and logarithm, quaternions; norms with derivatives everywhere."""
 
 import functools
-import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from cnclik.record import register_waiting
+
+register_waiting()  # all of the robot that needs JAX comes by here
 
 
 def library(*arrays):
@@ -131,24 +134,6 @@ def log_quaternion(w, v):
     y = x * upper * upper
     terms = 10 if jnp.finfo(jnp.result_type(y)).bits <= 32 else 22
     return 8 * up * upper * _series(y, *((-1) ** k / (2 * k + 1) for k in range(terms))) * v
-
-
-def turn_from(a, b):
-    """log(exp(−a) exp(b)) of rotation vectors [rad], with a small relative error however short they are."""
-    (wa, va), (wb, vb) = half_turn(a), half_turn(b)
-    w = wa * wb + va @ vb
-    v = wa * vb - wb * va - jnp.cross(va, vb)
-    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)  # the shorter way
-    return log_quaternion(sign * w, sign * v)
-
-
-def half_turn(v):
-    """Unit quaternion (w, (x, y, z)) of a rotation vector no longer than 2π [rad], by series without a branch."""
-    squared = 0.25 * (v @ v)
-    terms = 9 if jnp.finfo(jnp.result_type(squared)).bits <= 32 else 15
-    sine = _series(squared, *((-1) ** k / math.factorial(2 * k + 1) for k in range(terms)))
-    cosine = _series(squared, *((-1) ** k / math.factorial(2 * k) for k in range(terms)))
-    return cosine, 0.5 * sine * v
 
 
 def quaternion(v):

@@ -46,7 +46,7 @@ def load_urdf(
         sets one for each axis. `with_base` sets the base's place.
       tips: in place of `tip`: names of links, {name: link}, or {name: (link, place)}, where the place is a (3,)
         position [m] or a pose in the link's frame, as for `with_tool`.
-      freeze: {name of a joint: its constant value [rad, m]}; such a joint is no coordinate.
+      freeze: {name of a joint: its constant value [rad, m]}; such a joint is no coordinate. It may be a base's.
 
     Raises: ArgumentError, one line, for a file that cannot be read or is not a robot's tree, for unknown links and
       joints, and where the tip is ambiguous.
@@ -66,13 +66,14 @@ def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=N
         raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
     else:
         ends = _ends(tree, tips)
-    frozen, tree = _frozen(tree, freeze), unfolded(tree, base, [link for link, _ in ends.values()])
+    tree = unfolded(tree, base, [link for link, _ in ends.values()])
+    frozen = _frozen(tree, freeze)
     joints, at, followed = _walked(tree, base, [link for link, _ in ends.values()], frozen)
     for link, _ in ends.values():
         if at[link][0] < 0:
             raise errors.fail("tips" if tips else "tip", "be moved by a joint", f"is {link!r}, fixed to {base!r}")
     if tree.inertials:
-        _rest(tree, at, frozen)
+        _rest(tree, at, frozen, joints, followed)
     return assemble(
         joints,
         tuple(Tip(name=n, joint=at[link][0], offset=compose(at[link][1], off)) for n, (link, off) in ends.items()),
@@ -139,8 +140,9 @@ def moved(kind: str, axis, value) -> Offset:
     return Offset(rotation=turn(axis, value))
 
 
-def _rest(tree, at, frozen) -> None:
-    """Adds to `at` the links on joints without a coordinate, which stay as near to 0 as their limits allow.
+def _rest(tree, at, frozen, joints, followed) -> None:
+    """Add to `at` the links beside the ways to the tips, for their masses: joints without a coordinate stay as near to
+    0 as their limits allow, and a mimic joint follows its leader, as one more of the joints.
 
     Links on a floating or planar joint are another body and left out. Ball joints keep the file's orientation.
     """
@@ -150,9 +152,25 @@ def _rest(tree, at, frozen) -> None:
         for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
             there = edge.parent if turned else edge.child
             if there not in at and edge.type not in ("floating", "planar"):
-                value = _at_rest(edge, by_name, frozen)
-                at[there] = at[link][0], _after(at[link][1], edge, turned, value)
                 waiting.append(there)
+                leader = None if edge.mimic is None or edge.type not in _MOVING else _followed(by_name, edge, followed)
+                if leader is None:
+                    value = _at_rest(edge, by_name, frozen)
+                    at[there] = at[link][0], _after(at[link][1], edge, turned, value)
+                    continue
+                before, axis, after = _around(at[link][1], edge, turned)
+                about = dict(coordinate=leader[0], multiplier=leader[1], offset=leader[2], parent=at[link][0])
+                joints.append(Joint(kind=_MOVING[edge.type], axis=axis, origin=before, follower=edge.name, **about))
+                at[there] = len(joints) - 1, after
+
+
+def _followed(by_name, edge, followed):
+    """(coordinate, multiplier, offset) of a mimic joint whose leader has a coordinate; None of others."""
+    try:
+        leader, multiplier, offset = _leader(by_name, edge, {})
+    except errors.ArgumentError:  # it follows itself, or a joint that is missing
+        return None
+    return (followed.index(leader), multiplier, offset) if leader in followed else None
 
 
 def _at_rest(edge, by_name, frozen) -> float:
@@ -191,7 +209,7 @@ def _frozen(tree, freeze) -> dict:
         edge = moving.get(name)
         if edge is None:
             kind = next((e.type for e in tree.edges if e.name == name and e.type != "fixed"), None)
-            hint = f", which is {kind}" if kind else errors.nearest(name, moving)
+            hint = f", which is {kind} (`with_base` turns a base)" if kind else errors.nearest(name, moving)
             raise errors.fail("freeze", f"name joints of {tree.file} with one coordinate", f"names {name!r}{hint}")
         if edge.mimic is not None:
             raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")

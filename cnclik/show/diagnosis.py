@@ -3,7 +3,6 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cnclik import markup
 from cnclik.show import style
 
 MOST = 8  # largest number of columns shown; those that move most are chosen
@@ -25,7 +24,7 @@ def oscillation(signal, found, names):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
         if found.rings:  # without ringing, slow modes cannot be separated from the path
             panel.plot(t[seen], found.path[:, i], color=style.PURPLE, linestyle=style.DASH, label="path")
-        panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=markup.BLUE, label="fitted")
+        panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")
     return _finish(figure, panels)
 
@@ -42,7 +41,7 @@ def drive(Ts, command, motion, fit, names):
         right = panel if positions else panel.twinx()
         right.step(t, command[:, i], where="post", color=style.BLACK, linestyle=style.DOT, label="command")
         panel.plot(t, motion[:, i], "o", **_DOTS, label="recorded motion")
-        panel.plot(t, fit.motion[:, i], color=markup.BLUE, label="motion of the fitted drive")
+        panel.plot(t, fit.motion[:, i], color=style.BLUE, label="motion of the fitted drive")
         panel.set_ylabel(f"{names[i]} [rad or m]")
         if not positions:
             right.set_ylabel("command [rad or m per s]")

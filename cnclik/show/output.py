@@ -4,12 +4,9 @@ import contextlib
 import functools
 import importlib
 import threading
-import time
 
 from cnclik import errors
 from cnclik.writing import Refused, output_folder
-
-DRAWING = "/cnclik/drawing"  # the event by which `draw` tells jax.monitoring how long it took
 
 
 class FigureError(RuntimeError):
@@ -54,9 +51,7 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
     """
     if not figures:
         return []
-    from jax import monitoring
-
-    begun, failed = time.time(), {}
+    failed = {}
     try:
         from cnclik.show import style  # here, where a broken installation of matplotlib costs no data
     except Exception as error:  # whatever that raises
@@ -71,7 +66,6 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
                 raise
             except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
                 failed[file] = error
-    monitoring.record_event_time_span(DRAWING, begun, time.time())
     if failed:
         raise _undrawn(failed, figures, path, again) from next(iter(failed.values()))
     return list(figures)

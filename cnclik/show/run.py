@@ -9,19 +9,19 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from cnclik import errors, markup
-from cnclik.integrate.status import NO_DEFECT, OWN, Status, level
+from cnclik import errors
+from cnclik.integrate.status import OWN, Status, level
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
-from cnclik.measure.dataset import Axes, to_dataset
+from cnclik.measure.dataset import to_dataset
 from cnclik.precision import of_numbers
 from cnclik.robot.posture import is_planar
 from cnclik.show import style
-from cnclik.show.viewer.motion import from_arrays
+from cnclik.show.motion import error_parts, motion_of
 
 _TIME = "time $t$ [s]"
 _PARTS = {
-    "m": ("position [m]", {"color": markup.BLUE}),
+    "m": ("position [m]", {"color": style.BLUE}),
     "rad": ("orientation [rad]", {"color": style.PURPLE, "linestyle": style.DASH}),
 }
 _BITS = [bit for bit in Status if bit]
@@ -122,14 +122,14 @@ def tip(data, chain):
 
 
 def _draw_tip(panel, axes, way, target, room, alone):
-    paths = [(way[:, : len(axes)], {"color": markup.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
+    paths = [(way[:, : len(axes)], {"color": style.BLUE, "linewidth": 1.2, "label": "tip", "zorder": 3})]
     if target is not None:
         look = {"color": "0.6", "linewidth": 2.4, "markersize": 6, "label": "target"}
         paths.append((target[:, : len(axes)], look))
     for points, look in paths:
         marker = {"marker": "o", "markevery": [-1]}  # the end; a constant target shows nothing else
         panel.plot(*points.T, **marker, **look)
-    panel.plot(*paths[0][0][:1].T, "s", color=markup.BLUE, markerfacecolor="white", label="start", zorder=4)
+    panel.plot(*paths[0][0][:1].T, "s", color=style.BLUE, markerfacecolor="white", label="start", zorder=4)
     every = np.concatenate([points for points, _ in paths])
     low, high = every.min(axis=0), every.max(axis=0)
     for name, middle in zip(axes, (low + high) / 2, strict=True):
@@ -146,12 +146,8 @@ def _draw_tip(panel, axes, way, target, room, alone):
 
 def _paths(data, chain):
     """(name, (K, 3) positions, (K, 3) targets or None) of each tip, up to the first instant that is not finite."""
-    known = (data[name].values for name in ("time", "q", "x", "e", "status"))
-    tips = data.axis_tip.values if "axis_tip" in data.coords else [chain.tips[0].name] * data.sizes["axis"]
-    axes = Axes(data.axis.values, data.axis_unit.values, tips)
-    motion = from_arrays(chain, *known, axes=axes, name="")
-    names = [tip.name for tip in chain.tips]
-    return list(zip(names, motion.ways, motion.targets, strict=True))
+    motion = motion_of(data, chain)
+    return list(zip([tip.name for tip in chain.tips], motion.paths, motion.targets, strict=True))
 
 
 def overview(data, chain):
@@ -260,14 +256,14 @@ def _draw_error(panel, data):
 
 def _error_parts(data):
     """(label, look, which coordinates) of each line: positions and orientations, of each task a colour."""
-    units = data.axis_unit.values
-    if "axis_task" not in data.coords:
-        return [(label, look, units == unit) for unit, (label, look) in _PARTS.items() if (units == unit).any()]
-    found = []
-    for i, task in enumerate(data.task.values):
-        for unit in dict.fromkeys(units[data.axis_task.values == task]):
-            look = {"color": style.COLORS[i % len(style.COLORS)], "linestyle": style.DASH if unit == "rad" else "-"}
-            found.append((f"{task} [{unit}]", look, (data.axis_task.values == task) & (units == unit)))
+    tasks, found = data.task.values.tolist() if "task" in data.coords else [], []
+    for task, unit, some in error_parts(data):
+        if not task:
+            found.append((*_PARTS.get(unit, (f"[{unit}]", {"color": style.BLACK})), some))
+            continue
+        color = style.COLORS[tasks.index(task) % len(style.COLORS)]
+        look = {"color": color, "linestyle": style.DASH if unit == "rad" else "-"}
+        found.append((f"{task} [{unit}]", look, some))
     return found
 
 
@@ -276,7 +272,7 @@ def _status_rows(data):
     found = []
     for bit in _BITS:
         words = bit.name.replace("_", " ").lower()
-        color = "0.6" if bit & NO_DEFECT else markup.LEVELS[level(bit)]
+        color = style.LEVELS[level(bit)]
         own = data.task_status.values.T & bit.value if "task_status" in data and bit & OWN else np.zeros((0, 1))
         if own.any():
             found += [

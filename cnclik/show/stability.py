@@ -2,13 +2,11 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.patches import Patch
 
-from cnclik import markup
 from cnclik.measure.outcome import Ending
 from cnclik.show import style
-from cnclik.show.sweeps.panels import geometric
 
 RATES = ListedColormap(plt.get_cmap("viridis")(np.linspace(0.25, 1.0, 256)), "rates")
 # Lighter or darker than every rate, or hatched, so that greyscale separates them.
@@ -27,9 +25,8 @@ def plane(data):
       data: from `cnclik.stability.plane`.
     """
     groups = {}
-    for row in data.region_row.values:
-        method, _, stage = str(row).partition(" ")
-        groups.setdefault(method if stage else "explicit", {})[stage or method] = data.region.sel(region_row=row)
+    for method, stage, region in zip(data.method.values, data.stage.values, data.region, strict=True):
+        groups.setdefault(str(method) if stage else "explicit", {})[str(stage) or str(method)] = region
     columns = min(len(groups), 4)
     rows = -(-len(groups) // columns)
     size = (style.PAGE, 2.2 * rows + 0.45)
@@ -58,11 +55,11 @@ def plane(data):
 
 
 def stability_map(data, *, title="", operating=None):
-    """How simulated loops end over (alpha, Ts), the linear stability limit, and an operating point with its margin.
+    """How simulated loops end over (alpha, Ts), the linear stability limit, and an operating point.
 
     Args:
       data: from `cnclik.stability.stability_map`.
-      operating: (alpha, Ts, margin), or None.
+      operating: (alpha, Ts), or None.
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
     mesh = _cells(axis, data.alpha, data.Ts, data)
@@ -70,68 +67,44 @@ def stability_map(data, *, title="", operating=None):
     _legend(figure, [data], columns=3)
     axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
     for values, ticks in ((data.alpha, axis.xaxis), (data.Ts, axis.yaxis)):
-        if geometric(values.values):
+        if style.geometric(values.values):
             style.log_scale(ticks, values)
     finite = np.isfinite(data.limit.values)
     axis.plot(data.limit.values[finite], data.Ts.values[finite], **style.OUTLINED)
     if operating is not None:
-        alpha, Ts, margin = operating
+        alpha, Ts = operating
         axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
         place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
         box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-        words = f"z = {alpha * Ts:.3g}\ngain margin {margin:.3g}"
-        axis.annotate(words, (alpha, Ts), fontsize=6.5, bbox=box, **place)
+        axis.annotate(f"z = {alpha * Ts:.3g}", (alpha, Ts), fontsize=6.5, bbox=box, **place)
     axis.set(xlim=data.alpha.values[[0, -1]], ylim=data.Ts.values[[0, -1]])
     return figure
 
 
-def radii(axis, x, y, radius, limit=None):
-    """Spectral radii as shades over two gains, or a gain and a sampling time; hatched where a loop is unstable.
-
-    Args: limit: (k, 2) where it becomes unstable, from the top of the plane to its right; None: interpolated.
-    """
-    levels = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1e9]
-    shades = ["#eaf3fa", "#cfe3f2", "#a9cde6", "#7fb2d6", "#4f93c1", "0.95"]
-    hatches = [None] * 5 + ["////"]
-    most = 10 if limit is None else 1
-    shown = axis.contourf(x, y, np.minimum(radius, most), levels=levels, colors=shades, hatches=hatches)
-    bar = axis.figure.colorbar(shown, ax=axis, label="spectral radius", fraction=0.05, drawedges=True)
-    bar.set_ticks(levels, labels=[*(f"{level:g}" for level in levels[:-1]), "∞"])
-    style.log_scale(axis.xaxis, x, decades=3)
-    style.log_scale(axis.yaxis, y, decades=3)
-    if limit is None:
-        axis.contour(x, y, radius, levels=[1.0], colors="black", linewidths=1.4)
-    elif len(limit):
-        (left, _), (_, low), right, top = limit[0], limit[-1], float(x[-1]), float(y[-1])
-        beyond = np.vstack([limit, [(right, low), (right, top), (left, top)]])
-        axis.fill(*beyond.T, facecolor=shades[-1], edgecolor="black", hatch=hatches[-1], linewidth=0)
-        axis.plot(*limit.T, color="black", linewidth=1.4)
-    axis.grid(False)
-
-
 def gains(data, *, title="", operating=None):
-    """Spectral radius over the gains of two tasks, the limits for any posture, and an operating point.
+    """The recommended gain over sampling time and dead time, as lines of equal gain.
 
-    Args: data: from `cnclik.stability.gains_map`. operating: the two gains now, or None.
+    Args: data: from `cnclik.stability.gain_table`. operating: (Ts, dead time) now, or None.
     """
-    figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.4))
-    y, x = (data[name] for name in data.radius.dims)
-    limit = np.stack([data[f"limit of {one.name}"].dropna("ray of limit") for one in (x, y)], -1)
-    radii(axis, x, y, np.maximum(data.radius.values, 1e-12), limit)
-    line = plt.Line2D([], [], color="black", linewidth=1.4, label="stability limit at this posture")
-    drawn = [line] if len(limit) else []
-    bounds = (("stable", markup.LOST, "stability limit at any"), ("recommended", markup.FINE, "recommended at any"))
-    for name, color, label in bounds:
-        most = data.attrs[name]
-        if np.isfinite(most):
-            look = {"color": color, "linewidth": 1.2, "linestyle": style.DASH, "label": f"{label} posture"}
-            drawn += axis.plot([float(x[0]), most, most], [most, most, float(y[0])], **look)
+    figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
+    x, y, values = 1e3 * data.Ts.values, 1e3 * data.dead_time.values, data.recommended.values.T
+    values = np.ma.masked_equal(values, 0.0)  # no gain is recommended there
+    low, high = (values.min(), values.max()) if values.count() else (1.0, 1.0)
+    levels = sorted({v for gain in np.geomspace(low, high, 8) if low < (v := float(f"{gain:.2g}")) < high})
+    shown = axis.pcolormesh(x, y, values, norm=LogNorm(), cmap=RATES, shading="nearest", rasterized=True)
+    bar = figure.colorbar(shown, ax=axis, label="recommended gain α [1/s]", fraction=0.05)
+    bar.set_ticks(levels, labels=[f"{v:g}" for v in levels])
+    bar.minorticks_off()
+    if levels:
+        lines = axis.contour(x, y, values, levels=levels, colors="black", linewidths=0.8)
+        axis.clabel(lines, fmt=lambda v: f"{v:g}", fontsize=6.5)
     if operating is not None:
-        look = {"linestyle": "none", "markeredgecolor": "white", "color": "0.35", "markersize": 8, "label": "now"}
-        drawn += axis.plot(*operating, "o", zorder=5, **look)
-    labels = [f"{one.attrs['long_name']} [1/s]" for one in (x, y)]
-    axis.set(xlim=x.values[[0, -1]], ylim=y.values[[0, -1]], title=title, xlabel=labels[0], ylabel=labels[1])
-    figure.legend(handles=drawn, loc="outside lower center", ncols=2, fontsize=6, columnspacing=1.0)
+        Ts, late = operating
+        axis.plot(
+            1e3 * Ts, 1e3 * late, "o", color="white", markeredgecolor="black", markersize=6, zorder=6, clip_on=False
+        )
+    style.log_scale(axis.xaxis, x)
+    axis.set(xlabel="sampling time Ts [ms]", ylabel="dead time [ms]", title=title)
     return figure
 
 
@@ -139,16 +112,16 @@ def passes(panels):
     """How simulated loops end over z and M, with the linear stability limit of each M; odd and even M differ.
 
     Args:
-      panels: {title: Dataset from `cnclik.stability.passes_map`}.
+      panels: {title: Dataset over (M, alpha) from `cnclik.stability.stability_map`}.
     """
     figure, axes = plt.subplots(1, len(panels), figsize=(style.PAGE, 2.6), sharey=True, squeeze=False)
     for axis, (title, data) in zip(axes[0], panels.items(), strict=True):
-        rows = np.arange(data.sizes["M"])
-        mesh = _cells(axis, data.z, rows, data)
-        for row, limit in zip(rows, data.limit.values, strict=True):
+        rows, z = np.arange(data.sizes["M"]), data.alpha.values * float(data.Ts)
+        mesh = _cells(axis, z, rows, data)
+        for row, limit in zip(rows, data.limit.values * float(data.Ts), strict=True):
             if np.isfinite(limit):
                 axis.plot([limit, limit], [row - 0.5, row + 0.5], **style.OUTLINED)
-        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values, xlim=data.z.values[[0, -1]])
+        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values.astype(int), xlim=z[[0, -1]])
     axes[0, 0].set_ylabel("iterations M")
     figure.colorbar(mesh, ax=axes[0, -1], label="error factor per step", fraction=0.05)
     _legend(figure, panels.values())

@@ -9,17 +9,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import patheffects, ticker
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.transforms import Affine2D
-
-from cnclik.markup import BLUE, FINE, LEAST_ERROR, WARNING
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
 LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
+LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
+
 # Okabe & Ito (2008): distinguishable with any colour vision.
-# FINE, WARNING and LOST (green, amber, red) are defined in `markup`; every figure uses them for these meanings.
-BLACK, SKY, VERMILION, PURPLE = "#000000", "#56B4E9", "#D55E00", "#CC79A7"
+BLUE, BLACK, SKY, VERMILION, PURPLE = "#0072B2", "#000000", "#56B4E9", "#D55E00", "#CC79A7"
+LEVELS = FINE, WARNING, LOST = "#009E73", "#E69F00", "#CC3311"  # the last by Tol (2021); see `status.level`
 GREEN, ORANGE = FINE, WARNING  # for lines, where the colour has no meaning
 WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
@@ -48,14 +47,10 @@ METHODS = {
     "HEUN": Line(ORANGE, DASH, "v", 3.5),
     "MIDPOINT": Line(SKY, DASHDOT, "P", 3.6),
     "RK4": Line(PURPLE, DOT, "X", 3.7, 1.6),
-    "AB2": Line(ORANGE, DOT, "<", 3.2),
     "EXP-EE": Line(BLUE, "-", "o", 3.4),
     "EXP-HEUN": Line(ORANGE, "-", "v", 3.5),
     "EXP-MIDPOINT": Line(SKY, "-", "P", 3.6),
     "EXP-RK4": Line(PURPLE, "-", "X", 3.7),
-    "EXP-AB2": Line(VERMILION, "-", ">", 3.8),
-    "EXP-AB3": Line(GREEN, DOT, ">", 3.8),
-    "EXP-AB4": Line(BLACK, DOT, ">", 3.8),
 }
 OTHER = Line(BLACK, DASH, "o", 3.0)  # for a method without a style
 
@@ -169,35 +164,22 @@ def log_errors(panel, norms) -> None:
         panel.set_ylim(bottom, shown.max() * (shown.max() / bottom) ** 0.05)
 
 
-def label_contours(panel, drawn, fmt) -> None:
-    """Name each level of a contour set once, away from the panel's edges, other names and other lines, if it can be."""
-    panel.get_xlim(), panel.get_ylim()  # what is not yet scaled to its data is
-    size = panel.bbox.size / panel.figure.dpi  # [in], as below
-    inches = panel.transAxes.inverted() + Affine2D().scale(*size)
-    to_panel = panel.transData + inches
-    drawn_before = [(line.get_transform() + inches).transform(line.get_xydata()) for line in panel.lines]
-    lines = [np.concatenate([np.empty((0, 2)), *parts]) for parts in drawn.allsegs]
-    lines = [points[:: max(1, len(points) // 200)] for points in lines]
-    seen = [to_panel.transform(points) for points in lines]
-    names, levels = [], []
-    for i, (points, at) in enumerate(zip(lines, seen, strict=True)):
-        near = [seen[j] for j in range(len(seen)) if j != i and len(seen[j])]
-        room = np.minimum(at, size - at).min(axis=1, initial=size.max()) / 0.15
-        for others, least in ((near + drawn_before, 0.08), ([to_panel.transform(names)] if names else [], 0.3)):
-            for other in others:
-                room = np.minimum(room, np.hypot(*(at[:, None] - other).T).min(axis=0) / least)
-        if len(room) and room.max() > 1:
-            names.append(tuple(points[room.argmax()]))
-            levels.append(drawn.levels[i])
-    if names:
-        panel.clabel(drawn, levels, fmt=fmt, fontsize=7, manual=names)
+def geometric(values) -> bool:
+    """Return whether three or more positive numbers grow by one factor, or most lie in a tenth of their range."""
+    values = np.asarray(values)
+    if values.dtype.kind not in "if" or len(values) < 3 or values.min() <= 0:
+        return False
+    if values.max() > max(50 * values.min(), 10 * np.median(values)):
+        return True
+    ratios = values[1:] / values[:-1]
+    return bool(np.ptp(ratios) < 1e-6 * ratios[0] and abs(ratios[0] - 1) > 1e-9)
 
 
-def plain(value, decimal=True) -> str:
-    """A number on an axis: 0.05, or 5 × 10⁻⁵ where that would be long (all powers of ten unless `decimal`)."""
+def plain(value) -> str:
+    """A number on an axis: 0.05, or 5 × 10⁻⁵ where that would be long."""
     power = int(np.floor(np.log10(abs(value) or 1.0) + 1e-9))
     factor = f"{value / 10.0**power:.3g}"
-    if (decimal and -5 < power < 5) or (not decimal and factor != "1"):
+    if -5 < power < 5:
         return f"{value:.6g}"
     return f"$10^{{{power}}}$" if factor == "1" else f"${factor}\\times10^{{{power}}}$"
 

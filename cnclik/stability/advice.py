@@ -15,6 +15,7 @@ from cnclik.law.walls import names_of, rate_of
 from cnclik.precision import of_numbers
 from cnclik.record import Number, record
 from cnclik.stability.gain import Gains, Response, gains, in_words
+from cnclik.stability.linear import passes_of
 
 ROUNDING = 1e-9  # relative excess of a gain that is none
 
@@ -109,13 +110,14 @@ def advise(
     """
     errors.kind("law", law, Law)
     rates = rates_of(law)
-    if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len({one[2] for one in rates} - {0.0}) > 1:
+    several = {one[2] for one in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
+    if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1:
         must = (
             "be the same for all joints where gains differ: no limit holds at every posture. Use one gain for all "
             "tasks, posture and limits, or give the fast joints the slow joints' lag"
         )
         raise errors.fail("drive", must, "differs from joint to joint")
-    loop = gains(Ts=Ts, drive=drive, method=method, M=stage)
+    loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
     euler = gains(Ts=Ts, drive=drive, method="EE") if any(kind in _OF_VELOCITIES for _, kind, _ in rates) else loop
     return Advice(
         gains=loop,

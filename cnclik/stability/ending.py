@@ -25,7 +25,6 @@ from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64
 from cnclik.quantities import aloud, plainly
 from cnclik.record import ArrayLike, Number, record, replace
-from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability.advice import advise
@@ -200,7 +199,7 @@ class _Case:
         return bool(np.mean((self.status[-self.quarter :] & int(bit)) != 0) >= OFTEN)
 
     def unreachable(self) -> str:
-        """How far the nearest posture is from the last targets, in words; "" where they are reached or that is unknown."""
+        """How far the nearest posture is from the last targets, in words; "" where that is 0 or unknown."""
         from cnclik.reaching.public import reach  # most runs do not need it
         from cnclik.reaching.result import ReachStatus
         from cnclik.reaching.targets import wanted_at
@@ -247,10 +246,11 @@ class _Case:
         return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
 
     def lag(self) -> str:
-        """The lag behind the path, where one explains the error."""
-        wanted = np.gradient(self.x + self.e, self.Ts, axis=0)[-self.quarter :]
-        e, speed = self.e[-self.quarter :], np.sum(wanted**2)
-        if self.law.task.angles or not speed:
+        """The lag behind the path, where one explains the errors of lengths."""
+        lengths = list(self.law.task.lengths)
+        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[-self.quarter :]
+        e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
+        if not speed:
             return ""
         late = np.sum(wanted * e) / speed
         left = np.sum((e - late * wanted) ** 2)
@@ -264,7 +264,10 @@ class _Case:
         tasks = {} if self.lost is not None else {name: self._task(at) for name, at in self.law.task.each}
         words = "; ".join(filter(None, [what, *(f"{k} {v}" for k, v in tasks.items()), over]))
         if over and not remedy:
-            change, remedy = {"limits": "velocity_scaling"}, "velocity_scaling() or bounded() keeps joint velocities within limits"
+            change, remedy = (
+                {"limits": "velocity_scaling"},
+                "keep joint velocities within their limits by limits=velocity_scaling() or limits=bounded()",
+            )
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
         return Verdict(
             kind=kind,
@@ -307,7 +310,10 @@ class _Case:
         if late.max() < STALL_RATIO * before.max():
             left = late.max() / before.max()
             goal = max(ARRIVED * self.size()[0], self.floor)
-            more = math.ceil(self.N + self.quarter * math.log(goal / late.max()) / math.log(left)) if left > 0 else 0
+            steps = (
+                self.N - self.quarter + self.quarter * math.log(goal / late.max()) / math.log(left) if left > 0 else 0
+            )
+            more = math.ceil(1.01 * steps / 0.75)  # the last quarter then begins there
             what = f"{said}, {100 * left:.2g} % of that in the quarter before"
             longer = ({"N": more}, f"run {more} steps") if self.N < more <= errors.MOST else ({}, "")
             return Behaviour.TOO_SHORT, what, *longer
@@ -321,7 +327,7 @@ class _Case:
             rests = late.max() >= STALL_RATIO * self.late()[1].max() and not self.arrived()
             return self.cause() if rests else ""
         size = self.size()[1:]
-        if not words or acted.all() and self.lag():
+        if not words or (acted.all() and self.lag()):
             return ""
         free = np.median(size[~acted]) if not acted.all() else 0.0
         if size[acted].max() <= max(2 * free, 10 * self.floor):
@@ -360,12 +366,14 @@ class _Case:
             return ""
         ratio = np.nan_to_num(np.abs(self.qdot) / np.maximum(np.array(self.law.chain.velocity_limit, float), 1e-12))
         steps = int(np.sum(self.status & int(Status.OVER_VELOCITY) != 0))
-        return f"{steps} of {self.N} steps exceed a joint's velocity limit, by up to {plainly(100 * (ratio.max() - 1))} %"
+        return (
+            f"{steps} of {self.N} steps exceed a joint's velocity limit, by up to {plainly(100 * (ratio.max() - 1))} %"
+        )
 
     # --- remedies: one, from a formula ----------------------------------------------------------------------
 
     def _lower(self):
-        """The recommended gain, where a gain is above the one without overshoot; else damping, next to a singularity."""
+        """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
         if self.advice is not None and self.advice.gains.recommended:
             tasks = [one for one in self.advice.rates if one.kind == "task"]
             most = self.advice.gains
@@ -381,8 +389,8 @@ class _Case:
             if len(near):
                 speed = float(np.max(np.asarray(self.law.alpha, float)) * self.size()[near[0]])
                 damping = float(f"{speed / (2 * np.min(np.array(self.law.chain.velocity_limit, float))):.1g}")
-                words = f"near the singularity use damped({damping:g}), which keeps joint velocities below |v|/(2 λ)"
-                return {"damping": damping}, words
+                words = f"near the singularity use inverse=damped({damping:g})"
+                return {"damping": damping}, f"{words}, which keeps joint velocities below |v|/(2 λ)"
         return {}, ""
 
     def _calmer(self, error):
@@ -402,12 +410,19 @@ class _Case:
         if self.advice is None or not self.advice.unstable:
             return {}, ""
         change, words = self._lower()
-        return change, f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow: {words}" if words else ""
+        return (
+            change,
+            f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow: {words}"
+            if words
+            else "",
+        )
 
 
 def _of_joints(task, at) -> bool:
     """Whether the coordinates of a task are joint values."""
-    return all(hasattr(p, "wanted") for p, own in zip(task.parts, task.slices, strict=True) if at.start <= own.start < at.stop)
+    return all(
+        hasattr(p, "wanted") for p, own in zip(task.parts, task.slices, strict=True) if at.start <= own.start < at.stop
+    )
 
 
 def _turns(values, least) -> int:

@@ -2,7 +2,7 @@
 
 No robot is asked: each rate of the loop is a weighted mean of its gains, so one scalar loop decides for every robot,
 posture, task and stack, see `cnclik.stability.poles`. A drive limits the share s = 1 − R(z) of an error that a step may
-remove, and a method says which gain removes it.
+remove, and a method gives the gain that removes it.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import MOST, Drive, sampled
+from cnclik.integrate.drive import MOST, Drive, drive_in_words
 from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
-from cnclik.quantities import in_samples
 from cnclik.record import Number, replace
 from cnclik.stability.linear import REACH, describe, first_beyond, gain_removing, passes_of, removed
 from cnclik.stability.poles import LONGEST, SETTLED, ScalarLoop, crossings, frequencies, scalar_loop, within
@@ -124,14 +123,12 @@ class Gains:
         return "\n".join([*lines, f"Recommended: {self.reason}."])
 
 
-def gains(
-    *, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAULT, M: int | None = None
-) -> Gains:
+def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAULT, M: int | None = None) -> Gains:
     """Return the gains that a loop tolerates on its drives, for any robot, posture, task and stack.
 
-    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof), so α ≤ `largest_stable`
-    is stable for every J# = Jᵀ(JJᵀ + D)⁻¹, and exactly the limit where J# is exact. With one gain for all tasks, joints
-    may have different drives. It is linear: nothing is said of large errors or of limits that switch.
+    Each rate of the loop at rest is a weighted mean of its gains (docs/theory.md has the proof). So alpha ≤
+    `largest_stable` is stable for every J# = Jᵀ(JJᵀ + D)⁻¹, and exactly the limit where J# is exact. With one gain for
+    all tasks, joints may have different drives. It is linear: nothing is said of large errors or of limits that switch.
 
     Args:
       Ts: sampling time [s].
@@ -142,6 +139,9 @@ def gains(
     Returns: `Gains`; one with a recommended gain of 0 where no gain is safe, see its `reason`.
     Raises: ArgumentError for values that do not fit.
     """
+    for name, values in (("Ts", [Ts]), ("drive", vars(drive).values() if isinstance(drive, Drive) else [])):
+        if not all(map(errors.concrete, values)):
+            raise errors.fail(name, "hold numbers", "is traced by JAX: call gains outside of jit, vmap and grad")
     Ts, method, M = float(errors.number("Ts", Ts, positive=True)), named(method), passes_of(M)
     assumed = drive is None
     drive = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
@@ -309,6 +309,9 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     noisy = loop.disturbed - s * loop.b * loop.noise
     away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
     asked = np.r_[-s * loop.noise, loop.response(s, -s * loop.C, noisy[:, None], N - 2)[:, 0]]
+    if drive.filters == "command" and (kept := float(drive.kept(Ts))):
+        weights = (1 - kept) * kept ** np.arange(min(len(asked), int(np.log(TINY) / np.log(kept)) + 1))
+        asked = np.convolve(asked, weights)[: len(asked)]
     poles = inside.poles(s)
     slowest = np.log(poles[np.abs(poles) >= np.abs(poles).max() * (1 - SLOWEST)].astype(complex) + TINY)
     outside = np.flatnonzero(~(np.abs(away) <= WITHIN))
@@ -338,34 +341,11 @@ def in_words(alpha: float) -> str:
     return "none" if alpha == 0 else f"{alpha:.4g}" if alpha < np.inf else "any"
 
 
-def drive_in_words(drive: Drive, Ts: float) -> str:
-    """Return a drive in words: "17 samples (34 ms) of dead time, a lag of 100 ms"."""
-    late, words = drive.lumped.delay, []
-    if late or drive.prompt:
-        words.append(f"{in_samples(late, Ts)} of dead time" if late else "ideal drives")
-
-    def span(value, unit, scale=1.0):
-        low, high = (scale * float(pick(np.asarray(value, float))) for pick in (np.min, np.max))
-        return f"{low:.4g}{'' if low == high else f' to {high:.4g}'} {unit}".rstrip()
-
-    if drive.order == 1:
-        words.append(f"a lag of {span(drive.lag, 'ms', 1e3)}")
-    if drive.order == 2:
-        words.append(f"a servo of {span(drive.natural_frequency, 'rad/s')}, ζ = {span(drive.damping_ratio, '')}")
-    words += ["position commands"] * drive.steps_positions
-    words += {"measured": [], "commanded": ["own commands as feedback"], "rebased": ["commands from the measured joints"]}[
-        drive.feedback
-    ]
-    if drive.filters:
-        words.append(f"{drive.filters} filtered with ρ = {float(drive.kept(Ts)):.3g}")
-    return ", ".join(words)
-
-
 def _no_gain(drive: Drive, Ts: float) -> str:
     if drive.feedback == "rebased":
         return (
             "each position command starts at the measured joints, and with this servo and dead time the loop may swing "
-            "and grow however small alpha is, here or in a posture of other inertia. Start each command at the last one "
+            "and grow however small alpha is, here or in a posture of other inertia. Start commands at the last one "
             '(feedback="commanded"), or send velocities'
         )
     return f"the motion overshoots by more than {100 * OVERSHOOT:g} % with any, on {drive_in_words(drive, Ts)}"
@@ -397,7 +377,10 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
         return min(MOST_Z, limits(one, Ts)[2]) or None
 
     z = gain(measured)
-    first = "gain per step of {}, dt = Ts, where the configuration is measured" + f"; {OWN_COMMANDS} where it is the last command"
+    first = (
+        "gain per step of {}, dt = Ts, where the configuration is measured"
+        + f"; {OWN_COMMANDS} where it is the last command"
+    )
     made = {
         "pink": Setting(z, first.format("FrameTask and PostureTask")),
         "mink": Setting(z, first.format("FrameTask and PostureTask")),
@@ -408,7 +391,7 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
     }
     k_val, why = None, "each position target starts at the measured joints, and "
     if drive is None or (drive.order == 0 and not drive.prompt):
-        why += "servos with ζ below 0.71 and dead time may then run away: identify your servo first (cnclik diagnose --step)"
+        why += "servos with ζ below 0.71 and dead time may run away: identify yours first (cnclik diagnose --step)"
     elif drive.order and drive.command == "velocity":
         why += "the drive given is a velocity servo: identify it with position commands"
     else:
@@ -419,7 +402,10 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
         made["UR servoj"] = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
     else:
         z = gain(_of_servoj(drive, Ts))
-        meaning = f"alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, lookahead_time {LOOKAHEAD}"
+        meaning = (
+            "alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, "
+            f"lookahead_time {LOOKAHEAD}"
+        )
         made["UR servoj"] = Setting(z and z / Ts, meaning)
     return made
 

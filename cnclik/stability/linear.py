@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def passes_of(stage) -> int | None:
     return errors.integer("M", M, at_least=0, at_most=errors.MOST)
 
 
-def removed(method: MethodLike, z, M=None):
+def removed(method: MethodLike, z, M: Any = None):
     """Return the share 1 − R(z) of an error that one step removes.
 
     Args:
@@ -46,7 +47,7 @@ def removed(method: MethodLike, z, M=None):
     if method.exponential:
         return -np.expm1(-z)
     slopes: list = []  # times Ts
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         for row in method.A:
             base, own = 1.0 + sum((a * k for a, k in zip(row, slopes)), 0.0 * z), row[-1]  # noqa: B905
             slope = -z * (base if M is None or not own else 1.0)  # passes start from the step's first slope
@@ -58,7 +59,7 @@ def removed(method: MethodLike, z, M=None):
         return -sum(b * k for b, k in zip(method.b, slopes, strict=True))
 
 
-def amplification(method: MethodLike, z, M=None):
+def amplification(method: MethodLike, z, M: Any = None):
     """Return R(z), the factor by which one step multiplies the error of ė = −alpha e. Args: as for `removed`."""
     return 1.0 - removed(method, z, M)
 
@@ -72,7 +73,7 @@ def _numbers(z):
     raise errors.fail("z", "be a finite number, or an array of them", f"is {z!r}")
 
 
-def stability_limit(method: MethodLike, M=None) -> float:
+def stability_limit(method: MethodLike, M: Any = None) -> float:
     """Return the largest z = alpha·Ts on the real axis up to which |R(z)| ≤ 1; inf where there is none.
 
     EE 2, IE with five passes 1, IE solved exactly inf, the paper's CN solved exactly 1 + √5, RK4 2.785, exponential
@@ -83,7 +84,7 @@ def stability_limit(method: MethodLike, M=None) -> float:
     return first_beyond(lambda z: ~(np.abs(amplification(method, z, M)) - 1.0 <= SLACK), REACH)
 
 
-def gain_removing(share: float, method: MethodLike, M=None) -> float:
+def gain_removing(share: float, method: MethodLike, M: Any = None) -> float:
     """Return the largest z up to which a step removes no more than a share of an error, and adds nothing to it."""
     method = named(method)
     if method.exponential:
@@ -130,7 +131,7 @@ def stability_region(method: MethodLike, M=None, *, real=(-2.0, 4.0), imaginary=
     method, M = named(method), passes_of(M)
     points = errors.integer("points", points, at_least=2, at_most=10_000)
     ends = (np.asarray(errors.array(name, v, (2,)), float) for name, v in (("real", real), ("imaginary", imaginary)))
-    x, y = (np.linspace(*pair, points) for pair in ends)
+    x, y = (np.linspace(low, high, points) for low, high in ends)
     return xr.DataArray(
         np.abs(amplification(method, x + 1j * y[:, None], M)),
         dims=("im", "re"),
@@ -139,7 +140,12 @@ def stability_region(method: MethodLike, M=None, *, real=(-2.0, 4.0), imaginary=
             "im": ("im", y, {"units": "1", "long_name": "Im z"}),
         },
         name="amplification",
-        attrs={"units": "1", "long_name": "|R(z)|", "method": method.name, "stage": "exact" if M is None else f"M = {M}"},
+        attrs={
+            "units": "1",
+            "long_name": "|R(z)|",
+            "method": method.name,
+            "stage": "exact" if M is None else f"M = {M}",
+        },
     )
 
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, check_drive, moving
+from cnclik.integrate.drive import Drive, check_drive, sampled
 from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import check_loop
+from cnclik.measure.files import markdown
 from cnclik.measure.outcome import Ending, Outcome, outcome
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.stability.gain import mixed_share
-from cnclik.stability.linear import gain_removing, passes_of
+from cnclik.stability.linear import gain_removing, passes_of, stability_limit, stability_region
 
 CHUNK = 1 << 15  # loops run between two looks at the progress
 LOOPS_PER_CALL = 1 << 10  # loops that one core runs at a time: small, as those that diverge may take longer
@@ -76,12 +76,13 @@ def outcomes(
     factor, time = flat(alpha) / largest, flat(Ts)
     # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
     times, which = np.unique(time, return_inverse=True)
-    models = jax.tree.map(lambda *each: np.stack(each), *(moving(drive, float(T)) for T in times))
-    models = jax.tree.map(lambda each: each[which], models)
+    models = None
+    if not drive.prompt:
+        models = jax.tree.map(lambda *each: np.stack(each)[which], *(sampled(drive, float(T)) for T in times))
     start = flat(q0, tail=q0.shape[-1:])
     if M is not None:
         M = flat(M, int)
-        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))
+        stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))  # type: ignore[attr-defined]
 
     def one(q0, factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
@@ -157,7 +158,10 @@ def stability_map(
     grid = dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
     loops = outcomes(law, reference, q0, **(values | grid), method=method, stage=stage, drive=drive, N=N, **options)
     of_limit = [name for name in axes if name != "alpha"]
-    limit = np.vectorize(lambda M, Ts: largest_stable(method, stage if M is None else int(M), drive, Ts), otypes=[float])
+    limit = np.vectorize(
+        lambda M, Ts: largest_stable(method, stage if M is None else replace(stage, M=int(M)), drive, Ts=Ts),
+        otypes=[float],
+    )
     each = [values[name] for name in of_limit]
     at = dict(zip(of_limit, np.meshgrid(*each, indexing="ij"), strict=True))
     limits = limit(at.get("M", values.get("M")), at.get("Ts", values["Ts"]))
@@ -179,10 +183,59 @@ def stability_map(
     )
 
 
-def largest_stable(method, stage, drive, Ts: float) -> float:
+def largest_stable(method, stage, drive=Drive(), *, Ts: float) -> float:
     """Return the largest gain that is stable at any posture [1/s]; inf: any."""
     share = mixed_share(drive.joints, float(Ts))
     return gain_removing(share, method, passes_of(stage)) / float(Ts) if share else 0.0
+
+
+# --- the plane of z ----------------------------------------------------------------------------------
+
+
+def plane(methods, passes, *, points=201):
+    """Return stability regions |R(z)| over (region, im, re), and the limits of z on the real axis over `row`.
+
+    Args: methods: names. passes: M of implicit ones, which are solved exactly, too.
+    """
+    import xarray as xr
+
+    methods = [named(method, "methods") for method in methods]
+    passes = [errors.integer("passes", M, at_least=0) for M in passes]
+    cases = [(method, M) for method in methods for M in ([*passes, None] if method.implicit else [None])]
+    regions = [stability_region(method, M, points=points) for method, M in cases]
+    stages = ["" if not method.implicit else "exact" if M is None else f"picard({M})" for method, M in cases]
+    limits = {
+        "stable": [stability_limit(*case) for case in cases],
+        "monotone": [gain_removing(1.0, *case) for case in cases],
+    }
+    return xr.Dataset(
+        {name: ("row", values, {"units": "1"}) for name, values in limits.items()}
+        | {"region": (("row", "im", "re"), np.stack([r.values.astype(np.float32) for r in regions]))},
+        coords={
+            "method": ("row", [method.name for method, _ in cases]),
+            "stage": ("row", stages),
+            "re": regions[0].re,
+            "im": regions[0].im,
+        },
+    )
+
+
+def limit_table(data):
+    """Return (rows, header) of the limits of a `plane`, as text."""
+    names = ("stable", "monotone")
+    columns = (data.method.values, data.stage.values, *(data[name].values for name in names))
+    rows = [
+        [str(method), str(stage), *("none" if v == np.inf else f"{v:.4f}" for v in values)]
+        for method, stage, *values in zip(*columns, strict=True)
+    ]
+    return rows, ["method", "stage", "stable", "without overshoot"]
+
+
+def plane_page(data) -> str:
+    """Return the limits of a `plane` as a Markdown page."""
+    rows, header = limit_table(data)
+    head = ("# Limits of z = alpha·Ts on the real axis", "", "`exact` is what chord(M) and newton(M) do.", "")
+    return "\n".join([*head, markdown(header, rows, left=2)])
 
 
 def endings_about():

@@ -1,4 +1,4 @@
-"""Poles: the loop of one scalar error through a drive, closed by a step that removes a share s of the error. NumPy only.
+"""Poles: the loop of one scalar error through a drive, closed by a step that removes a share s of it. NumPy only.
 
 With one drive for all joints, every loop q̇ = J#(ẋ_d + K e) with its stack, dampings, weights, posture term, active
 limits and walls is a set of such loops side by side, with shares s = 1 − R(μ α Ts), 0 ≤ μ ≤ 1 (docs/theory.md has the

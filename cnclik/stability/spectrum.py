@@ -1,7 +1,7 @@
 """Spectrum: the one-step map of the whole loop, differentiated, and its largest eigenvalue.
 
-At rest (e = 0, constant target) the loop's own `step` is differentiated, with its iterations, limits and functions of
-one's own. It holds at one posture; the gains of `cnclik.stability.gain` hold at any, and their tests ask it.
+At rest (e = 0, constant target) the loop's own `step` is differentiated, with its iterations, limits and user-written
+functions. It holds at one posture; the gains of `cnclik.stability.gain` hold at any, and their tests ask it.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import pathlib
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import white_noise
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
 from cnclik.problem.options import OF_STACK
@@ -28,10 +27,9 @@ STEPS = 30  # longest chain of values that refer to each other
 OF_LIMIT = ["M", "delay", "measurement_delay"]  # what it depends on, besides method and stage, which depend on nothing
 RESERVED = (LIMIT, "progress")  # other names in a store
 FIGURES = {
-    "heat": ("value", "x", "y", "boundary", "contours"),
+    "heat": ("value", "x", "y", "boundary"),
     "best": ("value", "x", "y", "among", "boundary"),
     "slices": ("value", "x", "lines"),
-    "convergence": ("value", "lines"),
     "distribution": ("value", "over", "lines"),
     "work": ("value", "lines", "over"),
 }
@@ -39,16 +37,13 @@ _EVERY_FIGURE = ("kind", "name", "title", "panels", "rows", "select", "reduce", 
 ROLES = ("x", "y", "lines", "panels", "rows", "over", "among", "across")  # keys of a figure that name an axis
 
 
-def _are_numbers(value, count=None):
-    return (
-        isinstance(value, list) and len(value) == (count or len(value)) and all(type(v) in (int, float) for v in value)
-    )
+def _are_two_numbers(value):
+    return isinstance(value, list) and len(value) == 2 and all(type(v) in (int, float) for v in value)
 
 
 _FIGURE_TYPES = {  # of a figure's keys that are not names
     "select": (lambda v: isinstance(v, dict), "be a table of an axis' name and value"),
-    "limits": (lambda v: _are_numbers(v, 2), "be [least, greatest]"),
-    "contours": (lambda v: isinstance(v, bool) or _are_numbers(v), "be true, false or a list of levels"),
+    "limits": (_are_two_numbers, "be [least, greatest]"),
     "log": (lambda v: isinstance(v, bool), "be true or false"),
     "boundary": (lambda v: isinstance(v, bool), "be true or false"),
     "reduce": (lambda v: v in ("median", "mean", "min", "max"), "be median, mean, min or max"),
@@ -298,8 +293,6 @@ def _check_loops(spec: Spec):
         for last in (False, True):
             lane = program | spec.first(last=last)
             made = spec.build(**lane)
-            if made.noise is not None:
-                white_noise(made.noise, 1, made.law.task.m, made.seed)
             ref.check(made.reference, made.law.task)
             metrics.check(spec.metrics, made.law)
 

@@ -23,7 +23,7 @@ MOST_PROGRAMS = 1000  # combinations of compiled-in values, at most; each takes 
 MOST_BLOCKS = 1_000_000  # at most; each is some files in a store
 LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
 COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
-LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level and walls.NAME.level
+LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level
 COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
 
@@ -125,13 +125,13 @@ class Block(NamedTuple):
 class Grid:
     """The axes, in the given order, cut into blocks of at most `lanes` points.
 
-    `quick` decides, from a program's values of the outer axes, whether it runs so little that it is compiled `quick`,
-    see `cnclik.lanes`.
+    `more` gives a study further values of each lane, {name: array}, from the program's values of the outer axes and
+    those of the lanes.
     """
 
     axes: tuple
     lanes: int
-    quick: Callable = dataclasses.field(default=lambda program: False, compare=False, repr=False)
+    more: Callable = dataclasses.field(default=lambda program, lanes: {}, compare=False, repr=False)
 
     def __post_init__(self):
         programs = math.prod(len(a) for a in self.outer)
@@ -202,14 +202,15 @@ class Grid:
         return out
 
     def lane_values(self, block: Block) -> dict:
-        """Values of the inner axes in every lane of a block; lanes beyond the grid repeat the last value."""
+        """Values of the inner axes, and `more`, in each lane of a block; lanes beyond the grid repeat the last one."""
         steps = [
             np.minimum(np.arange(cut.start, cut.start + extent), len(a) - 1)
             for a, cut, extent in zip(self.axes, block.region, self.block, strict=True)
             if a.inner
         ]
         places = np.meshgrid(*steps, indexing="ij") if steps else []
-        return {a.name: a.values[p.ravel()] for a, p in zip(self.inner, places, strict=True)}
+        lanes = {a.name: a.values[p.ravel()] for a, p in zip(self.inner, places, strict=True)}
+        return lanes | self.more(self.programs[block.program], lanes)
 
     def cut(self, block: Block, lanes):
         """The results of all lanes of a block as its piece of the grid."""

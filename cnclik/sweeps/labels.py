@@ -74,7 +74,7 @@ def _limits(spec, program, counts) -> list:
         law, drive = made.law, made.drive
         if not isinstance(law.inverse, Pseudoinverse) or np.ndim(law.alpha) != 0:
             return [np.nan] * len(counts)
-        if drive is not None and (drive.order or drive.feedback != "measured"):
+        if drive is not None and (drive.order or drive.filters or drive.feedback != "measured"):
             return [np.nan] * len(counts)
         if "z" in lane and not np.isclose(float(law.alpha) * float(made.Ts), float(lane["z"]), rtol=1e-6):
             return [np.nan] * len(counts)

@@ -17,12 +17,12 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import give_back
-from cnclik.hints import as_here, shares_threads
-from cnclik.integrate.lanes import lanes, options
+from cnclik.engine.plan import as_here
+from cnclik.integrate.lanes import lanes
 from cnclik.measure.metrics import METRICS, Metrics, named
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
-from cnclik.threads import cores, side_by_side
+from cnclik.threads import cores, shares_threads, side_by_side
 
 MEMORY = 2**30  # bytes, at most, of one block while it runs
 
@@ -70,9 +70,11 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
 
     with jax.enable_x64(True):
         count = math.prod(of.block)
-        shapes = {a.name: jax.ShapeDtypeStruct((count, *a.values.shape[1:]), a.values.dtype) for a in of.inner}
+        first = {a.name: a.values[:1] for a in of.inner}
+        first |= of.more(fixed, first)
+        shapes = {name: jax.ShapeDtypeStruct((count, *v.shape[1:]), v.dtype) for name, v in first.items()}
         traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
-        compiled = traced.lower().compile(options(traced, of.quick(fixed)))
+        compiled = traced.lower().compile()
     give_back()  # compiling uses some hundred megabytes
     analysis = compiled.memory_analysis()
     memory = getattr(analysis, "temp_size_in_bytes", 0) + getattr(analysis, "output_size_in_bytes", 0)

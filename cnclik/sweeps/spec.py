@@ -18,14 +18,12 @@ import os
 import pathlib
 import zlib
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import evaluations_per_step, named
-from cnclik.integrate.solve import answers_soon
 from cnclik.measure import metrics
 from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
@@ -33,8 +31,8 @@ from cnclik.problem.build import Problem, problem_from
 from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import robot_and_tip, stage_from
 from cnclik.problem.stack import Written, read_stack, tips_of
-from cnclik.stability.driven import driven_limits
-from cnclik.stability.linear import delay_limit, stability_limit
+from cnclik.stability.gain import stable_share
+from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, is_name, per_joint
 from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
@@ -85,7 +83,7 @@ class Spec:
         # Blocks are a power of two, smaller for long loops, and enough to keep the cores busy.
         steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
-        return dataclasses.replace(found, lanes=min(lanes, size), quick=self.quick)
+        return dataclasses.replace(found, lanes=min(lanes, size), more=self.draws)
 
     def tables(self) -> list:
         """[fixed], and the tables of all bundles."""
@@ -165,15 +163,19 @@ class Spec:
         table[counts] = [of(m) for m in counts]
         return jnp.asarray(table)[M]
 
-    def study(self, /, **values) -> Metrics:
-        """One loop: its metrics. The sweep batches this function."""
+    def study(self, /, draws=None, **values) -> Metrics:
+        """One loop: its metrics. The sweep batches this function. `draws`: see `Spec.draws`."""
         made = self.build(**values)
-        return metrics.measure_run(made.run(), made.law, made.reference, self.metrics, tolerance=self.tolerance)
+        run = made.run(draws)
+        return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
-    def quick(self, program: dict) -> bool:
-        """Whether a program is compiled with few passes, see `cnclik.lanes`."""
-        made = self.build(**program, **self.first())
-        return answers_soon(_evaluations(made) * math.prod(len(a) for a in self.axes.values() if a.inner), made.law)
+    def draws(self, program: dict, lanes: dict) -> dict:
+        """The standard normal numbers (lanes, N, m) of noise whose seed is an axis; a program draws none itself."""
+        if "seed" not in lanes or (made := self.build(**program, **self.first())).noise is None:
+            return {}
+        seeds, which = np.unique(lanes["seed"], return_inverse=True)
+        size = made.N, made.law.task.m
+        return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
 
     def evaluations(self, program: dict) -> float:
         """Evaluations of f that one lane of a program costs, masked passes included."""
@@ -227,10 +229,5 @@ def joints_of(known, look, spec) -> int:
 
 @functools.cache
 def _stable(method, stage, delay, M) -> float:
-    method = named(method)
-    with jax.ensure_compile_time_eval():  # a number, even while a loop is traced
-        # M as an array: one program for every M.
-        stage = stage_from(stage, np.asarray(M), maximum=max(M, 16)) if method.implicit else None
-        if delay % 1:
-            return driven_limits(method, stage, Ts=1.0, drive=Drive(delay=delay)).stable
-        return float(delay_limit(int(delay), method, stage) if delay else stability_limit(method, stage))
+    M = M if named(method).implicit and stage == "picard" else None
+    return gain_removing(stable_share(Drive(delay=delay), 1.0), method, M)

@@ -12,12 +12,11 @@ from cnclik.record import Array, ArrayLike, Float, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.masses import shares
 from cnclik.robot.model import as_joint_values, mass_frames, modelled
-from cnclik.task.parts import AXES, At, Orientation, OwnOrientation, OwnPosition, Position, Vector, places
+from cnclik.task.parts import AXES, At, Orientation, Position, Vector, places
 from cnclik.task.task import Task, joined, with_weights
 from cnclik.task.values import Function, Joints
 
 Weights = Float[ArrayLike, " m"] | None
-_PLACES, _TURNS = {"base": Position, "tip": OwnPosition}, {"base": Orientation, "tip": OwnOrientation}  # by `frame`
 
 
 def position(
@@ -25,21 +24,17 @@ def position(
     *,
     tip: str | None = None,
     relative_to: str | None = None,
-    frame: str = "base",
     weights: Weights = None,
 ) -> Task:
-    """Position of a tip along some of the axes of a frame [m].
+    """Control the position of a tip along some of the axes of a frame [m].
 
     Args:
       axes: letters of "xyz" in that order, such as "xy".
       tip: its name; None: the robot's only one.
       relative_to: name of the tip in whose frame the position is expressed; None: the base.
-      frame: whose axes are used: "base", or that of `relative_to`; "tip": the tip's own. In the tip's frame e = Rᵀ(p_d
-        − p) is the target as the tip sees it: with the axes "xy" the target gets onto the tip's z axis. Targets are
-        given as with "base".
       weights: (m,) positive least-squares weights of the coordinates, one number for all, or None for ones.
     """
-    return _task(weights, _part(_PLACES, "axes", axes, tip, relative_to, frame))
+    return _task(weights, _part(Position, "axes", axes, tip, relative_to))
 
 
 def orientation(
@@ -47,18 +42,16 @@ def orientation(
     *,
     tip: str | None = None,
     relative_to: str | None = None,
-    frame: str = "base",
     weights: Weights = None,
 ) -> Task:
-    """Orientation of a tip: error log(R_d Rᵀ) as a rotation vector in the base frame [rad].
+    """Control the orientation of a tip: error log(R_d Rᵀ), a rotation vector in the frame of the position's axes [rad].
 
     Args:
       axes: components of the rotation vector that count, such as "z" for a planar arm.
       tip, relative_to: as for `position`.
-      frame: "base", or "tip": the error is log(Rᵀ R_d), in the tip's own frame.
       weights: (m,) positive weights, or one for all.
     """
-    return _task(weights, _part(_TURNS, "axes", axes, tip, relative_to, frame))
+    return _task(weights, _part(Orientation, "axes", axes, tip, relative_to))
 
 
 def pose(
@@ -67,26 +60,24 @@ def pose(
     *,
     tip: str | None = None,
     relative_to: str | None = None,
-    frame: str = "base",
     weights: Weights = None,
 ) -> Task:
-    """Position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
+    """Control position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
 
     Args: as for `position` and `orientation`.
     """
-    place = _part(_PLACES, "axes", axes, tip, relative_to, frame)
-    return _task(weights, place, _part(_TURNS, "rotation_axes", rotation_axes, tip, relative_to, frame))
+    place = _part(Position, "axes", axes, tip, relative_to)
+    return _task(weights, place, _part(Orientation, "rotation_axes", rotation_axes, tip, relative_to))
 
 
-def _part(kinds, name, axes, tip, to, frame):
-    kind = kinds[errors.one_of("frame", frame, kinds)]
+def _part(kind, name, axes, tip, to):
     if to is not None and to == tip:
         raise errors.fail("relative_to", "be another tip than `tip`", f"is {to!r}, too")
     return kind(axes=letters_of(name, axes), tip=tip, to=to)
 
 
 def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
-    """Joint values as a task, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
+    """Control joint values, such as a posture: x = q of these joints [rad, m]; its target is hold(values=...).
 
     Args:
       names: of the joints; None: all but those of a free base.
@@ -106,7 +97,7 @@ def function(
     velocity: Callable | None = None,
     weights: Weights = None,
 ) -> Task:
-    """A function of the joint values as a task, x = value(robot, q); its rows are its derivative, by JAX.
+    """Control a function of the joint values, x = value(robot, q); its rows are its derivative, by JAX.
 
     Args:
       value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point: lambda robot, q:
@@ -134,7 +125,7 @@ def function(
 
 
 def stack(**tasks: Task) -> Task:
-    """Named tasks that are controlled together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
+    """Control named tasks together: `stack(hands=pose(tip="left") & pose(tip="right"), rest=joints())`.
 
     Conflicts between them are resolved by their weights, or by the levels of an inverse such as `levels`.
 
@@ -160,8 +151,6 @@ def _names(name, value):
 
 
 def letters_of(name, axes):
-    if hasattr(axes, "joints"):  # of a robot, whose tip's pose `ck.pose` was until 0.2
-        raise errors.fail(name, 'be letters of "xyz"', "is a robot: its tip's pose is ck.forward(robot, q)")
     if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):
         raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
     return axes
@@ -206,7 +195,7 @@ class Center(Vector):
 
 
 def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights: Weights = None) -> Task:
-    """The robot's centre of mass as a task, c = Σ mₖ cₖ / Σ mₖ over its links [m]; its target is hold([x, y]).
+    """Control the robot's centre of mass, c = Σ mₖ cₖ / Σ mₖ over its links [m]; its target is hold([x, y]).
 
     Masses come from `load_urdf` and `load_mjcf`. Links on joints that are no coordinates of the robot count at the
     position that these loaders give them. The rows are Σ mₖ Jₖ / Σ mₖ (Sugihara, Nakamura & Inoue 2002, eq. 5), Jₖ
@@ -222,7 +211,7 @@ def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights
 
 
 def com(chain: Chain, q: Float[ArrayLike, " n"], *, relative_to: str | None = None) -> Float[Array, " 3"]:
-    """Centre of mass at q (n,), (3,) [m], as `center_of_mass` controls it.
+    """Return the centre of mass at q (n,), (3,) [m], as `center_of_mass` controls it.
 
     Raises: ArgumentError for a robot without masses.
     """

@@ -10,9 +10,9 @@ A part is a record with
   motion(aim, rate)             (w,) the target's own velocity, from its derivative by time;
   velocity(robot, aim, motion)  (m,) what that adds to the error,
 
-and with what exponential and multistep methods ask of two targets, `between` and the rest. Where a target is a vector
-that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied` change with
-the target: of one in the tip's own frame, where w is 3, and of functions of the target.
+and with what exponential methods ask of two targets, `between` and the rest. Where a target is a vector
+that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied`, a
+function of joint values and target, change with the target.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product, turn_from
+from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product
 
 AXES = "xyz"
 _HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
@@ -111,7 +111,7 @@ class Vector:
 
     @property
     def width(self):
-        """Of the target's motion."""
+        """Numbers of the target's motion."""
         return self.shape[0]
 
     def aim(self, position, rotation):
@@ -123,12 +123,8 @@ class Vector:
             raise errors.fail("reference", f"give {self.width} {self.called} ({names})", f"gives {size}")
 
     def here(self, robot: At):
-        """The target at the robot's present pose; None where it is unknown."""
+        """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
-
-    def moved(self, position, rotation, w):
-        """The curve's target moved by w, as a motion."""
-        return position + w, rotation
 
     @property
     def shape(self):
@@ -145,20 +141,16 @@ class Vector:
         return motion
 
     def mean(self, aim, before):
-        """How far a target went, as a motion, and None or its turn."""
+        """Return how far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
-    def went(self, aim, before):
-        """A vector of the size of a target's way, for telling a jump from a motion."""
-        return aim - before
+    def averaged(self, kept, before, aim):
+        """One sample of a low-pass filter of the target, which keeps a share of what was before."""
+        return kept * before + (1 - kept) * aim
 
     def chart(self, aim):
-        """A vector whose changes are no smaller than the target's way."""
+        """Return a vector whose changes are no smaller than those of the target."""
         return aim
-
-    def between(self, robot: At, aim, measured, model):
-        """The displacement of a target that makes its error equal the measured one (m,)."""
-        return measured - model
 
 
 @record
@@ -168,10 +160,6 @@ class Position(Vector):
     axes: str
     tip: str | None = None
     to: str | None = None
-
-    def of_target(self):
-        """The coordinates that a target has."""
-        return Position(axes=self.axes)
 
     @property
     def names(self):
@@ -189,10 +177,6 @@ class Position(Vector):
             size = "no position" if position is None else f"{len(position)} coordinates"
             wanted = f"{self.m} coordinates ({self.axes!r})" + (" or 3" if self.m != 3 else "")
             raise errors.fail("reference", f"give positions of {wanted}", f"gives {size}")
-
-    def moved(self, position, rotation, w):
-        at = range(self.m) if len(position) == self.m else places(self.axes)
-        return position.at[np.array(at)].add(w), rotation
 
     def x(self, robot: At):
         return robot.position(self.tip, self.to)[places(self.axes)]
@@ -212,9 +196,6 @@ class Orientation(Vector):
     tip: str | None = None
     to: str | None = None
     turns, shape = True, (3, 3)
-
-    def of_target(self):
-        return Orientation(axes=self.axes)
 
     @property
     def width(self):
@@ -239,9 +220,6 @@ class Orientation(Vector):
         if rotation is None:
             raise errors.fail("reference", "give a rotation for this task", "gives a position only")
 
-    def moved(self, position, rotation, w):
-        return position, exp_so3(self.spread(w)) @ rotation
-
     def spread(self, w):
         """Components (m,) as a vector (3,)."""
         return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
@@ -265,117 +243,21 @@ class Orientation(Vector):
         turn = aim @ before.T
         return log_of_step(turn)[places(self.axes)], turn if self.whole else None
 
-    def went(self, aim, before):
-        if self.whole:  # ‖R₂ − R₁‖ = 2√2 sin(θ/2)
-            return (aim - before).ravel() * 0.5**0.5
-        return 0.5 * axial(aim @ before.T)[places(self.axes)]
+    def averaged(self, kept, before, aim):
+        return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
 
     def chart(self, aim):
         """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
         return 1.111 * aim.ravel()
 
-    def between(self, robot: At, aim, measured, model):
-        return turn_from(-measured, -model) if self.whole else measured - model
-
 
 def spin(rotation, drotation):
-    """Angular velocity vee(Ṙ Rᵀ) in the base frame."""
+    """Return the angular velocity vee(Ṙ Rᵀ) in the base frame."""
     turning = drotation @ rotation.T
     return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
 
 
 def log_of_step(turn):
-    """The rotation vector of a step's turn, exact to 177°: a target that goes farther in one step has jumped."""
+    """Return the rotation vector of a step's turn, exact to 177°: a target that turns farther in a step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
     return log_quaternion(w, 0.25 / w * axial(turn))
-
-
-# --- in the frame of the tip itself -------------------------------------------------------------------
-
-
-@record
-class OwnPosition(Position):
-    """Coordinates of the target's position in the frame of the tip itself [m].
-
-    e = Rᵀ (p_d − p), x = Rᵀ p. Its rows are those of the tip's Jacobian in its own frame, of the point of the tip that
-    is where the target is: so the error of each axis decays by itself, whatever the others miss.
-    """
-
-    tied, shape = True, (3,)
-    aim = Vector.aim
-    moved = Vector.moved
-
-    def check(self, position, rotation):
-        if position is None or len(position) != 3:
-            size = "none" if position is None else f"{len(position)}"
-            raise errors.fail("reference", "give positions of 3 coordinates in the tip's own frame", f"gives {size}")
-
-    def of_target(self):
-        return Position(axes="xyz")
-
-    def own(self, robot: At, v):
-        return (v @ robot.rotation(self.tip, self.to))[places(self.axes)]
-
-    def here(self, robot: At):
-        return robot.position(self.tip, self.to)
-
-    def x(self, robot: At):
-        return self.own(robot, self.here(robot))
-
-    def error(self, robot: At, aim):
-        return self.own(robot, aim - self.here(robot))
-
-    def velocity(self, robot: At, aim, motion):
-        return self.own(robot, motion)
-
-    def rows(self, robot: At, aim=None):
-        every = (0, 1, 2)
-        both = robot.rows(self.tip, self.to, every, () if aim is None else every)
-        v = both[..., :3, :]
-        if aim is not None:
-            away = (aim - self.here(robot))[..., None]
-            v = v - library(both).cross(away, both[..., 3:, :], axis=-2)
-        return (robot.rotation(self.tip, self.to).mT @ v)[..., places(self.axes), :]
-
-    def between(self, robot: At, aim, measured, model):
-        return robot.rotation(self.tip, self.to)[:, places(self.axes)] @ (measured - model)
-
-
-@record
-class OwnOrientation(Orientation):
-    """Components of a tip's rotation vector in the frame of the tip itself [rad].
-
-    e = log(Rᵀ R_d), x = log R. Where all three are controlled it decays along a fixed axis of the tip, so that no turn
-    of the target takes it along.
-    """
-
-    tied, whole, width = True, False, 3
-
-    def of_target(self):
-        return Orientation(axes="xyz")
-
-    def error(self, robot: At, aim):
-        return log_so3(self.here(robot).T @ aim)[places(self.axes)]
-
-    def rows(self, robot: At, aim=None):
-        angular = robot.rows(self.tip, self.to, (), (0, 1, 2))
-        return (self.here(robot).mT @ angular)[..., places(self.axes), :]
-
-    def spread(self, w):
-        return w
-
-    def motion(self, aim, rate):
-        return spin(aim, rate)
-
-    def velocity(self, robot: At, aim, motion):
-        return (motion @ self.here(robot))[places(self.axes)]
-
-    def mean(self, aim, before):
-        return log_of_step(aim @ before.T), None
-
-    def went(self, aim, before):
-        return (aim - before).ravel() * 0.5**0.5
-
-    def between(self, robot: At, aim, measured, model):
-        own = turn_from(-measured, -model) if self.m == 3 else Orientation.spread(self, measured - model)
-        return self.here(robot) @ own

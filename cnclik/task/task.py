@@ -1,8 +1,7 @@
 """Task: what the loop controls, as parts; x are its coordinates, e = x_d − x their error.
 
 Of a pose they are positions along chosen axes [m], then components of the rotation vector [rad] that turns the tip
-into the desired orientation, in the base frame, another tip's, or its own. Tasks are joined by `&`, and given names by
-`stack`.
+into the desired orientation, in the base frame or another tip's. Tasks are joined by `&`, and given names by `stack`.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class Task:
 
     @property
     def width(self) -> int:
-        """Number of velocities that its targets have: m, but three of each part in its tip's own frame."""
+        """Number of velocities that its targets have: m, unless a function's target has another size."""
         return sum(part.width for part in self.parts)
 
     @property
@@ -69,11 +68,12 @@ class Task:
     @property
     def targets(self) -> tuple[tuple[tuple[str, ...], Task], ...]:
         """The targets that a reference must give: (task, tip) or (tip,), and the parts that each is for."""
-        every, found = iter(self.parts), []
+        parts, targets = iter(self.parts), []
         for name, count in self.tasks or (("", len(self.parts)),):
-            own = itertools.groupby(itertools.islice(every, count), lambda part: (part.tip, part.to))
-            found += [((name,) * bool(name) + (tip or "tip",), Task(parts=tuple(parts))) for (tip, _), parts in own]
-        return tuple(found)
+            of_tips = itertools.groupby(itertools.islice(parts, count), lambda part: (part.tip, part.to))
+            path = (name,) if name else ()
+            targets += [((*path, tip or "tip"), Task(parts=tuple(some))) for (tip, _), some in of_tips]
+        return tuple(targets)
 
     @property
     def target_names(self) -> list[tuple[str, ...]]:
@@ -94,13 +94,13 @@ class Task:
 
     @property
     def each(self) -> tuple[tuple[str, slice], ...]:
-        """Of a stack the names of its tasks, and where the coordinates of each stand."""
-        ends, every = [0, *itertools.accumulate(count for _, count in self.tasks)], self.slices
-        its = [every[a:b] for a, b in itertools.pairwise(ends)]
-        return tuple((n, slice(at[0].start, at[-1].stop)) for (n, _), at in zip(self.tasks, its, strict=True))
+        """The names of a stack's tasks, and where the coordinates of each stand."""
+        names, counts = zip(*self.tasks, strict=True) if self.tasks else ((), ())
+        parts = [self.slices[at] for at in _slices(counts)]
+        return tuple((name, slice(at[0].start, at[-1].stop)) for name, at in zip(names, parts, strict=True))
 
     def rows_at(self, chain, q):
-        """The task Jacobian (..., m, n) of a `Model` at q (n,), or in NumPy (..., n), before weighting."""
+        """Return the task Jacobian (..., m, n) of a `Model` at q (n,), or in NumPy (..., n), before weighting."""
         return rows(self, At(chain, q))
 
     @property
@@ -114,7 +114,7 @@ class Task:
         return [i for i, unit in enumerate(self.units) if unit == "rad"]
 
     def of(self, name: str) -> slice:
-        """Where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
+        """Return where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
         known = dict(self.each)
         return known[errors.one_of("name", name, known)]
 
@@ -126,21 +126,21 @@ class Task:
             raise errors.fail(argument, f"{must}; they are {have}", f"has {', '.join(names)}")
 
     def alone(self, name: str) -> Task:
-        """One of a stack's tasks."""
-        its = self.of(name)
-        own = (p for p, at in zip(self.parts, self.slices, strict=True) if its.start <= at.start < its.stop)
-        weights = None if self.weights is None else self.weights[its]  # type: ignore[index]
-        return Task(parts=tuple(own), weights=weights)
+        """Return one of a stack's tasks."""
+        where = self.of(name)
+        inside = (where.start <= at.start < where.stop for at in self.slices)
+        weights = None if self.weights is None else self.weights[where]  # type: ignore[index]
+        return Task(parts=tuple(itertools.compress(self.parts, inside)), weights=weights)
 
     def about(self, tip: str | None) -> Task:
-        """The task with those of its parts that name no tip being of this one."""
+        """Return the task with this tip for its parts that name none."""
         if tip is None:
             return self
         named = (replace(p, tip=tip) if hasattr(p, "axes") and p.tip is None else p for p in self.parts)
         return replace(self, parts=tuple(named))
 
     def on(self, chain) -> Task:
-        """The task of this robot. Raises: ArgumentError for tips and joints that it has not."""
+        """Return the task on this robot. Raises: ArgumentError for tips and joints that the robot has not."""
         for part in self.parts:
             if hasattr(part, "axes"):
                 chain.tip_number(part.tip)
@@ -216,7 +216,7 @@ def _pose(task):
 
 
 def with_weights(task: Task, weights) -> Task:
-    """The task with weights (m,), checked, or None."""
+    """Return the task with checked weights (m,), or None for ones."""
     return task if weights is None else replace(task, weights=weights_of(task, weights))
 
 
@@ -234,7 +234,7 @@ def weights_of(task, weights):
 
 
 def _spread(weights, m):
-    """Weights (m,), also of one number for all."""
+    """Return weights (m,), from one number for all too."""
     weights = errors.array("weights", weights, (), (m,))
     return weights if weights.ndim else weights * np.ones(m)
 
@@ -244,7 +244,7 @@ class _OfParts(list):
 
 
 def joined(tasks):
-    """The weights of several tasks, one after the other; None where none has any."""
+    """Return the weights of several tasks, one after the other; None where none has any."""
     if all(task.weights is None for task in tasks):
         return None
     several = _OfParts()
@@ -263,23 +263,23 @@ def joined(tasks):
 
 
 def coordinates(task: Task, robot: At):
-    """x (m,)."""
+    """Return x (m,)."""
     return jnp.concatenate([part.x(robot) for part in task.parts])
 
 
 def error(task: Task, robot: At, aims):
-    """e (m,), for an aim of each part."""
+    """Return e (m,), for an aim of each part."""
     return jnp.concatenate([part.error(robot, aim) for part, aim in zip(task.parts, aims, strict=True)])
 
 
 def rows(task: Task, robot: At, aims=None):
-    """The rows of the task Jacobian (m, n), before weighting: for an aim of each part, or where no error is left."""
+    """Return the rows of the task Jacobian (m, n), before weighting, for an aim of each part, or without error."""
     each = [part.rows(robot, aim) for part, aim in zip(task.parts, aims or (None,) * len(task.parts), strict=True)]
     return library(*each).concatenate(each, axis=-2)
 
 
 def velocity(task: Task, robot: At, aims, motion):
-    """ẋ_d (m,): what the targets' own motion (w,) adds to the error."""
+    """Return ẋ_d (m,): what the targets' own motion (w,) adds to the error."""
     if not task.tied:
         return motion
     parts = zip(task.parts, aims, task.motions, strict=True)

@@ -115,9 +115,3 @@ class Function(Vector):
         if self.of_target is None:
             return motion
         return jax.jvp(lambda aim: self.error(robot, aim), (aim,), (motion,))[1]
-
-    def between(self, robot: At, aim, measured, model):
-        if self.of_target is None:
-            return measured - model
-        by_target = jax.jacfwd(lambda aim: self.error(robot, aim))(aim)
-        return by_target.T @ jnp.linalg.solve(by_target @ by_target.T, measured - model)

@@ -1,289 +1,258 @@
-"""Tune: the gains of a loop by gradient, with what a robot tolerates as constraints.
+"""Tune: the gains of a loop by gradient, between bounds that its drives allow.
 
-A loss on the error alone would drive the gain to the edge of the allowed range, so the edge is part of the problem.
-Along the path a step does not overshoot, even with one more sample of dead time; noise is not amplified beyond a bound;
-and joint velocities keep their limits. During the descent eigenvalues are bounded by smooth functions; at the end they
-are computed exactly, and the result contains them.
+A loss on the error alone would drive a gain to the edge of stability, where a loop rings. So a gain is at most the one
+that `gains` recommends for the drives, which is safe at any posture. Limits of joint speed are constraints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.method import DEFAULT, MethodLike
+from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.method import DEFAULT, MethodLike, named
+from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage, picard
-from cnclik.law.law import Law
-from cnclik.law.reference import Reference
+from cnclik.integrate.trajectory import Trajectory
+from cnclik.law.law import Law, check_loop, metric
+from cnclik.law.reference import Reference, References
 from cnclik.precision import in_float64
-from cnclik.record import Array, ArrayLike, Float, Number, record, replace
-from cnclik.robot.chain import Chain
-from cnclik.robot.model import frames, modelled
-from cnclik.tuning import parameters as pm
-from cnclik.tuning.descent import Descent, History, descend
-from cnclik.tuning.objective import AT_ONCE, Judged, goal_of, judge, loop_objective
-from cnclik.tuning.result import Tuned, result
+from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words, record, replace, stack
+from cnclik.stability.advice import Advice, advise
+from cnclik.stability.gain import drive_in_words, gains
+from cnclik.tuning.descent import KEPT, Bounds, descend, evaluate
+from cnclik.tuning.losses import terms
+from cnclik.tuning.parameters import Parameter, chosen, postures, put, split
 
-FRONT = 5.0  # largest factor between the gains of the front and the tuned gain
-NOTHING = 1e-13  # loss that is rounding
-FALLBACK_Z = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # gains to fall back on
+AT_BOUND = 1e-3  # relative distance from a bound that is none
+_STATUS = {
+    "converged": "Converged: the loss no longer falls.",
+    "steps": "Stopped after the given number of steps.",
+    "nothing": "Nothing to tune by: there is no error. Give a path, another start, or noise.",
+    "non-finite": "The run is not finite: look at the path, the start and the damping.",
+    "infeasible": "No values were found that keep the limits of joint speed: make the path slower or smaller.",
+}
 
 
-class Candidate(NamedTuple):
-    """A point of the free numbers, and its performance."""
+@record
+class Tuned:
+    """What a tuning found: `ck.solve(*found.loop, drive=found.drive)` runs it. Arrays are NumPy's, float64.
 
-    u: np.ndarray  # (p,)
-    judged: Judged
+    Attributes:
+      law: with the tuned values.
+      loop: (law, reference, q0, Ts, N, method, stage) of the first path, as `solve` takes them.
+      drive: as given, or as assumed.
+      parameters: what was tuned, with bounds and units. values: {name: tuned value}.
+      advice: `Advice` on the tuned law: its gains beside those that the drives allow.
+      loss: what was minimized, in words. losses: its values before and after.
+      speeds: the largest |q̇| over its limit before and after; 0 without limits.
+      before, after: `Trajectory` of the first path with the values as given and as tuned.
+      status: "converged", "steps", "nothing" (there is no error), "infeasible" or "non-finite".
+      evaluations: runs with their gradient, of all starts.
+    """
+
+    law: Law
+    loop: tuple
+    drive: Drive
+    parameters: tuple[Parameter, ...]
+    values: dict[str, np.ndarray]
+    advice: Advice
+    loss: str
+    losses: tuple[float, float]
+    speeds: tuple[float, float]
+    before: Trajectory
+    after: Trajectory
+    status: str
+    evaluations: int
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether the run with the tuned values is finite and keeps the limits of joint speed."""
+        return self.status not in ("infeasible", "non-finite")
+
+    @property
+    def why(self) -> str:
+        """The status in a sentence, with what else decides."""
+        bound = [p.name for p in self.parameters if np.any(self.values[p.name] >= p.upper * (1 - AT_BOUND))]
+        slow = max(one.rate for one in self.advice.rates if one.kind == "task") * self.loop[3] * self.loop[4] < 1
+        said = (
+            _STATUS[self.status],
+            f"At the upper bound: {', '.join(bound)}." * bool(bound),
+            "The gain is nearly zero: an error would not be removed within the run." * slow,
+            f"Above the recommended gain: {', '.join(self.advice.above)}." * bool(self.advice.above),
+        )
+        return " ".join(filter(None, said))
+
+    def __str__(self):
+        lines, runs = [], (self.before, self.after)
+        for p in self.parameters:
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            lines.append(f"{p.name} = {in_words(self.values[p.name])}{unit} (from {in_words(p.start)})")
+        pairs = {self.loss: self.losses}
+        for name, _ in self.law.task.each:
+            pairs[f"RMS error of {name}"] = tuple(np.sqrt(np.mean(np.sum(run[name].e[1:] ** 2, -1))) for run in runs)
+        lines += [f"{name}: {before:.4g} -> {after:.4g}" for name, (before, after) in pairs.items()]
+        if self.speeds[1]:
+            lines.append("joint speed: {:.3g} % -> {:.3g} % of the limit".format(*100 * np.array(self.speeds)))
+        assumed = ", assumed" * self.advice.gains.assumed
+        lines.append(f"drives: {drive_in_words(self.drive, self.loop[3])}{assumed}")
+        return "\n".join([*lines, *map(str, self.advice.rates), self.why])
+
+
+@record
+class Objective:
+    """Loss, excess of joint speeds (n,) and runs (B, …) of a loop, as a function of the parameters' values."""
+
+    law: Law
+    parameters: tuple[Parameter, ...]
+    scenarios: tuple  # reference, q0 and noise of each run, stacked
+    Ts: Float[AnyArray, ""]
+    how: tuple  # N, method, stage
+    drive: Drive
+    terms: tuple[tuple[Callable, AnyArray], ...]
+    counts: Float[AnyArray, " m"] | None  # weight of each coordinate of a stack in the loss
+    limits: Float[AnyArray, " n"]
+
+    def __call__(self, values):
+        law = put(self.law, self.parameters, values)
+
+        def run(scenario):
+            reference, q0, noise = scenario
+            made = solve(law, reference, q0, self.Ts, *self.how, drive=self.drive, noise=noise)
+            counted = made if self.counts is None else replace(made, e=made.e * self.counts)
+            return sum(weight * fn(counted) for fn, weight in self.terms), made
+
+        loss, runs = jax.vmap(run)(self.scenarios)
+        return jnp.mean(loss), jnp.max(jnp.abs(runs.qdot), axis=(0, 1)) / self.limits - 1.0, runs
 
 
 @in_float64
 def tune(
     law: Law,
-    reference: Reference | Sequence[Reference],
+    reference: Reference | References | Sequence[Reference | References],
     q0: Float[ArrayLike, "*B n"],
     *,
     Ts: Number,
     N: int,
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
-    descent: Descent = Descent(),
+    over: str | Parameter | Sequence[str | Parameter] = "alpha",
+    bounds: dict[str, tuple[ArrayLike, ArrayLike]] | None = None,
+    loss: str | dict[str, float] | Callable[[Trajectory], Any] = "tracking",
+    drive: Drive | None = None,
+    noise: Float[ArrayLike, "*B N m"] | None = None,
+    velocity_limit: ArrayLike | None = None,
+    steps: int = 100,
+    starts: int = 1,
+    optimizer: Any = None,
     progress: Callable | None = None,
-    **goal: Any,
 ) -> Tuned:
-    """Tune the gains of a loop by gradient: minimize a loss, without overshoot for one more sample of dead time.
+    """Tune a loop by the gradient of its run: minimize a loss, with gains that its drives allow at any posture.
 
-    Joint velocities keep their limits. Computed in float64, whatever JAX's setting is.
-
-    Args:
-      law: where tuning starts. Its alpha is tuned in the shape that it has: a number, one per axis (m,), or a symmetric
-        positive definite matrix (m, m).
-      reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n); the loss is the mean over them.
-      Ts: sampling time [s]. N: number of steps; N·Ts is the horizon, even where Ts is tuned.
-      method, stage: as for `solve`.
-      descent: settings of the descent, see `Descent`.
-      progress: called with (evaluations, evaluations in all, loss in words) after each round, or None.
-      goal: over, bounds, loss, delay_margin, noise_gain, ringing, margin, velocity_limit, conditions, see `Goal`.
-        Default: alpha, for the RMS error, without overshoot for one more sample of dead time, with a noise gain of at
-        most 0.5, the robot's own velocity limits, and drives without delay.
-
-    Returns: `Tuned`; it keeps every constraint, or states by how much it does not.
-    Raises: ArgumentError for arguments that do not fit.
-    """
-    errors.kind("descent", descent, Descent, "be Descent(...)")
-    objective = loop_objective(law, reference, q0, Ts=Ts, N=N, method=method, stage=stage, **goal)
-    goal, parameters = goal_of(goal), objective.parameters
-    given = dict(goal=goal, reference=reference, q0=q0, gradient=descent.gradient)
-    own = tuple(p.start for p in parameters)
-    fallbacks = _gains_over_z(objective)
-    before, *judged = judge(objective, [own, *fallbacks])
-    safe = min(range(len(judged)), key=lambda i: (judged[i].violation, i))  # keeps the constraints best
-    if not np.isfinite(judged[safe].loss):
-        values = _values(objective, pm.free_of(parameters, own))
-        return _without_descent(objective, values, before, judge(objective, [values])[0], "non-finite", given)
-    anchor, run = pm.free_of(parameters, fallbacks[safe]), judged[safe]
-    objective = replace(objective, postures=run.postures, growths=run.growths)  # constrain along that run
-    others = np.random.default_rng(int(goal.conditions.seed)).uniform(-4, 4, (descent.starts - 1, len(anchor)))
-    begun = [_nearest_feasible(objective, u, anchor) for u in (pm.free_of(parameters, own), *others)]
-    sizes = np.array([float(c.judged.loss) for c in begun])
-    if sizes.max() < NOTHING and begun[0].judged.feasible:  # roundings prefer no gain: keep those given
-        values, speed = _values(objective, begun[0].u), float(judged[0].speed)
-        more = dict(front=_front(objective, values), path_speed=speed, starts=sizes)
-        return _without_descent(objective, values, before, begun[0].judged, "nothing", given, **more)
-    done = descend(
-        objective,
-        np.stack([c.u for c in begun]),
-        1.0 / np.where(sizes > 0, sizes, 1.0),
-        constraints=objective.constraints,
-        descent=descent,
-        progress=progress,
-    )
-    ends = _judged(objective, [*done.u, *done.best, anchor])
-    chosen = _restored(objective, [*ends, *begun])
-    losses = [float(c.judged.loss) if c.judged.feasible else np.inf for c in ends[:-1]]
-    starts = np.reshape(losses, (2, descent.starts)).min(0)
-    winner = int(np.argmin(starts)) if np.isfinite(starts).any() else 0
-    values = _values(objective, chosen.u)
-    return result(
-        objective,
-        values,
-        before,
-        chosen.judged,
-        _front(objective, values),
-        path_speed=float(judged[0].speed),
-        status=done.why if chosen.judged.feasible else "infeasible",
-        history={name: history[winner] for name, history in done.history._asdict().items()},
-        starts=starts,
-        evaluations=done.history.loss.size,
-        **given,
-    )
-
-
-def _without_descent(objective, values, before, now, status, given, *, front=(), path_speed=np.inf, starts=(np.inf,)):
-    """The result where no descent is of use: no gain has a finite run, or none has an error."""
-    ended = dict(history={name: np.zeros(0) for name in History._fields}, starts=np.array(starts), evaluations=0)
-    return result(objective, values, before, now, front, path_speed=path_speed, status=status, **ended, **given)
-
-
-def _values(objective, u):
-    return pm.known_values(objective.parameters, u)
-
-
-def _bounded(p, value):
-    return pm.known_values((p,), pm.free(p, value))[0]
-
-
-def _judged(objective, points) -> list:
-    return [*map(Candidate, points, judge(objective, [_values(objective, u) for u in points]))]
-
-
-def _gains(objective) -> list:
-    return [p for p in objective.parameters if pm.kind_of(p.name) in ("alpha", "schedule")]
-
-
-def _gains_over_z(objective):
-    """Values to fall back on: gains spread over z = alpha·Ts, all else unchanged (inside its bounds)."""
-    start = {p.name: _bounded(p, p.start) for p in objective.parameters}
-    even = {p.name: np.eye(len(p.start)) if p.kind == pm.SPD else np.ones(np.shape(p.start)) for p in _gains(objective)}
-    Ts = float(start.get("Ts", objective.loop.Ts))
-    made = [
-        start | {p.name: _bounded(p, z / Ts * even[p.name]) for p in _gains(objective)}
-        for z in (FALLBACK_Z if even else (0.0,))
-    ]
-    return [tuple(values.values()) for values in made]
-
-
-def _front(objective, values) -> list:
-    """(values, `Judged`) of smaller and larger gains than the tuned one."""
-    gains, tuned = _gains(objective), {p.name: v for p, v in zip(objective.parameters, values, strict=True)}
-    sizes = np.geomspace(1 / FRONT, FRONT, AT_ONCE) if gains else ()
-    made = [tuple((tuned | {p.name: _bounded(p, s * tuned[p.name]) for p in gains}).values()) for s in sizes]
-    return list(zip(made, judge(objective, made), strict=True))
-
-
-# --- candidates ---------------------------------------------------------------------------------------
-
-
-def _between(objective, far, near, shares):
-    """Candidates on the straight line from far (share 0) to near (1) in the free numbers."""
-    return _judged(objective, [far + s * (near - far) for s in shares])
-
-
-def _least_bad(candidates):
-    return min(candidates, key=lambda c: c.judged.violation)
-
-
-def _nearest_feasible(objective, u, anchor) -> Candidate:
-    """The point nearest to u on the line to the anchor that keeps the constraints, or the least bad one."""
-    line = _between(objective, u, anchor, np.linspace(0, 1, AT_ONCE))
-    return next((c for c in line if c.judged.feasible), _least_bad(line))
-
-
-def _restored(objective, candidates) -> Candidate:
-    """The best of the candidates; one that ended just outside is first moved back to the boundary.
-
-    It may then be better than all others.
-    """
-    feasible = [c for c in candidates if c.judged.feasible]
-    if not feasible:
-        return _least_bad(candidates)
-    near = min(feasible, key=lambda c: c.judged.loss)
-    beyond = [c for c in candidates if not c.judged.feasible and c.judged.loss < near.judged.loss]
-    if not beyond:
-        return near
-    back = _boundary(objective, min(beyond, key=lambda c: c.judged.loss), near)
-    return min(near, back, key=lambda c: c.judged.loss)
-
-
-def _boundary(objective, far, near) -> Candidate:
-    """The last point on the line from `near` (which keeps the constraints) towards `far` that keeps them."""
-    low, high, last = 0.0, 1.0, near  # shares towards `near`
-    for _ in range(3):
-        shares = np.linspace(low, high, AT_ONCE)
-        line = _between(objective, far.u, near.u, shares)
-        i = next((i for i, c in enumerate(line) if c.judged.feasible), None)
-        last = last if i is None else line[i]
-        if not i:  # none keeps them, or the farthest one
-            break
-        low, high = shares[i - 1], shares[i]
-    return last
-
-
-# --- geometry from measured positions, with the same descent ------------------------------------------
-
-
-@record
-class PositionObjective:
-    """Mean squared distance between measured positions and those of a chain built from the parameters' values."""
-
-    parameters: tuple[pm.Parameter, ...]
-    build: Callable[..., Chain]  # function of the values
-    q: Float[Array, "K n"]
-    measured: Float[Array, "K 3"]
-
-    def __call__(self, values):
-        chain = self.build(*values)
-        found = jax.vmap(lambda q: frames(modelled(chain), q).position)(self.q)
-        return jnp.mean(jnp.sum((found - self.measured) ** 2, axis=-1)), jnp.zeros((0,), found.dtype)
-
-
-class Calibrated(NamedTuple):
-    """Calibrated values, and RMS distances to the measured positions before and after [m]."""
-
-    values: tuple[np.ndarray, ...]
-    rms_before: float
-    rms_after: float
-    status: str
-    history: np.ndarray
-
-
-@in_float64
-def calibrate(
-    build: Callable[[Array], Chain],
-    start: ArrayLike,
-    q: Float[ArrayLike, "K n"],
-    measured: Float[ArrayLike, "K 3"],
-    *,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    descent: Descent = Descent(steps=200, rounds=4),
-    progress: Callable | None = None,
-) -> Calibrated:
-    """Estimate geometry from measured positions of the tip; computed in float64, whatever JAX's setting is.
+    Computed in float64, whatever JAX's setting is.
 
     Args:
-      build: function (value) -> Chain, such as `planar_arm` of link lengths; must take traced arrays.
-      start: nominal value, an array, such as link lengths [m].
-      q: (K, n) joint values [rad, m]. measured: (K, 3) positions of the tip there [m].
-      lower, upper: bounds; default: 0.5 below and above the start.
-      descent, progress: as for `tune`; one start.
-    Returns: `Calibrated`.
-    Raises: ArgumentError for shapes that do not fit.
+      law: where tuning starts. Its alpha is tuned in the form that it has: a number, one per axis (m,), or one for
+        each task of a stack.
+      reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n). The loss is the mean over them.
+      Ts: sampling time [s]. N: number of steps. method, stage: as for `solve`.
+      over: what is tuned: alpha, posture_rate, damping, feedforward, links (factors of the links' offsets), tool
+        (offset of the tip), of a stack also hands.alpha; or your own `Parameter`s. Postures of a stack, tasks of joint
+        values that give way, are tuned and count in the loss only if they are named.
+      bounds: {name: (lower, upper)} in place of the defaults. Those of a gain end at the recommended one of
+        `gains(Ts=, drive=, method=, M=)`; they may end at its largest stable one.
+      loss: tracking, settling, effort or jerk, {name: weight}, or a function of the `Trajectory`; of a stack, its e
+        is scaled by the weight of each coordinate over the damping of its level.
+      drive: model of the drives, see `Drive`; None: unknown, as for `gains`. `Drive()`: ideal.
+      noise: (N, m) added to the measured error at each step [m, rad], or (B, N, m); None: none.
+      velocity_limit: joint speed that the run keeps [rad/s, m/s], a number or (n,); None: the robot's own limits,
+        np.inf: none.
+      steps: evaluations with gradient for each start, at most.
+      starts: descents: from the law's own values, and from random ones within the bounds.
+      optimizer: an optax transformation; None: L-BFGS.
+      progress: called with (evaluations, evaluations in all, words) as it goes on, or None.
+
+    Returns: `Tuned`, with the runs before and after.
+    Raises: ArgumentError for arguments that do not fit, and for drives that differ between joints where several gains
+      are tuned: then no gain is safe at every posture.
     """
-    if errors.kind("descent", descent, Descent, "be Descent(...)").starts != 1:
-        raise errors.fail("descent", "have one start, as what is nominal is one", f"has {descent.starts}")
-    start = np.asarray(errors.array("start", start), float)
-    if not start.size:
-        raise errors.fail("start", "hold numbers", "is empty")
-    if not callable(build):
-        raise errors.fail("build", "be a function of the value", f"is {build!r}")
-    n = errors.kind("build", build(jnp.asarray(start)), Chain, "return a Chain").n
-    q = jnp.asarray(errors.array("q", q, (None, n)))
-    measured = jnp.asarray(errors.array("measured", measured, (q.shape[0], 3)))
-    lower, upper = (start + d if b is None else b for b, d in ((lower, -0.5), (upper, 0.5)))
-    p = pm.parameter("geometry", start, lower, upper, build)
-    objective = PositionObjective(parameters=(p,), build=build, q=q, measured=measured)
-    before = float(jax.jit(objective)((jnp.asarray(start),))[0])
-    if not np.isfinite(before):
-        raise errors.fail("start", "give finite positions", "does not")
-    scale = np.array([1.0 / before if before > 0 else 1.0])
-    done = descend(
-        objective, pm.free(p, start)[None], scale, constraints=0, descent=descent, tolerance=1e-9, progress=progress
+    references = reference if isinstance(reference, (list, tuple)) else [reference]
+    check_loop(law, *references)
+    errors.progress(progress)
+    steps, starts = errors.integer("steps", steps, at_least=3), errors.integer("starts", starts, at_least=1)
+    loop: dict[str, Any] = {"Ts": Ts, "method": named(method), "drive": drive}
+    allowed = gains(**loop | {"M": stage})
+    parameters = chosen(over, law, {} if bounds is None else bounds, allowed)
+    lower, upper, given = (
+        np.concatenate([getattr(p, name).ravel() for p in parameters]) for name in ("lower", "upper", "start")
     )
-    values = tuple(np.asarray(v) for v in pm.values_of((p,), jnp.asarray(done.best[0])))
-    rms = (before**0.5, float(done.best_loss[0]) ** 0.5)
-    return Calibrated(values, *rms, done.why, np.sqrt(done.history.loss[0]))
+    apart = lower + np.linspace(0.4, 0.6, len(lower)) * (upper - lower)
+    advise(put(law, parameters, apart), stage=stage, **loop)  # refuses several gains where joints' drives differ
+    how = errors.integer("N", N, at_least=3), loop["method"], stage
+    objective = objective_of(law, parameters, references, q0, Ts, how, loss, allowed.drive, noise, velocity_limit)
+    within = Bounds(lower, upper)
+    before = evaluate(objective, within, within.free(given))
+    random = np.random.default_rng(0).uniform(within.free(lower), within.free(upper), (starts - 1, len(given)))
+    ends = []
+    for i, u in enumerate([within.within(before.u), *random]):
+        tell = progress and (lambda done, _, words, i=i: progress(i * steps + done, starts * steps, words))
+        ends.append(descend(objective, within, u, optimizer=optimizer, steps=steps, progress=tell))
+    after, _, status = min(ends, key=lambda end: end[0].rank)
+    values = np.clip(within.values(after.u), lower, upper)
+    made = jax.tree.map(np.array, put(law, parameters, values))  # new arrays: these belong to float64, see `precision`
+    first, q0 = jax.tree.map(np.array, references[0]), np.array(objective.scenarios[1][0])
+    return Tuned(
+        law=made,
+        loop=(made, first, q0, float(Ts), *how),
+        drive=objective.drive,
+        parameters=parameters,
+        values=dict(zip([p.name for p in parameters], split(parameters, values), strict=True)),
+        advice=advise(made, stage=stage, **loop),
+        loss=" + ".join(f"{w:g} {getattr(fn, '__name__', 'loss')}".removeprefix("1 ") for fn, w in terms(loss)),
+        losses=(before.loss, after.loss),
+        speeds=(before.excess + 1.0, after.excess + 1.0),
+        before=jax.tree.map(lambda x: np.array(x[0]), before.seen),
+        after=jax.tree.map(lambda x: np.array(x[0]), after.seen),
+        status="infeasible" if KEPT < after.excess < np.inf else status,
+        evaluations=sum(count for _, count, _ in ends),
+    )
+
+
+def objective_of(law, parameters, references, q0, Ts, how, loss, drive, noise=None, limit=None) -> Objective:
+    """Return the objective of a loop. Args: how: (N, method, stage). limit: of joint speed. Others: as for `tune`."""
+    (N, *_), n, m = how, law.chain.n, law.task.m
+    q0 = np.atleast_2d(np.asarray(errors.array("q0", q0, (n,), (None, n)), float))
+    if noise is not None:
+        noise = np.asarray(errors.array("noise", noise, (N, m), (None, N, m)), float).reshape(-1, N, m)
+    every = {"reference": references, "q0": q0, "noise": [None] if noise is None else noise}
+    count = max(map(len, every.values()))
+    for name, some in every.items():
+        if len(some) not in (1, count):
+            raise errors.fail(name, f"be one, or one for each of {count} runs", f"holds {len(some)}")
+    limit = law.chain.velocity_limit if limit is None else limit
+    limits = np.asarray(errors.array("velocity_limit", limit, (), (n,), finite=False), float)
+    if not np.all(limits > 0):
+        raise errors.fail("velocity_limit", "be positive", f"is {limits.tolist()}")
+    return Objective(
+        law=law,
+        parameters=parameters,
+        scenarios=stack(tuple(some[i % len(some)] for some in every.values()) for i in range(count)),
+        Ts=np.asarray(float(Ts)),
+        how=how,
+        drive=check_drive(drive, law.chain),
+        terms=tuple((fn, np.asarray(weight)) for fn, weight in terms(loss)),
+        counts=_counts(law, parameters) if law.task.tasks else None,
+        limits=np.broadcast_to(limits, (n,)),
+    )
+
+
+def _counts(law, parameters):
+    counts, tuned = np.array(metric(law)), {p.name.partition(".")[0] for p in parameters}
+    for name in set(postures(law)) - tuned:
+        counts[law.task.of(name)] = 0.0
+    return counts

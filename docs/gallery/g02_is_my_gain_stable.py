@@ -27,6 +27,6 @@ panel.set(xlabel="time [s]", ylabel="error in x [mm]", ylim=(-60, 60))
 panel.legend(ncols=2)
 
 # %%
-# The same in numbers, for the whole loop of any robot:
+# The same in numbers, for any robot and posture:
 
-print(ck.recommend(ck.Law(arm, ck.position("xy"), alpha=5.0), None, q0, Ts=Ts, method="EE"))
+print(ck.gains(Ts=Ts, drive=ck.Drive(), method="EE"))

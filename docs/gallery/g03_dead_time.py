@@ -9,12 +9,14 @@ does not overshoot up to dᵈ/(d + 1)ᵈ⁺¹. An exponential step has a limit o
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cnclik import stability
+import cnclik as ck
 from cnclik.show.style import BLUE, SKY, VERMILION
 
 d = np.arange(13)
-stable = [stability.delay_limit(int(k)) for k in d]
-exponential = [stability.delay_limit(int(k), "EXP-EE") for k in d]
+stable, exponential = (
+    [ck.gains(Ts=1.0, drive=ck.Drive(delay=int(k)), method=method).largest_stable for k in d]
+    for method in ("EE", "EXP-EE")
+)
 quiet = d**d / (d + 1.0) ** (d + 1)
 
 figure, panel = plt.subplots(figsize=(6, 2.9))

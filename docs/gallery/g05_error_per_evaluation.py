@@ -20,7 +20,7 @@ q0 = ck.solve(law, ck.hold([1.5, 0.8]), np.array([0.0, 0.9, 0.5]), 0.1, 60).q[-1
 Ts = np.array([0.2, 0.1, 0.05, 0.025])
 
 figure, panel = plt.subplots(figsize=(6, 3.2))
-for name in ("EE", "CN", "RK4", "EXP-EE", "EXP-MIDPOINT", "EXP-AB2", "EXP-RK4"):
+for name in ("EE", "CN", "RK4", "EXP-EE", "EXP-MIDPOINT", "EXP-RK4"):
 
     @jax.jit
     @jax.vmap

@@ -24,9 +24,8 @@ drives = {
 }
 figure, panel = plt.subplots(figsize=(6, 2.9))
 for (name, drive), color, dash in zip(drives.items(), COLORS, DASHES, strict=False):
-    law = ck.Law(arm, ck.position("xy"), alpha=5.0)
-    alpha = ck.advise(law, None, q0, Ts=Ts, method="EE", drive=drive).recommended_alpha
-    run = ck.solve(ck.replace(law, alpha=alpha), target, q0, Ts, 100, "EE", drive=drive)
+    alpha = ck.gains(Ts=Ts, drive=drive, method="EE").recommended
+    run = ck.solve(ck.Law(arm, ck.position("xy"), alpha=alpha), target, q0, Ts, 100, "EE", drive=drive)
     panel.plot(run.t, 1000 * run.e[:, 0], color=color, ls=dash, label=f"{name}: alpha = {alpha:.3g} 1/s")
 panel.set(xlabel="time [s]", ylabel="error in x [mm]")
 panel.legend()

@@ -25,7 +25,7 @@ for panel, name in zip(panels, ("IE", "CN"), strict=True):
         "chord(2)": ck.chord(2),
     }
     for (label, stage), color, dash in zip(stages.items(), COLORS, DASHES, strict=False):
-        panel.plot(z, np.abs(stability.amplification(name, stage, z)), color=color, ls=dash, label=label)
+        panel.plot(z, np.abs(stability.amplification(name, z, stage)), color=color, ls=dash, label=label)
     panel.plot(z, np.abs(1 - z), color="0.6", lw=0.8, label="explicit Euler")
     panel.axhline(1, **GUIDE)
     panel.set(title=name, xlabel="z = alpha·Ts", ylim=(0, 2))

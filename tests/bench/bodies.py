@@ -24,7 +24,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
-from cnclik import markup
 from cnclik.measure.files import markdown
 from cnclik.show import style
 from cnclik.show.output import draw
@@ -299,7 +298,7 @@ def picture(found, clip):
     t, foot = np.arange(FRAMES) / FPS, FEET[0]
     panels[0].plot(t, 1e3 * np.asarray(poses(clip.truth))[:, 0, 2, 3], color="0.3")
     panels[0].set_ylabel("height [mm]")
-    for (name, answers), color in zip(found.items(), (style.ORANGE, markup.BLUE, style.GREEN), strict=True):
+    for (name, answers), color in zip(found.items(), (style.ORANGE, style.BLUE, style.GREEN), strict=True):
         for who, q in answers.items():
             speed = 1e3 * FPS * np.linalg.norm(np.diff(np.asarray(poses(q))[:, 0, :, 3], axis=0), axis=-1)
             how = dict(color=color, label=name) if who == "cnclik" else dict(color="k", ls=":", lw=0.8)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.integrate.solve import end, solve
+from cnclik.integrate.solve import solve
 from cnclik.law import paths as ref
 from cnclik.law.inverse import damped, pseudoinverse
 from cnclik.law.law import Law
@@ -69,6 +69,12 @@ def inputs(case: Case, batch: int, dtype) -> dict:
     if case.law.task.orientation:
         named["rotation"] = np.resize(at.rotation, (batch, 3, 3))
     return {name: np.asarray(value, dtype) for name, value in named.items()}
+
+
+def end(law, reference, q0, Ts, N, method, stage):
+    """The joint values and the error after N steps, (q (n,), e (m,)), of one lane."""
+    run = solve(law, reference, q0, Ts, N, method, stage)
+    return run.q[-1], run.e[-1]
 
 
 def loop(case: Case, N: int, method, stage):

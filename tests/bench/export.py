@@ -1,14 +1,18 @@
 """`python -m tests.bench.export`: the exported step beside Pinocchio C++ and JAX, its worst call, its numbers on ARM.
 
-Into results/export (5 minutes); docs/export.md shows the table. Needs g++ and the extra `bench`; the numbers on
+Into results/export (a minute); docs/export.md shows the table. Needs g++ and the extra `bench`; the numbers on
 ARM need arm-linux-gnueabihf-gcc and qemu-arm (aarch64 likewise), from Debian. `budget.py` has its size there.
+Everything is measured in turn on one core: a ratio is taken within a round, and the median of the rounds is told.
 """
 
 import argparse
+import contextlib
+import ctypes
 import json
 import os
 import pathlib
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -19,32 +23,129 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik import markup
+from cnclik.engine.compiler import build, opened
 from cnclik.measure.files import markdown
+from cnclik.record import on_device
 from cnclik.show import style
 from cnclik.show.output import draw
 from tests.bench import cases, document, peers
-from tests.bench import export_lines as export
 from tests.bench.pinocchio_cpp import PinocchioCpp
+from tests.export.native import native
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "export"
-LANES = 8192  # of Pinocchio's batches
+CALLS = 1_000_000
+ROUNDS = 7
+_HARNESS = """
+#include <stdint.h>
+#include <time.h>
+typedef int32_t (*function)(const void *, const void *, void *);
+static int64_t now(void)
+{
+  struct timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+void in_a_row(int64_t count, function step, const void *a, const void *b, void *out)
+{
+  int64_t k;
+  for (k = 0; k < count; ++k) step(a, b, out);
+}
+void one_by_one(int64_t count, function step, const void *a, const void *b, void *out, int64_t *ns)
+{
+  int64_t k;
+  for (k = 0; k < count; ++k) {
+    const int64_t begun = now();
+    step(a, b, out);
+    ns[k] = now() - begun;
+  }
+}
+"""
 
 
-def pinocchio(dtype):
-    """(seconds of a step in a row, seconds of a whole batch of BATCH) by Pinocchio C++."""
-    solver = PinocchioCpp(*peers.panda(), dtype)
-    given = peers.given(dtype)
+@contextlib.contextmanager
+def one_core():
+    """Context manager: this process on one core alone, where the system can do that."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def seconds(fn, times=1) -> float:
+    """Time of one of several calls."""
+    begun = time.perf_counter()
+    for _ in range(times):
+        fn()
+    return (time.perf_counter() - begun) / times
+
+
+class Exported:
+    """The Panda's pose step, damped, explicit Euler, exported and built."""
+
+    def __init__(self, *, fixed=False):
+        """fixed: the target is held still, and nothing else but it may be set."""
+        case = cases.ROBOTS["panda"]()
+        self.law = case.law
+        self.given = [np.asarray(v[0]) for v in cases.inputs(case, 1, "float64").values()]
+        reference = ck.hold(*self.given[1:]) if fixed else None
+        begun = time.perf_counter()
+        self.step = native(case.law, reference, method="EE", runtime=("position", "rotation") if fixed else None)
+        self.built_s = time.perf_counter() - begun
+        self.step(*self.given[: 1 if fixed else 3], Ts=cases.TS)
+        with tempfile.TemporaryDirectory() as folder:
+            source = pathlib.Path(folder, "harness.c")
+            source.write_text(_HARNESS, encoding="utf-8")
+            self._harness = opened(build([source], folder, flags=["-D_POSIX_C_SOURCE=200809L"]))
+        entry = ctypes.cast(self.step.function, ctypes.c_void_p)
+        self._arguments = [entry, *map(ctypes.c_void_p, self.step.addresses)]
+
+    def from_c(self, count=20_000) -> float:
+        """Seconds of a step, called in a row from C."""
+        return seconds(lambda: self._harness.in_a_row(ctypes.c_int64(count), *self._arguments)) / count
+
+    def spread(self, count=CALLS):
+        """Nanoseconds of each of many calls, the clock's own time in them."""
+        found = np.zeros(count, np.int64)
+        self._harness.one_by_one(ctypes.c_int64(count), *self._arguments, ctypes.c_void_p(found.ctypes.data))
+        return found
+
+
+def pinocchio():
+    """A function that returns the seconds of a step, in a row, by Pinocchio C++."""
+    solver, given = PinocchioCpp(*peers.panda(), "float64"), peers.given("float64")
     settings = dict(alpha=cases.ALPHA, Ts=cases.TS, damping=cases.DAMPING, M=None)
+    return lambda count=4000: seconds(lambda: solver.run(*(v[:1] for v in given), N=count, **settings)) / count
 
-    def step(count=4000):
-        return export.seconds(lambda: solver.run(*(v[:1] for v in given), N=count, **settings)) / count
 
-    def batch():
-        part = [v[:LANES] for v in given]
-        return export.seconds(lambda: solver.run(*part, N=export.STEPS, **settings)) * export.BATCH / LANES
+def measure(rounds) -> dict:
+    """Microseconds of a step, medians of rounds taken in turn."""
+    with one_core(), jax.enable_x64(True):
+        step, fixed = Exported(), Exported(fixed=True)
+        q, position, rotation = (jax.numpy.asarray(v) for v in step.given)
+        law, reference = on_device(step.law), on_device(ck.hold(position, rotation))
 
-    return step, batch
+        def by_jax():
+            return ck.step(law, reference, q, 0.0, cases.TS, "EE").q.block_until_ready()
+
+        every = {
+            "C from C": step.from_c,
+            "C from C, parameters compiled in": fixed.from_c,
+            "JAX step": lambda: seconds(by_jax, 200),
+            "Pinocchio C++": pinocchio(),
+        }
+        by_jax()
+        found = {name: [] for name in every}
+        for _ in range(rounds):
+            for name, timed in every.items():
+                found[name].append(timed())
+        calls = step.spread()
+    median = {name: 1e6 * statistics.median(v) for name, v in found.items()}
+    return {"dtype": "float64", "microseconds": median, "rounds": found, "built_s": step.built_s, "calls": calls}
 
 
 def histogram(calls):
@@ -52,7 +153,7 @@ def histogram(calls):
     calls = np.asarray(calls)
     fig, axes = plt.subplots(figsize=(style.PAGE, 2.4))
     edges = np.geomspace(max(calls.min(), 1) * 0.95, calls.max() * 1.05, 120)
-    axes.hist(calls / 1e3, bins=edges / 1e3, color=markup.BLUE)
+    axes.hist(calls / 1e3, bins=edges / 1e3, color=style.BLUE)
     middle = np.median(calls) / 1e3
     marks = ((middle, "median", "right"), (np.percentile(calls, 99.9) / 1e3, "99.9 %", "left"))
     for value, word, side in (*marks, (calls.max() / 1e3, "worst", "right")):
@@ -72,14 +173,11 @@ def on_arm(folder) -> dict:
     """Whether ARM gives the same numbers (under qemu)."""
     law, found = cases.ROBOTS["panda"]().law, {}
     for runtime, name in ((None, "all parameters at run time"), ((), "all compiled in")):
-        at = ck.export.c(
-            law, out=folder / f"arm{runtime is None}", method="EE", dtype="float", runtime=runtime, batch=True
-        )
+        at = ck.export.c(law, out=folder / f"arm{runtime is None}", method="EE", dtype="float", runtime=runtime)
         for cpu in ("arm-linux-gnueabihf", "aarch64-linux-gnu"):
             emulator = "qemu-" + cpu.split("-")[0]
             if shutil.which(f"{cpu}-gcc") and shutil.which(emulator):
                 _run(f"{cpu}-gcc -std=c99 -O2 -ffp-contract=off -static clik_step.c example.c -lm -o {cpu}", at)
-                _run(f"{cpu}-gcc -std=c99 -O2 -Wall -Wextra -Werror -pedantic -c clik_step_batch.c -o batch.o", at)
                 found[f"{emulator}, {name}"] = {"example": _run(f"{emulator} {at / cpu}", at).strip()}
     return found
 
@@ -104,19 +202,8 @@ def table(found) -> str:
          f"{ratio('Pinocchio C++', 'C from C'):.3g}× ({us['C from C']:.3g} and {us['Pinocchio C++']:.3g} µs)"),
         ("the same with the gain and its like compiled in, and a target at rest", "",
          f"{ratio('Pinocchio C++', 'C from C, parameters compiled in'):.3g}×"),
-        ("the first called from Python with all its arguments", "under 4 µs",
-         f"{us['C from Python']:.3g} µs; with the joints alone {us['C from Python, joints alone']:.3g} µs; "
-         f"JAX's step {us['JAX step']:.3g} µs"),
-        ("export and compile", "under 2 s", f"{steps['export_s'] + steps['compile_s']:.2g} s"),
+        ("export and compile", "under 2 s", f"{steps['built_s']:.2g} s"),
     ]  # fmt: skip
-    for b, (least_lanes, least_peer) in zip(found["batches"], ((1.4, 18), (1.3, 9)), strict=True):
-        t, s = b["times_as_fast"], b["steps_per_second"]
-        rows.append((f"batch of 65,536 loops of 50 steps, {b['dtype']}, one core, against `lanes`", f"{least_lanes}×",
-                     f"{t['lanes']:.3g}× ({s['C'] / 1e6:.3g} and {s['lanes'] / 1e6:.3g} M steps/s)"))  # fmt: skip
-        rows.append((f"the same against Pinocchio C++ ({b['dtype']})", f"{least_peer}× without AVX-512",
-                     f"{t['Pinocchio C++']:.3g}×"))  # fmt: skip
-        built = f"{b['compile_s']:.2g} s (`lanes`: {b['lanes_compile_s']:.2g} s)"
-        rows.append((f"its compile time, {b['dtype']}", "under 2 s", built))
     calls = np.asarray(found["calls"])
     worst = f"{calls.max() / np.median(calls):.3g}× ({calls.max() / 1e3:.3g} and {np.median(calls) / 1e3:.3g} µs)"
     rows.append(("worst of 1e6 calls over their median, on one core", "reported", worst))
@@ -127,14 +214,11 @@ def table(found) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.export", description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=export.ROUNDS)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
     args = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    by_type = {dtype: pinocchio(dtype) for dtype in ("float32", "float64")}
-    others = {"step": {"Pinocchio C++": by_type["float64"][0]}}
-    others |= {dtype: {"Pinocchio C++": batch} for dtype, (_, batch) in by_type.items()}
-    found = export.measure(args.rounds, others=others)
+    found = {"steps": measure(args.rounds)}
     with tempfile.TemporaryDirectory() as folder:
         found["arm"] = on_arm(pathlib.Path(folder))
     calls = found["steps"].pop("calls")

@@ -119,7 +119,7 @@ def rows() -> list[Row]:
         end("RK4", "RK4"),
         end("TRAPEZOID, chord(2)", "TRAPEZOID", ck.chord(2)),
         end("EE, J#", inverse=ck.pseudoinverse()),
-        end("EE, saturation", limits=ck.saturation()),
+        end("EE, bounded", limits=ck.bounded()),
         end("EE, posture, J#", inverse=ck.pseudoinverse(), null_velocity=ck.posture(arm.posture)),
         two_arms("EE, two arms, 12 rows of 15 joints"),
         gradient("value", value),

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
-from cnclik.integrate.solve import end
 from tests.bench import cases, textbook
 from tests.bench.peers import panda
 from tests.bench.stacks import cpu
@@ -25,7 +24,7 @@ def ours():
     law = cases.ROBOTS["panda"]().law
 
     def loss(q, position, rotation):
-        e = end(law, ck.hold(position, rotation), q, cases.TS, STEPS, ck.METHODS["EE"], ck.picard(1))[1]
+        e = cases.end(law, ck.hold(position, rotation), q, cases.TS, STEPS, ck.METHODS["EE"], ck.picard(1))[1]
         return e @ e
 
     return loss

@@ -24,8 +24,8 @@ DAMPING = 0.05
 TIP, PILLAR = ck.panda().tips[0].name, ck.capsule(None, 0.1, (0.5, 0.3, 0.0), (0.5, 0.3, 0.6))
 WALLS = [ck.wall(ck.position(axis), above=least) for axis, least in (("z", 0.0), ("x", -0.5), ("y", -0.6))]
 WALLS += [ck.wall(ck.distance(ck.sphere(TIP, 0.08), PILLAR), above=0.01)]
-LIMITS = {"none": None, "saturation": ck.saturation(), "bounded": ck.bounded(), "walls": ck.bounded(walls=WALLS)}
-TIMED = {"panda": ("none", "saturation", "bounded", "walls"), "g1": ("none", "bounded"), "g1_free": ("none", "bounded")}
+LIMITS = {"none": None, "bounded": ck.bounded(), "walls": ck.bounded(walls=WALLS)}
+TIMED = {"panda": ("none", "bounded", "walls"), "g1": ("none", "bounded"), "g1_free": ("none", "bounded")}
 
 
 def passes(name, damping):

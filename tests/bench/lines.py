@@ -16,7 +16,7 @@ AXES = {  # None: the usual one
     "batch": (1, 64, 4096, 1_000_000),
     "cores": (None,),
 }
-EXPONENTIAL = ("EXP-EE", "EXP-AB2", "EXP-MIDPOINT")  # measured on the usual robot alone
+EXPONENTIAL = ("EXP-EE", "EXP-MIDPOINT")  # measured on the usual robot alone
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ import sys
 import time
 
 import jax
+import mujoco
 import numpy as np
 
 import cnclik as ck
@@ -101,7 +102,7 @@ def feedbacks(arm, inertia, servo, rate) -> list:
         for i, delay in enumerate(RAMP_DELAYS.tolist()):
             drive = loops_models.drives(setup, delay, inertia)[best]
             row = {"robot": arm.name, "servo": servo, "rate": rate, "delay": delay, "feedback": feedback}
-            row |= {"largest": float(largest[i]), "predicted": loops_models.predicted(setup, drive, 100.0)[0]}
+            row |= {"largest": float(largest[i]), "predicted": loops_models.predicted(setup, drive)[0]}
             row |= {"alpha": float(gains[i]), "lag": float(lags[i]), "lag_predicted": float(told[i])}
             rows.append(row | {"late": float(np.max(drive.late_by(setup.Ts)))})
     return rows
@@ -121,17 +122,17 @@ def fine(arm, inertia) -> list:
 
 
 def checks(arm, inertia) -> list:
-    """`recommend` itself, and cnclik's own loop in time, on both sides of the largest gain."""
+    """cnclik's own loop in time, on both sides of the largest gain."""
     rows = []
     for servo in ("position", "velocity, kv 400"):
         setup = Setup(arm, SERVOS[servo], 0.002)
-        for delay in (0, 2):
-            for name, drive in loops_models.drives(setup, delay, inertia).items():
-                row = {"robot": arm.name, "servo": servo, "delay": delay, "model": name}
-                row |= {"predicted": loops_models.predicted(setup, drive), "asked": loops_models.asked(setup, drive)}
-                if delay == 2 and name in ("lag", "second order") and arm.n == 6:
-                    row["around"] = [around(setup, drive, share * row["asked"][0]) for share in (0.95, 1.05)]
-                rows.append(row)
+        for name, drive in loops_models.drives(setup, 2, inertia).items():
+            if name in ("lag", "second order"):
+                largest, row = (
+                    loops_models.predicted(setup, drive)[0],
+                    {"robot": arm.name, "servo": servo, "model": name},
+                )
+                rows.append(row | {"around": [around(setup, drive, share * largest) for share in (0.95, 1.05)]})
     return rows
 
 
@@ -174,7 +175,7 @@ def parts(names):
             yield f"{name}, {servo}, feedback", lambda a=arm, m=inertia, s=servo: feedbacks(a, m, s, 100)
         if arm.n == 6:
             yield f"{name}, fine", lambda a=arm, m=inertia: fine(a, m)
-        yield f"{name}, checks", lambda a=arm, m=inertia: checks(a, m)
+            yield f"{name}, checks", lambda a=arm, m=inertia: checks(a, m)
 
 
 def main() -> None:
@@ -195,8 +196,8 @@ def main() -> None:
         begun = time.process_time()
         rows = measure()
         found[name] = {"seconds": round(time.process_time() - begun, 1), "rows": rows}
-        packages = ("mujoco", "mink", "pin-pink", "pin")
-        found["machine"] = document.machine() | {p: importlib.metadata.version(p) for p in packages}
+        found["machine"] = document.machine() | {"mujoco": mujoco.__version__}
+        found["machine"] |= {name: importlib.metadata.version(name) for name in ("mink", "pin-pink", "pin")}
         print(f"{name}: {found[name]['seconds']} s", file=sys.stderr, flush=True)
         save(found, args.out)
     loops_page.write(found, args.out)

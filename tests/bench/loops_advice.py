@@ -2,21 +2,16 @@
 
 Four arms, eight kinds of servos, 100 to 1000 Hz, 0 to 8 samples of delay; friction, encoders, limits of torque and
 commands that are not followed to the full; measured, commanded and rebased feedback. Each cell records a step of all
-joints, fits the drive, asks `recommend`, and runs what it names: from the fit, and with nothing said of the drives.
+joints, fits the drive, and runs the gain that the fit names: from the fit, and with nothing said of the drives.
 Where no gain is named the cell looks for one that would have been stable and without overshoot.
 """
 
-import functools
-
 import numpy as np
 
-import cnclik as ck
 from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.record import replace
-from cnclik.stability.advice import advise
-from cnclik.stability.recommend import recommend
-from cnclik.stability.settings import MOST_Z
+from cnclik.stability.gain import gains
 from tests.bench.loops_arms import Servo, World
 from tests.bench.loops_mujoco import SHIFT, Setup, growth, run, step_responses
 
@@ -48,8 +43,7 @@ STEP = 60 * SHIFT  # of the target: 3 cm and 60 mrad
 STEPPED = {"position": 0.03, "velocity": 0.2}  # [rad, rad/s] of the recorded step
 LEAD = 10  # rows before it
 RECORDED, ROWS = 1.2, 200  # [s] of a record, and its rows at most
-SECONDS, LONG = 3.0, 8.0  # of a run, and of one that tells on which side of the largest stable gain it is
-EDGES = np.array([0.98, 1.02])  # of a range: at the limit itself nothing grows or falls
+SECONDS, LONG = 3.0, 8.0  # of a run, and of one without a recommended gain
 CALM, MUCH, LEFT = 0.01, 0.05, 0.02  # overshoot that is none, that is too much; share of an error that is no swing
 GRID = np.geomspace(0.4, 6.0, 9)  # times the recommended gain: where the best one is looked for
 ANY = np.geomspace(0.02, 1.0, 10)  # alpha·Ts that are run where no gain is named
@@ -120,12 +114,15 @@ def best(alphas, over) -> float:
     return float(alphas[first - 1] * (alphas[first] / alphas[first - 1]) ** share)
 
 
-@functools.cache
-def unknown(Ts) -> float:
-    """What is recommended where nothing is said of the drives: of any arm with an exact inverse."""
-    arm = ck.planar_arm([1.0, 1.0])
-    law = ck.Law(arm, ck.position("xy"), alpha=1.0)
-    return advise(law, None, np.array([0.3, 1.2]), Ts=Ts, method="EE").recommended_alpha
+def advised(fit, Ts, feedback) -> tuple:
+    """(the gain that a fit recommends for a feedback, 0 if none; why there is none)."""
+    if feedback == "measured":
+        return fit.recommended_alpha or 0.0, fit.note
+    if feedback == "rebased" and NOT_REBASED in fit.note:
+        return 0.0, NOT_REBASED
+    drive = fit.drive if feedback == "rebased" and not fit.drive.order else replace(fit.drive, feedback=feedback)
+    found = gains(Ts=Ts, method="EE", drive=drive)
+    return found.recommended / max(1.0, float(np.max(fit.gain))), found.reason
 
 
 def measure(arm, servo, rate, delay, world, feedback) -> dict:
@@ -138,13 +135,10 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     except ArgumentError as refused:
         return row | {"not fitted": str(refused)}
     row["fit"] = {"options": fit.options, "explained": float(fit.explained), "note": fit.note}
-    drive = replace(fit.drive, feedback=feedback) if feedback != "rebased" or fit.drive.order else fit.drive
-    said = recommend(arm.law, None, arm.q, Ts=Ts, method="EE", drive=drive)
-    alphas = {"recommended": min(float(said.recommended), MOST_Z / Ts)}  # as `advise`
-    if feedback == "rebased" and NOT_REBASED in fit.note:
-        alphas["recommended"] = 0.0
+    named, why = advised(fit, Ts, feedback)
+    alphas = {"recommended": named}
     if feedback != "rebased":  # where position commands begin at the measured joints, settings name none
-        alphas["unknown"] = unknown(Ts)
+        alphas["unknown"] = gains(Ts=Ts, method="EE").recommended
     alphas = {name: alpha for name, alpha in alphas.items() if alpha}
     around = alphas["recommended"] * GRID if "recommended" in alphas else ANY / Ts
     lanes = np.concatenate([list(alphas.values()), around])
@@ -156,21 +150,14 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     over, grows = over[len(alphas) :], grows[len(alphas) :]
     if "recommended" not in alphas:
         calm = (over <= CALM) & ~grows & arrives(made)[len(alphas) :]
-        return row | {
-            "none named": said.limit if not said.z_recommended else NOT_REBASED,
-            "calm": around[calm].tolist(),
-        }
-    if fit.largest_stable_alpha is not None and feedback == "measured":
-        ends = np.array(fit.largest_stable_alpha)
-        beside = unstable(run(setup, ends * EDGES, np.full(2, delay), int(LONG / Ts), STEP).e)
-        row["range"] = {"low": ends[0], "high": ends[1], "right": bool(beside[1] and not beside[0])}
+        return row | {"none named": why, "calm": around[calm].tolist()}
     row["best"] = best(around, over)
     return row
 
 
 def figures(rows) -> dict:
     """The numbers that count: {name: value}."""
-    told = {name: [r for r in rows if name in r] for name in ("recommended", "unknown", "range", "none named")}
+    told = {name: [r for r in rows if name in r] for name in ("recommended", "unknown", "none named")}
 
     def count(name, what):
         return sum(bool(what(r[name])) for r in told[name])
@@ -183,8 +170,6 @@ def figures(rows) -> dict:
         **{f"{name} over 5 %": count(name, lambda v: _over(v) > MUCH) for name in ("recommended", "unknown")},
         "median of best": float(np.median([alpha / most for alpha, most in best if most and np.isfinite(most)])),
         "calm where none is named": sum(bool(r["calm"]) for r in told["none named"]),
-        "ranges": len(told["range"]),
-        "ranges right": count("range", lambda v: v["right"]),
     }
 
 

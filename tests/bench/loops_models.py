@@ -13,13 +13,9 @@ from scipy.linalg import block_diag, eigh, expm
 from scipy.optimize import least_squares
 
 from cnclik.integrate.drive import Drive, sampled
-from cnclik.stability.driven import SLACK, SWING, driven_factors, increments, loop_matrix
-from cnclik.stability.drives import each_drive, longer, own_drives
-from cnclik.stability.linear import first_above
-from cnclik.stability.recommend import recommend
+from cnclik.stability.gain import gains
 from tests.bench.loops_mujoco import LOST, SHIFT, Run, step_responses
 
-REACH, POINTS = 10.0, 40  # z up to which is looked, and at how many values together
 BEGUN = 1e-4  # share of a motion by which it has begun
 STEPPED = 0.02  # [rad, rad/s]
 CLOSE = 0.01  # rms share of a motion that a fit may leave
@@ -54,41 +50,10 @@ def second_order(stiffness, damping) -> dict:
     return dict(natural_frequency=w, damping_ratio=damping / (2 * w))
 
 
-def predicted(setup, drive, reach=REACH):
-    """(largest, fastest without overshoot, recommended) alpha, as `recommend` finds them.
-
-    It asks what `recommend` asks, at fewer values of z, and of joints that don't depend on each other one at a time:
-    `recommend` takes a minute for six drives and 17 samples.
-    """
-    arm, Ts = setup.arm, setup.Ts
-    j = arm.jacobian()
-    across = np.linalg.pinv(j) @ j
-
-    def both(z, drive):
-        """Spectral radius, and how far the slowest factor is from a real positive one."""
-        if arm.n == 6 or not own_drives(drive):
-            made = [driven_factors(increments("EE", None, z)[..., None, :], d, Ts) for d in each_drive(drive)]
-            found = np.concatenate([v.reshape(len(z), -1) for v in made], -1)
-        else:
-            found = np.linalg.eigvals(loop_matrix(-z[:, None, None, None] * across, drive, Ts))
-            idle = np.argsort(np.abs(found - 1.0), -1)[:, : arm.n - 6]
-            np.put_along_axis(found, idle, 0.0, -1)
-        size = np.abs(found)
-        slow = size >= size.max(-1, keepdims=True) * (1 - 1e-6)
-        off = np.where(found.real < 0, 2.0, np.abs(found.imag) / np.maximum(size, 1e-12))
-        return size.max(-1), np.where(slow & (size > 1e-9), off, 0.0).max(-1)
-
-    largest = first_above(lambda z: both(z, drive)[0], 1 + SLACK, reach, POINTS)
-    calm = [
-        first_above(lambda z, d=d: both(z, d)[1], SWING, min(largest, reach), POINTS) for d in (drive, longer(drive))
-    ]
-    return tuple(float(min(v, largest)) / Ts for v in (largest, *calm))
-
-
-def asked(setup, drive):
-    """The same by `recommend` itself."""
-    found = recommend(setup.arm.law, None, setup.arm.q, Ts=setup.Ts, method="EE", drive=drive, reach=REACH)
-    return tuple(float(v) for v in (found.largest, found.monotone, found.recommended))
+def predicted(setup, drive):
+    """(largest stable, without overshoot, recommended) alpha of explicit Euler, see `cnclik.gains`."""
+    found = gains(Ts=setup.Ts, method="EE", drive=drive)
+    return found.largest_stable, found.without_overshoot, found.recommended
 
 
 # --- in time ------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pink
 import pinocchio as pin
 
 from cnclik.integrate.drive import Drive
-from cnclik.stability.recommend import recommend
+from cnclik.stability.gain import gains
 from tests.bench.loops_arms import Arm
 
 DT = 0.005  # [s]
@@ -109,8 +109,8 @@ def measure(names=("UR5", "Panda")) -> list:
     for name in names:
         arm = Arm(name)
         for delay in DELAYS:
-            ours = recommend(arm.law, None, arm.q, Ts=DT, method="EE", drive=Drive(delay=delay))
-            z, calm = float(ours.largest) * DT, float(ours.recommended) * DT
+            ours = gains(Ts=DT, method="EE", drive=Drive(delay=delay))
+            z, calm = ours.largest_stable * DT, ours.recommended * DT
             for peer, make in LOOPS.items():
                 loop = make(arm)
                 found = largest(loop, arm.q, delay)

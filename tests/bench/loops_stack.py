@@ -1,7 +1,7 @@
 """What the advice for a stack is worth: both arms of a Baxter in MuJoCo, on servos, with dead time, friction, encoders.
 
 A stack of both hands' poses and a posture, in two levels. Each cell records a step of all joints, fits the drive, asks
-`ck.advise` for the gains of each task, and runs the loop with them from hands 3 cm and 60 mrad away from their targets:
+`ck.gains` for the gain of all tasks, and runs the loop with it from hands 3 cm and 60 mrad away from their targets:
 does an error grow, and how far does a hand go beyond its target?
 
     python -m tests.bench.loops_stack                 # 20 cells, a few minutes, into results/loops/stack.json
@@ -17,6 +17,7 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.diagnosis.fit import fit_drive
+from cnclik.record import replace
 from tests.bench.loops_advice import SERVOS, WORLDS, beyond, recorded, unstable
 from tests.bench.loops_arms import Arm
 from tests.bench.loops_mujoco import Setup, begin, rotation_of
@@ -29,7 +30,7 @@ RATES, DELAYS, SECONDS = (100, 250, 500), (0, 1, 3, 5, 8), 3.0
 
 
 class BothArms(Arm):
-    """Baxter's arms at rest, and their stack; all gains 1 until they are advised."""
+    """Baxter's arms at rest, and their stack; its gain is 1 until one is recommended."""
 
     def __init__(self):
         self.name, self.path, self.tip = "Baxter", robot_file("baxter"), None
@@ -37,8 +38,8 @@ class BothArms(Arm):
         self.n = self.chain.n
         self.q = np.array([0.3, -0.4, 0.2, 1.2, -0.3, 0.7, 0.1, -0.3, -0.5, -0.1, 1.1, 0.4, 0.8, -0.2])
         tasks = ck.stack(hands=ck.pose(tip=HANDS[0]), others=ck.pose(tip=HANDS[1]), rest=ck.joints())
-        self.levels = ck.levels(["hands", "others"], ["rest"], damping=(1e-3, 0.3))
-        self.law = ck.Law(self.chain, tasks, alpha=1.0, inverse=self.levels)
+        levels = ck.levels(["hands", "others"], ["rest"], damping=(1e-3, 0.3))
+        self.law = ck.Law(self.chain, tasks, alpha=1.0, inverse=levels)
         self.text = self._urdf()
 
 
@@ -75,12 +76,10 @@ def measure(arm, servo, rate, delay, world) -> dict:
     setup = Setup(arm, SERVOS[servo], Ts, "measured", min(Ts, 2e-3 if rate <= 250 else 1e-3), WORLDS[world])
     row = dict(servo=servo, rate=rate, delay=delay, world=world)
     fit = fit_drive(None, *recorded(setup, delay), Ts, command_kind=setup.servo.command)
-    said = ck.advise(arm.law, None, arm.q, Ts=Ts, method="EE", drive=fit.drive).stack
-    alpha = {name: one.recommended_alpha for name, one in said.tasks.items()}
-    law = ck.Law(arm.chain, arm.law.task, alpha=alpha, inverse=arm.levels)
-    e = run(setup, law, delay, round(SECONDS / Ts))
+    alpha = ck.gains(Ts=Ts, method="EE", drive=fit.drive).recommended
+    e = run(setup, replace(arm.law, alpha=alpha), delay, round(SECONDS / Ts))
     over = [float(beyond(e[:, [i]])[0]) for i in (0, 1)]
-    return row | {"alpha": alpha["hands"], "over": max(over), "unstable": bool(unstable(e).any())}
+    return row | {"alpha": alpha, "over": max(over), "unstable": bool(unstable(e).any())}
 
 
 def cells(count):

@@ -1,4 +1,4 @@
-"""Part of `tests.bench.loops`: each line of `Advice.settings`, run as it stands in the tool that it names.
+"""Part of `tests.bench.loops`: each of `Gains.elsewhere`, run as it is in the tool that it names.
 
 pink, mink and Placo are run themselves; Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around a
 UR's servoj are copies of what their sources and manuals say, with Pinocchio's kinematics. The robot is a Panda whose
@@ -8,7 +8,6 @@ pink, mink (with MuJoCo) and Placo what is to be run.
 
 import functools
 import importlib
-import re
 import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
@@ -17,8 +16,7 @@ import pinocchio as pin
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
-from cnclik.stability.advice import advise
-from cnclik.stability.settings import ASSUMED_DELAY, LOOKAHEAD
+from cnclik.stability.gain import ASSUMED_DELAY, LOOKAHEAD, OWN_COMMANDS, gains
 from tests.integrate.test_real_robots import ROBOTS, folder
 
 FILE, TIP, _ = ROBOTS["Panda"]
@@ -220,16 +218,6 @@ def proportional(gain):
 # --- what is measured ---------------------------------------------------------------------------------
 
 
-def said(Ts, drive):
-    """`advise` of the Panda by explicit Euler."""
-    law = ck.Law(arm()[2], ck.pose(), alpha=1.0, inverse=ck.pseudoinverse())
-    return advise(law, None, Q, Ts=Ts, method="EE", drive=drive)
-
-
-def number(text, name) -> float:
-    return float(re.search(rf"{name}\D*?([\d.]+(?:e-?\d+)?)", text)[1])
-
-
 def measure(tools=("pink", "mink", "Isaac Lab", "MoveIt Servo", "UR servoj"), cases=CASES) -> list:
     """A row for each tool, case and way of setting it: what is set, what was promised, and what the loop did."""
     return [row for case in cases for tool in tools for row in _measured(tool, case)]
@@ -239,38 +227,32 @@ def _measured(tool, case):
     Ts, drive = CASES[case]
     if tool == "Isaac Lab" and drive is not None and drive.order:
         drive = ck.replace(drive, command="position")  # its servos are of position: of a velocity's no gain is named
-    advised = said(Ts, drive)
-    real = Drive(delay=advised.assumed_dead_time / Ts, lag=advised.assumed_lag) if drive is None else drive
-    settles, line = advised.recommended.settling_time, advised.settings[tool]
+    advised = gains(Ts=Ts, method="EE", drive=drive)
+    real, settles, value = advised.drive, advised.response.settling_time, advised.elsewhere[tool].value
 
     def row(way, value, found, promised=settles):
         about = {"tool": tool, "case": case, "Ts": Ts, "way": way, "set": value, "promised": promised}
         return about | {name: float(v) for name, v in found._asdict().items()}
 
     if tool in MADE:
-        z = number(line, "(?:gain=|target )")
-        for way, posture_gain in (("as told", z), ("posture at its default, 1", 1.0)):
-            yield row(way, z, ran(MADE[tool](z, posture_gain, Ts), real, Ts, 2.5 * settles))
-        seconds = 40 * Ts + 12 * real.late_by(Ts)
-        own = ran(MADE[tool](0.25, 0.25, Ts), real, Ts, seconds, own=True)
-        yield row("0.25 of the last command", 0.25, own, None)
-    elif tool == "Isaac Lab" and "no k_val" in line:
-        return  # none is named
+        for way, posture_gain in (("as given", value), ("posture at its default, 1", 1.0)):
+            yield row(way, value, ran(MADE[tool](value, posture_gain, Ts), real, Ts, 2.5 * settles))
+        seconds, own = 40 * Ts + 12 * real.late_by(Ts), OWN_COMMANDS
+        yield row(f"{own} of the last command", own, ran(MADE[tool](own, own, Ts), real, Ts, seconds, own=True), None)
+    elif tool == "Isaac Lab" and value is None:
+        return
     elif tool == "Isaac Lab":
-        k_val, when = number(line, "k_val"), re.search(r"2 % in ([\d.]+) s", line)
         servo = ck.replace(real if real.order else Drive(delay=real.delay, lag=1e-9), command="position")
-        promised = float(when[1]) if when else None
-        step = isaac_lab(k_val)
-        found = ran(lambda q: step(q) / Ts, servo, Ts, 2.5 * promised if when else 60 * Ts, rebased=True)
-        yield row("as told", k_val, found, promised)
+        looped = gains(Ts=Ts, method="EE", drive=ck.replace(servo, feedback="rebased"))
+        promised, step = looped.at(value / Ts).settling_time, isaac_lab(value)
+        found = ran(lambda q: step(q) / Ts, servo, Ts, 2.5 * promised, rebased=True)
+        yield row("as given", value, found, promised)
     elif tool == "MoveIt Servo":
-        gain = number(line, "angular_proportional_gain")
-        yield row("as told", gain, ran(proportional(gain), real, Ts, 2.5 * settles))
-    elif real.order == 0 or drive is None:  # a UR: of what is known of it the lag of servoj is no part
-        alpha = number(line, "alpha")
+        yield row("as given", value, ran(proportional(value), real, Ts, 2.5 * settles))
+    elif value is not None:
         ur = Drive(delay=ASSUMED_DELAY / Ts if drive is None else drive.delay, lag=LOOKAHEAD, command="position")
-        for way, rebased in (("as told", False), ("from the measured joints", True)):
-            yield row(way, alpha, ran(proportional(alpha), ur, Ts, 8 / alpha, rebased=rebased), None)
+        for way, rebased in (("as given", False), ("from the measured joints", True)):
+            yield row(way, value, ran(proportional(value), ur, Ts, 8 / value, rebased=rebased), None)
         if drive is not None:
-            whole = advised.recommended_alpha
-            yield row("alpha without servoj's lag", whole, ran(proportional(whole), ur, Ts, 8 / alpha), None)
+            whole = advised.recommended
+            yield row("alpha without servoj's lag", whole, ran(proportional(whole), ur, Ts, 8 / value), None)

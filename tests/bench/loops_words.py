@@ -41,11 +41,11 @@ Velocity servos at 500 Hz with the physics ten times finer.
 """
 
 TOOLS = """\
-`python -m tests.bench.loops --only tools` applies each line of `Advice.settings` to a Panda whose joints follow
+`python -m tests.bench.loops --only tools` applies each of `Gains.elsewhere` to a Panda whose joints follow
 through the drive of the case. pink, mink and Placo run themselves, with a posture task 0.2 rad away along the null
 space. Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around servoj are copies after their
 sources and manuals. Placo brings its own Pinocchio: its rows need an environment in which it was installed last.
-"Nothing said": the robot has the assumed drives. Isaac Lab has no row if its line gives no gain, as with dead time
+"Nothing said": the robot has the assumed drives. Isaac Lab has no row if there is no gain for it, as with dead time
 alone. A posture task with its default gain of 1 diverges, and a servoj loop that begins at the measured joints does
 not arrive.
 """

@@ -203,36 +203,18 @@ def single(count):
         solved = np.array([bool(f.solved) for f in found])
         row = {"us": micro(statistics.median(times)), "us_mean": micro(statistics.fmean(times))}
         row |= {"us_99": micro(float(np.quantile(times, 0.99))), "solved": share(solved)}
-        row |= {"wrong": share(solved & ~robot.right(q, targets)), "near": near(robot), "c": as_c(robot, targets)}
+        row |= {"wrong": share(solved & ~robot.right(q, targets)), "near": near(robot)}
         row["cold"] = {str(k): cold(robot, targets[:1][0] if k == 1 else robot.pose(robot.drawn(k))) for k in (1, 1000)}
         out[name] = row
         say(name, row)
     return out
 
 
-def as_c(robot, targets):
-    """One target at a time by the search exported as C, from Python."""
-    native = ck.export.compiled(robot.chain, what="reach")
-    middle = start_posture(robot.chain, ck.pose())
+def near(robot, steps=200):
+    """1 mm steps along a line, each from the answer before it."""
 
     def ask(T, q):
-        return native(q, T[:3, 3], T[:3, :3])
-
-    warm(functools.partial(ask, targets[0], middle))
-    times, found = zip(*(seconds_of(functools.partial(ask, T, middle)) for T in targets), strict=True)
-    solved = np.array([m.status == ck.ReachStatus.SOLVED for m in found])
-    row = {"us": micro(statistics.median(times)), "us_mean": micro(statistics.fmean(times))}
-    row |= {"us_99": micro(float(np.quantile(times, 0.99))), "solved": share(solved)}
-    row |= {"wrong": share(solved & ~robot.right(np.stack([m.q for m in found]), targets))}
-    return row | {"near": near(robot, ask)}
-
-
-def near(robot, ask=None, steps=200):
-    """1 mm steps along a line, each from the answer before it. `ask` of (target, q), by default `ck.reach`."""
-    if ask is None:
-
-        def ask(T, q):
-            return ck.reach(robot.chain, T, near=q, jump=0.1)
+        return ck.reach(robot.chain, T, near=q, jump=0.1)
 
     q = start_posture(robot.chain, ck.pose())
     start = robot.pose(q[None])[0]

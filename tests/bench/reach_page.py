@@ -108,9 +108,6 @@ def single(found):
         lines.append(
             [name, "a step of 1 mm, near, jump", f"{n['us']:.0f} µs", f"{n['us_99']:.0f} µs", percent(n["right"])]
         )
-        native = r["c"]
-        for what, one, well in (("one target", native, "solved"), ("a step of 1 mm", native["near"], "right")):
-            lines.append([name, f"{what}, as C", f"{one['us']:.0f} µs", f"{one['us_99']:.0f} µs", percent(one[well])])
         for count, c in r["cold"].items():
             what = f"first answer, {int(count):,} target{'s' * (count != '1')}"
             lines.append([name, what, f"{c['first_s']:.2f} s", "", f"+ {c['import_s']:.2f} s import"])

@@ -41,8 +41,6 @@ class Args:
     """Measure value and gradient too; by default where a filter is given, and on a few lines of the table."""
     seconds: float = 1.0
     """Time for the repeated runs of each program."""
-    export: bool = False
-    """Measure instead the step as C: from C, from Python, beside JAX and `lanes`; one Markdown table."""
     cold: bool = False
     """Measure instead how long first answers take: commands in fresh processes, with nothing compiled before, and
     again; one Markdown table."""
@@ -72,9 +70,6 @@ def run(args: Args) -> None:
     for name in ("only", "urdf", "spec"):
         if value := getattr(args, name):
             raise errors.fail(name, "be left out without --cold", f"is {str(value)!r}")
-    if args.export:
-        _export(args)
-        return
     from tests.bench import timing
 
     errors.number("seconds", args.seconds, at_least=0)
@@ -92,19 +87,6 @@ def run(args: Args) -> None:
         print(json.dumps(records, indent=1))
     if len(records) < len(chosen):
         sys.exit(1)
-
-
-def _export(args: Args) -> None:
-    from tests.bench import export_lines as export
-
-    with progress.bar("rounds"):
-        found = export.measure(batch=args.batch[0] if args.batch else export.BATCH)
-    if args.json:
-        calls = sorted(found["steps"]["calls"].tolist())
-        found["steps"]["calls"] = calls[:: max(len(calls) // 1000, 1)]  # a thousandth of them, in order
-        print(json.dumps(found, indent=1))
-    else:
-        print(export.page(found), end="")
 
 
 def _cold(args: Args) -> None:

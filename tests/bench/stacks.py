@@ -19,13 +19,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
-from cnclik.integrate.solve import end
 from cnclik.measure.files import markdown
 from cnclik.robot.bases import BALL
 from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.model import modelled
 from tests.bench import users
 from tests.bench.bodies import FEET, TIPS, spent
+from tests.bench.cases import end
 from tests.bench.pinocchio_cpp import HERE, compiled
 from tests.oracles import robots
 

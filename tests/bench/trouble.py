@@ -31,8 +31,8 @@ PATHS = {
     "unreachable": "To a point 1.5 arm lengths further out, and on towards it",
 }
 TASK = ck.pose()
-LAMBDA, CLAMP = 0.05, (0.1, 0.5)  # λ (λ₀, λ_max) of every damped inverse; largest error that the gain sees [m, rad]
-EPSILON, WEAK = 0.1, 0.3  # damped below: σ, and w as a share of the start's
+LAMBDA, CLAMP = 0.05, (0.1, 0.5)  # λ (λ_max) of every damped inverse; largest error that the gain sees [m, rad]
+EPSILON = 0.1  # σ below which the singular-damped inverse is damped
 ALPHA, TS, N, KNOTS = 5.0, 0.01, 800, 41
 COLUMNS = {  # of a row, and the metrics that they are
     **{"position_rms": "rms_position_error", "orientation_rms": "rms_rotation_error"},
@@ -41,19 +41,15 @@ COLUMNS = {  # of a row, and the metrics that they are
 }
 
 
-def methods(chain, q0) -> dict:
+def methods() -> dict:
     """Inverse, error clamp and limits of each; their numbers are arrays: robots of as many joints share programs."""
     damped, singular = ck.damped(LAMBDA), ck.singular_damped(LAMBDA, EPSILON)
-    weak = ck.manipulability_damped(LAMBDA, WEAK * float(ck.manipulability(chain, q0)))
     return {
         "pseudoinverse": (ck.pseudoinverse(), None, None),
         "damped, no clamp": (damped, None, None),
         "damped": (damped, CLAMP, None),
-        "manipulability-damped": (weak, CLAMP, None),
         "singular-damped": (singular, CLAMP, None),
         "same, velocity scaling": (singular, CLAMP, ck.velocity_scaling()),
-        "same, weighted": (singular, CLAMP, ck.weighted_least_norm()),
-        "same, saturation": (singular, CLAMP, ck.saturation()),
         "same, bounded": (singular, CLAMP, ck.bounded()),
         "damped, bounded": (damped, CLAMP, ck.bounded()),
     }
@@ -100,7 +96,7 @@ def measured(report) -> list[dict]:
     for robot, (file, tip, base) in ROBOTS.items():
         chain = ck.load_urdf(real.folder() / file, tip, base)
         q0 = start_from(chain, TASK)
-        ways, kinds = paths(chain, q0), methods(chain, q0)
+        ways, kinds = paths(chain, q0), methods()
         for method, (inverse, clamp, limits) in kinds.items():
             law = ck.Law(chain, TASK, alpha=ALPHA, inverse=inverse, error_clamp=clamp, limits=limits)
             for path, reference in ways.items():
@@ -151,9 +147,9 @@ def page(rows) -> str:
     return f"""# Near trouble: damping and limits on real robots
 
 Written by `python -m tests.bench.trouble`. Spatial pose tracking, explicit Euler, alpha = {ALPHA:g} 1/s, \
-Ts = {TS:g} s, {N} steps. λ (λ₀, λ_max) = {LAMBDA:g} for every damped inverse; the singular-damped one is damped below \
-σ = {EPSILON:g}, the manipulability-damped one below {WEAK:g} of the start's w; *same* is the singular-damped one with \
-a method for limits. All but the first two clamp the error at {CLAMP[0]:g} m and {CLAMP[1]:g} rad.
+Ts = {TS:g} s, {N} steps. λ (λ_max) = {LAMBDA:g} for every damped inverse; the singular-damped one is damped below \
+σ = {EPSILON:g}; *same* is the singular-damped one with a method for limits. All but the first two clamp the error at \
+{CLAMP[0]:g} m and {CLAMP[1]:g} rad.
 
 Errors are RMS over the run; *speed* is the largest joint velocity, and in brackets its share of that joint's limit; \
 *past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed that the next step \

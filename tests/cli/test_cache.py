@@ -9,11 +9,26 @@ import sys
 
 import pytest
 
-from cnclik import programs as kept
-from cnclik.hints import QUICK_COMPILE, known_options
+from cnclik import cache as kept
 
 ROOT = pathlib.Path(__file__).parents[2]
-SOLVE = ["solve", "planar:1,1", "--N", "3", "--no-figures", "--timings"]
+SOLVE = ["solve", "planar:1,1", "--N", "3", "--no-figures"]
+COUNTING = """
+import sys, jax
+found = {"compile": 0, "hits": 0}
+
+def span(event, begun, ended, **_):
+    found["compile"] += "backend_compile" in event
+
+def happened(event, **_):
+    found["hits"] += event == "/jax/compilation_cache/cache_hits"
+
+jax.monitoring.register_event_time_span_listener(span)
+jax.monitoring.register_event_listener(happened)
+from cnclik.cli import main
+main(sys.argv[1:])
+print("{compile} programs, {hits} from the cache".format(**found))
+"""
 
 
 def run(folder, *argv, **more):
@@ -21,40 +36,33 @@ def run(folder, *argv, **more):
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_COMPILATION", "JAX_PERSISTENT"))}
     environment |= {"XDG_CACHE_HOME": str(folder), "HOME": str(folder), "PYTHONPATH": str(ROOT)} | more
     done = subprocess.run(
-        [sys.executable, "-m", "cnclik", *argv], env=environment, capture_output=True, text=True, cwd=folder
+        [sys.executable, "-c", COUNTING, *argv], env=environment, capture_output=True, text=True, cwd=folder
     )
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout
 
 
 def programs(said):
-    """(compiled or taken from the cache, taken from the cache) of what --timings tells."""
-    return tuple(map(int, re.search(r"\((\d+) programs?, (\d+) from the cache\)", said).groups()))
-
-
-def tracing(said) -> float:
-    return float(re.search(r"tracing ([\d.]+)", said)[1])
+    """(compiled or taken from the cache, taken from the cache)."""
+    return tuple(map(int, re.search(r"(\d+) programs, (\d+) from the cache", said).groups()))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the folder of Linux")
 def test_the_second_process_compiles_nothing(tmp_path):
     begun = run(tmp_path, *SOLVE)
-    (first, hits), traced = programs(begun), tracing(begun)
+    first, hits = programs(begun)
     (place,) = (tmp_path / "cnclik").iterdir()
     kept = {path: path.stat().st_mtime_ns for path in place.iterdir()}
-    # Most are kept whole, or as a library that they name, and small ones by JAX itself.
-    assert first >= sum(path.suffix != ".so" for path in kept) > 3 and hits < first / 2
-    assert sum(re.fullmatch(r"[0-9a-f]{64}-program", path.name) is not None for path in kept) >= 3
+    assert first >= sum(path.name.endswith("-cache") for path in kept) > 0 == hits
+    assert any(path.suffix == ".so" for path in kept)
     assert stat.S_IMODE((tmp_path / "cnclik").stat().st_mode) == stat.S_IMODE(place.stat().st_mode) == 0o700
     said = run(tmp_path, *SOLVE)
     again = programs(said)
     assert [line for line in said.splitlines() if "error" in line] == [
         line for line in begun.splitlines() if "error" in line
     ]
-    refused = len(QUICK_COMPILE) - len(known_options(QUICK_COMPILE))  # a probe that fails is kept nowhere
-    assert again == (first, first - refused)
-    assert tracing(said) < 0.3 * traced
-    assert kept == {path: path.stat().st_mtime_ns for path in place.iterdir()}
+    assert again == (first, first)
+    assert kept.keys() == {*place.iterdir()}
 
 
 @pytest.mark.slow
@@ -124,10 +132,10 @@ def test_the_oldest_makes_room_and_nothing_else_is_touched(tmp_path):
         os.utime(path, (1e9 - age, 1e9 - age))
 
     for age, name in enumerate("abcd"):
-        write(f"jaxlib-{name}", "one-cache" if age % 2 else "one-program", age)
-    write("mine", "one-program", 9)
+        write(f"jaxlib-{name}", "one-cache" if age % 2 else "one.so", age)
+    write("mine", "one.so", 9)
     write("jaxlib-a", "mine", 9)
     for _ in range(2):
         kept.cut(tmp_path, 250)
-        assert {path.parent.name for path in tmp_path.glob("*/one-*")} == {"jaxlib-a", "jaxlib-b", "mine"}
+        assert {path.parent.name for path in tmp_path.glob("*/one*")} == {"jaxlib-a", "jaxlib-b", "mine"}
     assert (tmp_path / "jaxlib-a" / "mine").exists()

@@ -4,7 +4,6 @@ import csv
 import json
 import re
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
@@ -87,20 +86,6 @@ def test_a_path_with_a_jump(tmp_path, capsys):
     assert "SOLVED" in shown and "JUMP" in shown and "no joint values" in shown
 
 
-@pytest.mark.parametrize("where", ["xy", "box"])
-def test_a_map(where, tmp_path, capsys):
-    options = ["--cells", "6", "--orientations", "2", "--out", str(tmp_path)]
-    main(["reach", ARM, "--map", where, "--task", "position", *options])
-    assert "% of the positions can be reached\n" in capsys.readouterr().out
-    assert (tmp_path / "map.png").stat().st_size > 10_000
-    with np.load(tmp_path / "map.npz") as data:
-        assert data["share"].shape == (6,) * len(set("xy") if where == "xy" else "xyz")
-        if where == "xy":
-            away = np.hypot(*np.meshgrid(data["x"], data["y"], indexing="ij"))
-            assert (data["share"][away > 1.8] == 0).all() and (data["share"][(away > 0.25) & (away < 1.75)] == 1).all()
-    assert not plt.get_fignums()
-
-
 def test_one_target_as_solve_takes_it(capsys):
     main(["reach", ARM, "--task", "position", "--target", "700", "300", "0", "mm"])
     said = capsys.readouterr().out
@@ -115,10 +100,9 @@ def test_one_target_as_solve_takes_it(capsys):
     [
         (
             [],
-            "One of TARGETS, --target X Y Z, --random N, --map PLANE and --stack FILE must be given, but there is none",
+            "One of TARGETS, --target X Y Z, --random N and --stack FILE must be given, but there is none",
         ),
         (["t.csv", "--random", "3"], "are TARGETS and --random"),
-        (["--target", "1", "0.2", "--map", "xy"], "are --target and --map"),
         (["--target", "1"], "`--target` must be"),
         (["--target", "0.4", "nan"], "`--target` must be finite, but is nan"),
         (["none.csv"], "name a CSV file that can be read"),
@@ -131,8 +115,6 @@ def test_one_target_as_solve_takes_it(capsys):
         (["--random", "3", "--path", "--near", "0", "0"], "`--near` must be left out"),
         (["--random", "3", "--near", "0"], "`--near` must have shape"),
         (["--random", "3", "--tolerance", "0", "1"], "`--tolerance` must hold positive"),
-        (["--map", "xy", "--solutions", "2"], "must be left out with --map"),
-        (["--map", "xy", "--cells", "1"], "`--cells` must be at least 2"),
     ],
 )
 def test_bad_input_is_one_line(argv, told, capsys, tmp_path, monkeypatch):

@@ -40,18 +40,12 @@ NUMBERS = [  # verb, arguments, option, values
     (solve, "--phase 90deg", "phase", (math.pi / 2,)),
     (solve, "--natural-frequency 5Hz", "natural_frequency", (10 * math.pi,)),
     (solve, "--error-clamp 10mm 5deg", "error_clamp", (0.01, math.radians(5))),
-    (solve, "--max-velocity 90 deg/s", "max_velocity", (math.pi / 2,)),
-    (solve, "--max-acceleration 90deg/s²", "max_acceleration", (math.pi / 2,)),
-    (solve, "--max-acceleration 90deg/s^2", "max_acceleration", (math.pi / 2,)),
-    (solve, "--max-jerk 100mm/s3", "max_jerk", (0.1,)),
     (solve, "--alpha 5 1/s", "alpha", (5.0,)),
     (reach, "--random 1 --tolerance 1mm 0.1deg", "tolerance", (1e-3, math.radians(0.1))),
     (reach, "--random 1 --near 0 90 deg --jump 30deg", "jump", math.radians(30)),
-    (reach, "--map xy --at 250mm", "at", 0.25),
     (stability, "--speed 100mm/s", "speed", 0.1),
     (stability, "--Ts-range 1 10 ms", "Ts_range", (1e-3, 1e-2)),
-    (tune, "--velocity-limit 90deg/s", "velocity_limit", math.pi / 2),
-    (tune, "--Ts 4ms --delay-margin 6ms", "delay_margin", 1.5),
+    (tune, "--velocity-limit 90deg/s", "velocity_limit", (math.pi / 2,)),
     (diagnose, "--Ts 2ms", "Ts", 2e-3),
 ]
 
@@ -107,7 +101,6 @@ def said(capsys, *argv):
 def test_units_fit_what_they_stand_behind(capsys, tmp_path):
     run = ["solve", "planar:1,1", "--N", "2", "--out", str(tmp_path / "out"), "--no-figures"]
     assert "joint 'q1' is in rad, and m is given" in said(capsys, *run, "--q0", "100mm", "0.2m")
-    assert "joint 'q1' is in rad, and m/s is given" in said(capsys, *run, "--max-velocity", "1m/s")
     assert "number 1 is in m, and rad is given" in said(capsys, *run, "--noise", "5deg")
     assert "number 1 is in m, and rad is given" in said(
         capsys, "reach", "planar:1,1", "--random", "1", "--tolerance", "1deg", "1mm"

@@ -7,6 +7,8 @@ import sys
 
 import numpy as np
 import pytest
+from cnclik.stability.driven import driven_limits
+from tests.stability.test_driven import in_time
 
 import cnclik as ck
 from cnclik.diagnosis import Kind, diagnose, diagnose_tasks, fit_drive
@@ -16,10 +18,8 @@ from cnclik.diagnosis.calm import is_as_large
 from cnclik.diagnosis.late import LateLoop
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
-from cnclik.stability.driven import driven_limits
 from tests.diagnosis.logs import late_loop
 from tests.diagnosis.recordings import loop, monotone, servo, stable
-from tests.stability.test_driven import in_time
 
 TS = 0.002
 ROOT = pathlib.Path(__file__).parents[2]

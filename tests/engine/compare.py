@@ -12,11 +12,9 @@ from cnclik.engine.compiler import can_build, command
 from cnclik.engine.operations import scalar
 from cnclik.engine.plan import use_engine
 from cnclik.engine.program import Program, lane_avals
-from cnclik.engine.reader import read
+from cnclik.engine.reader import read, trace
 from cnclik.engine.scalar import ScalarWriter, helpers
-from cnclik.engine.to_jax import Derived
-from cnclik.engine.tracing import to_be_read
-from cnclik.hints import few_lanes
+from cnclik.engine.to_jax import Derived, for_few_lanes
 
 NEEDS_C = pytest.mark.skipif(not can_build(), reason="no C compiler")
 STRICT = "-std=c99 -O1 -pedantic -Wall -Wextra -Werror -fPIC -shared"
@@ -38,9 +36,9 @@ def in_scalar_c(fn, *args):
     """Results of the function as C99 without a warning, of a batch lane by lane."""
     leaves, treedef = jax.tree.flatten(args)
     leaves = [np.ascontiguousarray(x) for x in leaves]
-    with to_be_read():
-        given = lane_avals(leaves)
-        graph, nodes, outs, (shapes, tree) = read(of_leaves(fn, treedef), *given)
+    given = lane_avals(leaves)
+    closed, shapes, tree, _ = trace(of_leaves(fn, treedef), given)
+    graph, nodes, outs = read(closed)
     names = [scalar(np.dtype(s.dtype)) for s in (*given, *shapes)]
     size = [int(np.prod(s.shape)) for s in (*given, *shapes)]
 
@@ -67,8 +65,7 @@ def derived(fn, *args):
     """Results of the function as the engine writes it for JAX, of a batch."""
     leaves, treedef = jax.tree.flatten(args)
     made = Derived(of_leaves(fn, treedef), lane_avals(leaves))
-    with few_lanes(len(leaves[0])):
-        return jax.tree.unflatten(made.tree, jax.jit(jax.vmap(made))(*leaves))
+    return jax.tree.unflatten(made.tree, jax.jit(for_few_lanes(jax.vmap(made), len(leaves[0])))(*leaves))
 
 
 def plain(fn, *args):
@@ -77,25 +74,25 @@ def plain(fn, *args):
         return jax.jit(jax.vmap(fn))(*args)
 
 
-def check(fn, *args, ulps=4.0, each=False, by=None, scalar_too=True, derived_too=True):
+def check(fn, *args, ulps=4.0, each=False, signs=False, by=None, scalar_too=True, derived_too=True):
     """Raises AssertionError where the engine's programs and `jax.vmap` of it, or of `by`, differ.
 
     Without a C compiler only the program that the engine writes for JAX is checked.
 
     Whole numbers and truths have to be equal, and infinity and NaN where they are in JAX. Other numbers may differ by
-    some ulps: each by its own, or all by those of the largest one in their array.
+    some ulps: each by its own, or all by those of the largest one in their array. Zeros have their signs if asked.
     """
     found = wanted = plain(by or fn, *args)
     if derived_too or not can_build():
-        same(found := derived(fn, *args), wanted, ulps=ulps, each=each)
+        same(found := derived(fn, *args), wanted, ulps=ulps, each=each, signs=signs)
     if can_build():
-        same(found := in_c(fn, *args), wanted, ulps=ulps, each=each)
+        same(found := in_c(fn, *args), wanted, ulps=ulps, each=each, signs=signs)
     if can_build() and scalar_too:
-        same(in_scalar_c(fn, *args), wanted, ulps=ulps, each=each)
+        same(in_scalar_c(fn, *args), wanted, ulps=ulps, each=each, signs=signs)
     return found
 
 
-def same(found, wanted, *, ulps=4.0, each=False):
+def same(found, wanted, *, ulps=4.0, each=False, signs=False):
     """What `check` asserts, of two trees of arrays."""
     assert jax.tree.structure(found) == jax.tree.structure(wanted)
     for a, b in zip(*(map(np.asarray, jax.tree.leaves(x)) for x in (found, wanted)), strict=True):
@@ -104,6 +101,8 @@ def same(found, wanted, *, ulps=4.0, each=False):
             np.testing.assert_array_equal(a, b)
             continue
         good = np.isfinite(b)
+        if signs:
+            np.testing.assert_array_equal(np.signbit(a[b == 0]), np.signbit(b[b == 0]))
         np.testing.assert_array_equal(np.where(good, 0, a), np.where(good, 0, b))
         size = np.abs(b[good]) if each else np.abs(b[good]).max(initial=0)
         off = np.abs(a[good] - b[good]) - ulps * np.finfo(a.dtype).eps * size - 2 * np.finfo(a.dtype).tiny

@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 import cnclik as ck
-from cnclik.engine.program import Program, Programs, lane_avals
+from cnclik.engine.program import Program, lane_avals
 from cnclik.errors import ArgumentError
 from cnclik.threads import side_by_side
 from engine.compare import NEEDS_C, same
@@ -110,7 +110,7 @@ def test_within_lanes_it_is_a_part_of_their_program():
         return jax.grad(lambda v: half(v)["half"] @ once)(x), lax.fori_loop(0, 3, lambda _, v: half(v)["half"], x)
 
     x = np.linspace(0.1, 2.0, 12, dtype=np.float32).reshape(4, 3)
-    assert isinstance(Programs(fn).of(lane_avals([x])), Program)
+    assert isinstance(ck.native(fn).of(x[0])[0].form("lanes", lane_avals([x]), np.inf), Program)
     same(ck.lanes(fn)(x), jax.vmap(fn)(x), ulps=10)
 
 
@@ -157,3 +157,52 @@ def test_for_a_gpu_it_is_jax_alone(fn):
     """Lowered for CUDA, without one: neither C nor LAPACK, and the engine's scalars."""
     text = jax.jit(fn).trace(np.zeros((300, 7))).lower(lowering_platforms=("cuda",)).as_text()
     assert "custom_call" not in text and "dot_general" not in text and "sine" in text
+
+
+@pytest.mark.parametrize("fn", [jax.random.split, lambda key: (key, {"x": 2.0})], ids=["keys", "beside a number"])
+def test_a_key_may_be_a_result(fn):
+    key = jax.random.key(0)
+    found, wanted = (jax.tree.leaves(f(key)) for f in (ck.native(fn), fn))
+    for a, b in zip(found, wanted, strict=True):
+        a, b = (jax.random.key_data(v) if jax.dtypes.issubdtype(jnp.asarray(v).dtype, jax.dtypes.prng_key) else v
+                for v in (a, b))  # fmt: skip
+        np.testing.assert_array_equal(a, b)
+
+
+EMPTY = np.zeros((0, 0))
+OF_NOTHING = {
+    "factor": jnp.linalg.cholesky,
+    "solve": lambda x: jnp.linalg.solve(x, x[:, :0]),
+    "inverse": jnp.linalg.inv,
+    "sums": lambda x: (x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.sort(x)),
+    "stacks": lambda x: lax.scan(lambda c, v: (c + v.sum(), v), 1.0, x),
+    "places": lambda x: (
+        jnp.ones(3).at[x.ravel().astype(int)].set(0.0),
+        jnp.concatenate([x.ravel(), jnp.ones(2)]),
+        jnp.pad(x, 1),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OF_NOTHING)
+def test_empty_arrays(name):
+    of = OF_NOTHING[name]
+    same(jax.tree.map(np.asarray, ck.native(of)(EMPTY)), jax.tree.map(np.asarray, of(EMPTY)))
+    same(ck.lanes(of)(EMPTY[None]), jax.vmap(of)(EMPTY[None]))
+
+
+def test_a_loop_of_a_batch_in_a_users_task():
+    """A function that finds several numbers at once, each by as many rounds as it takes."""
+
+    def roots(robot, q):
+        def root(v):
+            return lax.while_loop(lambda s: jnp.abs(s * s - v) > 1e-9, lambda s: (s + v / s) / 2, v)
+
+        return jax.vmap(root)(1.0 + ck.forward(robot, q).position[:2] ** 2)
+
+    arm, runs = ck.planar_arm([1.0, 0.8, 0.5]), []
+    law = ck.Law(arm, ck.function(roots, ["a", "b"], ["1", "1"]), alpha=2.0)
+    for engine in (None, "plain"):
+        with ck.use_engine(engine):
+            runs.append(ck.solve(law, ck.hold([1.2, 1.3]), np.array([0.3, 0.4, 0.5]), 0.05, 12, "EE").q)
+    np.testing.assert_allclose(*runs, atol=1e-9)

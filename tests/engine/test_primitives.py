@@ -240,6 +240,17 @@ def test_a_long_mask_of_many_rows():
     check(squares, x, derived_too=False)
 
 
+@pytest.mark.parametrize(("dtype", "bits"), [("float32", "uint32"), ("float64", "int64")])
+def test_numbers_as_their_bits(dtype, bits):
+    x = numbers(dtype)[np.isfinite(numbers(dtype))]
+    check(
+        lambda x: lax.bitcast_convert_type(lax.bitcast_convert_type(x, bits) + np.array(1, bits), dtype),
+        x,
+        scalar_too=False,
+    )
+    check(lambda x: lax.bitcast_convert_type(x, bits), x, scalar_too=False)
+
+
 def test_mixed_precision():
     x, y = numbers("float32")[7:], numbers("float64", 1)[7:]
     check(lambda x, y: (x * y, x + jnp.float32(1), y.astype("float32") * x, (x > y) & (y > 0)), x, y)
@@ -252,5 +263,5 @@ def test_a_zero_of_no_model_keeps_what_is_not_a_number():
 def test_every_elementwise_primitive_has_a_test():
     tested = {*ONE, *TWO, "and", "or", "xor", "not", "shift_left", "shift_right_logical", "shift_right_arithmetic"}
     tested |= {"integer_pow", "round", "clamp", "select_n", "convert_element_type", "add_any", "lt_to", "le_to"}
-    tested |= {"one_minus_square", "bitcast_convert_type"}  # the latter of `test_random`
+    tested |= {"one_minus_square", "bitcast_convert_type"}
     assert tested == ELEMENTWISE

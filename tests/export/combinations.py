@@ -1,4 +1,4 @@
-"""Laws, methods and stages by name, and their exported step held against JAX without hints."""
+"""Laws, methods and stages by name, and their exported step held against JAX."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.export.library import compiled
-from cnclik.hints import QUICK_COMPILE, known_options
 from cnclik.law.reference import tangent
+from tests.export.native import native
 
-SEVERAL = 6  # steps of a multistep method, one after the other
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
 CLOSELY = 40  # times as many repeats where those explain too little
 NEAR = {"float64": 1e-12, "float32": 1e-5}
@@ -34,21 +32,16 @@ ROBOTS = {
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse,
     "damped": lambda: ck.damped(0.1),
-    "transpose": ck.transpose,
-    "manipulability-damped": lambda: ck.manipulability_damped(0.1, 0.2),
     "singular-damped": lambda: ck.singular_damped(0.1, 0.2),
 }
 LIMITS = {
     "none": lambda: None,
     "velocity-scaling": ck.velocity_scaling,
-    "weighted-least-norm": ck.weighted_least_norm,
-    "saturation": ck.saturation,
     "bounded": ck.bounded,
 }
 NULL = {
     "none": lambda chain, task: None,
     "posture": lambda chain, task: ck.posture(np.full(chain.n, 0.3)),
-    "manipulability": lambda chain, task: ck.maximize_manipulability(chain, task, 0.5),
 }
 STAGES = {"picard": lambda: ck.picard(3), "chord": lambda: ck.chord(2), "newton": lambda: ck.newton(2)}
 
@@ -108,25 +101,19 @@ def target(law, position, rotation, velocity):
 
 
 def by_jax(combination):
-    """Steps of all lanes by JAX without hints: a function of the inputs, to q, qdot, e, x, residual and status."""
+    """Steps of all lanes by JAX alone: a function of the inputs, to q, qdot, e, x, residual and status."""
     law, method, stage = combination.parts()
 
     def one(q, position, rotation, velocity):
         reference = target(law, position, rotation, velocity)
 
-        def again(made, _):
-            return ck.step(law, reference, made.q, 0.0, combination.Ts, method, stage, history=made.history), None
-
         made = ck.step(law, reference, q, 0.0, combination.Ts, method, stage)
-        if method.steps > 1:
-            made, _ = jax.lax.scan(again, made, None, length=SEVERAL - 1)
         return made.q, made.qdot, made.e, made.x, made.residual, made.status
 
-    soon = known_options(QUICK_COMPILE)  # a few inputs: compiling is nearly all of the time
-    program = jax.jit(jax.vmap(one), compiler_options=soon)
+    program = jax.jit(jax.vmap(one))
 
     def run(given):
-        with ck.use_hints(False), jax.enable_x64(combination.dtype == "float64"):
+        with ck.use_engine("plain"), jax.enable_x64(combination.dtype == "float64"):
             return [np.asarray(v) for v in program(*given)]
 
     return run
@@ -135,15 +122,11 @@ def by_jax(combination):
 def by_c(combination, given, step=None):
     """The same by the exported step, lane by lane."""
     law, method, stage = combination.parts()
-    step = compiled(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
-    rounds, found = SEVERAL if method.steps > 1 else 1, []
-    names = [row["name"] for row in step.manifest["inputs"]["input"]]
+    step = native(law, method=method, stage=stage, dtype=combination.dtype) if step is None else step
+    found = []
     for q, position, rotation, velocity in zip(*given, strict=True):
         known = {"position": position, "rotation": rotation, "velocity": velocity, "Ts": combination.Ts}
-        history = None
-        for _ in range(rounds):
-            made = step(q, *(known[name] for name in names[1:]), history=history)
-            q, history = made.q, made.history
+        made = step(q, *(known[name] for name in step.names[1:]))
         found.append((made.q, made.qdot, made.e, made.x, made.residual, made.status))
     return [np.array(v) for v in zip(*found, strict=True)]
 
@@ -153,7 +136,7 @@ def plainly(combination):
     law, method, stage = combination.parts()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CFLAGS", "-O1 -ffp-contract=off")
-        return compiled(law, method=method, stage=stage, dtype=combination.dtype)
+        return native(law, method=method, stage=stage, dtype=combination.dtype)
 
 
 def moved(given, by):

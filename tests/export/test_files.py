@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ import cnclik as ck
 from cnclik.cli import main
 from cnclik.record import record
 from tests.export.combinations import arm
+from tests.export.native import native
 
 pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 STRICT = "-Wall -Wextra -Werror -pedantic -ffp-contract=off"
@@ -26,8 +26,13 @@ COMPILERS = {
 }
 
 
-def a_law(**changes):
-    return ck.Law(arm(3), ck.position("xy"), **{"alpha": 5.0, "inverse": ck.damped(0.1)} | changes)
+def a_law(task=ck.position("xy"), **changes):
+    return ck.Law(arm(3), task, **{"alpha": 5.0, "inverse": ck.damped(0.1)} | changes)
+
+
+def of_q(fn):
+    """A task of one coordinate, the first of fn(q)."""
+    return ck.function(lambda robot, q: fn(q)[:1], ["own"], ["1"], rows=lambda robot, q, target: jnp.eye(1, len(q)))
 
 
 @pytest.fixture(scope="module")
@@ -36,15 +41,12 @@ def folders(tmp_path_factory):
     at = tmp_path_factory.mktemp("exports")
     every = {
         "step": dict(method="EE"),
-        "memory": dict(method="EXP-AB2", dtype="float32"),
-        "solve": dict(method="TRAPEZOID", stage=ck.chord(2), what="solve", reference=ck.circle([1, 1], 0.2, period=2)),
+        "path": dict(method="TRAPEZOID", stage=ck.chord(2), reference=ck.circle([1, 1], 0.2, period=2)),
         "spline": dict(method="EE", reference=ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])),
-        "fk": dict(what="fk"),
-        "jacobian": dict(what="jacobian", dtype="float32"),
-        "reach": dict(what="reach", seeds=4),
-        "reach_pose": dict(law=ck.panda(), what="reach", dtype="float32", seeds=4),
+        "single": dict(method="EXP-MIDPOINT", dtype="float32"),
+        "kinematics": dict(law=arm(3), name="step"),
+        "panda": dict(law=ck.panda(), name="step", dtype="float32"),
         "walled": dict(law=a_law(limits=ck.bounded(walls=[ck.wall(ck.position("y"), above=-1.0)])), method="EE"),
-        "saturated": dict(law=a_law(limits=ck.saturation()), method="EE", batch=("q", "e")),
     }  # fmt: skip
     for name, options in every.items():
         law = options.pop("law", a_law())
@@ -93,7 +95,7 @@ def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
             outside = re.sub(r"(?s)\{.*?\n\}", "", text)
             assert not re.search(r"^(static )?(const )?(double|float|int32_t|int) \w+( =|\[|;)", outside, re.M)
         kinds = {path.name for path in folder.iterdir()}
-        assert {"clik_step.h", "clik_step.c", "example.c", "README.md", "export.json"} <= kinds
+        assert {"clik_step.h", "clik_step.c", "example.c", "README.md"} <= kinds
         told = (folder / "README.md").read_text(encoding="utf-8")
         assert ck.__version__ in told and "cc -std=c99" in told and "[rad]" in told
 
@@ -101,9 +103,9 @@ def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
 @pytest.mark.parametrize(
     ("make", "named"),
     [
-        (lambda: a_law(null_velocity=lambda q: lax.lgamma(q)), "`lgamma`"),
-        (lambda: a_law(null_velocity=lambda q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0]), "`eigh`"),
-        (lambda: a_law(null_velocity=_halving), "`while` loop"),
+        (lambda: a_law(task=of_q(lax.lgamma)), "`lgamma`"),
+        (lambda: a_law(task=of_q(lambda q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0])), "`eigh`"),
+        (lambda: a_law(task=of_q(_halving)), "`while` loop"),
     ],
 )
 def test_what_has_no_c_form_is_refused_in_a_line_that_names_it(make, named, tmp_path):
@@ -119,7 +121,6 @@ def _halving(q):
 @pytest.mark.parametrize(
     "options",
     [
-        dict(what="steps"),
         dict(name="clik step"),
         dict(name="1st"),
         dict(name="a" * 61),
@@ -128,10 +129,7 @@ def _halving(q):
         dict(out="\0x"),
         dict(dtype="float16"),
         dict(runtime=("alpa",)),
-        dict(batch=("qq",)),
         dict(reference="circle"),
-        dict(what="fk", batch=True),
-        dict(seeds=8),
     ],
 )
 def test_options_are_checked(options, tmp_path):
@@ -149,7 +147,7 @@ def test_the_command_line_writes_the_same(tmp_path, capsys):
     assert "README.md" in capsys.readouterr().err and len(list((tmp_path / "cli").iterdir())) == 1
     main([*words_of_cli, "--overwrite"])
     said = capsys.readouterr().out
-    assert "clik_arm_step.c example.c" in said and ", clik_arm_step.c," in said
+    assert "clik_arm_step.c example.c" in said and "Wrote clik_arm_step.h, clik_arm_step.c, example.c and" in said
     law = ck.Law(ck.planar_arm([1.0, 0.8, 0.6]), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
     ck.export.c(law, out=tmp_path / "python", method="EE", dtype="float", name="arm_step")
     for name in ("clik_arm_step.h", "clik_arm_step.c", "example.c"):
@@ -159,19 +157,18 @@ def test_the_command_line_writes_the_same(tmp_path, capsys):
     assert left.value.code == 2
 
 
-def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice(tmp_path):
+def test_what_is_run_time_and_what_is_compiled_in_is_the_users_choice():
     lengths = np.array([1.0, 0.8, 0.6])
     law = ck.Law(ck.planar_arm(lengths), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
-    step = ck.export.compiled(law, method="EE")
-    assert {"alpha", "damping", "feedforward"} < set(step.parameters) and sum(
-        "position" in name for name in step.parameters
-    )  # an array of link lengths is a parameter
-    assert not any("position" in name for name in ck.export.compiled(a_law(), method="EE").parameters)
-    few = ck.export.compiled(law, method="EE", runtime=("alpha",))
-    assert set(few.parameters) == {"alpha"} and not ck.export.compiled(law, method="EE", runtime=()).parameters
+    step = native(law, method="EE")
+    assert {"alpha", "damping", "feedforward"} < set(step.parameters.dtype.names)
+    assert any("position" in name for name in step.parameters.dtype.names)  # an array of lengths is a parameter
+    assert not any("position" in name for name in native(a_law(), method="EE").parameters.dtype.names)
+    few = native(law, method="EE", runtime=("alpha",))
+    assert few.parameters.dtype.names == ("alpha",) and native(law, method="EE", runtime=()).parameters is None
     q, target = np.array([0.3, 0.5, -0.4]), [0.9, 1.2]
     assert np.allclose(step(q, target, Ts=0.01).q, few(q, target, Ts=0.01).q, rtol=0, atol=1e-14)
-    few.set(alpha=50.0)
+    few.parameters["alpha"] = 50.0
     wanted = ck.step(ck.replace(law, alpha=50.0), ck.hold(target), q, 0.0, 0.01, "EE")
     assert np.allclose(few(q, target, Ts=0.01).q, wanted.q, rtol=0, atol=1e-14)
 
@@ -182,7 +179,7 @@ def test_loops_that_stack_up_what_they_find_are_written_out():
 
     law = a_law(null_velocity=wanted)
     q = np.array([0.3, 0.5, -0.4])
-    made = ck.export.compiled(law, method="EE")(q, [0.9, 1.2], Ts=0.01)
+    made = native(law, method="EE")(q, [0.9, 1.2], Ts=0.01)
     assert np.allclose(made.q, ck.step(law, ck.hold([0.9, 1.2]), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
 
 
@@ -199,7 +196,6 @@ NAMES = (
     *("main", "wrong", "failed", "i", "sincos", "int", "double", "char16_t", "sinf", "exp", "y0", "unix", "export"),
     *("README", "clik_", "clik_step", "clik_example", "step", "search", "batch", "example"),
 )
-KINDS = "solve", "reach", "fk", "jacobian"
 
 
 def builds(folder, *compilers):
@@ -213,16 +209,14 @@ def builds(folder, *compilers):
 
 @pytest.mark.parametrize("name", NAMES[7::9])
 def test_any_name_will_do(name, tmp_path):
-    builds(ck.export.c(arm(2), out=tmp_path, what="fk", name=name))
+    builds(ck.export.c(arm(2), out=tmp_path, name=name))
     assert (tmp_path / f"clik_{name.removeprefix('clik_')}.c").exists()
 
 
 @pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])])
-@pytest.mark.parametrize("what", ["step", *(pytest.param(w, marks=pytest.mark.slow) for w in KINDS)])
-def test_any_name_will_do_for_all_kinds(name, what, tmp_path):
-    options = dict(batch=True, method="AB2") if what in ("step", "solve") else {}
+def test_any_name_will_do_for_a_step(name, tmp_path):
     law = ck.Law(arm(2), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
-    builds(ck.export.c(law, out=tmp_path, what=what, name=name, dtype="float32", **options), "gcc", "g++")
+    builds(ck.export.c(law, out=tmp_path, name=name, dtype="float32", method="EXP-MIDPOINT"), "gcc", "g++")
 
 
 def joints(*kinds):
@@ -242,11 +236,10 @@ def test_every_kind_of_joint_compiles_without_a_warning(kinds, tmp_path):
     kinds = kinds.split()
     (tmp_path / "arm.urdf").write_text(joints(*kinds))
     chain = ck.load_urdf(tmp_path / "arm.urdf")
-    builds(ck.export.c(chain, out=tmp_path / "fk", what="fk"))
-    builds(ck.export.c(chain, out=tmp_path / "jacobian", what="jacobian", dtype="float32"))
+    builds(ck.export.c(chain, out=tmp_path / "kinematics", dtype="float32"))
     for axes in {kind[1] for kind in kinds if kind[0] == "p"} or ("x", "z"):
         law = ck.Law(chain, ck.position(axes), alpha=5.0, inverse=ck.damped(0.1))
-        builds(ck.export.c(law, out=tmp_path / f"step-{axes}", method="EE", batch=len(kinds) > 1))
+        builds(ck.export.c(law, out=tmp_path / f"step-{axes}", method="EE"))
 
 
 def test_what_a_users_record_calls_its_numbers_is_no_word_of_c():
@@ -255,12 +248,12 @@ def test_what_a_users_record_calls_its_numbers_is_no_word_of_c():
         double: object
         größe: object
 
-        def __call__(self, q):
-            return jax.tree.map(lambda v: self.double * v + self.größe, q)
+        def __call__(self, robot, q):
+            return self.double * q[:1] + self.größe
 
-    law = a_law(null_velocity=Drawn(double=np.array(-1.0), größe=np.array(0.5)))
-    step = ck.export.compiled(law, method="EE")
-    assert {"own_double", "own_gr__e"} < set(step.parameters)
+    law = a_law(task=ck.function(Drawn(double=np.array(-1.0), größe=np.array(0.5)), ["own"], ["1"]))
+    names = set(native(law, method="EE").parameters.dtype.names)
+    assert any("own_double" in name for name in names) and any("own_gr__e" in name for name in names), names
 
 
 def test_the_pages_example_is_built_and_runs(tmp_path):
@@ -278,4 +271,4 @@ def test_the_pages_example_is_built_and_runs(tmp_path):
 
 def test_the_readme_tells_where_a_step_in_single_precision_stops(folders):
     told = {folder.name: "stops short of its target" in (folder / "README.md").read_text() for folder in folders}
-    assert {name for name, found in told.items() if found} == {"memory"}
+    assert {name for name, found in told.items() if found} == {"single"}

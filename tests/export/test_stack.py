@@ -11,6 +11,7 @@ from cnclik.export.fields import parameters
 from cnclik.export.trace import Request
 from cnclik.export.write import configuration
 from tests.engine.compare import NEEDS_C
+from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
 from tests.task.test_stack_loops import ROBOT, TIPS, Q
@@ -34,28 +35,36 @@ def given(held):
 
 
 @NEEDS_C
-@pytest.mark.parametrize("method", ["EE", pytest.param("AB2", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["EE", pytest.param("EXP-MIDPOINT", marks=pytest.mark.slow)])
 def test_a_step_is_the_loops(method):
-    step, past, made, q = ck.export.compiled(LAW, method=method), None, None, Q + 0.1
+    step, q = native(LAW, method=method), Q + 0.1
     held = ck.hold_at(ROBOT, TASK, Q)
     for _ in range(3):
-        native = step(q, Ts=0.01, history=past, **given(held))
-        made = ck.step(LAW, held, q, 0.0, 0.01, method, history=None if made is None else made.history)
-        close(native.qdot, made.qdot, atol=1e-9)
-        close(native.e, made.e, atol=1e-12)
-        assert native.status == made.status
-        past, q = (native.history if method == "AB2" else None), np.asarray(made.q)
+        found = step(q, Ts=0.01, **given(held))
+        made = ck.step(LAW, held, q, 0.0, 0.01, method)
+        close(found.qdot, made.qdot, atol=1e-9)
+        close(found.e, made.e, atol=1e-12)
+        assert found.status == made.status
+        q = np.asarray(made.q)
 
 
 @NEEDS_C
-def test_a_whole_run_has_its_tasks_and_the_vectors_agree(tmp_path):
+def test_along_paths_the_vectors_agree(tmp_path):
     paths = ck.hold_at(ROBOT, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
-    folder = ck.export.c(LAW, paths, out=tmp_path / "made", what="solve", method="EE")
-    made, wanted = ck.export.load(folder)(Q, Ts=0.01, N=20), ck.solve(LAW, paths, Q, 0.01, 20, "EE")
-    close(made.q, wanted.q, atol=1e-9)
-    close(made["apart"].e, wanted["apart"].e, atol=1e-9)
-    done = subprocess.run(BUILD.format(sources="clik_step.c example.c") + " && ./example", shell=True, cwd=folder)
+    folder = ck.export.c(LAW, paths, out=tmp_path / "made", method="EE")
+    done = subprocess.run(BUILD.format(name="clik_step") + " && ./example", shell=True, cwd=folder)
     assert done.returncode == 0
+
+
+@NEEDS_C
+def test_kinematics_of_each_tip():
+    q = Q + 0.1
+    found = native(ROBOT)(q)
+    for tip in TIPS:
+        wanted = ck.forward(ROBOT, q, tip=tip)
+        close(getattr(found, f"{tip}_position"), wanted.position, atol=1e-15)
+        close(getattr(found, f"{tip}_rotation"), wanted.rotation, atol=1e-15)
+        close(getattr(found, f"{tip}_jacobian"), ck.jacobian(ROBOT, q, tip=tip), atol=1e-15)
 
 
 def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
@@ -67,34 +76,10 @@ def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
 
 
 @NEEDS_C
-def test_many_loops_side_by_side():
-    step = ck.export.compiled(LAW, method="EE", batch=True)
-    q, held = Q + 0.05 * np.random.default_rng(0).normal(size=(5, ROBOT.n)), ck.hold_at(ROBOT, TASK, Q)
-    made = step.batch(q, Ts=0.01, N=4, t=0.0, **given(held))
-    close(made["q"], [ck.solve(LAW, held, one, 0.01, 4, "EE").q[-1] for one in q], atol=1e-9)
-
-
-@NEEDS_C
 def test_names_are_words_of_c():
     task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["a"])})
-    step = ck.export.compiled(ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
-    names = [row["name"] for row in step.manifest["inputs"]["input"]]
-    assert names[1:7:2] == ["left_hand_position", "left_hand_1_position", "task_2_values"]
-
-
-@NEEDS_C
-def test_a_target_in_the_tips_own_frame_is_given_as_in_the_base():
-    """Three coordinates and velocities of each, whatever axes count."""
-    task = ck.stack(drill=ck.pose("x", "z", tip=LEFT, frame="tip"), rest=ck.joints())
-    law = ck.Law(ROBOT, task, alpha=8.0, inverse=ck.damped({"drill": 0.01, "rest": 0.3}))
-    step, held = ck.export.compiled(law, method="EXP-EE"), ck.hold_at(ROBOT, task, Q)
-    where, v = held["drill"].curve, np.array([0.1, -0.2, 0.0, 0.0, 0.0, 0.3])
-    moving = ck.with_feedforward(ck.causal(held["drill"]), v)
-    targets = {"drill_position": where.position, "drill_rotation": where.rotation, "drill_velocity": v}
-    native = step(Q + 0.1, Ts=0.01, rest_values=held["rest"].curve.position, **targets)
-    made = ck.step(law, ck.references(drill=moving, rest=held["rest"]), Q + 0.1, 0.0, 0.01, "EXP-EE")
-    close(native.qdot, made.qdot, atol=1e-9)
-    close(native.e, made.e, atol=1e-12)
+    step = native(ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
+    assert step.names[1:7:2] == ("left_hand_position", "left_hand_1_position", "task_2_values")
 
 
 def test_walls_and_balance_are_described():
@@ -113,5 +98,5 @@ def test_walls_and_balance_are_described():
     named = ck.bounded(walls=[ck.wall(pair, above=0.02, name="left arm")])
     found = parameters(ck.replace(law, limits=named), None)[0]
     assert {"wall_left_arm_one_ends", "wall_left_arm_other_radius", "wall_left_arm_offset"} <= {f.name for f in found}
-    request = Request(law, None, ck.EE, ck.picard(5), np.dtype(float), "step", None)
+    request = Request(law, None, ck.EE, ck.picard(5), np.dtype(float), None)
     assert "?" not in "".join(configuration(request)) and "..." in "".join(configuration(request))

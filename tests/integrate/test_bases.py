@@ -127,10 +127,10 @@ def test_gradients_are_finite_and_right_at_any_turn():
 @pytest.mark.slow
 def test_lanes_step_and_jit_do_what_solve_does():
     q = start(0.1)
-    run = ck.solve(LAW, PATH, q, 0.05, 8, "EXP-AB2")
-    many = ck.lanes(lambda q: ck.solve(LAW, PATH, q, 0.05, 8, "EXP-AB2").q[-1])(np.stack([q, start()]))
+    run = ck.solve(LAW, PATH, q, 0.05, 8, "EXP-MIDPOINT")
+    many = ck.lanes(lambda q: ck.solve(LAW, PATH, q, 0.05, 8, "EXP-MIDPOINT").q[-1])(np.stack([q, start()]))
     np.testing.assert_allclose(many[0], run.q[-1], atol=1e-13)
-    np.testing.assert_allclose(by_steps(LAW, PATH, q, 0.05, 8, "EXP-AB2")[0][-1], run.q[-1], atol=1e-13)
+    np.testing.assert_allclose(by_steps(LAW, PATH, q, 0.05, 8, "EXP-MIDPOINT")[0][-1], run.q[-1], atol=1e-13)
 
 
 def test_a_base_turns_for_ever_in_the_ball():
@@ -159,12 +159,7 @@ def _turned(N, runs):
         assert np.abs(np.diff(w, axis=0)).max() > 3.0  # and comes in again on the other side
 
 
-LIMITS = {
-    "scaling": ck.velocity_scaling,
-    "least norm": ck.weighted_least_norm,
-    "saturation": ck.saturation,
-    "bounded": ck.bounded,
-}
+LIMITS = {"scaling": ck.velocity_scaling, "bounded": ck.bounded}
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n == "bounded" else pytest.mark.slow) for n in LIMITS])
@@ -175,7 +170,7 @@ def test_each_axis_of_a_base_has_its_own_velocity_limit(name):
     run = ck.solve(law, PATH, start(0.1), 0.01, 60)
     ratio = np.abs(run.qdot) / most
     assert ratio.max() == pytest.approx(1.0, abs=1e-9)
-    if name in ("bounded", "saturation"):
+    if name == "bounded":
         assert (ratio[:, :6].max(axis=0) > 0.999).sum() > 1
 
 
@@ -192,7 +187,7 @@ def test_a_posture_draws_a_base_the_shorter_way():
 
 def test_drives_move_a_base():
     law = ck.replace(LAW, alpha=2.0)
-    run = ck.solve(law, PATH, start(0.1), 0.01, 300, "EE", drive=ck.Drive(delay=1.5, lag=0.02, joint_noise=1e-5))
+    run = ck.solve(law, PATH, start(0.1), 0.01, 300, "EE", drive=ck.Drive(delay=1.5, lag=0.02))
     assert np.abs(np.asarray(run.e)[-50:]).max() < 0.03
     with pytest.raises(ck.ArgumentError, match="take velocities on a free base"):
         ck.solve(law, PATH, start(), 0.01, 3, drive=ck.Drive(lag=0.02, command="position"))
@@ -201,17 +196,15 @@ def test_drives_move_a_base():
 def test_rest_is_judged_in_the_chart():
     """Breaks for a loop that is differentiated by the rotation vector: R(z) is then another in each posture."""
     assert ck.spectral_radius(LAW, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
-    found = ck.recommend(LAW, None, start(), Ts=0.01, method="EE", drive=ck.Drive(delay=2))
-    assert found.largest == pytest.approx(61.8, abs=0.1)
 
 
 @pytest.mark.slow
 def test_rest_of_other_methods_and_what_is_said_of_a_run():
-    for method, factor in (("EXP-AB3", np.exp(-0.4)), ("RK4", 1 - 0.4 + 0.08 - 0.064 / 6 + 0.0256 / 24)):
+    for method, factor in (("EXP-MIDPOINT", np.exp(-0.4)), ("RK4", 1 - 0.4 + 0.08 - 0.064 / 6 + 0.0256 / 24)):
         assert ck.spectral_radius(LAW, None, start(), 0.1, method) == pytest.approx(factor, abs=1e-12)
     law = ck.replace(LAW, alpha=230.0)
     said = ck.verdict(law, PATH, ck.solve(law, PATH, start(0.1), 0.01, 50, "EE"), Ts=0.01, method="EE")
-    assert str(said).startswith("diverging") and "spectral radius at rest is 1.3" in str(said)
+    assert said.kind == "growing" and said.change == {"alpha": pytest.approx(25.0)}
 
 
 def test_what_a_free_base_has_not_is_one_line():

@@ -22,23 +22,16 @@ TASKS = {
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse(),
     "damped": ck.damped(0.1),
-    "transpose": ck.transpose(),
-    "manipulability": ck.manipulability_damped(0.1, 2.0),
     "singular": ck.singular_damped(0.1, 2.0),
 }
 KEPT = {
     "free": None,
     "scaled": ck.velocity_scaling(),
-    "weighted": ck.weighted_least_norm(),
-    "saturated": ck.saturation(),
     "bounded": ck.bounded(),
 }
 NULL = {
-    "none": lambda arm, task: None,
-    "constant": lambda arm, task: np.array([0.1, 0.0, -0.1, 0.2])[: arm.n],
-    "posture": lambda arm, task: ck.posture([0.0, 0.3, 0.3, 0.3][: arm.n], 2.0),
-    "manipulability": lambda arm, task: ck.maximize_manipulability(arm, task, 0.5),
-    "function": lambda arm, task: lambda q: -0.3 * jnp.sin(q),
+    "none": lambda arm: None,
+    "posture": lambda arm: ck.posture([0.0, 0.3, 0.3, 0.3][: arm.n], 2.0),
 }
 ENGINES = ("native", "xla")
 METHODS = (
@@ -51,19 +44,19 @@ METHODS = (
     (ck.IE, ck.chord(2, implicit=True)),
 )
 QUICK = [  # every part once
-    ("position", "damped", "saturated", "none", 0),
+    ("position", "damped", "bounded", "none", 0),
     ("pose", "pseudoinverse", "free", "posture", 1),
-    ("weighted", "transpose", "scaled", "constant", 2),
-    ("position", "manipulability", "free", "function", 3),
-    ("weighted", "singular", "weighted", "manipulability", 4),
+    ("weighted", "damped", "scaled", "posture", 2),
+    ("position", "singular", "free", "posture", 3),
+    ("weighted", "singular", "scaled", "none", 4),
     ("position", "damped", "free", "none", 5),
     ("position", "pseudoinverse", "scaled", "none", 6),
     ("weighted", "singular", "bounded", "posture", 1),
 ]
 WHOLE = [  # every inverse with every limit
-    pytest.param(list(TASKS)[i % 3], *pair, list(NULL)[i % 5], i % 7, marks=pytest.mark.slow)
+    pytest.param(list(TASKS)[i % 3], *pair, list(NULL)[i % 2], i % 7, marks=pytest.mark.slow)
     for i, pair in enumerate(itertools.product(INVERSES, KEPT))
-    if pair[1] != "bounded" or pair[0] not in ("pseudoinverse", "transpose")
+    if pair[1] != "bounded" or pair[0] != "pseudoinverse"
 ]
 
 
@@ -72,10 +65,10 @@ def loop(arm, task, inverse, kept, null, number):
     law = ck.Law(
         arm,
         task,
-        alpha=np.diag([4.0] * task.m) + 0.5 if number % 3 == 0 else 4.0,
+        alpha=np.linspace(4.0, 5.0, task.m) if number % 3 == 0 else 4.0,
         inverse=INVERSES[inverse],
         limits=KEPT[kept],
-        null_velocity=NULL[null](arm, task),
+        null_velocity=NULL[null](arm),
         error_clamp=(0.2, 0.5) if number % 2 else None,
     )
     turn = {"rotation": np.array([np.cos(0.4), 0, 0, np.sin(0.4)])} if task.orientation else {}
@@ -119,7 +112,7 @@ def test_reverse_gradients_agree():
     close(*found.values(), atol=1e-11)
 
 
-@pytest.mark.parametrize("limits", [None, pytest.param(ck.saturation(), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("limits", [None, pytest.param(ck.bounded(), marks=pytest.mark.slow)])
 def test_a_whole_pose_of_a_real_arm(limits):
     arm, q0 = ck.panda(), np.array([0.0, -0.3, 0.1, -2.0, 0.0, 1.8, 0.5])
     to = ck.forward(arm, q0 + 0.1)
@@ -131,19 +124,3 @@ def test_a_whole_pose_of_a_real_arm(limits):
     for name in ("q", "x", "e", "qdot"):
         close(*(getattr(run, name) for run in runs.values()), atol=1e-12)
     np.testing.assert_array_equal(*(run.status for run in runs.values()))
-
-
-def test_robots_of_one_shape_share_a_program_of_xla():
-    from cnclik.integrate.solve import solve_soon
-
-    runs = []
-    before = None
-    for length in (1.0, 1.1, 1.2):
-        arm = ck.planar_arm([length, 0.8, 0.5])
-        law = ck.Law(arm, ck.position("xy"), alpha=2.0)
-        with ck.use_engine("plain"):
-            runs.append(ck.solve(law, ck.hold([0.5, 1.0]), [0.3, 0.4, 0.5], 0.1, 7))
-        size = solve_soon._cache_size()
-        assert before in (None, size)
-        before = size
-    assert float(jnp.abs(runs[0].q[-1] - runs[1].q[-1]).max()) > 1e-3

@@ -27,11 +27,10 @@ CIRCLE = on_path()
 
 
 def by_steps(law, reference, q, Ts, N, method):
-    """Joint values and errors of N steps, history handed on: no compilation for another N."""
-    qs, es, history = [q], [], None
+    """Joint values and errors of N steps, one by one: no compilation for another N."""
+    qs, es = [q], []
     for k in range(N):
-        made = ck.step(law, reference, qs[-1], k * Ts, Ts, method, history=history)
-        history = made.history
+        made = ck.step(law, reference, qs[-1], k * Ts, Ts, method)
         qs.append(made.q)
         es.append(made.e)
     return np.array(qs), np.array(es)
@@ -46,22 +45,19 @@ def rate(coarse, fine):
 
 @pytest.mark.parametrize(
     ("method", "alpha"),
-    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0]), ("EXP-AB2", [[2.0, 1.0], [-1.0, 30.0]])],
-    ids=["number", "axes", "matrix"],
+    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0])],
+    ids=["number", "axes"],
 )
 def test_decays_by_the_exact_factor(method, alpha):
-    import scipy.linalg
-
     law = ck.Law(SLIDERS, ck.position("xy"), alpha=np.array(alpha))
-    k = np.diag(np.broadcast_to(alpha, 2)) if np.ndim(alpha) < 2 else np.array(alpha)
     for Ts in (0.01, 0.5, 25.0):
         e = by_steps(law, ck.hold([1.0, -2.0]), np.zeros(2), Ts, 3, method)[1]
-        close(e[2], scipy.linalg.expm(-2 * Ts * k) @ e[0], atol=1e-12)
+        close(e[2], np.exp(-2 * Ts * np.array(alpha)) * e[0], atol=1e-12)
 
 
 def test_a_posture_decays_by_its_own_factor():
     law = ck.Law(SLIDERS, ck.position("x"), alpha=3.0, null_velocity=ck.posture([0.0, 2.0], rate=1.5))
-    for method in ("EXP-MIDPOINT", "EXP-AB2"):
+    for method in ("EXP-MIDPOINT", "EXP-RK4"):
         for Ts in (0.1, 10.0):
             q = by_steps(law, ck.hold([1.0]), np.zeros(2), Ts, 3, method)[0]
             close(q[:, 1], 2 - 2 * np.exp(-1.5 * Ts * np.arange(4)), atol=1e-13)
@@ -87,16 +83,13 @@ def exact_end():
         ("EXP-EE", 1, 40),
         ("EXP-MIDPOINT", 2, 40),
         ("EXP-RK4", 4, 40),
-        ("EXP-AB2", 2, 40),
         pytest.param("EXP-HEUN", 2, 160, marks=pytest.mark.slow),
-        pytest.param("EXP-AB3", 3, 160, marks=pytest.mark.slow),
-        pytest.param("EXP-AB4", 4, 320, marks=pytest.mark.slow),
     ],
 )
 def test_order_of_position_and_joint_path(method, order, N):
     """A redundant arm that starts on its path; EXP-RK4 with steps so fine that they count as exact.
 
-    N: of steps from which on the order shows; with fewer these three show another.
+    N: of steps from which on the order shows; with fewer EXP-HEUN shows another.
     """
     ends = [by_steps(LAW, CIRCLE, START, 1 / n, n, method) for n in (N, 2 * N)]
     paths = [q[-1] - exact_end() for q, _ in ends]
@@ -121,10 +114,7 @@ def tumbling(t):
     [
         ("EXP-EE", 1),
         ("EXP-RK4", 4),
-        *(
-            pytest.param(*m, marks=pytest.mark.slow)
-            for m in (("EXP-MIDPOINT", 2), ("EXP-AB2", 2), ("EXP-AB3", 3), ("EXP-AB4", 4))
-        ),
+        pytest.param("EXP-MIDPOINT", 2, marks=pytest.mark.slow),
     ],
 )
 def test_order_of_orientation(method, order):
@@ -156,8 +146,6 @@ PRINTED = {  # RMS of ‖e‖ over the second half, by a loop written with Pinoc
     "EXP-EE": {(5.0, 0.1): 2.1e-3, (100.0, 0.1): 9.0e-4},
     "EXP-MIDPOINT": {(5.0, 0.1): 1.2e-4, (100.0, 0.1): 5.6e-5},
     "EXP-RK4": {(5.0, 0.1): 6.1e-8, (100.0, 0.1): 3.1e-8},
-    "EXP-AB2": {(5.0, 0.1): 5.7e-4, (100.0, 0.1): 2.7e-4},
-    "EXP-AB4": {(5.0, 0.1): 8.2e-5, (100.0, 0.1): 4.2e-5},
 }
 
 
@@ -211,19 +199,15 @@ def test_a_causal_step_sees_the_targets_start_alone():
     )
 
 
-def test_causal_loops_are_of_order_one_and_a_memory_foretells():
-    """Half the step, half the error with exponential Euler, a quarter of it with EXP-AB2."""
+def test_causal_loops_are_of_order_one():
     hidden = ck.causal(CIRCLE)
-    for method, order in (("EXP-EE", 1), ("EXP-AB2", 2)):
-        coarse, fine = (by_steps(LAW, hidden, START, 1 / N, N, method)[1][-1] for N in (40, 80))
-        assert rate(coarse, fine) == pytest.approx(order, abs=0.2)
+    coarse, fine = (by_steps(LAW, hidden, START, 1 / N, N, "EXP-EE")[1][-1] for N in (40, 80))
+    assert rate(coarse, fine) == pytest.approx(1, abs=0.2)
 
 
-def test_shifted_and_told_references_stay_causal():
-    from cnclik.law.paths import shifted
-
+def test_told_references_stay_causal():
     hidden = ck.causal(CIRCLE)
-    assert not shifted(hidden, LAW.task, (0.0, 0.0)).known and not ck.with_feedforward(hidden, [0.0, 0.0]).known
+    assert not ck.with_feedforward(hidden, [0.0, 0.0]).known
     assert "future unknown" in repr(hidden)
 
 
@@ -241,7 +225,7 @@ def test_damped_directions_keep_what_theory_says():
         close(e[1] @ direction / 1e-7, 1 + np.expm1(-3.0) * s**2 / (s**2 + 0.16), atol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["EXP-EE", pytest.param("EXP-AB3", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["EXP-EE", pytest.param("EXP-RK4", marks=pytest.mark.slow)])
 def test_single_precision(method):
     """Stays in it, and near double precision."""
     wide = ck.solve(LAW, CIRCLE, START, 0.02, 25, method)
@@ -252,13 +236,13 @@ def test_single_precision(method):
 
 def test_lanes_agree():
     law = ck.replace(LAW, inverse=ck.damped(0.05))
-    alone = ck.solve(law, CIRCLE, START, 0.05, 6, "EXP-AB2")
+    alone = ck.solve(law, CIRCLE, START, 0.05, 6, "EXP-MIDPOINT")
     starts = START + 0.1 * np.arange(5)[:, None]
-    many = ck.lanes(lambda q0: ck.solve(law, CIRCLE, q0, 0.05, 6, "EXP-AB2").q[-1])(starts)
+    many = ck.lanes(lambda q0: ck.solve(law, CIRCLE, q0, 0.05, 6, "EXP-MIDPOINT").q[-1])(starts)
     close(many[0], alone.q[-1], atol=1e-13)
 
 
-@pytest.mark.parametrize("method", ["IE", "EXP-EE", "ZNN4"])
+@pytest.mark.parametrize("method", ["IE", "EXP-EE"])
 def test_what_has_no_exponential_form_says_so(method):
     with pytest.raises(ck.ArgumentError, match=f"Argument `method` must be an explicit tableau .*, but is {method}"):
         ck.exponential(method)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.hints import switched_on
+from cnclik.engine.tracing import engine
 from cnclik.integrate.lanes import lanes
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -44,10 +44,10 @@ def _by_source(fn):
     return plain
 
 
-@pytest.fixture(scope="module", params=["hints", "plain", "quick"])
+@pytest.fixture(scope="module", params=[None, "xla", "plain"])
 def tiled(request):
-    with ck.use_hints(request.param != "plain"):
-        yield lanes(_final, tile=8, block=32, cores=2, quick=request.param == "quick")
+    with ck.use_engine(request.param):
+        yield lanes(_final, tile=8, block=32, cores=2)
 
 
 @pytest.mark.parametrize("size", [1, 9, 33])
@@ -120,14 +120,14 @@ def test_every_block_runs_in_the_callers_contexts():
     seen = []
 
     def noted(x):
-        seen.append((x.dtype, switched_on()))
+        seen.append((x.dtype, engine.value))
         return x * 1.000000001
 
     x = np.linspace(0.0, 1.0, 40)
-    with jax.enable_x64(True), ck.use_hints(False):
+    with jax.enable_x64(True), ck.use_engine("plain"):
         found = lanes(noted, tile=4, block=8, cores=2)(x)
     np.testing.assert_array_equal(found, x * 1.000000001)
-    assert set(seen) == {(np.dtype("float64"), False)}
+    assert set(seen) == {(np.dtype("float64"), "plain")}
 
 
 def curve(x):

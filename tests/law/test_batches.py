@@ -17,7 +17,7 @@ import jax, numpy as np, cnclik as ck
 from tests.robot.test_trees import BAXTER, GRIPPERS
 robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
 task = ck.pose(tip=GRIPPERS[0]) & ck.pose(tip=GRIPPERS[1])
-law = ck.Law(robot, task, alpha=10.0, inverse=ck.damped(0.05), limits=ck.saturation())
+law = ck.Law(robot, task, alpha=10.0, inverse=ck.damped(0.05), limits=ck.bounded())
 q = np.array([0, -0.5, 0, 1.2, 0, 0.8, 0] * 2) + 0.1 * np.random.default_rng(0).normal(size=(1024, 14))
 held = ck.hold_at(robot, task, q[0])
 with ck.use_engine("plain"):
@@ -39,8 +39,7 @@ def systems(m, seed=0, count=20):
 
 def solved(a, b, more):
     lower = dense.cholesky(a)
-    other = dense.packed_solve(dense.packed(lower), b)
-    return dense.cholesky_solve(lower, b), dense.cholesky_solve(lower, more), other, dense.inverse_trace(lower)
+    return dense.cholesky_solve(lower, b), dense.cholesky_solve(lower, more), dense.inverse_trace(lower)
 
 
 @pytest.mark.parametrize("m", [1, 6, 26])
@@ -49,7 +48,7 @@ def test_a_batch_is_numpys_one_by_one(m):
     made = jax.jit(jax.vmap(solved))(*given)
     alone = [jax.jit(solved)(*one) for one in zip(*given, strict=True)]
     for k, (a, b, more) in enumerate(zip(*given, strict=True)):
-        wanted = np.linalg.solve(a, b), np.linalg.solve(a, more), np.linalg.solve(a, b), np.trace(np.linalg.inv(a))
+        wanted = np.linalg.solve(a, b), np.linalg.solve(a, more), np.trace(np.linalg.inv(a))
         for one, other, value in zip((v[k] for v in made), alone[k], wanted, strict=True):
             close(one, value, rtol=1e-9, atol=1e-12)
             close(other, value, rtol=1e-9, atol=1e-12)

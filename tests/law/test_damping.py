@@ -8,7 +8,7 @@ import pytest
 
 import cnclik as ck
 
-LAMBDA, EPSILON, W0 = 0.2, 0.5, 0.4
+LAMBDA, EPSILON = 0.2, 0.5
 RNG = np.random.default_rng(3)
 
 
@@ -30,14 +30,11 @@ def formula(name, j):
     s = np.linalg.svd(j, compute_uv=False)
     if name == "damped":
         return LAMBDA**2
-    if name == "manipulability_damped":
-        return LAMBDA**2 * max(1 - np.prod(s) / W0, 0) ** 2
     return LAMBDA**2 * max(1 - (s[-1] / EPSILON) ** 2, 0)
 
 
 INVERSES = {
     "damped": ck.damped(LAMBDA),
-    "manipulability_damped": ck.manipulability_damped(LAMBDA, W0),
     "singular_damped": ck.singular_damped(LAMBDA, EPSILON),
 }
 
@@ -52,8 +49,8 @@ def applied(inverse, j, t):
     ("shape", "name"),
     [
         *itertools.product([(2, 3), (3, 2), (3, 4)], INVERSES),
-        ((6, 7), "manipulability_damped"),
-        *(pytest.param((6, 7), name, marks=pytest.mark.slow) for name in ("damped", "singular_damped")),
+        ((6, 7), "damped"),
+        pytest.param((6, 7), "singular_damped", marks=pytest.mark.slow),
     ],
 )
 def test_values_are_the_formulas(name, shape):
@@ -64,7 +61,7 @@ def test_values_are_the_formulas(name, shape):
         np.testing.assert_allclose(qdot, expected, atol=1e-6)
         smallest = np.linalg.svd(j, compute_uv=False)[-1]
         if name == "singular_damped":  # its threshold hangs on the estimate
-            np.testing.assert_allclose(estimate, smallest, atol=1e-9)
+            np.testing.assert_allclose(estimate, smallest, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", INVERSES)
@@ -75,7 +72,7 @@ def test_derivatives_are_finite_at_singularities_and_right_near_them(name):
     forward, reverse = jax.jit(jax.vmap(lambda j: (jax.jacfwd(fn)(j), jax.jacrev(fn)(j))))(js)
     assert np.isfinite(forward).all()
     np.testing.assert_allclose(forward, reverse, atol=1e-6)
-    for k in (1, 2):  # σ = 0.45 and 0.1: inside both thresholds, away from the kink of |det| at 0
+    for k in (1, 2):  # σ = 0.45 and 0.1: inside both thresholds, away from σ = 0
         step = 1e-6
         for i, l in np.ndindex(2, 3):
             push = np.zeros((2, 3))
@@ -84,11 +81,10 @@ def test_derivatives_are_finite_at_singularities_and_right_near_them(name):
             np.testing.assert_allclose(forward[k][:, i, l], difference, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["manipulability_damped", "singular_damped"])
-def test_parameters_are_checked(name):
+def test_parameters_are_checked():
     for pair, told in (((0, 1), "damping"), ((1, -1), "threshold")):
         with pytest.raises(ck.ArgumentError, match=told):
-            getattr(ck, name)(*pair)
+            ck.singular_damped(*pair)
 
 
 def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
+from cnclik.law.inverse import Pseudoinverse
 from tests.oracles import (
     close,
     damped_inverse,
@@ -23,7 +24,7 @@ ARM = ck.planar_arm(LENGTHS.tolist())
 Q = np.array([0.3, -0.9, 0.6])
 TARGET, VELOCITY = np.array([0.5, 1.2]), np.array([0.3, -0.2])
 REFERENCE = ck.with_feedforward(ck.hold(TARGET), VELOCITY)
-GAINS = {"scalar": 5.0, "per axis": [5.0, 2.0], "matrix": [[5.0, 1.0], [-2.0, 3.0]]}
+GAINS = {"scalar": 5.0, "per axis": [5.0, 2.0]}
 
 
 def qdot(law, q=Q, reference=REFERENCE):
@@ -36,12 +37,12 @@ def oracle(alpha=5.0, q=Q, velocity=VELOCITY, **kwargs):
 
 @pytest.mark.parametrize(
     ("gain", "inverse"),
-    [*((gain, "pseudoinverse") for gain in GAINS), ("matrix", "damped"), ("per axis", "transpose")],
+    [*((gain, "pseudoinverse") for gain in GAINS), ("per axis", "damped")],
 )
 def test_gains_and_inverses(gain, inverse):
     alpha = GAINS[gain]
-    ours = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.3), "transpose": ck.transpose()}[inverse]
-    theirs = {"pseudoinverse": np.linalg.pinv, "damped": damped_inverse(0.3), "transpose": np.transpose}[inverse]
+    ours = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.3)}[inverse]
+    theirs = {"pseudoinverse": np.linalg.pinv, "damped": damped_inverse(0.3)}[inverse]
     found = qdot(ck.Law(ARM, ck.position("xy"), alpha=alpha, inverse=ours))
     close(found, oracle(alpha, inverse=theirs), atol=1e-13)
 
@@ -61,32 +62,29 @@ def test_weights():
     law = ck.Law(ARM, weighted, alpha=5.0, inverse=ck.damped(0.3))
     close(qdot(law), damped_inverse(0.3)(j) @ v, atol=1e-13)
     close(qdot(ck.Law(ARM, weighted, alpha=5.0)), oracle(), atol=1e-13)  # full rank: no effect
-    # One joint, two coordinates: weighted least squares, as the transpose has it.
-    one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0, inverse=ck.transpose())
+    # One joint, two coordinates: weighted least squares.
+    one = ck.Law(ck.planar_arm([0.7]), weighted, alpha=5.0, inverse=ck.damped(0.3))
     q = np.array([0.4])
     j = np.diag(w) @ planar_jacobian(LENGTHS[:1], q)
     v = VELOCITY + 5 * (TARGET - planar_position(LENGTHS[:1], q))
-    close(qdot(one, q), j.T @ (w * v), atol=1e-13)
+    close(qdot(one, q), damped_inverse(0.3)(j) @ (w * v), atol=1e-13)
 
 
-@pytest.mark.parametrize("form", ["array", "function", "tuple"])
-def test_null_velocity(form):
-    wanted = np.array([1.0, -0.5, 0.25])
-    null = {"array": wanted, "function": lambda q: wanted + 0 * q, "tuple": lambda q: tuple(wanted)}[form]
-    law = ck.Law(ARM, ck.position("xy"), alpha=5.0, null_velocity=null)
-    close(qdot(law), oracle(null=wanted), atol=1e-13)
+def test_a_posture_pulls_in_the_null_space():
+    rest = np.array([1.0, -0.5, 0.25])
+    law = ck.Law(ARM, ck.position("xy"), alpha=5.0, null_velocity=ck.posture(rest, 2.0))
+    close(qdot(law), oracle(null=2.0 * (rest - Q)), atol=1e-13)
     moved = qdot(law) - qdot(ck.replace(law, null_velocity=None))
     close(planar_jacobian(LENGTHS, Q) @ moved, 0, atol=1e-14)  # J q̇_null = 0
     assert np.linalg.norm(moved) > 0.1
 
 
-def test_null_velocity_may_depend_on_q_and_close_over_traced_values():
+def test_the_rate_of_a_posture_may_be_traced():
     law = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 
     def joint(k, q):
-        return qdot(ck.replace(law, null_velocity=lambda q: -k * q), q)
+        return qdot(ck.replace(law, null_velocity=ck.posture(np.zeros(3), k)), q)
 
-    close(joint(2.0, Q), oracle(null=-2 * Q), atol=1e-13)
     close(jax.grad(lambda k: joint(k, Q)[0])(2.0), (oracle(null=-3 * Q) - oracle(null=-2 * Q))[0], atol=1e-13)
     many = jax.vmap(joint, (0, None))(jnp.arange(3.0), Q)
     close(many[2], oracle(null=-2 * Q), atol=1e-13)
@@ -140,13 +138,15 @@ def test_kinds_of_joint_values_and_times(q):
 
 def test_single_precision_loop_in_a_double_precision_session():
     """The loop runs in the dtype of q, whatever the dtypes of gains, targets and times."""
-    law = ck.Law(ARM, ck.position("xy"), alpha=np.float64(5), inverse=ck.damped(0.1), null_velocity=np.ones(3))
+    law = ck.Law(
+        ARM, ck.position("xy"), alpha=np.float64(5), inverse=ck.damped(0.1), null_velocity=ck.posture(np.ones(3))
+    )
     made = ck.step(law, ck.path(lambda t: (0.5, np.float64(1.2) + t)), Q.astype(np.float32), 0, 1, "CN")
     assert {v.dtype for v in (made.q, made.e, made.qdot, made.residual)} == {jnp.dtype(jnp.float32)}
 
 
 def test_gains_at_the_edge_and_traced_ones_pass():
-    for alpha in (0, [0.0, 1.0], [[0.0, 1.0], [-1.0, 0.0]], np.ones((2, 2), np.float32)):
+    for alpha in (0, [0.0, 1.0], np.ones(2, np.float32)):
         ck.Law(ARM, ck.position("xy"), alpha=alpha)
     jax.jit(lambda a: ck.Law(ARM, ck.position("xy"), alpha=a).alpha)(-1.0)
     ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
@@ -162,26 +162,22 @@ XY = ck.position("xy")
     [
         (lambda: ck.Law(3, XY, alpha=1.0), "`chain` must be a Chain, but is int"),
         (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
-        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), r"`alpha` must have shape \(\) or \(2,\) or \(2, 2\), but has"),
+        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), r"`alpha` must have shape \(\) or \(2,\), but has"),
         (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
         (lambda: ck.Law(ARM, XY, alpha="5"), "`alpha` must"),
         (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
         (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
         (lambda: ck.Law(ARM, XY, alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
-        (lambda: ck.Law(ARM, XY, alpha=[[1.0, 3.0], [3.0, 1.0]]), "`alpha` must have no eigenvalue of negative real"),
+        (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
         (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=-1.0), "`alpha` must not be negative"),
         (
             lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),
             r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
         ),
         (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),
-        (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=[1, 2]), r"`null_velocity` must have shape \(3,\), but has"),
+        (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
         (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
         (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
-        (
-            lambda: qdot(ck.Law(ARM, XY, alpha=1, null_velocity=lambda q: q[:1])),
-            r"`null_velocity` must return shape \(3,\), but returns shape \(1,\)",
-        ),
         (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=np.ones(3)), r"`alpha` must have shape"),
         (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), r"`reference` must give positions of 2"),
         (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "of 3 coordinates"),
@@ -203,7 +199,7 @@ SCARA = ck.from_dh([0.5, 0.4, 0.0, 0.0], [0.0] * 4, [0.0] * 4, kinds="RRPR", vel
 
 
 SLIDING = {"gantry": (GANTRY, "xy"), "scara": (SCARA, "z"), "panda": (ck.panda(), "z")}
-INVERSES = [ck.damped(0.1), ck.transpose(), ck.singular_damped(0.1, 0.1), ck.pseudoinverse()]
+INVERSES = [ck.damped(0.1), ck.singular_damped(0.1, 0.1), ck.pseudoinverse()]
 
 
 @pytest.mark.parametrize(
@@ -220,7 +216,8 @@ def test_joints_that_a_task_does_not_see(name, inverse):
         law = ck.Law(arm, ck.position(task), alpha=2.0, inverse=inverse, limits=limits)
         return ck.step(law, ck.hold([0.3] * len(task)), q, 0.0, 0.1, method)
 
-    for limits in (ck.velocity_scaling(), ck.weighted_least_norm(), ck.saturation(), None):
+    bounded = () if isinstance(inverse, Pseudoinverse) else (ck.bounded(),)
+    for limits in (ck.velocity_scaling(), None, *bounded):
         made = jax.eval_shape(jax.vmap(functools.partial(step, limits, "EE")), q)
         assert made.q.shape == made.qdot.shape == (1, arm.n) and made.q.dtype == made.qdot.dtype == np.float32
     qdot = jax.jit(jax.vmap(functools.partial(step, None, "EE")))(q).qdot[0]

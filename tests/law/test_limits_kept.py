@@ -26,8 +26,7 @@ KINDS = {
     "narrow": ([0.2 - 1e-3, -2.0], [0.2 + 1e-3, 2.0]),
     "none": ([-INF, -INF], [INF, INF]),
 }
-LIMITS = {"scaling": ck.velocity_scaling(), "weights": ck.weighted_least_norm()}
-LIMITS |= {"saturation": ck.saturation(), "bounded": ck.bounded()}
+LIMITS = {"scaling": ck.velocity_scaling(), "bounded": ck.bounded()}
 # A tableau whose combination of slopes may be faster than each of them.
 EXTREME = ck.Method(name="EXTREME", A=((), (0.25,)), b=(-1.0, 2.0), c=(0.0, 0.25), order=2, source="b < 0")
 METHODS = {
@@ -38,14 +37,11 @@ METHODS = {
     "IE picard": ("IE", ck.picard(2)),
     "CN chord": ("CN", ck.chord(2)),
     "IE newton": ("IE", ck.newton(2)),
-    "AB3": ("AB3", ck.picard(5)),
-    "ZNN4": ("ZNN4", ck.picard(5)),
     "EXP-EE": ("EXP-EE", ck.picard(5)),
     "EXP-MIDPOINT": ("EXP-MIDPOINT", ck.picard(5)),
-    "EXP-AB2": ("EXP-AB2", ck.picard(5)),
 }
-QUICK = {("weights", "EE"), ("saturation", "IE picard"), ("weights", "EXP-AB2"), ("saturation", "EXP-MIDPOINT")}
-QUICK |= {("scaling", "EXTREME"), ("bounded", "CN chord")}
+QUICK = {("bounded", "EE"), ("bounded", "IE picard"), ("bounded", "CN chord"), ("bounded", "EXP-MIDPOINT")}
+QUICK |= {("scaling", "EXTREME")}
 
 
 def law_of(limits, lower, upper, speed, arm=ARM, **more):
@@ -105,50 +101,6 @@ def test_kept(limits, name, dtype):
     assert status.any()
 
 
-PACES = {"velocity": (), "acceleration": (1.0,), "jerk": (1.0, 10.0), "little jerk": (1.0, 1.0)}
-
-
-@pytest.mark.parametrize(
-    ("limits", "smooth", "dtype"),
-    [
-        pytest.param("weights", "velocity", np.float64, marks=pytest.mark.slow),
-        ("weights", "jerk", np.float64),
-        ("saturation", "jerk", np.float32),
-        pytest.param("bounded", "jerk", np.float64, marks=pytest.mark.slow),
-        pytest.param("bounded", "acceleration", np.float32, marks=pytest.mark.slow),
-        pytest.param("weights", "acceleration", np.float32, marks=pytest.mark.slow),
-        pytest.param("weights", "jerk", np.float32, marks=pytest.mark.slow),
-        pytest.param("saturation", "acceleration", np.float64, marks=pytest.mark.slow),
-        pytest.param("weights", "little jerk", np.float64, marks=pytest.mark.slow),
-        pytest.param("bounded", "little jerk", np.float64, marks=pytest.mark.slow),
-    ],
-)
-def test_kept_at_a_pace(limits, smooth, dtype):
-    """Braking took joints up to 2.6 rad past a limit; in float32 they stood still there, whatever was sent. Later
-    one in a hundred still went past, by 0.1 rad: weights let them go at full speed until they are there."""
-    low, high = np.array([-2.0, -1.0, -1.0]), np.array([2.0, 1.3, 1.0])
-    rng, B = np.random.default_rng(0), 300 if "little" not in smooth else 4000
-    starts, targets = low + (high - low) * rng.random((B, 3)), 2.2 * rng.uniform(-1, 1, (B, 2))
-    alpha, speed, strong = (10 ** rng.uniform(*ends, B) for ends in ((0.0, 1.5), (-0.2, 0.7), (0.3, 1.5)))
-    arm = ck.replace(ck.planar_arm([1.0, 0.8, 0.6]), lower=tuple(low), upper=tuple(high))
-
-    def one(q0, target, alpha, velocity, most):
-        law = ck.Law(arm, ck.position("xy"), alpha=alpha, inverse=ck.damped(0.02), limits=LIMITS[limits])
-        more = {name: most * times for name, times in zip(("acceleration", "jerk"), PACES[smooth], strict=False)}
-        return ck.solve(law, ck.hold(target), q0, 0.02, 150, "EE", pace=ck.Pace(velocity=velocity, **more))
-
-    made = [v.astype(dtype) for v in (starts, targets, alpha, speed, strong)]
-    run = jax.jit(jax.vmap(one))(*made)
-    q, qdot = np.asarray(run.q, float), np.asarray(run.qdot, float)
-    assert np.maximum(q - high, low - q).max() <= 10 * np.finfo(dtype).eps
-    assert (np.minimum(high - q, q - low).min((1, 2)) < 1e-3).sum() > 20  # they come to their limits
-    rounding = 100 * np.finfo(dtype).eps
-    np.testing.assert_allclose(np.diff(q, axis=1) / 0.02, qdot, atol=rounding / 0.02)
-    if smooth != "velocity":
-        change = np.abs(np.diff(qdot, axis=1, prepend=0.0)).max((1, 2)) / (0.02 * strong)
-        assert change.max() <= 1 + rounding / 0.02
-
-
 URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
 <joint name="1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
 <limit lower="0" upper="1e16" velocity="0"/></joint>
@@ -159,8 +111,7 @@ URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link 
 <joint name="tip" type="fixed"><parent link="d"/><child link="e"/><origin xyz="0.5 0 0"/></joint></robot>"""
 
 
-@pytest.mark.parametrize("limits", ["weights", "bounded"])
-def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
+def test_limits_from_a_file_and_as_numbers(tmp_path):
     """One-sided, and a joint of one value: with the first passed, joint 1 went to −1.796."""
     (tmp_path / "arm.urdf").write_text(URDF)
     read = ck.load_urdf(str(tmp_path / "arm.urdf"), tip="e")
@@ -168,15 +119,14 @@ def test_limits_from_a_file_and_as_numbers(limits, tmp_path):
     written = ck.from_dh([0.5] * 3, [0.0] * 3, [0.0] * 3, **more)
     runs = []
     for arm in (read, written):
-        law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.01), limits=LIMITS[limits])
+        law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.01), limits=ck.bounded())
         runs.append(ck.solve(law, ck.hold([0.6, -1.0]), [0.2, 0.5, 0.5], 0.01, 300, "EE"))
     q = np.asarray(runs[0].q)
     np.testing.assert_allclose(q, runs[1].q, atol=1e-12)
     assert q[:, 0].min() >= 0.0 and np.abs(q[:, 1]).max() <= 2.0 and np.all(q[:, 2] == 0.5)
 
 
-@pytest.mark.parametrize("limits", ["saturation", "bounded"])
-def test_a_joint_of_one_value_is_no_joint(limits):
+def test_a_joint_of_one_value_is_no_joint():
     """The arm moves as one whose second joint is welded, and is not at a limit all the time."""
     bend = 0.9
     welded = ck.planar_arm([np.hypot(0.5 + 0.4 * np.cos(bend), 0.4 * np.sin(bend)), 0.3])
@@ -184,7 +134,7 @@ def test_a_joint_of_one_value_is_no_joint(limits):
     fixed = ck.replace(ARM, lower=(-INF, bend, -INF), upper=(INF, bend, INF))
     runs = []
     for arm, q0 in ((fixed, [0.2, bend, 0.7]), (welded, [0.2 + turned, 0.7 + bend - turned])):
-        law = ck.Law(arm, ck.position("xy"), alpha=8.0, inverse=ck.damped(0.01), limits=LIMITS[limits])
+        law = ck.Law(arm, ck.position("xy"), alpha=8.0, inverse=ck.damped(0.01), limits=ck.bounded())
         runs.append(ck.solve(law, ck.hold([0.3, 0.7]), q0, TS, N, "EE"))
     assert np.all(np.asarray(runs[0].q)[:, 1] == bend) and np.linalg.norm(runs[0].e[-1]) < 1e-3
     np.testing.assert_allclose(runs[0].e, runs[1].e, atol=1e-9)
@@ -200,9 +150,8 @@ def mirrored(i):
 @pytest.mark.parametrize(
     ("limits", "i", "method"),
     [
-        ("weights", 0, "EE"),
-        ("saturation", 1, "EE"),
-        *(pytest.param(*of, "EXP-AB2", marks=pytest.mark.slow) for of in (("weights", 1), ("bounded", 0))),
+        ("bounded", 1, "EE"),
+        pytest.param("bounded", 0, "EXP-MIDPOINT", marks=pytest.mark.slow),
     ],
 )
 def test_a_mirrored_axis_gives_a_mirrored_run(limits, i, method):
@@ -217,16 +166,10 @@ def test_a_mirrored_axis_gives_a_mirrored_run(limits, i, method):
     np.testing.assert_allclose(other * sign, plain, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("limits", "pace"),
-    [
-        *((name, None) for name in LIMITS),
-        pytest.param("weights", ck.Pace(acceleration=9.0, jerk=200.0), marks=pytest.mark.slow),
-    ],
-)
-def test_gradients_are_finite(limits, pace):
+@pytest.mark.parametrize("limits", LIMITS)
+def test_gradients_are_finite(limits):
     def loss(low, high, speed, q0, target):
-        run = ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, 10, "EE", pace=pace)
+        run = ck.solve(law_of(limits, low, high, speed), ck.hold(target), q0, TS, 10, "EE")
         return jnp.sum(run.e[-1] ** 2) + jnp.sum(run.q[-1])
 
     made = cases(np.float64)

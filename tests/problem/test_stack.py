@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import importlib
 import re
 
 import jax
@@ -134,22 +133,6 @@ def test_a_path_in_a_file_lies_beside_the_stack(tmp_path):
     close(p.reference["a"].curve(1.0)[0], [0.7, 0.4, 0.2], atol=1e-6)
 
 
-@pytest.mark.slow
-def test_a_stack_climbs_the_manipulability_of_its_tips():
-    tables = {"hands": {"task": "position", "tip": GRIPPERS}, "one": {"task": "joints", "joints": ["left_s0"]}}
-    p = made(tables, damping=0.05, manipulability=2.0, N=60)
-    task = ck.position(tip=GRIPPERS[0]) & ck.position(tip=GRIPPERS[1])
-    first, last = (float(ck.manipulability(ROBOT, q, task)) for q in (p.q0, p.run().q[-1]))
-    assert last > 1.01 * first
-
-
-def test_a_task_in_the_tips_own_frame():
-    p = made({"drill": {"task": "xy", "tip": GRIPPERS[0], "frame": "tip", "reference": "circle"}}, damping=0.05)
-    by_hand = ck.stack(drill=ck.position("xy", tip=GRIPPERS[0], frame="tip")).on(ROBOT)
-    assert str(p.law.task) == str(by_hand) and p.law.task.tied
-    assert np.isfinite(p.run().e).all() and p.reference["drill"].curve(0.0)[0].shape == (3,)
-
-
 def test_a_level_has_one_damping_and_tasks_without_levels_have_their_own():
     one, two, three = ({"tip": GRIPPERS[0], "task": task} for task in ("position", "rx", "ry"))
     p = made({"b": two | {"level": 2}, "a": one | {"level": 1, "damping": 0.01},
@@ -212,8 +195,8 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND | {"level": 1}}, {}, "`tasks.hands.damping` must be given, for its level or for all tasks"),
         (
             {"hands": HAND | {"level": 1}},
-            {"inverse": "transpose", "damping": 0.1},
-            "`inverse` must be one of damped, .* for a stack whose tasks have levels or dampings, but is 'transpose'",
+            {"inverse": "pseudoinverse", "damping": 0.1},
+            "`inverse` must be one of damped, .* for a stack whose tasks have levels or dampings, but is 'pseudoinv",
         ),
         ({"hands": HAND | {"damping": 0.1}}, {"inverse": "pseudoinverse"}, "`inverse` must be one of damped"),
         ({"hands": HAND | {"level": 0, "damping": 1}}, {}, "`tasks.hands.level` must be at least 1"),
@@ -235,7 +218,7 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
             {},
             "`tasks.rest.damping` must be that of its level, 0.1, but is 0.05",
         ),
-        ({"hands": HAND | {"inverse": "transpose"}}, {"damping": 0.1}, "`tasks.hands.inverse` must be one of damped,"),
+        ({"hands": HAND | {"inverse": "pseudoinverse"}}, {"damping": 0.1}, "`tasks.hands.inverse` must be one of damp"),
         ({"hands": HAND | {"relative_to": "base"}}, {}, r"`tasks.hands.relative_to` must be moved by .*\(leave it out"),
         ({"a b": HAND}, {}, "`tasks` must have names of letters, digits and _, but has 'a b'"),
         ({"hands": 1}, {}, "`tasks.hands` must be a table of options, but is 1"),
@@ -248,9 +231,7 @@ HAND, REST = {"task": "position", "tip": GRIPPERS[0]}, {"task": "joints"}
         ({"hands": HAND}, {"posture": [0] * 14}, "`posture` must be left out .*: a posture is one of its"),
         ({"hands": HAND | {"alpha": 1}}, {"alpha": (3.0,)}, "`alpha` must be left out where every task has its own"),
         ({"hands": HAND | {"damping": 1}}, {"damping": 0.1}, "`damping` must be left out where every task has its own"),
-        ({"rest": REST}, {"manipulability": 1.0}, "`manipulability` must be left out for a task without a tip"),
-        ({"hands": HAND | {"frame": "tool"}}, {}, "`tasks.hands.frame` must be one of base, tip"),
-        ({"rest": REST | {"frame": "tip"}}, {}, "`tasks.rest.frame` must be left out for the task 'joints'"),
+        ({"hands": HAND | {"frame": "tip"}}, {}, "`tasks.hands` must hold known options, but holds 'frame'"),
         ({"hands": HAND}, {"stack": "a.toml"}, "`tasks` must be left out where `stack` is given"),
     ],
 )  # fmt: skip
@@ -286,43 +267,32 @@ def judged(p):
     return ck.verdict(p.law, p.reference, p.run(), Ts=p.Ts, method=p.method, stage=p.stage)
 
 
-def test_a_verdict_tells_what_each_task_did(problem):
+def test_a_verdict_has_a_line_for_each_task(problem):
     told = judged(problem)
-    assert told.kind == "settled in part" and told.radius < 1
-    assert "hands " in told.sentence and "(follows), rest " in told.sentence
-    assert "each level yields" in told.sentence and "together" not in told.sentence  # of joints nothing is out of reach
+    assert told.kind == "following" and set(told.tasks) == {"hands", "rest"}
+    assert re.search(r"; hands .* .rad .following.; rest .* .rad .following.", told.sentence), told
 
 
 @pytest.mark.slow
-def test_a_verdict_of_a_stack_that_settles_and_of_one_that_shakes():
+def test_a_verdict_of_a_stack_that_settles_and_of_one_that_swings():
     tables = {
         "hands": HAND | {"target": "700 300 200 mm", "alpha": 20.0, "damping": 0.01},
         "rest": REST | {"damping": 0.5},
     }
     q0 = 0.3 + np.zeros(14)
     fine = judged(made(tables, N=600, q0=q0, alpha=1e-3))
-    assert "hands " in fine.sentence and "settled)" in fine.sentence, fine.sentence
+    assert re.search(r"hands [\w. ]+ \(settled\)", fine.sentence), fine
     tables["hands"]["alpha"] = 250.0
-    shaking = judged(made(tables, N=600, q0=q0, method="EE"))
-    assert shaking.kind in ("shaking", "diverging") and shaking.radius > 1
-    assert shaking.remedies and "Reduce alpha" in shaking.sentence, shaking.sentence
-
-
-@pytest.mark.slow
-def test_what_lags_without_feed_forward_is_told_so():
-    tables = {"hands": HAND | {"reference": "circle", "radius": 0.05, "period": 2.0, "damping": 1e-3},
-              "rest": REST | {"damping": 0.5}}  # fmt: skip
-    told = judged(made(tables, N=300, feedforward=0.0))
-    assert told.kind == "settled with lag" and "Feed the velocity forward" in told.sentence, told.sentence
+    swinging = judged(made(tables, N=600, q0=q0, method="EE"))
+    assert swinging.kind in ("swinging", "growing") and "Give hands an alpha of at most 25 1/s" in swinging.sentence
 
 
 @pytest.mark.slow
 def test_a_target_that_no_posture_has_is_out_of_reach():
-    told = judged(
-        made({"hands": HAND | {"target": [5.0, 0, 0], "damping": 0.3}, "rest": REST | {"damping": 0.6}}, N=300)
-    )
-    assert told.kind == "out of reach" and np.isfinite(told.error)
-    assert re.search(r"hands.left_gripper gets no nearer to its target than 3\.\d+ m", told.sentence), told.sentence
+    tables = {"hands": HAND | {"target": [5.0, 0, 0], "damping": 0.3}, "rest": REST | {"damping": 0.6}}
+    told = judged(made(tables, N=300))
+    assert told.kind == "held back" and np.isfinite(told.error)
+    assert re.search(r"out of reach: the nearest posture found is 3\.\d+ m away", told.sentence), told
 
 
 def fork(targets, q0, **options):
@@ -339,17 +309,14 @@ def fork(targets, q0, **options):
 @pytest.mark.slow
 def test_targets_that_only_each_alone_has_are_out_of_reach_together():
     told = fork({"left": [-1.8, 0.0], "right": [1.8, 0.0]}, [0.1, 0.3, -0.3])
-    assert told.kind == "out of reach", told.sentence
-    assert "each tip by itself can be at its target, all of them together can't" in told.sentence
-    assert re.search(r"off by left.left_tip .* m, right.right_tip .* m", told.sentence), told.sentence
+    assert told.kind == "held back" and "out of reach: the nearest posture found is 1.06 m away" in told.sentence, told
 
 
 @pytest.mark.slow
-def test_targets_that_a_posture_has_are_held_back_by_something_else():
-    """Straight arms that point away from their targets: no first step leads there, and another start does."""
+def test_targets_that_a_posture_has_are_not_called_out_of_reach():
+    """Straight arms that point away from their targets: no first step leads there."""
     told = fork({"left": [0.0, 1.2]}, [0.0, 0.0, 0.3])
-    assert told.kind == "settled in part" and "all targets can be reached together" in told.sentence, told.sentence
-    assert "start elsewhere" in told.remedy.lower(), told.sentence
+    assert told.kind == "held back" and "out of reach" not in told.sentence, told
 
 
 @pytest.mark.slow
@@ -367,32 +334,6 @@ def test_a_humanoid_in_c(monkeypatch):
 
 def test_every_option_of_a_task_says_what_it_is():
     assert all(one.help.endswith(".") for one in OF_TASK.values())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("limits", [ck.bounded(), ck.saturation()], ids=["bounded", "saturation"])
-def test_a_verdict_of_many_rows_within_limits_comes(limits):
-    """Breaks where the maps of all gains are one batch of LAPACK, whose threads may wait for each other for good."""
-    tasks = ck.stack(left=ck.pose(tip=GRIPPERS[0]), right=ck.pose(tip=GRIPPERS[1]), rest=ck.joints())
-    inverse = ck.levels(["left", "right"], ["rest"], damping=(1e-2, 1.0))
-    law = ck.Law(ROBOT, tasks, alpha=10.0, inverse=inverse, limits=limits)
-    q0 = np.array([0, -0.5, 0, 1.2, 0, 0.8, 0] * 2)
-    held = ck.hold_at(ROBOT, tasks, q0 + 0.05)
-    assert "settled" in ck.verdict(law, held, ck.solve(law, held, q0, 0.01, 100), Ts=0.01).kind
-
-
-def test_one_gain_of_many_rows_is_one_lane(monkeypatch):
-    """Lanes of many rows are looked at one after the other: filled up to 128 they took 1.6 s of CPU time, not 0.04."""
-    spectrum = importlib.import_module("cnclik.stability.spectrum")  # a function has the name, too
-    sizes, made = [], spectrum._tiles
-    monkeypatch.setattr(spectrum, "_tiles", lambda *a: sizes.append(len(a[3])) or made(*a))
-    task = ck.stack(hand=ck.pose(tip=GRIPPERS[0]), other=ck.position("z", tip=GRIPPERS[1]))
-    law, q = ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), np.full(14, 0.3)
-    moved, rows = spectrum.step_maps(
-        law, ck.hold_at(ROBOT, task, q), q, np.array([1.0, 2.0]), np.full(2, 0.1), ck.METHODS["EE"], ck.picard(1)
-    )
-    assert sizes == [1, 1] and moved.shape == (2, 14, 14) and rows.shape == (7, 14)
-    close(moved[1] - np.eye(14), 2 * (moved[0] - np.eye(14)), atol=1e-5)
 
 
 def test_the_default_start_is_far_from_singularities_of_all_tips_together(monkeypatch):

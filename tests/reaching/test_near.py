@@ -5,10 +5,10 @@ The instances of a table: of the eight robots in full they are slow, and few by 
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching.map import turns_evenly
 from cnclik.reaching.seeds import spans, turned
 from cnclik.reaching.units import in_units
 from tests.integrate.test_real_robots import ROBOTS, folder
@@ -336,7 +336,7 @@ def test_at_limit_names_a_joint():
     where = np.concatenate(
         [tips(ck.ur5(), drawn(ck.ur5(), 60))[:, :3, 3], np.random.default_rng(0).uniform(-0.8, 0.8, (60, 3))]
     )
-    made = ck.reach(held, (where, turns_evenly(120)))
+    made = ck.reach(held, (where, Rotation.random(120, random_state=0).as_matrix()))
     at_limit = made.status == ReachStatus.AT_LIMIT
     assert at_limit.sum() > 20 and made.at_limit[at_limit].any(axis=1).all()
     assert not made.at_limit[np.isnan(made.q).any(axis=1)].any()

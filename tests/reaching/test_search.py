@@ -7,12 +7,12 @@ import pytest
 
 import cnclik as ck
 from cnclik.engine.compiler import can_build
-from cnclik.hints import shares_threads
 from cnclik.reaching import native, search, single, strategy
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.seeds import SETS, compared, seeds
 from cnclik.reaching.single import Programs
 from cnclik.task.build import pose
+from cnclik.threads import shares_threads
 from tests.reaching.test_reach import WRIST, drawn, tips
 
 

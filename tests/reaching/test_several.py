@@ -114,43 +114,6 @@ def test_tasks_joined_and_tasks_of_several_tips():
 
 
 @both_ways
-def test_targets_as_the_tip_sees_them():
-    """All three axes of its own ask for what the base's do; with two of them a hand's axis goes through a point that
-    lies along it, farther than the arm is long, and points as the target's does."""
-    q = drawn(TWO, 12, seed=14)
-    left, right = where(TWO, q, LEFT), where(TWO, q, RIGHT)
-    task = ck.stack(left=ck.pose("xy", "xy", tip=LEFT, frame="tip"), right=ck.pose(tip=RIGHT, frame="tip"))
-    along = np.random.default_rng(14).uniform(-5, 5, (12, 1)) * left[1][:, :, 2]
-    made = ck.reach(TWO, {"left": (left[0] + along, left[1]), "right": right}, task=task)
-    assert made.solved.all()
-    close(where(TWO, made.q, RIGHT)[0], right[0], atol=1e-6)
-    place, turn = where(TWO, made.q, LEFT)
-    seen = np.einsum("bij,bi->bj", turn, left[0] + along - place)
-    close(seen[:, :2], 0, atol=1e-6)
-    close(np.einsum("bi,bi->b", turn[:, :, 2], left[1][:, :, 2]), 1, atol=1e-10)
-    close(made["left"].position_error, np.linalg.norm(seen[:, :2], axis=1), atol=1e-12)
-
-
-@pytest.mark.slow
-def test_derivatives_as_the_tip_sees_them():
-    task, near = ck.position("xy", tip=LEFT, frame="tip"), drawn(TWO, 1, seed=15)[0]
-    target = np.add(ck.forward(TWO, near, tip=LEFT).position, [0.02, 0.01, 0.0])
-
-    def answer(target):
-        return ck.reach(TWO, target, task=task, near=near).q
-
-    slope, toward = jax.jacfwd(answer)(target), np.array([0.6, -0.3, 0.2])
-    at = answer(target)
-    law = ck.Law(TWO, task, alpha=1.0)
-
-    def error(h):
-        return ck.solve(law, ck.hold(target + h * toward), at + h * slope @ toward, 0.01, 1).e[0]
-
-    before, after = error(0.0), error(1e-4)
-    np.testing.assert_allclose(after, before, atol=1e-7)  # to first order the answer goes with its target
-
-
-@both_ways
 def test_the_same_coordinates_in_one_task_or_in_two():
     """On one robot: a pose has one target, a position and an orientation by their names have two."""
     q = drawn(TWO, 12, seed=12)

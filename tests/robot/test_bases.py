@@ -9,7 +9,6 @@ import cnclik as ck
 from cnclik.robot.model import frames, jacobian_rows, modelled
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
-from cnclik.show.viewer.meshes import placed
 from tests.robot.test_mjcf import HUMANOID
 from tests.robot.test_trees import ROBOTS
 from tests.robot.test_urdf import ROOT, long_chain
@@ -146,15 +145,10 @@ def test_a_planar_joint_moves_across_its_axis_and_turns_about_it(axis):
     np.testing.assert_allclose(j[3:, 2], axis)
 
 
-def test_options_and_meshes_know_the_base(tmp_path):
+def test_options_know_the_base(tmp_path):
     (tmp_path / "arm.urdf").write_text(long_chain(3), encoding="utf-8")
     problem = ck.problem_from(tmp_path / "arm.urdf", base="free", task="position", N=3)
     assert problem.law.chain.joint_names[3:6] == ("base_rx", "base_ry", "base_rz")
-    tree = read_urdf(tmp_path / "arm.urdf")
-    for base, count in (("free", 6), ("planar", 3)):
-        frames_of = placed(tree, None, base)
-        assert frames_of["world"][0] == 0 and frames_of[tree.root][0] == count
-        np.testing.assert_array_equal(frames_of[tree.root][1], np.eye(4))
 
 
 def test_what_a_base_cannot_be_is_one_line():

@@ -238,7 +238,6 @@ BAD = [
         r"`tool` must be one pose: .*, or a position \(3,\), but is \[\[1, 2\], \[3\]\]",
     ),
     (lambda: ck.manipulability(ck.planar_arm([1.0]), [0.0], type(ck.position())), "`task` must be a Task such as"),
-    (lambda: ck.reachability(5, "xz"), "`chain` must be a Chain, but is int"),
     (lambda: ck.planar_arm([1.0], joint_names={"a": 1}), "`joint_names` must hold 1 different names"),
     (lambda: ck.with_tool("arm", [0.0, 0.0, 1.0]), "`chain` must be a Chain, but is str"),
     (lambda: ck.jacobian(3, [0.0]), "`chain` must be a Chain, but is int"),

@@ -177,8 +177,9 @@ def test_the_centre_of_mass_is_mujocos(name, tips):
         data.qpos[model.jnt_qposadr[model.joint(joint).id]] = value
     for joint, value in still(model).items():
         data.qpos[model.jnt_qposadr[model.joint(joint).id]] = value
-    if name == "mixed":  # what follows a joint that is a coordinate, on a way to no tip, stands as at 0
-        data.qpos[model.jnt_qposadr[model.joint("right").id]] = 0.01 + 0.002
+    if name == "mixed":  # what follows a joint, on a way to no tip, follows it in the masses
+        left = dict(zip(robot.joint_names, q, strict=True)).get("left", 0.0)
+        data.qpos[model.jnt_qposadr[model.joint("right").id]] = 0.01 + 0.002 + 0.8 * left
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     place, turn = data.body("pelvis").xpos if name == "humanoid" else np.zeros(3), np.eye(3)

@@ -6,7 +6,9 @@ import pytest
 
 trimesh = pytest.importorskip("trimesh")
 
-from cnclik.show.viewer import meshes  # noqa: E402
+from xml.etree import ElementTree  # noqa: E402
+
+from cnclik.show.viewer import shapes  # noqa: E402
 
 
 def robot(folder, *names):
@@ -16,6 +18,10 @@ def robot(folder, *names):
     joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>'
     (folder / "arm.urdf").write_text(f'<robot name="r"><link name="a">{seen}</link><link name="b"/>{joint}</robot>')
     return folder / "arm.urdf"
+
+
+def meshes(file):
+    return shapes.link_meshes(file.resolve(), ElementTree.parse(file).find("link"))
 
 
 def mesh(folder):
@@ -38,7 +44,7 @@ def test_meshes_of_its_own_package_are_drawn(kind, tmp_path):
     if package:
         (tmp_path / "arm/package.xml").write_text(f"<package><name>{package}</name></package>")
     for name in (*names, f"file://{part}"):
-        (drawn,) = meshes.mesh_parts(robot(tmp_path / "arm" / where, name))
+        (drawn,) = meshes(robot(tmp_path / "arm" / where, name))
         assert len(drawn.faces) == 12
 
 
@@ -64,5 +70,5 @@ def test_no_other_mesh_of_the_disk_is_reached(package, tmp_path):
         *("package://arm/link.stl", "package://", "package:///", "://", ""),
     ]  # fmt: skip
     for name in names:
-        assert meshes.mesh_parts(robot(inside / "urdf", name)) == [], name
-        assert meshes.mesh_parts(robot(inside, name)) == [], name
+        assert meshes(robot(inside / "urdf", name)) == [], name
+        assert meshes(robot(inside, name)) == [], name

@@ -30,13 +30,12 @@ def test_a_figure_that_fails_costs_only_itself(tmp_path):
             ["stability", "planar:1,1", "--map", "--cells", "2", "--N", "4", "--method", "EE", "--Ts", "0.1"],
             {"map.nc"},
         ),
-        (["reach", "planar:1,1", "--map", "xy", "--cells", "4", "--task", "position"], {"map.npz"}),
     ],
-    ids=["plane", "map", "reach"],
+    ids=["plane", "map"],
 )
 def test_what_draws_may_be_missing(words, kept, tmp_path, monkeypatch, capsys):
     for name in ("matplotlib.pyplot", *(m for m in sys.modules if m.startswith("cnclik.show."))):
-        if name not in ("cnclik.show.output", "cnclik.show.report"):
+        if name != "cnclik.show.output":
             monkeypatch.setitem(sys.modules, name, None)  # so that importing it fails
     with pytest.raises(SystemExit) as left:
         main([*words, "--out", str(tmp_path)])

@@ -7,7 +7,6 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 
 import cnclik as ck
-from cnclik import markup
 from cnclik.measure import to_dataset
 from cnclik.show import run as pictures
 from cnclik.show import style
@@ -99,13 +98,13 @@ def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
 
 def test_what_is_lost_is_red_and_a_warning_amber():
     status = np.zeros(N, int)
-    status[:3] = ck.Status.DIVERGED, ck.Status.AT_LIMIT, ck.Status.RESTARTED
+    status[:2] = ck.Status.DIVERGED, ck.Status.AT_LIMIT
     shown = pictures.status(to_dataset(run(status=status), LAW)).axes[0]
     names = [label.get_text() for label in shown.get_yticklabels()]
     colors = [to_rgb(bars.get_facecolor()[0][:3]) for bars in shown.collections if len(bars.get_paths())]
-    rows = ("at limit", "restarted", "diverged")
+    rows = ("at limit", "diverged")
     assert sorted(names.index(name) for name in rows) == [names.index(name) for name in rows]
-    assert colors == [to_rgb(color) for color in (markup.WARNING, "0.6", markup.LOST)]
+    assert colors == [to_rgb(color) for color in (style.WARNING, style.LOST)]
 
 
 def test_status_has_a_row_for_every_bit():

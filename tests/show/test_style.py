@@ -15,7 +15,7 @@ from cnclik.show import style
 
 
 def test_every_method_has_a_line_of_its_own():
-    plain = {name for name, m in METHODS.items() if m.steps == 1 and not m.exponential}
+    plain = {name for name, m in METHODS.items() if not m.exponential}
     assert plain | {name for name in METHODS if name.startswith("EXP-")} <= set(style.METHODS) <= set(METHODS)
     for one, other in itertools.combinations(plain, 2):
         one, other = style.METHODS[one], style.METHODS[other]
@@ -135,20 +135,6 @@ def test_errors_at_rounding_stretch_no_axis_and_the_largest_is_below_its_top():
     style.log_errors(panel, [norm])
     low, high = panel.get_ylim()
     assert 1e-6 < low < 1e-5 and 1.1e-3 < high < 2e-3
-    plt.close(figure)
-
-
-def test_names_of_contours_are_apart_and_within_the_panel():
-    x, y = np.meshgrid(np.geomspace(0.01, 1, 60), np.geomspace(1, 100, 50))
-    with style.style():
-        figure, panel = plt.subplots()
-        panel.loglog()
-        z = x * y
-        drawn = panel.contour(x, y, z, levels=[0.011, 0.1, 1, 1.05, 10], colors="black")
-        style.label_contours(panel, drawn, lambda v: style.plain(v, decimal=False))
-    at = (panel.transData + panel.transAxes.inverted()).transform([t.get_position() for t in drawn.labelTexts])
-    assert [t.get_text() for t in drawn.labelTexts] == ["$10^{-1}$", "$10^{1}$"]  # not in a corner, not on another line
-    assert ((at > 0.1) & (at < 0.9)).all() and np.hypot(*(at[0] - at[1])) > 0.2
     plt.close(figure)
 
 

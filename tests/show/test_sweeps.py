@@ -13,7 +13,7 @@ from matplotlib.cbook import STEP_LOOKUP_MAP
 
 from cnclik.errors import ArgumentError
 from cnclik.show import style, sweeps
-from cnclik.show.sweeps import panels, planes
+from cnclik.show.sweeps import kinds as drawn_kinds
 from cnclik.show.sweeps.layout import arrange, defaults, views
 
 METHODS = ["EE", "IE", "CN"]
@@ -138,7 +138,7 @@ def test_selections_suffixes_and_middles():
         ({"kind": "slices", "panels": "method", "select": {"method": "EE"}}, "`figure.panels` must be one of"),
         ({"kind": "slices", "select": {"method": "RK4"}}, "`figure.select.method` must be one of EE, IE, CN"),
         ({"kind": "best", "among": "stage"}, "`figure.among` must be one of"),
-        ({"kind": "convergence", "value": "max_error"}, "be a history"),
+        ({"kind": "heat", "value": "error"}, "`figure.value` must be one of max_error, evaluations"),
     ],
 )
 def test_figures_that_cannot_be(table, words):
@@ -151,7 +151,7 @@ def test_figures_that_cannot_be(table, words):
 
 def test_defaults_follow_from_the_grid():
     kinds = [t["kind"] for t in defaults(data(**PLANE))]
-    assert kinds == ["heat", "best", "work", "convergence"]
+    assert kinds == ["heat", "best", "work"]
     line = data(alpha=np.linspace(1, 2, 4)).drop_vars(["evaluations", "error"])
     assert [t["kind"] for t in defaults(line)] == ["slices"]
     starts = data(q0=np.arange(5)).drop_vars(["evaluations", "error"])
@@ -171,32 +171,19 @@ def test_the_datas_own_figures_and_names_that_repeat():
 def test_scales_follow_the_values():
     layout = arrange(data(**PLANE), {"kind": "heat"})
     wide, narrow = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
-    found = panels.norm(np.append(wide, [np.inf, np.nan]), layout)
+    found = drawn_kinds.norm(np.append(wide, [np.inf, np.nan]), layout)
     assert isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1e-9, 1.0)
-    found = panels.norm(np.append(wide, [2e3, 1e57]), layout)  # two that ran away
+    found = drawn_kinds.norm(np.append(wide, [2e3, 1e57]), layout)  # two that ran away
     assert (found.vmin, found.vmax) == (1e-9, 1.0)
-    found = panels.norm(narrow, layout)
+    found = drawn_kinds.norm(narrow, layout)
     assert not isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1, 2)
-    assert (panels.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin) == 0.1
-    assert not isinstance(panels.norm(wide, layout._replace(log=False)), colors.LogNorm)
-    assert panels.norm(np.full(3, np.nan), layout).vmax == 1
-    assert panels.norm(np.zeros(4), layout._replace(log=True)).vmax == 0  # nothing that a logarithm could show
-    assert panels.geometric(np.geomspace(1e-3, 2, 9)) and not panels.geometric(np.linspace(1, 2, 9))
-    assert not panels.geometric([1, 2]) and not panels.geometric(["a", "b", "c"]) and not panels.geometric([2, 2, 2])
-    assert not panels.geometric([0.0, 1.0, 2.0])
-
-
-def test_rough_is_chaos_and_not_a_steep_flank():
-    x, y = np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 30))
-    flank = 10 ** (9 * x + 2 * y)
-    assert not planes.rough(flank).any()
-    noise = 10 ** np.random.default_rng(1).uniform(0, 3, x.shape)
-    both = np.where(x > 0.5, noise, 1e-3 * 10**x)
-    found = planes.rough(both)
-    large = (noise > 10**1.6) & (x > 0.6)
-    assert not found[:, :18].any() and found[large].mean() > 0.95
-    infinite = np.where(x > 0.5, np.inf, 1.0)
-    assert not planes.rough(infinite)[:, :15].any() and not planes.rough(np.full((5, 5), np.inf)).any()
+    assert (drawn_kinds.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin) == 0.1
+    assert not isinstance(drawn_kinds.norm(wide, layout._replace(log=False)), colors.LogNorm)
+    assert drawn_kinds.norm(np.full(3, np.nan), layout).vmax == 1
+    assert drawn_kinds.norm(np.zeros(4), layout._replace(log=True)).vmax == 0  # nothing that a logarithm could show
+    assert style.geometric(np.geomspace(1e-3, 2, 9)) and not style.geometric(np.linspace(1, 2, 9))
+    assert not style.geometric([1, 2]) and not style.geometric(["a", "b", "c"]) and not style.geometric([2, 2, 2])
+    assert not style.geometric([0.0, 1.0, 2.0])
 
 
 # --- the theory's boundary ----------------------------------------------------------------------------
@@ -257,9 +244,9 @@ def test_no_boundary_where_the_data_carry_none_or_one_that_is_not_of_this_plane(
 def test_who_is_best_beyond_every_limit_is_not_said():
     found = data(**PLANE)
     layout = arrange(found, {"kind": "best", "x": "alpha", "y": "Ts"})
-    beyond = planes.beyond_every_limit(found.max_error, layout)
+    beyond = drawn_kinds.beyond_every_limit(found.max_error, layout)
     np.testing.assert_array_equal(beyond, np.outer(found.Ts, found.alpha) > 2.0)
-    assert not planes.beyond_every_limit(data(**PLANE, limit=False).max_error, layout).any()
+    assert not drawn_kinds.beyond_every_limit(data(**PLANE, limit=False).max_error, layout).any()
     (figure,) = drawn(found, {"kind": "best", "x": "alpha", "y": "Ts"}).values()
     shown = figure.axes[0].collections[0].get_array()
     np.testing.assert_array_equal(np.ma.getmaskarray(shown), beyond | (np.arange(10) == 9)[:, None])
@@ -274,7 +261,6 @@ def test_who_is_best_beyond_every_limit_is_not_said():
         ({"kind": "heat", "x": "alpha", "y": "Ts"}, "α [1/s]", "Ts [s]"),
         ({"kind": "best", "x": "Ts", "y": "alpha"}, "Ts [s]", "α [1/s]"),
         ({"kind": "slices", "x": "alpha"}, "α [1/s]", "error ‖e‖, largest [m]"),
-        ({"kind": "convergence"}, "step k", "error ‖e[k]‖ [m]"),
         ({"kind": "distribution", "over": "Ts"}, "error ‖e‖, largest [m]", "share of loops at or below"),
         ({"kind": "work", "select": {"alpha": 5.0}}, "evaluations of f(q, t)", "error ‖e‖, largest [m]"),
     ],
@@ -320,12 +306,6 @@ def test_curves_hold_the_datas_numbers():
     for line, values in zip(figure.axes[0].lines, here.values, strict=True):
         np.testing.assert_array_equal(line.get_ydata()[:-1], values[:-1])
         assert np.isnan(line.get_ydata()[-1])  # infinite: a gap
-    (figure,) = drawn(found, {"kind": "convergence"}).values()
-    np.testing.assert_array_equal(figure.axes[0].lines[2].get_ydata(), found.error[2, 6, 5])  # long axes: their middle
-    many = data(method=METHODS, q0=np.arange(20))
-    (figure,) = drawn(many, {"kind": "convergence"}).values()
-    np.testing.assert_allclose(figure.axes[0].lines[1].get_ydata(), np.median(many.error[1], axis=0))
-    assert len(figure.axes[0].collections) == 3  # with the band of each
     (figure,) = drawn(found, {"kind": "distribution", "over": "Ts"}).values()
     line = figure.axes[0].lines[0]
     assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
@@ -334,10 +314,8 @@ def test_curves_hold_the_datas_numbers():
 
 
 def test_values_spread_over_decades_have_a_logarithmic_axis():
-    from cnclik.show.sweeps.panels import geometric
-
-    assert geometric([0.1, 0.2, 0.5, 1, 2, 5, 50]) and geometric([1, 2, 4])
-    assert not geometric([0, 1, 100]) and not geometric(range(1, 101)) and not geometric([1.0, 2.0, 3.0])
+    assert style.geometric([0.1, 0.2, 0.5, 1, 2, 5, 50]) and style.geometric([1, 2, 4])
+    assert not any(map(style.geometric, ([0, 1, 100], range(1, 101), [1.0, 2.0, 3.0])))
 
 
 def test_lines_that_are_not_methods_have_looks_of_their_own():
@@ -366,14 +344,6 @@ def test_no_error_at_all_lies_on_a_logarithmic_axis():
     (figure,) = drawn(found, {"kind": "slices", "x": "z", "log": True}).values()
     panel = figure.axes[0]
     assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
-
-
-def test_areas_of_the_best_are_named_where_they_are_large():
-    found = data(method=METHODS, alpha=np.geomspace(1, 40, 60), Ts=np.geomspace(0.01, 0.5, 60), limit=False)
-    found.max_error[:] = xarray.DataArray([2.0, 3.0, 1.0], dims="method")
-    found.max_error[0, -1:] = 0.5  # a strip too narrow for words
-    (figure,) = drawn(found, {"kind": "best", "x": "alpha", "y": "Ts"}).values()
-    assert [t.get_text() for t in figure.axes[0].texts if "z =" not in t.get_text()] == ["CN"]
 
 
 def test_a_mean_of_verdicts_is_called_a_share():

@@ -1,160 +1,168 @@
-"""Verdicts on random loops are true of runs twenty times as long, and their remedies mend; see `loops`."""
+"""What needs a robot: advice on a law's rates, the spectrum of its own step, and maps of whole loops."""
 
-import dataclasses
-
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import cnclik as ck
-from tests.stability import loops
+from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive
+from cnclik.stability import advise, amplification, gains, spectral_radius, stability_limit, stability_map
+from cnclik.stability.maps import limit_table, plane, plane_page
+
+PANDA = ck.panda()
+Q = np.array([0.2, -0.785, 0.1, -2.2, 0.1, 1.6, 0.785])
+PLANAR = ck.planar_arm([1.0, 1.0, 1.0])
+QP = np.array([0.3, 0.9, -0.5])
 
 
-def _judged(number, numbers):
-    return loops.judge(loops.family(number), numbers)
+# --- advice ---------------------------------------------------------------------------------------------
 
 
-def wrong(number, numbers):
-    found = _judged(number, numbers)
-    told = [f"{one['about']}: {one['false']}: {one['said']}" for one in found if one["false"]]
-    vain = [(one["about"], one["said"], told) for one in found for told in one["remedies"] if not told["good"]]
-    kinds = {one["kind"] for one in found}
-    return told, vain, kinds, sum(kind["kind"] == "too short to tell" for kind in found)
+def test_each_rate_of_a_law_is_beside_its_gains():
+    tasks = ck.stack(hand=ck.position(), turn=ck.orientation(), rest=ck.joints())
+    law = ck.Law(
+        PANDA, tasks, alpha={"hand": 8.0, "turn": 80.0, "rest": 0.0},
+        inverse=ck.levels(["hand"], ["turn"], ["rest"], damping=(1e-3, 0.02, 0.3)),
+        limits=ck.bounded(rate=12.0, walls=[ck.wall(ck.position("z"), above=0.1, rate=5.0, name="table")]),
+    )  # fmt: skip
+    drive = Drive(delay=3)
+    said = advise(law, Ts=0.01, drive=drive)
+    assert [one.name for one in said.rates] == ["hand", "turn", "rest", "joint limits", "wall table"]
+    assert (
+        said.gains == gains(Ts=0.01, drive=drive) or said.gains.recommended == gains(Ts=0.01, drive=drive).recommended
+    )
+    assert said.unstable == ("turn",) and said.above == ("turn", "joint limits")
+    assert "turn: 80 1/s (z = 0.8), UNSTABLE" in str(said) and "rest: 0 asks for no motion" in str(said)
+    euler = gains(Ts=0.01, drive=drive, method="EE")
+    assert said.rates[-1].limits.recommended == euler.recommended  # walls act on velocities
+    assert said.rates[0].response.alpha == 8.0 and said.rates[1].response is None
 
 
-@pytest.mark.parametrize("number", [2, pytest.param(19, marks=pytest.mark.slow), 22])
-def test_no_verdict_is_false_and_no_remedy_vain(number):
-    told, vain, kinds, short = wrong(number, range(14))
-    assert not told and not vain
-    assert len(kinds) >= 3 and short < 10  # it does not get away with saying nothing
+def test_a_posture_has_the_gains_of_a_task():
+    law = ck.Law(PANDA, ck.position(), alpha=2.0, null_velocity=ck.posture(Q, 30.0))
+    said = advise(law, Ts=0.01, drive=Drive(delay=3))
+    assert said.above == ("posture",) and said.rates[1].rate == 30.0
+
+
+def test_a_task_of_ones_own_needs_no_posture():
+    """A look-at task, whose error is a function of its target."""
+
+    def looks(robot, q, target):
+        pose = ck.forward(robot, q)
+        away = pose.rotation.T @ (target - pose.position)
+        return away[1:] / jnp.linalg.norm(away)
+
+    look = ck.function(
+        lambda robot, q: ck.forward(robot, q).rotation[:2, 0], ["y", "z"], ["1", "1"], error=looks, target=3
+    )
+    tasks = ck.stack(hand=ck.position(), look=look, rest=ck.joints())
+    levels = ck.levels(["hand"], ["look"], ["rest"], damping=(1e-3, 0.02, 0.3))
+    said = advise(ck.Law(PANDA, tasks, alpha=1.0, inverse=levels), Ts=0.01, method="EE", drive=Drive(delay=3))
+    assert [one.name for one in said.rates] == ["hand", "look", "rest"] and not said.above
+
+
+def test_different_drives_and_different_gains_have_no_limit():
+    """Recommended gains of two lags, tried at a posture where rows are nearly parallel: the true loop grows."""
+    tasks = ck.stack(x=ck.position("x"), y=ck.position("y"))
+    arm, drive = ck.planar_arm([1.0, 1.0]), Drive(delay=2, lag=[0.2, 0.02])
+    with pytest.raises(ArgumentError, match="one gain for all"):
+        advise(ck.Law(arm, tasks, alpha={"x": 1.147, "y": 0.014}), Ts=0.01, method="EE", drive=drive)
+    said = advise(ck.Law(arm, tasks, alpha={"x": 1.0, "y": 1.0}), Ts=0.01, method="EE", drive=drive)
+    assert said.gains.recommended == pytest.approx(
+        gains(Ts=0.01, method="EE", drive=Drive(delay=2, lag=0.2)).recommended
+    )
+
+
+# --- the spectrum, and the gains as its bound -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["EE", "CN", "RK4", "EXP-MIDPOINT"])
+def test_with_an_exact_inverse_the_radius_is_that_of_the_method(method):
+    law = ck.Law(PANDA, ck.pose(), alpha=40.0)
+    for Ts in (0.01, 0.045):
+        expected = abs(amplification(method, 40.0 * Ts, 5))
+        assert spectral_radius(law, None, Q, Ts, method, ck.picard(5)) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("number", "loop", "kind"),
+    "law",
     [
-        pytest.param(8, 19, "no progress", id="a null-space motion stirs up 2e-8 m at a target it starts on"),
-        pytest.param(9, 6, "no progress", id="how long a null-space velocity pulls is not known"),
-        pytest.param(15, 1, "shaking", id="limits next to a singularity, then it is there", marks=pytest.mark.slow),
-        pytest.param(16, 30, "ringing", id="an error that turns with its circle", marks=pytest.mark.slow),
-        pytest.param(28, 6, "converging", id="held back next to a singularity", marks=pytest.mark.slow),
-    ],
-)
-def test_what_nobody_can_know_is_not_said(number, loop, kind):
-    """These were said, with remedies that did nothing."""
-    of = loops.family(number)
-    ((drawn, _, whole),) = loops.grouped([(loops.draw(of, loop), of)])
-    run = loops.cut(drawn, of, whole)
-    said = loops.said_of(drawn, run, of)
-    assert str(said.kind) != kind, said.sentence
-    assert said.kind != "too short to tell" or "not known" in said.sentence, said.sentence
-    assert not loops.falsehood(drawn, said, run, whole, of)
-    assert not any("N" in one.change for one in said.remedies)
-
-
-@pytest.mark.parametrize(
-    ("number", "loop", "said"),
-    [
-        pytest.param(35, 9, "no better: reduce alpha", id="a circle that less gain leads astray, too"),
-        pytest.param(8, 7, "Use limits=velocity_scaling(). Run", id="the null space is not what is too fast"),
-        pytest.param(45, 14, "Run for N=", id="the time constants at the end are not those of the way there"),
-        pytest.param(26, 29, "no better: reduce alpha", id="joints that hardly moved move less"),
-        pytest.param(10, 38, "Run for N=1500", id="at N = 710 it shrinks, and how long for was not known"),
-        pytest.param(14, 33, "no better: reduce alpha", id="through a lag", marks=pytest.mark.slow),
-        pytest.param(23, 26, "no better: reduce the gain", id="a null space that is late", marks=pytest.mark.slow),
-        pytest.param(33, 32, "no better: reduce alpha", id="less gain lags more", marks=pytest.mark.slow),
-    ],
-)
-def test_a_remedy_is_tried_before_it_is_named(number, loop, said):
-    """These were named and did not help; an N did not decide."""
-    (one,) = _judged(number, [loop])
-    assert said in one["said"] and not one["false"], one["said"]
-    assert all(told["good"] for told in one["remedies"]), one["remedies"]
-
-
-@pytest.mark.parametrize(
-    ("number", "loop", "seed", "paced", "said"),
-    [
-        pytest.param(47, 39, 11, 0.0, "the error gets as large as", id="a circle that touches a singularity, settled"),
-        pytest.param(
-            14, 36, 11, 0.17, "Run for N=", id="joints that the path turns, at N = 810", marks=pytest.mark.slow
+        ck.Law(PLANAR, ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3)),
+        ck.Law(PLANAR, ck.position("xy"), alpha=[20.0, 7.0], null_velocity=ck.posture(np.zeros(3), 5.0)),
+        ck.Law(
+            PLANAR, ck.stack(tip=ck.position("xy"), rest=ck.joints()), alpha={"tip": 20.0, "rest": 9.0},
+            inverse=ck.levels(["tip"], ["rest"], damping=(1e-2, 0.1)),
         ),
-        pytest.param(26, 4, 0, 1.0, "no better: reduce", id="calm at the end of the trial", marks=pytest.mark.slow),
-        pytest.param(
-            28, 5, 61, 0.17, "no better: reduce", id="farther, and four times the error", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            *(48, 0, 61, 0.17, "no better: reduce"),
-            id="shakes instead of ringing",
-            marks=[pytest.mark.slow, pytest.mark.xfail(strict=False, reason="chaotic: trials depend on roundings")],
-        ),
-        pytest.param(13, 13, 31, 0.17, "Use inverse=damped(0.024)", id="five million steps", marks=pytest.mark.slow),
     ],
-)
-def test_what_a_path_does_later_counts(number, loop, seed, paced, said):
-    """Along a path errors come and go, and joints turn without shaking: these verdicts and remedies were wrong."""
-    (one,) = loops.judge(loops.family(number, seed), [loop], seed, paced=paced)
-    assert said in one["said"] and not one["false"], one["said"]
-    assert all(told["good"] for told in one["remedies"]), one["remedies"]
+    ids=["damped", "posture", "levels"],
+)  # fmt: skip
+@pytest.mark.parametrize(("method", "stage"), [("EE", None), ("CN", 5), ("IE", 4), ("RK4", None), ("EXP-EE", None)])
+def test_no_gain_below_the_limit_is_unstable_by_the_loops_own_step(law, method, stage):
+    limit = min(stability_limit(method, stage), 10.0)
+    Ts = 0.999 * limit / 20.0
+    assert spectral_radius(law, None, QP, Ts, method, ck.picard(stage or 0)) < 1 + 1e-9
 
 
-def test_what_later_steps_contradict_is_not_said():
-    """A null-space velocity pulls the arm away: "diverging", "converging", "shaking", and it came to rest there."""
-    found = loops.judge(loops.family(14, seed=1), [1, 6, 34, 37], seed=1)
-    assert not any(one["false"] for one in found)
-    assert {one["kind"] for one in found} == {"too short to tell"}
-    assert all("run on, for 4096 steps in all, the error is at most" in one["said"] for one in found[:3])
-    # One that shakes first, as its null space is unstable where it began, is told what would have kept it calm.
-    assert [told["mends"] for told in found[2]["remedies"]] == ["motion"] and found[2]["remedies"][0]["good"]
+def test_it_is_differentiable_and_checks_rest():
+    law = ck.Law(PLANAR, ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3))
+    with jax.enable_x64(True):
+        slope = jax.grad(lambda Ts: spectral_radius(law, None, jnp.asarray(QP), Ts, "EE"))(0.09)
+    step = 1e-6
+    ends = [float(spectral_radius(law, None, QP, Ts, "EE")) for Ts in (0.09 - step, 0.09 + step)]
+    assert slope == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
+    with pytest.raises(ArgumentError, match="`q` must be at rest"):
+        spectral_radius(law, ck.hold([1.0, 1.0]), QP, 0.01, "EE")
+    with pytest.raises(ArgumentError, match="`Ts` must be positive"):
+        spectral_radius(law, None, QP, 0.0, "EE")
 
 
-def test_the_draws_do_not_depend_on_the_pace():
-    """Figures of loops without a pace stay comparable; a part of the loops has one, of three kinds."""
-    of = loops.family(3)
-    paces = [loops.draw_pace(of, i, 0, 0.5) for i in range(40)]
-    some = [one for one in paces if one is not None]
-    assert 10 < len(some) < 30 and len({(one.acceleration is None, one.jerk is None) for one in some}) == 3
-    assert all(loops.draw_pace(of, i, 0, 0.0) is None for i in range(40))
+# --- maps -----------------------------------------------------------------------------------------------
 
 
-def test_a_loop_that_rests_between_whiles_at_its_pace_shakes():
-    """Unstable at rest, it comes to rest within its pace and leaves it again: how long a run decides was not known."""
-    of = loops.family(0, seed=1)
-    for N in (1300, 4000):
-        loop = dataclasses.replace(loops.draw(of, 0, 1), pace=loops.draw_pace(of, 0, 1, 0.17), N=N)
-        how = dict(drive=of.drive, pace=loop.pace)
-        run = ck.solve(loop.law, loop.reference, loop.q0, float(loop.Ts), N, of.method, of.stage, **how)
-        said = loops.said_of(loop, run, of)
-        assert said.kind == "shaking" and said.remedies[0].change.keys() == {"alpha"}, said.sentence
+LAW = ck.Law(PLANAR, ck.position("xy"), alpha=5.0)
+TARGET = ck.hold(np.asarray(ck.forward(PLANAR, QP).position)[:2] + np.array([0.05, -0.05]))
 
 
-def test_an_error_that_swings_shrinks_all_the_same():
-    """It passes near zero on its way down: no quarter is below the least of the one before."""
-    (one,) = loops.judge(loops.family(9, seed=1), [8], seed=1)
-    assert one["kind"] == "converging" and not one["false"], one["said"]
-    assert all(told["good"] for told in one["remedies"]) and one["remedies"]
+@pytest.mark.parametrize(("method", "drive"), [("EE", Drive()), ("RK4", Drive()), ("EE", Drive(delay=2))])
+def test_loops_end_as_the_gains_predict(method, drive):
+    alpha, Ts = np.geomspace(5.0, 80.0, 12), np.array([0.02, 0.05, 0.1])
+    data = stability_map(LAW, TARGET, QP, alpha=alpha, Ts=Ts, method=method, drive=drive, N=400)
+    assert data.ending.dims == ("Ts", "alpha") and data.limit.attrs["units"] == "1/s"
+    z, limit = data.alpha.values, data.limit.values[:, None]
+    np.testing.assert_allclose(data.limit, [gains(Ts=T, method=method, drive=drive).largest_stable for T in Ts])
+    clear = np.abs(z / limit - 1) > 0.05
+    assert ((data.ending.values <= 1) == (z < limit))[clear].all()
 
 
-def test_a_run_of_a_batch_that_amplifies_roundings_is_not_refused():
-    """What grew in its steps cancelled in those of a start moved one way: it was called the run of another loop."""
-    (one,) = loops.judge(loops.family(2, seed=101), [11], seed=101, remedies=False)
-    assert not one["false"], one["said"]
+def test_passes_are_an_axis():
+    z = np.linspace(0.1, 1.6, 16)
+    data = stability_map(LAW, TARGET, QP, alpha=z / 0.1, Ts=0.1, M=[0, 1, 2, 5], method="CN", N=200)
+    assert data.ending.dims == ("M", "alpha") and float(data.Ts) == 0.1
+    np.testing.assert_allclose(data.limit * 0.1, [stability_limit("CN", M) for M in (0, 1, 2, 5)])
+    clear = np.abs(z / (0.1 * data.limit.values[:, None]) - 1) > 0.05
+    assert ((data.ending.values <= 1) == (z < 0.1 * data.limit.values[:, None]))[clear].all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(50))
-def test_no_verdict_of_many_is_false(number):
-    told, vain, _, _ = wrong(number, range(40))
-    assert not told and not vain
+def test_a_plane_has_regions_and_limits():
+    data = plane(("EE", "IE"), (0, 5), points=21)
+    assert list(data.stage.values) == ["", "picard(0)", "picard(5)", "exact"]
+    assert data.region.shape == (4, 21, 21) and limit_table(data)[0][0] == ["EE", "", "2.0000", "1.0000"]
+    assert "| EE" in plane_page(data)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "numbers"),
+    ("change", "words"),
     [
-        pytest.param(37, [23], id="an error that shrinks on its path"),
-        pytest.param(47, [0, 4, 36], id="one that shrinks, and joints that a circle turns at a pace"),
-        pytest.param(48, [4], id="one that shrinks, held by limits"),
+        (dict(Ts=0.0), "`Ts` must be positive"),
+        (dict(M=[1, 2], method="EE"), "`method` must be implicit where M is given"),
+        (dict(M=[0.5], method="CN"), "`M` must be whole"),
+        (dict(alpha=1.0), "hold several values"),
+        (dict(N=2), "`N` must be at least 4"),
+        (dict(alpha=[np.nan]), "`alpha` must be finite"),
     ],
 )
-def test_what_shrinks_and_does_not_arrive_is_not_converging(number, numbers):
-    """These were converging, and one shaking, to which no longer run came, and no gain helped."""
-    for one in loops.judge(loops.family(number, 61), numbers, 61, paced=0.17):
-        assert not one["false"] and all(told["good"] for told in one["remedies"]), one
+def test_bad_maps_are_named(change, words):
+    with pytest.raises(ArgumentError, match=words):
+        stability_map(LAW, TARGET, QP, **(dict(alpha=[1.0, 2.0], Ts=0.1) | change))

@@ -28,9 +28,8 @@ from cnclik import cache
 from cnclik.cli import main as cnclik
 from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
-from cnclik.tuning import Descent
 
-INVERSES = (ck.pseudoinverse, lambda: ck.damped(0.05), ck.transpose)
+INVERSES = (ck.pseudoinverse, lambda: ck.damped(0.05))
 GROWTH = 1.05  # of the median of the last third over that of the second
 
 
@@ -85,7 +84,7 @@ def everything(rng, folder):
         )(gain),
         "lanes": lanes,
         "reach": lambda: ck.reach(law.chain, np.append(run.x[-1], 0.0), task=law.task),
-        "recommend": lambda: ck.recommend(law, None, q, Ts=Ts),
+        "gains": lambda: ck.gains(Ts=Ts, drive=ck.Drive(delay=int(rng.integers(0, 9)), lag=float(gain) / 100)),
         "verdict": lambda: ck.verdict(law, reference, run, Ts=Ts, method=method),
         "sweep": lambda: ck.sweep(
             lambda alpha: ck.measure_run(
@@ -93,7 +92,7 @@ def everything(rng, folder):
             ),
             alpha=[1.0, gain],
         ),
-        "tune": lambda: ck.tune(law, reference, q, Ts=Ts, N=10, descent=Descent(steps=2)),
+        "tune": lambda: ck.tune(law, reference, q, Ts=Ts, N=10, steps=3),
         "plot": figure,
         "files": files,
         "command": lambda: cnclik(["robots", str(folder / "arm.urdf")]),

@@ -116,7 +116,7 @@ def same(one, other):
         np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
 
 
-LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "saturation"}
+LIMITED = {"inverse": "singular-damped", "damping": 0.05, "threshold": 0.1, "limits": "bounded"}
 TABLES = [
     {},
     {"from": [1, 1], "to": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "near_singular": 0.1},
@@ -130,7 +130,7 @@ TABLES = [
         "stage": "chord",
         "M": 2,
     },
-    {"target": [1, 0.5], "manipulability": 0.5, "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
+    {"target": [1, 0.5], "posture": [0.1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "q0": [0.1, 1.0]} | LIMITED,
     {"robot": "planar-clockwise", "lengths": [1.0, 2.0], "task": "xy"},
 ]
 
@@ -182,7 +182,7 @@ def test_samples_per_joint_are_as_many_as_the_robot_has():
 def test_the_linear_limit_is_a_value():
     s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="picard", axes__method=["EE", "IE", "CN"]))
     gains = {m: float(s.build(method=m, M=np.int64(2), z=0.5, lift=0.0).law.alpha) / 5 for m in ("EE", "IE")}
-    assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/stability.md
+    assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/gains.md
     traced = jax.jit(lambda M: s.build(method="CN", M=M, z=0.5, lift=0.0).law.alpha / 5)
     assert float(traced(2)) == pytest.approx(1.4780, abs=1e-4)
     s = check.parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="chord", axes__method=["IE"]))
@@ -207,7 +207,7 @@ def test_files_are_beside_the_spec_and_part_of_what_the_numbers_depend_on(tmp_pa
     [
         ({"task": "xy"}, {"damping": [0.1]}, "m"),
         ({"task": "rz"}, {"damping": [0.1]}, "1"),
-        ({"task": "xy", "inverse": "manipulability-damped", "damping": 0.1}, {"threshold": [0.1]}, "m^2"),
+        ({"task": "xy", "inverse": "singular-damped", "damping": 0.1}, {"threshold": [0.1]}, "m"),
         ({"task": "xy"}, {"target": [[1.0, 1.0]]}, "m"),
         ({"task": "rz"}, {"target": [[1.0, 0, 0, 0]]}, "1"),
         ({"task": "xyrz"}, {"target": [[1.0, 1.0, 1.0, 0, 0, 0]]}, "m, 1"),

@@ -147,10 +147,9 @@ def test_numbers_of_walls_may_be_axes(tmp_path):
     assert list(of_file.axes) == ["limit_rate", "walls.side.rate", "walls.side.margin"]
     (wall,) = of_file.build(**of_file.first(last=True)).law.limits.walls
     assert (wall.rate, wall.offset) == (30.0, 1.05)
-    levels = check.parse(tomllib.loads(HEAD + PLACE + WALLS.replace("side.rate = [20, 30]", "side.level = [1, 2]")))
-    assert levels.axes["walls.side.level"].labels == (1, 2) and levels.all_units()["walls.side.level"] == "1"
-    least, most = levels.grid().programs
-    assert [levels.build(**one, **levels.first()).law.limits.walls[0].level for one in (least, most)] == [1, 2]
+    levels = check.parse(tomllib.loads(HEAD + PLACE + WALLS + "[axes.tasks]\nplace.level = [1, 2]\n"))
+    assert levels.axes["tasks.place.level"].labels == (1, 2) and levels.all_units()["tasks.place.level"] == "1"
+    assert len(levels.grid().programs) == 2
     for change, told in (
         (("side.rate", "sid.rate"), r"`axes.walls.sid.rate` must be one of side, bend"),
         (("side.rate", "bend.rate"), r"`axes.walls.bend.rate` must not be in \[walls.bend\] as well"),

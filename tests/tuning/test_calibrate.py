@@ -18,7 +18,7 @@ def test_link_lengths_from_twenty_poses(x64):
         found = ck.calibrate(
             ck.planar_arm, np.array([0.5, 0.4, 0.2]), q, measured, progress=lambda *report: told.append(report)
         )
-    np.testing.assert_allclose(found.values[0], true, atol=1e-8)
+    np.testing.assert_allclose(found.value, true, atol=1e-8)
     assert found.rms_after < 1e-8 < 1e-2 < found.rms_before and told
 
 
@@ -33,9 +33,8 @@ GIVEN = {"build": ck.planar_arm, "start": np.ones(2), "q": np.ones((3, 2)), "mea
         ({"build": 3}, "`build` must be a function of the value, but is 3"),
         ({"build": lambda value: None}, "`build` must return a Chain, but is NoneType"),
         ({"start": []}, "`start` must hold numbers, but is empty"),
-        ({"lower": np.zeros(3)}, r"`bounds of geometry` must have shape \(\) or \(2,\), but has shape \(3,\)"),
-        ({"descent": None}, r"`descent` must be Descent\(\.\.\.\), but is NoneType"),
-        ({"descent": ck.tuning.Descent(starts=3)}, "`descent` must have one start"),
+        ({"lower": np.zeros(3)}, r"`bounds of start` must have shape \(\) or \(2,\), but has shape \(3,\)"),
+        ({"steps": 1}, "`steps` must be at least 3"),
         ({"progress": 5}, "`progress` must be a function or None, but is 5"),
     ],
 )

@@ -54,10 +54,12 @@ static inline T K(held)(T x, N low, N high)
   return K(select)(MASK(x > high), K(splat)(high), x);
 }
 
-/* Sine and cosine within 2 ulp: x = k π/2 + r (Cody and Waite 1980), minimax polynomials of r; the library's beyond FAR. */
-static inline void K(sincos)(T x, T *sine, T *cosine)
+/* Sine and cosine within 2 ulp: |x| = k π/2 + r (Cody and Waite 1980), minimax polynomials of r; the library's beyond
+   FAR. */
+static inline void K(sincos)(T angle, T *sine, T *cosine)
 {
-  const T angle = x;
+  const T size = K(abs)(angle);
+  T x = size;
   const T turned = x * TURNS + MAGIC, k = turned - MAGIC;
   const BITS quadrant = (BITS)turned; /* its last bits are those of k */
   T r, s, t, z;
@@ -68,11 +70,11 @@ static inline void K(sincos)(T x, T *sine, T *cosine)
     const BITS swap = (quadrant & 1) != 0;
     const BITS down = (quadrant & 2) << (8 * SIZE - 2), back = ((quadrant + 1) & 2) << (8 * SIZE - 2);
     const T a = (T)((swap & (BITS)t) | (~swap & (BITS)s)), b = (T)((swap & (BITS)s) | (~swap & (BITS)t));
-    *sine = (T)((BITS)a ^ down);
+    *sine = (T)((BITS)a ^ down ^ ((BITS)angle & (BITS_NUMBER)SIGN));
     *cosine = (T)((BITS)b ^ back);
   }
   {
-    const M far = MASK(~(K(abs)(angle) <= FAR));
+    const M far = MASK(~(size <= FAR));
     if (ANY(far)) {
       for (int i = 0; i < W; ++i) {
         if (far[i]) {

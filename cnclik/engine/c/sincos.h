@@ -1,11 +1,11 @@
-/* sin x and cos x within 2 ulp: x = k pi/2 + r, then two polynomials of r (Cody & Waite 1980). */
-static void SINCOS(REAL x, REAL *sine, REAL *cosine)
+/* Sine and cosine within 2 ulp: |x| = k pi/2 + r, then two polynomials of r (Cody & Waite 1980). */
+static void SINCOS(REAL angle, REAL *sine, REAL *cosine)
 {
-  REAL k, r, s, t, z;
+  REAL x = LIBM(fabs)(angle), k, r, s, t, z;
   int32_t quadrant;
-  if (!(LIBM(fabs)(x) <= 10000)) {
-    *sine = LIBM(sin)(x);
-    *cosine = LIBM(cos)(x);
+  if (!(x <= 10000)) {
+    *sine = LIBM(sin)(angle);
+    *cosine = LIBM(cos)(angle);
     return;
   }
   k = (x * TURNS + MAGIC) - MAGIC; /* to the nearest whole number */
@@ -18,6 +18,6 @@ static void SINCOS(REAL x, REAL *sine, REAL *cosine)
     s = t;
     t = swap;
   }
-  *sine = (quadrant & 2) ? -s : s;
+  *sine = !(quadrant & 2) == !signbit(angle) ? s : -s;
   *cosine = ((quadrant + 1) & 2) ? -t : t;
 }

@@ -1,4 +1,4 @@
-"""Figures of a sweep: heat maps, slices, convergence curves, distributions, work diagrams, and who is best.
+"""Figures of a sweep: heat maps, slices, distributions, work diagrams, and who is best.
 
 Every kind works from the dataset alone. Dimensions that a figure doesn't name become panels, then rows, then
 figures of their own; samples of starts are summed up by their median.
@@ -7,23 +7,16 @@ figures of their own; samples of starts are summed up by their median.
 import functools
 import json
 
-from cnclik.show.sweeps import curves, planes
+from cnclik.show.sweeps import kinds
 from cnclik.show.sweeps.layout import arrange, defaults, views
 
 __all__ = ["defaults", "drawings", "figures"]
 
-KINDS = {
-    "heat": planes.heat,
-    "best": planes.best,
-    "slices": curves.slices,
-    "convergence": curves.convergence,
-    "distribution": curves.distribution,
-    "work": curves.work,
-}
+KINDS = {name: getattr(kinds, name) for name in ("heat", "best", "slices", "distribution", "work")}
 
 
 def drawings(data, tables=None) -> dict:
-    """{name: function of no arguments that draws it} of the figures that `figures` makes.
+    """Return {name: function of no arguments that draws it} of the figures that `figures` makes.
 
     A table that can't be laid out is a function that raises: it costs the others nothing.
     """
@@ -43,7 +36,7 @@ def drawings(data, tables=None) -> dict:
 
 
 def figures(data, tables=None) -> dict:
-    """The figures that the data's spec asks for, or `tables`, or good ones if none are asked for.
+    """Return the figures that the data's spec asks for, or `tables`, or good ones if none are asked for.
 
     Args:
       data: dataset of a sweep.
@@ -59,6 +52,6 @@ def _raise(error):
 
 
 def _unused(name, taken):
-    """The name, numbered where it is taken."""
+    """Return the name, numbered where it is taken."""
     names = (name if i == 1 else f"{name}_{i}" for i in range(1, len(taken) + 2))
     return next(n for n in names if n not in taken)

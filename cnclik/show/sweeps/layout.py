@@ -35,23 +35,24 @@ class Layout(NamedTuple):
     title: str | None = None
     log: bool | None = None  # None: as the values are
     limits: tuple | None = None
-    contours: Any = None
     boundary: bool = True
 
 
 def numeric(data) -> list:
-    """Dimensions with numbers along them."""
+    """Return the dimensions with numbers along them."""
     return [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and f"{d}_value" not in data.coords]
 
 
 def samples(data) -> list:
-    """Dimensions that count vectors, such as random starts."""
+    """Return the dimensions that count vectors, such as random starts."""
     return [d for d in data.dims if f"{d}_value" in data.coords]
 
 
 def defaults(data) -> list:
-    """Figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
-    axes, starts, value = numeric(data), samples(data), main_value(data)
+    """Return figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
+    axes, starts, value = _liked(numeric(data)), samples(data), main_value(data)
+    if value is None:  # the data hold only histories
+        return []
     methods = data.sizes.get("method", 1)
     costs = data["evaluations"].values if "Ts" in data.dims and "evaluations" in scalars(data) else []
     out = []
@@ -64,11 +65,12 @@ def defaults(data) -> list:
         out.append({"kind": "distribution", "value": value, "over": starts[0]})
     if len(np.unique(costs)) > methods:
         out.append({"kind": "work", "value": value})
-    if value is None:  # the data hold only histories
-        out = []
-    if "error" in data.data_vars:
-        out.append({"kind": "convergence", "value": "error"})
     return out
+
+
+def _liked(axes) -> list:
+    """Return the axes, those of a question of stability first."""
+    return sorted(axes, key=lambda d: (d != "Ts", d != "alpha"))
 
 
 def arrange(data, table: dict) -> Layout:
@@ -79,13 +81,10 @@ def arrange(data, table: dict) -> Layout:
 
     Raises: ArgumentError for a variable or dimension that the data don't have, or a figure without its axes.
     """
-    kind, select = table["kind"], table.get("select", {})
-    value = table.get("value") or ("error" if kind == "convergence" else main_value(data))
-    errors.one_of("figure.value", value, list(data.data_vars))
+    kind, select, value = table["kind"], table.get("select", {}), table.get("value") or main_value(data)
+    errors.one_of("figure.value", value, scalars(data))
     if kind == "work":
         errors.one_of("figure.value", "evaluations", list(data.data_vars))
-    if kind == "convergence" and not set(data[value].dims) & set(HISTORY):
-        raise errors.fail("figure.value", "be a history, such as error, for the kind 'convergence'", f"is {value!r}")
     for dim in select:
         errors.one_of("figure.select", dim, list(data.dims))
     dims = [d for d in data[value].dims if d not in HISTORY and d not in select]
@@ -98,22 +97,19 @@ def arrange(data, table: dict) -> Layout:
     if kind == "best":
         errors.one_of("figure.among", roles["among"], dims)
     free = [d for d in dims if d not in roles.values()]
-    summed = tuple(d for d in dims if d == roles["across"] or (d in free and d in starts))
-    reduced = () if kind == "convergence" else summed  # a history is shown with its spread
+    reduced = tuple(d for d in dims if d == roles["across"] or (d in free and d in starts))
     # The rest: methods and stages first, then M.
-    free = sorted((d for d in free if d not in summed), key=lambda d: (d not in ("method", "stage"), d != "M"))
+    free = sorted((d for d in free if d not in reduced), key=lambda d: (d not in ("method", "stage"), d != "M"))
     places = [("panels", LONGEST), ("rows", LONGEST)]
-    if kind in ("slices", "convergence", "work", "distribution"):
+    if kind in ("slices", "work", "distribution"):
         places.insert(0, ("lines", len(style.COLORS)))
     for role, most in places:
         if roles[role] is None:
             roles[role] = next((d for d in free if data.sizes[d] <= most), None)
             free = [d for d in free if d != roles[role]]
     long = tuple(d for d in free if data.sizes[d] > LONGEST)
-    options: dict[str, Any] = {
-        k: table[k] for k in ("reduce", "title", "log", "limits", "contours", "boundary") if k in table
-    }
     apart = tuple(d for d in free if d not in long)
+    options: dict[str, Any] = {k: table[k] for k in ("reduce", "title", "log", "limits", "boundary") if k in table}
     return Layout(kind, value, **roles, reduced=reduced, middle=long, apart=apart, select=dict(select), **options)
 
 
@@ -130,9 +126,8 @@ def _choose_axes(kind, roles, axes, starts):
         role, dim = usual[kind]
         roles[role] = roles[role] or dim
     if kind in ("heat", "best"):
-        liked = [d for d in ("Ts", "alpha", *axes) if d in axes]
         for role, other in (("x", "y"), ("y", "x")):
-            roles[role] = roles[role] or next((d for d in liked if d != roles[other]), None)
+            roles[role] = roles[role] or next((d for d in _liked(axes) if d != roles[other]), None)
         if None in (roles["x"], roles["y"]):
             raise errors.fail("figure", f"have two numeric axes for the kind {kind!r}", f"has {axes}")
     if kind == "slices" and roles["x"] is None:
@@ -140,7 +135,7 @@ def _choose_axes(kind, roles, axes, starts):
 
 
 def views(data, layout: Layout) -> list:
-    """The parts of the data that are one figure each: [(suffix for the file's name, dataset)]."""
+    """Return the parts of the data that are one figure each: [(suffix for the file's name, dataset)]."""
     view = data[list(dict.fromkeys((layout.value, "evaluations")))] if layout.kind == "work" else data[[layout.value]]
     for dim, wanted in layout.select.items():
         view = _selected(view, dim, wanted)

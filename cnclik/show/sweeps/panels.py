@@ -5,7 +5,7 @@ import math
 import textwrap
 
 import numpy as np
-from matplotlib import colors, figure
+from matplotlib import figure
 from matplotlib.artist import setp
 
 from cnclik.show import style
@@ -13,7 +13,7 @@ from cnclik.sweeps.summary import text
 
 MOST_IN_A_ROW = 5
 LETTER = 0.06  # [in] mean width
-LEGEND, BAR = 1.3, 0.7  # [in] what a legend, or a bar of colours, beside the panels takes
+BESIDE = 1.3  # [in] what a legend or a bar of colours beside the panels takes
 
 
 class Panels:
@@ -27,6 +27,7 @@ class Panels:
             many, down = math.ceil(many / 2), 2
         width = style.COLUMN if many == 1 else style.PAGE
         self.high = min(2.4, max(1.25, (width - 1.0) / many * 0.95))  # of a panel [in]
+        self.room = (width - 1.0 - BESIDE * (many > 1)) / many  # its width, or nearly so [in]
         height = 0.8 + down * self.high
         self.below = many == 1  # where the legend of lines goes: beside a single panel it would take its width
         if self.below and layout.lines:
@@ -36,34 +37,28 @@ class Panels:
         self.axes = self.figure.subplots(down, many, squeeze=False, sharex=True, sharey=True)
 
     def each(self, *values):
-        """(axes, that panel's part of each of the values)."""
+        """Yield (axes, that panel's part of each of the values)."""
         dims = [d for d in (self.layout.rows, self.layout.panels) if d]
         places = list(itertools.product(*(range(self.view.sizes[d]) for d in dims)))
-        flat = self.axes.ravel()
-        for ax in flat[len(places) :]:
+        for ax in self.axes.ravel()[len(places) :]:
             ax.set_axis_off()
         chosen = [dict(zip(dims, place, strict=True)) for place in places]
         words = [[described(self.view[d][i]) for d, i in one.items()] for one in chosen]
-        between = ", " if all(len(", ".join(w)) * LETTER < self.room() for w in words) else ",\n"
-        for ax, title, one in zip(flat, words, chosen, strict=False):
+        between = ", " if all(len(", ".join(w)) * LETTER < self.room for w in words) else ",\n"
+        for ax, title, one in zip(self.axes.ravel(), words, chosen, strict=False):
             ax.set_title(between.join(title))
             yield ax, *(v.isel({d: i for d, i in one.items() if d in v.dims}) for v in values)
 
-    def room(self) -> float:
-        """Width of a panel [in], or nearly so."""
-        beside = LEGEND * bool(self.layout.lines and not self.below) + BAR * (self.layout.kind == "heat")
-        return (self.figure.get_figwidth() - 1.0 - beside) / self.axes.shape[1]
-
     def scales(self, ax, x, y=()):
-        """Logarithmic axes for values in geometric progression, or spread over decades by hand."""
-        for values, axis, few in ((x, ax.xaxis, 2 if self.room() > 1.75 else 1), (y, ax.yaxis, 2)):
-            if geometric(values):
+        """Set logarithmic axes for values in geometric progression, or spread over decades by hand."""
+        for values, axis, few in ((x, ax.xaxis, 2 if self.room > 1.75 else 1), (y, ax.yaxis, 2)):
+            if style.geometric(values):
                 style.log_scale(axis, values, few)
 
     def name_few(self, ax, x, y):
-        """Ticks at the values of the axes of a plane, where they have room: between them nothing was run."""
+        """Set ticks at the values of the axes of a plane, where they have room: between them nothing was run."""
         for values, axis, used in (
-            (x, ax.xaxis, sum(len(text(v)) + 2 for v in x) * LETTER / self.room()),
+            (x, ax.xaxis, sum(len(text(v)) + 2 for v in x) * LETTER / self.room),
             (y, ax.yaxis, 2.5 * LETTER * len(y) / self.high),
         ):
             if used < 1:
@@ -71,51 +66,22 @@ class Panels:
                 axis.set_ticks([], minor=True)
 
     def finish(self, x: str, y: str):
-        """Axis labels, a legend where there are lines, and the title. Returns: the figure."""
+        """Return the figure with labels of its axes, a legend where there are lines, and a title."""
         setp(self.axes[-1], xlabel=x)
         setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(self.high / LETTER))))
-        lines = self.layout.lines
         handles, labels = self.axes[0, 0].get_legend_handles_labels()
-        if lines and len(labels) > 1:
-            place = {"loc": "outside right upper"}
-            if self.below:
-                place = {
-                    "loc": "outside lower center",
-                    "ncols": style.legend_columns(labels, self.figure.get_figwidth()),
-                }
-            self.figure.legend(handles, labels, title=axis_label(self.view[lines]), **place)
+        if self.layout.lines and len(labels) > 1:
+            columns = style.legend_columns(labels, self.figure.get_figwidth()) if self.below else 1
+            place = "outside lower center" if self.below else "outside right upper"
+            title = axis_label(self.view[self.layout.lines])
+            self.figure.legend(handles, labels, title=title, loc=place, ncols=columns)
         fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
-        title = self.layout.title or ", ".join(map(described, fixed))
-        if title:
-            self.figure.suptitle(title)
+        self.figure.suptitle(self.layout.title or ", ".join(map(described, fixed)))
         return self.figure
 
 
-def lines(part, dim):
-    """(look, data) of each line along a dimension; one line where there is none."""
-    if not dim or dim not in part.dims:
-        yield {"color": style.COLORS[0], "label": "", "linewidth": 1.2}, part
-        return
-    names = [text(value) for value in part[dim].values]
-    known = [style.METHODS[name] for name in names if name in style.METHODS]
-    colors_left = [c for c in style.COLORS if c not in {method.color for method in known}] or style.COLORS
-    marks_left = [m for m in style.MARKERS if m not in {method.marker for method in known}] or style.MARKERS
-    free = itertools.count()
-    for i, name in enumerate(names):
-        if name in style.METHODS:
-            look = style.line(name)
-        else:
-            k = next(free)
-            own = {"color": colors_left[k % len(colors_left)], "marker": marks_left[k % len(marks_left)]}
-            look = style.series(k, label=name, **own)
-        yield {"linewidth": 1.2} | look, part.isel({dim: i})
-
-
-# --- words --------------------------------------------------------------------------------------------
-
-
 def described(coordinate) -> str:
-    """A single coordinate in words: "CN", "α = 5 1/s"."""
+    """Return a single coordinate in words: "CN", "α = 5 1/s"."""
     value = coordinate.values.item()
     if isinstance(value, str):
         return value
@@ -124,7 +90,7 @@ def described(coordinate) -> str:
 
 
 def axis_label(variable) -> str:
-    """The variable's name and unit: "α [1/s]"."""
+    """Return the variable's name and unit: "α [1/s]"."""
     unit = variable.attrs.get("units", "")
     return f"{_name(variable)} [{unit}]" if unit not in ("", "1") else _name(variable)
 
@@ -133,56 +99,11 @@ def _name(variable):
     return variable.attrs.get("long_name") or str(variable.name).replace("_", " ")
 
 
-# --- scales -------------------------------------------------------------------------------------------
-
-
-RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work, if others are a thousand times beyond
-
-
-def norm(values, layout):
-    """Colours of a heat map: logarithmic where the values say so, nine decades of those that stay at most."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return colors.Normalize(0, 1)
+def is_logarithmic(values, layout) -> bool:
+    """Return whether a value is drawn on a logarithmic scale: as the table asks, or where values spread."""
+    known = values[np.isfinite(values)].astype(float)  # counts and verdicts too
     positive = known[known > 0]
-    log = layout.log
-    if log is None and positive.size and known.min() >= 0:
-        low, high = np.quantile(positive, [0.02, 0.98])
-        log = high > 50 * low
-    if log and positive.size:
-        if layout.limits:
-            return colors.LogNorm(*layout.limits)
-        # One loop that ran away, or values at rounding, would waste the colours on decades that nobody looks at.
-        staying = positive[positive <= RAN_AWAY]
-        high = staying.max() if staying.size and positive.max() > RAN_AWAY * 1e3 else positive.max()
-        return colors.LogNorm(max(positive.min(), high * 1e-9), high)
-    return colors.Normalize(*(layout.limits or (known.min(), known.max())))
-
-
-def geometric(values) -> bool:
-    """Whether three or more positive numbers grow by the same factor, or most of them lie in a tenth of their range."""
-    values = np.asarray(values)
-    if values.dtype.kind not in "if" or len(values) < 3 or values.min() <= 0:
-        return False
-    if values.max() > max(50 * values.min(), 10 * np.median(values)):
-        return True
-    ratios = values[1:] / values[:-1]
-    return bool(np.ptp(ratios) < 1e-6 * ratios[0] and abs(ratios[0] - 1) > 1e-9)
-
-
-def value_scale(ax, values, layout):
-    """The y axis of a value: logarithmic where the values say so."""
-    known = values[np.isfinite(values)]
-    positive = known[known > 0]
-    log = layout.log
-    if log is None and positive.size:
-        log = known.min() >= 0 and positive.max() > 50 * positive.min()
-    limits = layout.limits
-    if log and positive.size:
-        bottom = limits[0] if limits and limits[0] > 0 else 0.7 * max(positive.min(), positive.max() * 1e-16)
-        style.log_scale(ax.yaxis, limits or np.maximum(positive, bottom))
-        ax.set_ylim(bottom=bottom)
-        for line in ax.lines:  # an error of exactly 0 lies on the axis: it is not missing
-            line.set_ydata(np.where(line.get_ydata() <= 0, bottom, line.get_ydata()))
-    if limits:
-        ax.set_ylim(*limits)
+    if layout.log is not None or not positive.size or known.min() < 0:
+        return bool(layout.log and positive.size)
+    low, high = np.quantile(positive, [0.02, 0.98])
+    return high > 50 * low

@@ -47,7 +47,7 @@ OPTIONS = (
     {"damping": 0.05, "limits": "bounded", "limit_rate": 4.0},
     {"limits": "bounded"},
     {"damping": 0.05, "inverse": "singular-damped", "threshold": 0.1},
-    {"delay": 2, "lag": 0.02, "max_acceleration": 3.0},
+    {"delay": 2, "lag": 0.02},
     {},
 )
 NAMES = (*OF_TASK, *OF_WALL, *OF_SHAPE, *SWEPT, "tasks", "walls")
@@ -136,7 +136,7 @@ def _records(rng):
         ("pseudoinverse",),
     ))  # fmt: skip
     alpha = any_of(rng, (value(5.0), {one: value(any_of(rng, (1.0, [1.0, 2.0], [[1.0]]))) for one in names}))
-    limits = any_of(rng, (None, ("bounded",), ("bounded", value(5.0), value(10)), ("saturation", value(3.0))))
+    limits = any_of(rng, (None, ("bounded",), ("bounded", value(5.0), value(10))))
     held = any_of(rng, (("values", [0.1]), ("at", [0.1, 0.2, 0.3]), ("each", [0.1] * 3)))
     others = {str(name()): (held[0], value(held[1]))} if chance(rng, 0.5) else {}
     return dict(parts=parts, alpha=alpha, inverse=inverse, limits=limits, others=others)

@@ -105,7 +105,6 @@ def _value(rng):
             "planar:1,1",
             "panda",
             "damped",
-            "saturation",
             "bounded",
             "line",
             "lissajous",

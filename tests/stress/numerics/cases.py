@@ -14,11 +14,8 @@ INVERSES = {
     "pseudoinverse": ck.pseudoinverse,
     "damped": lambda: ck.damped(0.05),
     "singular_damped": lambda: ck.singular_damped(0.05, 0.1),
-    "manipulability_damped": lambda: ck.manipulability_damped(0.05, 0.1),
-    "transpose": ck.transpose,
 }
-LIMITS = {"none": None, "scaling": ck.velocity_scaling, "weighted": ck.weighted_least_norm, "saturation": ck.saturation}
-LIMITS["bounded"] = ck.bounded
+LIMITS = {"none": None, "scaling": ck.velocity_scaling, "bounded": ck.bounded}
 STAGES = {"picard": lambda: ck.picard(3), "chord": lambda: ck.chord(2), "newton": lambda: ck.newton(2)}
 TASKS = ("xy", "xyz", "pose", "z", "rz", "xyrz", "orientation")
 STARTS = ("random", "zero", "singular", "far")

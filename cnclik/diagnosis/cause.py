@@ -1,0 +1,139 @@
+"""Cause: what no smaller gain ends, a wrong sign and turned frames; and what is no loop, a sweep."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cnclik.diagnosis.loop import (
+    COLOURS, DEAD, UNMODELLED, filtered, free, averaged, fits, path_basis, slowest, window,
+)  # fmt: skip
+
+LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
+BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
+ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
+ROUND = 0.6  # |vᵀv| of a shape v with ‖v‖ = 1, at most, of a spiral: 0 for a circle, 1 in phase
+PARTS = 250  # rows to which a spiral or a growth is averaged
+WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
+EQUAL = 1.6  # least ratio of the four steps of an exponential growth by seven
+FASTER = 1.3  # ratio of the last two of these steps, where prediction errors say that it grows
+
+
+class Turned(NamedTuple):
+    degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
+    axis: np.ndarray  # (3,) in the order of the coordinates; of two coordinates the third axis
+    z: float  # per row
+    open: float  # range of angles that explain the log as well, with more dead time [degrees]
+
+
+def turned(y) -> Turned | None:
+    """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
+
+    A spiral leaves d open, as a turn by the angle of d rows looks alike: the least d is taken that explains it as well.
+    """
+    first, last, jumped = window(y)
+    y = y[first if jumped else max(first - 1, 0) : last]
+    m = max(1, len(y) // PARTS)
+    y, k = averaged(y, m), y.shape[1]
+    blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(k, [])
+    most = int(min(DEAD, len(y) // 5))
+    N = len(y) - most - 4
+    if not blocks or N < 12:
+        return None
+    y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
+    floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
+    line, found, plain = np.linspace(-1, 1, N)[:, None] ** np.arange(2), [], np.inf
+    for theta in (0.0, *COLOURS):
+        over = [1.0, -theta]
+        left, acts = free(line, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
+        for d in range(most + 1):
+            late = free(line, acts[-N - 1 - d : -1 - d])
+            across = -sum(left[:, b].T @ late[:, b] for b in blocks)
+            u, _, vt = np.linalg.svd(across)
+            u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+            rotation = u @ vt
+            for R in (np.eye(len(rotation)), rotation):
+                moved = late @ np.kron(np.eye(len(blocks)), R).T
+                z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
+                rest = left + z * moved
+                score = N * np.sum(np.log(np.mean(rest**2, 0) + floor)) + np.log(N) * (theta != 0)
+                if z > 0 and R is rotation:
+                    found.append((score + 3 * np.log(N), d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
+                elif z > 0:
+                    plain = min(plain, score)
+    least = min((one[0] for one in found), default=0.0)
+    alike = sorted((one for one in found if one[0] <= least + ALIKE), key=lambda one: one[1::-1])
+    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not _circular(y)):
+        return None
+    _, _, z, R, _ = alike[0]
+    angles = [_angle(one[3]) for one in alike if one[0] <= least + BETTER]
+    if len(R) == 2:
+        axis, up = np.array([0.0, 0.0, 1.0]), np.sign(R[1, 0]) or 1.0
+    else:
+        axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        up = 1.0 if axis[np.argmax(np.abs(axis))] >= 0 else -1.0
+        axis *= up / max(np.linalg.norm(axis), 1e-12)
+    return Turned(float(up * _angle(R)), axis, z, max(angles, default=180.0) - min(angles, default=0.0))
+
+
+def _angle(R) -> float:
+    return float(np.degrees(np.arccos(np.clip((np.trace(R) - len(R) + 2) / 2, -1, 1))))
+
+
+def _circular(y) -> bool:
+    """Whether coordinates follow each other by a quarter turn: those of a loop with dead time swing in phase."""
+    free_ = free(np.linspace(-1, 1, len(y))[:, None] ** np.arange(2), y)
+    wave = np.fft.ifft(
+        np.where((np.arange(2 * len(y)) < len(y))[:, None], 2 * np.fft.fft(free_, 2 * len(y), axis=0), 0), axis=0
+    )[: len(y)]
+    both = np.einsum("ni,nj->ij", wave, np.conj(wave))
+    shape = np.linalg.eigh(both)[1][:, -1]
+    return abs(np.sum(shape**2)) < ROUND
+
+
+def growth(y) -> tuple[float, float]:
+    """(growth per row without oscillation, 0 for none; how sure it is, 0 to 1) of y (N, k).
+
+    Steps of exponential growth have equal ratios; those of a polynomial fall, and those of a path that stops end.
+    """
+    first, _, jumped = window(y)
+    y = y[first * jumped :]
+    N, near = len(y), max(len(y) // 10, 2)
+    way = y[-near:].mean(0) - y[int(0.6 * N) - near // 2 : int(0.6 * N) + near].mean(0)
+    if N < 16 or not way.any():
+        return 0.0, 0.0
+    x = y @ way / np.linalg.norm(way)
+    at, near = np.linspace(0, N - 1, 5).astype(int), max(N // 40, 1)
+    steps = np.diff([x[max(i - near, 0) : i + near + 1].mean() for i in at])
+    ratio = steps[1:] / np.where(steps[:-1] == 0, 1e-300, steps[:-1])
+    half = x[N // 2 :: max(N // 24, 1)]
+    if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or ratio[1] < 0.8:
+        return 0.0, 0.0
+    m = max(1, N // PARTS)
+    loops, none = fits(averaged(x[:, None] - x[0], m), np.inf) if N // m > 15 else (np.zeros((5, 0)), 0.0)
+    wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
+    evidence = min(none, right[4].min(initial=np.inf)) - wrong[4].min() if wrong.size else -np.inf
+    equal = min(ratio) > EQUAL and ratio[-1] > 0.4 * max(ratio)
+    if not equal and not (ratio[-1] > FASTER and evidence > BETTER / 2):
+        return 0.0, 0.0
+    if evidence > BETTER / 2:
+        factor = abs(slowest(*wrong[:3, np.argmin(wrong[4])])) ** (1 / m)
+    else:
+        factor = ratio[-1] ** (4 / N)
+    return float(factor), 0.95 if evidence > BETTER else 0.8
+
+
+def swept(y, period) -> tuple[float, float]:
+    """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy."""
+    N = len(y)
+    still = free(path_basis(N, period), y)
+    u, s, _ = np.linalg.svd(still, full_matrices=False)
+    spectrum, f = np.fft.fft(u[:, 0] * s[0], 4 * N), np.fft.fftfreq(4 * N) * period
+    wave = np.fft.ifft(np.where((f > 0.35) & (f < 2.5), 2 * spectrum, 0))[:N]
+    energy = np.abs(wave[1:]) ** 2
+    total = np.cumsum(energy)
+    half = int(np.clip(np.searchsorted(total, total[-1] / 2), period / 2, max(N - 1 - period / 2, period / 2)))
+    turn = np.angle(wave[1:] * np.conj(wave[:-1])) * energy
+    if not 0 < half < N - 1:
+        return 1.0, 1.0
+    speed = [np.sum(turn[p]) / max(np.sum(energy[p]), 1e-300) for p in (slice(half), slice(half, None))]
+    return float(speed[1] / speed[0]), float(np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300)))

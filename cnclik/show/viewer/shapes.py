@@ -1,0 +1,188 @@
+"""Shapes: the meshes that a robot's URDF file names, or cylinders made of a chain alone; and those of walls."""
+
+import os
+import pathlib
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from cnclik.reading import read_bytes
+from cnclik.robot.bases import BALL
+from cnclik.robot.chain import PRISMATIC, REVOLUTE
+from cnclik.robot.files import is_mjcf
+from cnclik.robot.posture import arm_length
+from cnclik.robot.tree import read_urdf
+from cnclik.robot.urdf import chain as chain_of
+from cnclik.show import style
+from cnclik.show.motion import link_poses
+from cnclik.task.parts import AXES
+
+ENDINGS = (".stl", ".dae", ".obj", ".ply", ".glb")
+GREY = "#8A8F94"
+
+
+class Shape(NamedTuple):
+    """A mesh that moves with a frame."""
+
+    frame: int
+    mesh: trimesh.Trimesh
+    color: str
+
+
+# --- from a chain -------------------------------------------------------------------------------------
+
+
+def thickness(chain) -> float:
+    """Return the radius of a drawn link [m]."""
+    return 0.028 * float(arm_length(chain))
+
+
+def shapes_of(chain) -> list:
+    """Return shapes of a chain, or of a tree: links in one colour, joints in another. Frames are those of a Motion."""
+    thick, found = thickness(chain), []
+    ends = [(parent + 1, joint.origin) for joint, parent in zip(chain.joints, chain.parents, strict=True)]
+    for frame, offset in [*ends, *((tip.joint + 1, tip.offset) for tip in chain.tips)]:
+        end = np.array(offset.position, float)
+        if np.linalg.norm(end) > 0.2 * thick:
+            found.append(Shape(frame, rod(np.zeros(3), end, thick), style.SKY if frame else GREY))
+    for i, joint in enumerate(chain.joints, 1):
+        axis, unbounded = np.array(joint.axis, float), np.isinf(chain.lower[joint.coordinate])
+        if joint.kind == BALL or (joint.kind == PRISMATIC and unbounded):  # joints of a base have no shape
+            continue
+        long, wide = (1.2, 1.3) if joint.kind == REVOLUTE else (2.0, 1.4)
+        found.append(Shape(i, rod(-long * thick * axis, long * thick * axis, wide * thick), style.BLUE))
+    return found
+
+
+def rod(start, end, radius, *, round_ends=False) -> trimesh.Trimesh:
+    """Return a cylinder, or a capsule with its centres at start and end."""
+    if not round_ends:
+        return trimesh.creation.cylinder(radius, segment=[start, end])
+    along = np.subtract(end, start)
+    mesh = trimesh.creation.capsule(np.linalg.norm(along), radius)
+    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along))
+    return mesh.apply_translation(np.add(start, end) / 2)
+
+
+# --- from a file --------------------------------------------------------------------------------------
+
+
+def meshes_of(file, motion) -> tuple:
+    """Return (meshes of a URDF file's links, poses of the motion's frames and of those links).
+
+    Of a link its visual shapes, or where one of them can't be read (Collada needs pycollada) those for collisions.
+    Links that the run does not move, such as fingers, are drawn with their joints at 0.
+    """
+    file, chain = pathlib.Path(file).resolve(), motion.chain
+    if is_mjcf(file):
+        return [], motion.poses
+    root, tree = ElementTree.fromstring(read_bytes("robot", file, "a URDF file")), read_urdf(file)
+    drawn = {link.get("name"): meshes for link in root.findall("link") if (meshes := link_meshes(file, link))}
+    tip = next((k for k, tip in enumerate(chain.tips) if tip.name in tree.links), None)
+    if not drawn or tip is None:
+        return [], motion.poses
+    links = list(dict.fromkeys([*drawn, chain.tips[tip].name]))
+    moving = any(edge.type in ("floating", "planar") for edge in tree.edges)
+    whole = chain_of(tree, base=None if moving else "free", tips=links)
+    q = np.zeros((len(motion.poses), whole.n))
+    for name, values in zip(chain.joint_names, motion.data.q.values.T, strict=True):
+        if name in whole.joint_names:
+            q[:, whole.joint_names.index(name)] = values
+    poses = link_poses(whole, q)[:, -len(links) :]
+    own, of_whole = motion.poses[:, tip - len(chain.tips)], poses[:, links.index(chain.tips[tip].name)]
+    poses = (own @ np.linalg.inv(of_whole))[:, None] @ poses  # in the chain's own base frame
+    first = motion.poses.shape[1]
+    shapes = [Shape(first + links.index(link), mesh, style.SKY) for link, some in drawn.items() for mesh in some]
+    return shapes, np.concatenate([motion.poses, poses], 1)
+
+
+def link_meshes(file, link) -> list:
+    """Return the meshes of a <link>: its visual ones, or those for collisions."""
+    for kind in ("visual", "collision"):
+        meshes = [_mesh(file, element) for element in link.findall(kind)]
+        if meshes and all(mesh is not None for mesh in meshes):
+            return meshes
+    return []
+
+
+def _mesh(file, element):
+    """Return the mesh of a <visual> or <collision> in its link's frame, or None."""
+    try:
+        (kind,), origin = element.find("geometry"), element.find("origin")
+        if kind.tag == "box":
+            mesh = trimesh.creation.box(_numbers(kind, "size"))
+        elif kind.tag == "cylinder":
+            mesh = trimesh.creation.cylinder(float(kind.get("radius")), float(kind.get("length")))
+        elif kind.tag == "sphere":
+            mesh = trimesh.creation.icosphere(2, float(kind.get("radius")))
+        elif (path := _file_of(file, kind.get("filename"))) is None:
+            return None
+        else:
+            mesh = trimesh.load(path, force="mesh").apply_scale(_numbers(kind, "scale", "1 1 1"))
+        if origin is not None:
+            mesh.apply_transform(trimesh.transformations.euler_matrix(*_numbers(origin, "rpy", "0 0 0")))
+            mesh.apply_translation(_numbers(origin, "xyz", "0 0 0"))
+        return mesh if len(mesh.faces) else None
+    except Exception:  # damaged files raise all kinds of errors in a dozen readers
+        return None
+
+
+def _numbers(element, name, default=None):
+    return np.array([float(v) for v in element.get(name, default).split()])
+
+
+def _file_of(file, name):
+    """Return the mesh that a URDF file means by package://PACKAGE/…, model://…, file://… or a path, or None.
+
+    A URDF file may come from others, and others may look at the page: only meshes of its own package are drawn. That is
+    the next folder up with a package.xml; else the one above the file's own, where it is laid out as one (urdf/ beside
+    meshes/); else the file's own.
+    """
+    laid_out = file.parent.name in ("urdf", "robot", "robots") and os.path.isdir(file.parent.parent / "meshes")
+    marked = (folder for folder in file.parents if os.path.isfile(folder / "package.xml"))
+    root = next(marked, file.parent.parent if laid_out else file.parent)
+    scheme, mark, rest = name.partition("://")
+    places = [file.parent / (rest if mark else name)]
+    if mark and scheme != "file":
+        places = [root / rest, root / rest.partition("/")[2]]
+    inside = (place for place in map(pathlib.Path.resolve, places) if place.is_relative_to(root))
+    return next((place for place in inside if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
+
+
+# --- of walls -----------------------------------------------------------------------------------------
+
+
+def shapes_of_walls(walls, chain) -> list:
+    """Return shapes of walls that are of positions or of distances: planes, and what is kept off each other."""
+    first, found = 1 + len(chain.joints), []
+
+    def frame(tip):
+        return 0 if tip is None else first + chain.tip_number(tip)
+
+    for wall in walls:
+        part = wall.task.parts[0]
+        if hasattr(part, "one"):
+            for shape in (part.one, part.other):
+                if hasattr(shape, "normal"):
+                    found.append(Shape(0, _plane(shape.normal, shape.offset, chain), style.LOST))
+                else:
+                    ends = np.asarray(shape.ends, float)
+                    mesh = rod(ends[0], ends[-1], float(shape.radius), round_ends=True) if len(ends) > 1 else None
+                    mesh = mesh or trimesh.creation.icosphere(3, float(shape.radius)).apply_translation(ends[0])
+                    found.append(Shape(frame(shape.tip), mesh, style.LOST))
+        elif hasattr(part, "axes"):
+            normal = np.zeros(3)
+            normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
+            size = np.linalg.norm(normal)
+            found.append(Shape(frame(part.to), _plane(normal / size, wall.offset / size, chain), style.LOST))
+    return found
+
+
+def _plane(normal, offset, chain):
+    """Return a thin square at normal · x = offset."""
+    size = float(arm_length(chain))
+    mesh = trimesh.creation.box((size, size, 0.002 * size))
+    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], normal))
+    return mesh.apply_translation(np.asarray(normal, float) * float(offset))

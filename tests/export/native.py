@@ -1,0 +1,52 @@
+"""An exported function built by the system's compiler, and called with structs of NumPy."""
+
+import ctypes
+import tempfile
+from types import SimpleNamespace
+
+import numpy as np
+
+from cnclik.engine.compiler import build, opened
+from cnclik.export.source import Names, header, source
+from cnclik.export.trace import Request, trace
+from cnclik.integrate.method import DEFAULT, named
+from cnclik.integrate.stage import picard
+
+
+def native(of, reference=None, *, method=DEFAULT, stage=None, dtype="float64", runtime=None):
+    """A step of a law, or a chain's kinematics, as `ck.export.c` writes it, ready to be called."""
+    names = Names("step", dtype)
+    program = trace(Request(of, reference, named(method), stage or picard(5), names.dtype, runtime))
+    with tempfile.TemporaryDirectory() as folder:
+        for ending, text in ((".h", header(program, names, [])), (".c", source(program, names))):
+            with open(f"{folder}/{names.name}{ending}", "w", encoding="utf-8") as file:
+                file.write(text)
+        library = opened(build([f"{folder}/{names.name}.c"], folder))
+    return Native(program, library, getattr(library, names.name), names.dtype)
+
+
+class Native:
+    """A function: `made = step(q, position, rotation, velocity, Ts)`; what is left out stays."""
+
+    def __init__(self, program, library, function, dtype):
+        def struct(fields):
+            kinds = [(f.name, dtype if f.kind == "real" else np.int32, f.shape) for f in fields]
+            record = np.zeros((), np.dtype(kinds, align=True))
+            for f in fields:
+                record[f.name] = 0 if f.value is None else f.value
+            return record
+
+        groups = {group: struct(fields) for group, fields in program.inputs.items() if fields}
+        self.input, self.output = groups["input"], struct(program.outputs["output"])
+        self.parameters = groups.get("parameters")
+        self.names = self.input.dtype.names
+        records = [*groups.values(), self.output]
+        self.library, self.function = library, function  # the library stays open as long as it may be called
+        function.restype, function.argtypes = None, [ctypes.c_void_p] * len(records)
+        self.addresses = [record.ctypes.data for record in records]
+
+    def __call__(self, *given, **named):
+        for name, value in (dict(zip(self.names, given, strict=False)) | named).items():
+            self.input[name] = value
+        self.function(*self.addresses)
+        return SimpleNamespace(**{name: self.output[name].copy() for name in self.output.dtype.names})

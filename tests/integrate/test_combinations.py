@@ -1,0 +1,228 @@
+"""Every method with every stage, inverse and way of limits, on drives in turn, against a loop written apart in NumPy.
+
+238 loops of a planar arm along a circle, from a start that is far off, next to joint limits, near enough to a
+singularity that all dampings act. Nothing here is the package's: tableaus, exponential steps, inverses, a quadratic
+program by trying each face, drives by SciPy's exponential, fixed points by iteration.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from tests.oracles import planar_jacobian, planar_position
+from tests.stability.plant import TABLEAUX, hold
+
+LENGTHS, Q0, REST = [0.8, 0.6, 0.4], np.array([0.3, 0.7, 0.6]), np.array([0.5, 0.2, 0.9])
+LOWER, UPPER, SPEED = np.array([0.1, -1.0, -2.0]), np.array([2.0, 0.75, 2.0]), np.array([2.5, 1.5, 2.0])
+ARM = ck.replace(ck.planar_arm(LENGTHS), lower=tuple(LOWER), upper=tuple(UPPER), velocity_limit=tuple(SPEED))
+TS, N, RATE, PULL = 0.05, 8, 12.0, 1.5
+GAINS = np.array([8.0, 6.0])
+CENTRE, RADIUS, SPIN = np.array([-0.75, 1.25]), 0.25, 1.3
+
+METHODS = [m for m in ck.METHODS if not ck.METHODS[m].implicit]
+IMPLICIT = [(m, s) for m in ("IE", "CN", "TRAPEZOID") for s in (ck.picard(3), ck.chord(30), ck.newton(8))]
+SOLVERS = [*((m, ck.picard(3)) for m in METHODS), *IMPLICIT]
+INVERSES = {
+    "pseudoinverse": ck.pseudoinverse(),
+    "damped": ck.damped(0.2),
+    "singular_damped": ck.singular_damped(0.3, 0.9),
+    "error_damped": ck.error_damped(0.1),
+    "levels": ck.levels(["hand"], ["rest"], damping=(0.05, 0.4)),
+}
+LIMITS = {"none": None, "velocity_scaling": ck.velocity_scaling(), "bounded": ck.bounded(rate=RATE)}
+DRIVES = [
+    None,
+    ck.Drive(lag=0.04, delay=1.4),
+    ck.Drive(natural_frequency=25.0, damping_ratio=0.7, command="position", smoothing=0.3, smoothed="command"),
+    ck.Drive(delay=2, command="position", feedback="commanded"),
+    ck.Drive(lag=0.03, command="position", feedback="rebased", delay=0.5),
+    ck.Drive(lag=0.05, smoothing=0.4, smoothed="error"),
+]
+TABLE = [
+    (*solver, inverse, limits, DRIVES[i % len(DRIVES)], (np.float64, np.float32)[i // len(DRIVES) % 2])
+    for i, (solver, inverse, limits) in enumerate(
+        (one for one in itertools.product(SOLVERS, INVERSES, LIMITS) if one[1:] != ("pseudoinverse", "bounded"))
+    )
+]
+
+
+# --- the law ------------------------------------------------------------------------------------------
+
+
+def target(t):
+    return CENTRE + RADIUS * np.array([np.cos(SPIN * t), np.sin(SPIN * t)])
+
+
+def target_velocity(t):
+    return RADIUS * SPIN * np.array([-np.sin(SPIN * t), np.cos(SPIN * t)])
+
+
+def rows(levels, q):
+    return np.vstack([planar_jacobian(LENGTHS, q), np.eye(3)]) if levels else planar_jacobian(LENGTHS, q)
+
+
+def aim(levels, t):
+    return np.r_[target(t), REST] if levels else target(t)
+
+
+def aim_velocity(levels, t):
+    return np.r_[target_velocity(t), np.zeros(3)] if levels else target_velocity(t)
+
+
+def error(levels, q, t):
+    return aim(levels, t) - (np.r_[planar_position(LENGTHS, q), q] if levels else planar_position(LENGTHS, q))
+
+
+def dampings(inverse, J, e):
+    """λ² of each row."""
+    if inverse == "levels":
+        return np.array([0.05**2] * 2 + [0.4**2] * 3)
+    sigma = np.linalg.svd(J, compute_uv=False)[-1]
+    return np.full(2, {
+        "pseudoinverse": 1e-13,
+        "damped": 0.2**2,
+        "singular_damped": max(0.3**2 * (1 - (sigma / 0.9) ** 2), 0.0),
+        "error_damped": 0.1**2 + 0.5 * e @ e,
+    }[inverse])  # fmt: skip
+
+
+def joint_velocity(inverse, limits, q, e, v, pull):
+    """q̇ for a task velocity v and a pull of the null space."""
+    J = rows(inverse == "levels", q)
+    D = dampings(inverse, J, e)
+    qdot = pull + J.T @ np.linalg.solve(J @ J.T + np.diag(D), v - J @ pull)
+    if limits == "velocity_scaling":
+        qdot = qdot * min(1.0, (SPEED / np.abs(qdot)).min())
+    if limits == "bounded":
+        low, high = (np.clip(RATE * (limit - q), -SPEED, SPEED) for limit in (LOWER, UPPER))
+        qdot = least_within(J.T / D @ J + np.eye(3), J.T / D @ v + pull, low, high)
+    return qdot
+
+
+def least_within(H, g, low, high):
+    """Minimum of q̇ᵀHq̇/2 − gᵀq̇ in a box, by trying each face: the feasible one of least cost."""
+    best, cost = None, np.inf
+    for face in itertools.product((0, -1, 1), repeat=len(g)):
+        face = np.array(face)
+        free, qdot = face == 0, np.where(face < 0, low, high)
+        qdot[free] = np.linalg.solve(H[np.ix_(free, free)], (g - H[:, ~free] @ qdot[~free])[free])
+        value = 0.5 * qdot @ H @ qdot - g @ qdot
+        if np.all((low - 1e-12 <= qdot) & (qdot <= high + 1e-12)) and value < cost:
+            best, cost = qdot, value
+        if best is not None and not face.any():
+            break
+    return best
+
+
+# --- a step -------------------------------------------------------------------------------------------
+
+
+def step(method, stage, inverse, limits, q, t, offset):
+    """Joint values after a step from q, whose error is measured with an offset."""
+    levels = inverse == "levels"
+    gains, posture = (np.r_[GAINS, 3.0, 3.0, 3.0], 0.0) if levels else (GAINS, PULL)
+    exponential = method.startswith("EXP-")
+    A, b = TABLEAUX[method.removeprefix("EXP-")]
+    times = [sum(row) for row in A]
+    e0 = error(levels, q, t) + offset
+    if exponential:
+        z = gains * TS
+        whole, half = -np.expm1(-z) / TS * e0, -np.expm1(-z / 2) / (TS / 2) * e0
+        half = whole + (half - whole) / (1 + np.max(z) ** 4)
+        missed = (aim(levels, t + TS) - aim(levels, t)) / TS
+        missed = missed - sum(w * aim_velocity(levels, t + c * TS) for w, c in zip(b, times, strict=True))
+        within = [(2 - 4 * c) * half + (4 * c - 1) * whole if len(b) > 2 else whole for c in times]
+        pull0 = -np.expm1(-posture * TS) / TS * (REST - q)
+
+    def field(i, q):
+        at = t + times[i] * TS
+        if exponential:
+            return joint_velocity(inverse, limits, q, e0, aim_velocity(levels, at) + within[i] + missed, pull0)
+        e = error(levels, q, at) + offset
+        return joint_velocity(inverse, limits, q, e, aim_velocity(levels, at) + gains * e, posture * (REST - q))
+
+    explicit = field(0, q) if times[0] == 0 else None
+    slopes = []
+    for i, row in enumerate(A):
+        base = q + TS * sum((a * k for a, k in zip(row[:i], slopes, strict=False)), np.zeros(3))
+        if len(row) > i and row[i]:
+            if explicit is None:  # the slope of explicit Euler
+                e = error(levels, q, t) + offset
+                v = aim_velocity(levels, t) + gains * e
+                explicit = joint_velocity(inverse, limits, q, e, v, posture * (REST - q))
+            slope = explicit
+            for _ in range(3 if isinstance(stage, type(ck.picard(1))) else 60):
+                slope = field(i, base + row[i] * TS * slope)
+        else:
+            slope = field(i, base)
+        slopes.append(slope)
+    qdot = sum(w * k for w, k in zip(b, slopes, strict=True))
+    if limits == "none":
+        return q + TS * qdot
+    after = q + TS * qdot * min(1.0, (SPEED / np.abs(qdot)).min())
+    return np.clip(after, np.minimum(LOWER, q), np.maximum(UPPER, q)) if limits == "bounded" else after
+
+
+def loop(method, stage, inverse, limits, drive):
+    """Joint values (N + 1, 3) of the loop, through its drives."""
+    levels = inverse == "levels"
+    size, path = (5 if levels else 2), [Q0]
+    if drive is None:
+        for k in range(N):
+            path.append(step(method, stage, inverse, limits, path[-1], k * TS, np.zeros(size)))
+        return np.array(path)
+    phi, now, late, whole = hold(drive, TS)
+    kept, positions = float(drive.kept(TS)) if drive.filters else 0.0, drive.steps_positions
+    x = np.zeros((len(phi), 3))
+    x[0] = sent = Q0
+    mean = Q0 if positions else np.zeros(3)
+    line, measured = [mean] * (whole + 2), np.zeros(size)
+    for k in range(N):
+        seen, offset = sent if drive.feedback == "commanded" else x[0], np.zeros(size)
+        if drive.filters == "error":
+            e = error(levels, seen, k * TS)
+            measured = kept * measured + (1 - kept) * e
+            offset = measured - e
+        moved = step(method, stage, inverse, limits, seen, k * TS, offset) - seen
+        sent = (seen if drive.feedback == "rebased" else sent) + moved
+        command = sent if positions else moved / TS
+        if drive.filters == "command":
+            mean = command = kept * mean + (1 - kept) * command
+        line = [command, *line]
+        x = phi @ x + np.outer(now, line[whole]) + np.outer(late, line[whole + 1])
+        path.append(x[0])
+    return np.array(path)
+
+
+# --- the package's ------------------------------------------------------------------------------------
+
+
+def run(method, stage, inverse, limits, drive, dtype):
+    hand, circle = ck.position("xy"), ck.circle([*CENTRE], RADIUS, period=2 * np.pi / SPIN)
+    law = dict(inverse=INVERSES[inverse], limits=LIMITS[limits])
+    if inverse == "levels":
+        law = ck.Law(ARM, ck.stack(hand=hand, rest=ck.joints()), alpha=np.r_[GAINS, 3.0, 3.0, 3.0], **law)
+        circle = ck.references(hand=circle, rest=ck.hold(REST))
+    else:
+        law = ck.Law(ARM, hand, alpha=GAINS, null_velocity=ck.posture(REST, PULL), **law)
+    return ck.solve(law, circle, Q0.astype(dtype), TS, N, method, stage, drive=drive)
+
+
+@pytest.mark.parametrize(("method", "stage", "inverse", "limits", "drive", "dtype"), TABLE, ids=str)
+def test_a_combination_is_the_loop_written_apart(method, stage, inverse, limits, drive, dtype):
+    found = run(method, stage, inverse, limits, drive, dtype)
+    wanted = loop(method, stage, inverse, limits, drive)
+    assert found.q.dtype == dtype
+    np.testing.assert_allclose(found.q, wanted, atol=1e-9 if dtype is np.float64 else 2e-5)
+    if limits != "none":  # they act
+        assert np.abs(wanted - loop(method, stage, inverse, "none", drive)).max() > 1e-3
+
+
+def test_every_pair_of_values_occurs():
+    """Drives and dtypes take turns: each meets each method, stage, inverse and kind of limits."""
+    for i, j in ((4, 5), (2, 4), (3, 4), (2, 5), (3, 5)):
+        values = [{str(row[k]) for row in TABLE} for k in (i, j)]
+        assert {(str(row[i]), str(row[j])) for row in TABLE} == set(itertools.product(*values))
+    assert len(TABLE) == len(SOLVERS) * (len(INVERSES) * len(LIMITS) - 1) == 238

@@ -1,0 +1,65 @@
+"""The low-pass filter in the loop that `solve` runs, against the scalar loop and closed forms."""
+
+import jax
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.stability.linear import removed
+from cnclik.stability.poles import scalar_loop
+
+ARM, Q0, TS, N, STEP = ck.planar_arm([1.0, 1.0]), np.array([0.3, 1.2]), 0.01, 200, 1e-5
+DRIVES = {
+    "dead time": dict(delay=2),
+    "lag": dict(delay=2, lag=0.03),
+    "servo": dict(natural_frequency=30.0, command="position"),
+    "own commands": dict(delay=1, natural_frequency=30.0, command="position", feedback="commanded"),
+}
+
+
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("smoothed", ["error", "command", "target"])
+@pytest.mark.parametrize("method", ["EE", "CN", "EXP-MIDPOINT"])
+def test_a_step_of_the_target_is_the_scalar_loops(name, smoothed, method):
+    drive = ck.Drive(smoothing=0.6, smoothed=smoothed, **DRIVES[name])
+    alpha = min(0.5 * ck.gains(Ts=TS, drive=drive, method=method, M=5).largest_stable, 60.0)
+    law = ck.Law(ARM, ck.joints(), alpha=alpha)
+    with jax.enable_x64(True):
+        run = ck.solve(law, ck.hold(values=Q0 + np.array([STEP, 0])), Q0, TS, N, method, drive=drive)
+    loop, s = scalar_loop(drive, TS), float(removed(method, alpha * TS, 5))
+    expected = loop.response(s, loop.q, loop.displaced[:, None], N)[:, 0]
+    if smoothed == "target":  # the answer to 1 − ρ^(k+1), by superposition
+        impulse, target = -np.diff(expected, prepend=1.0), 1 - 0.6 ** np.arange(1, N + 2)
+        expected = 1 - np.convolve(impulse, target)[: N + 1]
+    np.testing.assert_allclose(np.asarray(run.e)[:, 0] / STEP, expected, atol=1e-9)
+
+
+def test_a_filtered_target_turns_and_lags():
+    """Rotations by ρ of the angle that is left in each sample; a line with feed-forward is Ts ρ/(1 − ρ) late."""
+    panda, q = ck.panda(), np.array([0.2, -0.785, 0.1, -2.2, 0.1, 1.6, 0.785])
+    pose, drive = ck.forward(panda, q), ck.Drive(smoothing=0.8, smoothed="target")
+    place, turn = np.asarray(pose.position), np.asarray(pose.rotation)
+    c, s = np.cos(0.5), np.sin(0.5)
+    target = ck.hold(place, np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ turn)
+    with jax.enable_x64(True):
+        run = ck.solve(ck.Law(panda, ck.pose(), alpha=2000.0), target, q, 0.01, 40, "EXP-RK4", drive=drive)
+        size = np.linalg.norm(np.asarray(run.e), axis=1)
+        np.testing.assert_allclose(size[1:], 0.5 * 0.8 ** np.arange(1, 41), atol=2e-4)
+        line = ck.line(place, place + np.array([0.1, 0, 0]), duration=2.0)
+        run = ck.solve(ck.Law(panda, ck.position(), alpha=20.0), line, q, 0.01, 150, "EXP-MIDPOINT", drive=drive)
+    np.testing.assert_allclose(np.asarray(run.e)[-1], [0.05 * 0.01 * 0.8 / 0.2, 0, 0], atol=1e-6)
+
+
+def test_it_is_differentiable_and_a_cut_off_is_a_share():
+    law = ck.Law(ARM, ck.position("xy"), alpha=10.0)
+    target = ck.hold(np.asarray(ck.forward(ARM, Q0).position)[:2] + np.array([0.05, -0.04]))
+
+    def end(**filters):
+        return ck.solve(law, target, Q0, TS, 20, "EE", drive=ck.Drive(delay=1, **filters)).e[-1, 0]
+
+    with jax.enable_x64(True):
+        slope = jax.grad(lambda kept: end(smoothing=kept))(0.5)
+        difference = (end(smoothing=0.5 + 1e-6) - end(smoothing=0.5 - 1e-6)) / 2e-6
+        assert slope == pytest.approx(float(difference), rel=1e-6)
+        assert end(cutoff=10.0) == pytest.approx(float(end(smoothing=np.exp(-2 * np.pi * 10.0 * TS))), rel=1e-12)
+        assert end(smoothing=0.0) == end()

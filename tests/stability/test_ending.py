@@ -1,0 +1,141 @@
+"""How runs ended, in a sentence: loops whose ending is known, and whether the remedy mends them."""
+
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive
+from cnclik.stability import Behaviour, verdict
+
+FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
+Q5 = np.array([0.3, 0.5, -0.4, 0.6, 0.2])
+XY = ck.position("xy")
+TIP = np.asarray(ck.forward(FIVE, Q5).position[:2])
+NEAR = ck.hold(TIP + np.array([-0.1, 0.1]))
+PANDA = ck.panda()
+QP = np.array([0, -0.785, 0, -2.356, 0, 1.571, 0.785])
+P0 = np.asarray(ck.forward(PANDA, QP).position)
+CIRCLE = ck.circle(P0 - np.array([0, 0, 0.08]), 0.08, period=4.0, normal=[0, 1.0, 0])
+
+
+def judge(law, reference, q, Ts, N, method="EE", drive=None, **more):
+    run = ck.solve(law, reference, q, Ts, N, method, drive=drive)
+    return verdict(law, reference, run, Ts=Ts, method=method, drive=drive, **more)
+
+
+def planar(alpha, **options):
+    return ck.Law(FIVE, XY, alpha=alpha, **options)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "N", "kind"),
+    [(5.0, 60, "settled"), (1.0, 20, "too short to tell"), (19.8, 60, "swinging"), (20.5, 60, "growing"),
+     (30.0, 60, "growing"), (0.0, 60, "held back")],
+)  # fmt: skip
+def test_a_held_target(alpha, N, kind):
+    said = judge(planar(alpha), NEAR, Q5, 0.1, N)
+    assert said.kind == kind, said
+    if kind in ("swinging", "growing"):
+        again = judge(planar(said.change["alpha"]), NEAR, Q5, 0.1, 100)
+        assert again.kind == "settled", again
+    if kind == "too short to tell":
+        assert judge(planar(alpha), NEAR, Q5, 0.1, said.change["N"]).kind == "settled"
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.9, 1.3])
+@pytest.mark.parametrize("drive", [Drive(delay=5), Drive(delay=2, lag=0.08)], ids=["dead time", "lag"])
+def test_a_loop_through_drives(factor, drive):
+    limit = ck.gains(Ts=0.02, drive=drive).largest_stable
+    said = judge(planar(factor * limit), NEAR, Q5, 0.02, 600, "EXP-MIDPOINT", drive)
+    assert (said.kind in ("swinging", "growing")) == (factor > 1), said
+    if factor > 1:
+        assert said.change == {"alpha": ck.gains(Ts=0.02, drive=drive).recommended}
+
+
+def test_a_wall_comes_before_anything_else():
+    """The wall holds in 157 of 400 steps, and lets the tip go again before the end."""
+    wall = ck.wall(ck.position("z"), below=float(P0[2]) - 0.05, name="ceiling")
+    law = ck.Law(PANDA, ck.position(), alpha=5.0, inverse=ck.damped(0.01), limits=ck.bounded(walls=[wall]))
+    said = judge(law, CIRCLE, QP, 0.01, 400, "EXP-MIDPOINT")
+    assert said.kind == Behaviour.HELD_BACK and "wall ceiling held in" in str(said) and "of 400 steps" in str(said)
+    assert not said.remedy
+
+
+def test_following_names_a_lag_only_where_one_explains_the_error():
+    law = ck.Law(PANDA, ck.position(), alpha=5.0)
+    for Ts, method, drive in ((0.01, "EXP-MIDPOINT", None), (0.01, "EE", None), (0.004, "EE", Drive(delay=13))):
+        said = judge(law, CIRCLE, QP, Ts, round(4 / Ts), method, drive)
+        assert said.kind == Behaviour.FOLLOWING and "lag" not in str(said), said
+    pure = ck.Law(PANDA, ck.position(), alpha=5.0, feedforward=0.0)
+    said = judge(pure, CIRCLE, QP, 0.01, 400, "EXP-MIDPOINT")
+    assert "as a lag of 18" in str(said) and "ms explains" in str(said), said  # alpha/(alpha² + ω²)
+    corners = ck.waypoints(np.arange(4.0), P0 + np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]))
+    said = judge(ck.Law(PANDA, ck.position(), alpha=2.0), corners, QP, 0.004, 750, "EXP-MIDPOINT", Drive(delay=13))
+    assert said.kind == Behaviour.FOLLOWING and "lag" not in str(said) and not said.remedy, said
+
+
+def test_an_arm_at_the_end_of_its_reach():
+    """Out of reach by the distance that `reach` finds; it swings with little damping, and the remedy calms it."""
+    far, limits = ck.hold(P0 + 0.6 * P0 / np.linalg.norm(P0)), ck.bounded()
+
+    def law(damping, alpha=60.0):
+        return ck.Law(PANDA, ck.position(), alpha=alpha, inverse=ck.damped(damping), limits=limits)
+
+    said = judge(law(0.05), far, QP, 1 / 60, 600, "EXP-MIDPOINT")
+    nearest = ck.reach(PANDA, P0 + 0.6 * P0 / np.linalg.norm(P0), task="position")
+    assert said.kind == Behaviour.HELD_BACK and "out of reach" in str(said) and "swings" in str(said), said
+    assert f"{1e3 * float(nearest.position_error):.3g} mm away" in str(said)
+    for calm in (law(said.change["damping"]), law(0.05, 10.0)):
+        said = judge(calm, far, QP, 1 / 60, 600, "EXP-MIDPOINT")
+        assert said.kind == Behaviour.HELD_BACK and "swings" not in str(said), said
+
+
+def test_each_task_of_a_stack_has_its_line():
+    tasks = ck.stack(hand=ck.position(), rest=ck.joints())
+    levels = ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1))
+    law = ck.Law(PANDA, tasks, alpha={"hand": 5.0, "rest": 1.0}, inverse=levels)
+    said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
+    assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], (
+        said
+    )  # a posture that yields is no error
+    law = ck.Law(PANDA, tasks, alpha=5.0, inverse=ck.damped(0.1))
+    said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
+    assert said.kind == Behaviour.HELD_BACK and "contradict" in str(said) and "(stays)" in said.tasks["hand"], said
+
+
+def test_causes_are_those_of_the_run():
+    pulled = ck.Law(PANDA, ck.position(), alpha=5.0, inverse=ck.damped(0.2), null_velocity=ck.posture(QP + 0.3, 2.0))
+    said = judge(pulled, ck.hold(P0), QP, 0.01, 3000, "EXP-MIDPOINT")
+    assert said.kind == Behaviour.HELD_BACK and "posture term" in str(said), said
+    fast = ck.Law(PANDA, ck.position(), alpha=60.0)
+    said = judge(fast, ck.hold(P0 + np.array([0.2, 0.2, 0])), QP, 0.01, 400)
+    assert "exceed a joint's velocity limit" in str(said) and said.change == {"limits": "velocity_scaling"}, said
+    z = ck.Law(FIVE, ck.position("xyz"), alpha=5.0, inverse=ck.damped(0.01))
+    said = judge(z, ck.hold([*(0.9 * TIP), 0.1]), Q5, 0.1, 100)
+    assert said.kind == Behaviour.HELD_BACK and "out of reach: the nearest posture found is 100 mm away" in str(said)
+
+
+def test_noise_is_no_swing():
+    rng = np.random.default_rng(5)
+    law, N, sigma = planar(5.0), 400, 1e-3
+    run = ck.solve(law, NEAR, Q5, 0.02, N)
+    noisy = ck.replace(run, e=np.asarray(run.e) + sigma * rng.standard_normal(np.shape(run.e)))
+    assert verdict(law, NEAR, noisy, Ts=0.02, noise=sigma).kind == Behaviour.SETTLED
+
+
+def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():
+    law = planar(19.9)
+    run = ck.solve(law, ck.hold(TIP), Q5, 0.1, 60, "EE")
+    said = verdict(law, ck.hold(TIP), run, Ts=0.1, method="EE", drive=Drive(delay=1))
+    assert "above the largest stable gain" in str(said) and said.change["alpha"] < 10
+
+
+def test_runs_of_others_are_refused():
+    law, run = planar(5.0), ck.solve(planar(5.0), NEAR, Q5, 0.1, 20)
+    with pytest.raises(ArgumentError, match="`Ts` must be the run's"):
+        verdict(law, NEAR, run, Ts=0.2)
+    with pytest.raises(ArgumentError, match="`run` must be a Trajectory of this law"):
+        verdict(ck.Law(PANDA, ck.position(), alpha=5.0), ck.hold(P0), run, Ts=0.1)
+    with pytest.raises(ArgumentError, match="at least one step"):
+        verdict(law, NEAR, ck.solve(law, NEAR, Q5, 0.1, 0), Ts=0.1)

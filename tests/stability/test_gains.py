@@ -1,0 +1,340 @@
+"""Gains: against closed forms, SciPy, loops in time, and true maps of random robots written apart (`plant`)."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.signal
+
+import cnclik as ck
+from cnclik.errors import ArgumentError
+from cnclik.integrate.drive import Drive
+from cnclik.stability.gain import gain_table, limits, mixed_share, overshoot, smooth_share, stable_share
+from cnclik.stability.linear import gain_removing, removed
+from cnclik.stability.poles import scalar_loop, within
+from tests.stability import plant
+
+Ts = 0.002
+CASES = [
+    (name, M)
+    for name in ck.METHODS
+    if isinstance(ck.METHODS[name], ck.Method)
+    for M in ((2, 5, None) if ck.METHODS[name].implicit else (None,))
+]
+DRIVES = {
+    "ideal": Drive(),
+    "dead time": Drive(delay=3),
+    "fractions": Drive(delay=2.5, measurement_delay=1),
+    "lag": Drive(lag=0.02, delay=1.3),
+    "servo": Drive(natural_frequency=60.0, damping_ratio=0.3, delay=2),
+    "positions": Drive(natural_frequency=40.0, damping_ratio=0.7, command="position", delay=0.5),
+    "rebased": Drive(lag=0.01, command="position", feedback="rebased", delay=1),
+    "commanded": Drive(natural_frequency=40.0, damping_ratio=0.7, command="position", feedback="commanded"),
+    "error filter": Drive(delay=2, lag=0.03, smoothing=0.6),
+    "command filter": Drive(delay=1, natural_frequency=50.0, command="position", smoothing=0.6, smoothed="command"),
+    "own commands, filter": Drive(delay=2, lag=0.03, feedback="commanded", smoothing=0.6),
+    "target filter": Drive(delay=2, cutoff=10.0, smoothed="target"),
+}
+
+
+@pytest.mark.parametrize("d", [0, 1, 2, 5, 17])
+def test_pure_dead_time_is_known_on_paper(d):
+    """2 sin(π/(2(2d + 1))) and d^d/(d + 1)^(d + 1) (Levin & May 1976; Ladas, Philos & Sficas 1989)."""
+    found = ck.gains(Ts=Ts, drive=Drive(delay=d), method="EE")
+    assert found.largest_stable * Ts == pytest.approx(2 * np.sin(np.pi / (2 * (2 * d + 1))), rel=1e-12)
+    assert found.without_overshoot * Ts == pytest.approx(float(d) ** d / (d + 1) ** (d + 1), rel=1e-5)
+    assert found.recommended * Ts == pytest.approx((d + 1.0) ** (d + 1) / (d + 2.0) ** (d + 2), rel=1e-5)
+    exponential = ck.gains(Ts=Ts, drive=Drive(delay=d), method="EXP-EE")
+    share = found.largest_stable * Ts
+    assert exponential.largest_stable * Ts == pytest.approx(-np.log1p(-share) if share < 1 else np.inf, rel=1e-9)
+
+
+def test_a_fast_loop_through_a_servo_is_stable_to_twice_its_damping():
+    """alpha < 2ζω₀ = k_v/m, by Routh's criterion of s(s² + 2ζω₀ s + ω₀²) + alpha ω₀²."""
+    w, zeta = 23.25, 0.6
+    for drive, off in ((Drive(natural_frequency=w, damping_ratio=zeta, command="position"), 2e-3),
+                       (Drive(natural_frequency=w, damping_ratio=zeta), 4e-3)):  # fmt: skip
+        assert ck.gains(Ts=1e-4, drive=drive).largest_stable == pytest.approx(2 * zeta * w, rel=off)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize(("method", "M"), CASES)
+def test_every_method_and_drive_has_the_limits_of_its_true_map(method, M, name):
+    """One joint: the map written apart is stable just below the limit, and not just above."""
+    drive = DRIVES[name]
+    inside = within(drive) if drive.filters != "target" else dataclasses.replace(drive, cutoff=None)
+    stable, smooth, _ = (min(share and gain_removing(share, method, M), 1e3) for share in limits(drive, Ts))
+    own = ck.gains(Ts=Ts, drive=drive, method=method, M=M)
+    assert min(own.largest_stable * Ts, 1e3) == pytest.approx(stable, rel=1e-12)
+    assert min(own.without_overshoot * Ts, 1e3) == pytest.approx(smooth, rel=1e-12)
+
+    def radius(z):
+        S = np.array([[np.exp(-z) if method.startswith("EXP") else plant.march(method, M, 1.0, np.array([[z]]))[0, 0]]])
+        return plant.radius(S, [inside], Ts)
+
+    for z in (0.999 * stable, 0.5 * stable, 0.01 * stable):
+        assert radius(z) < 1 + 1e-9
+    if stable < 1e3:
+        assert radius(1.001 * stable) > 1
+    for z, passes in ((smooth * 0.999, False), (min(smooth * 1.3, 0.99 * stable), True)):
+        loop, share = scalar_loop(drive, Ts), float(removed(method, z, M))
+        x, worst = loop.displaced, 0.0
+        for _ in range(4000):  # the motion, sample by sample
+            x = loop.matrix(share) @ x
+            worst = max(worst, -float(loop.q @ x))
+        assert worst <= 0.0101 or passes
+
+
+@pytest.mark.parametrize("name", [n for n in DRIVES if DRIVES[n].order < 2 and not DRIVES[n].filters])
+def test_margins_are_those_of_scipy(name):
+    """The loop gain at SciPy's frequencies; noise by SciPy's Lyapunov solution."""
+    drive = DRIVES[name]
+    if drive.feedback == "commanded":
+        return
+    loop, s = scalar_loop(drive, Ts), 0.02
+    system = scipy.signal.StateSpace(loop.A, loop.b[:, None], loop.C[None], np.zeros((1, 1)), dt=Ts)
+    w = np.geomspace(1e-3, np.pi, 50)
+    _, response = scipy.signal.dfreqresp(system, w)
+    np.testing.assert_allclose(s * response, _closed(loop, w, s), rtol=1e-8, atol=1e-12)
+    noisy = loop.disturbed - s * loop.b
+    P = scipy.linalg.solve_discrete_lyapunov(loop.matrix(s), np.outer(noisy, noisy))
+    found = ck.gains(Ts=Ts, drive=drive, method="EE").at(s / Ts)
+    assert found.noise_gain == pytest.approx(np.sqrt(loop.q @ P @ loop.q), rel=1e-5)
+
+
+def _closed(loop, w, s):
+    """−s C (ζ − A)⁻¹ b from the loop gain, whose roots of 1 + s ℓ are the same."""
+    return s * loop.unit_gain(np.exp(1j * w))
+
+
+@pytest.mark.parametrize("smoothed", ["", "error", "command"])
+def test_a_response_is_that_of_a_run(smoothed):
+    """The step of a planar arm through a servo with dead time, in time: overshoot and settling time."""
+    arm, filters = ck.planar_arm([1.0, 1.0]), {"smoothing": 0.6, "smoothed": smoothed} if smoothed else {}
+    drive = Drive(delay=3, natural_frequency=40.0, damping_ratio=0.8, command="position", **filters)
+    found = ck.gains(Ts=0.01, drive=drive)
+    alpha = 2.0 * found.without_overshoot
+    q0, step = np.array([0.3, 1.2]), 1e-5
+    law = ck.Law(arm, ck.joints(), alpha=alpha)
+    run = ck.solve(law, ck.hold(values=q0 + np.array([step, 0.0])), q0, 0.01, 400, drive=drive)
+    away = np.asarray(run.e, float)[:, 0] / step
+    predicted = found.at(alpha)
+    assert -away.min() == pytest.approx(predicted.overshoot, abs=2e-3)
+    settled = np.flatnonzero(np.abs(away) > 0.02)[-1] + 1
+    assert settled * 0.01 == pytest.approx(predicted.settling_time, abs=0.011)
+
+
+def test_no_more_than_one_per_cent_is_passed_without_overshoot():
+    rng = np.random.default_rng(11)
+    for _ in range(40):
+        drive = Drive(
+            delay=float(rng.integers(0, 5)), natural_frequency=float(10 ** rng.uniform(0.8, 2.2)),
+            damping_ratio=float(rng.uniform(0.2, 1.5)), command=str(rng.choice(["velocity", "position"])),
+        )  # fmt: skip
+        share = smooth_share(drive, 0.01, stable_share(drive, 0.01))
+        assert overshoot(scalar_loop(drive, 0.01), share) <= 0.01001
+    # A servo outside of the loop may overshoot by itself: the motion counts, not the commands.
+    servo = Drive(delay=10, natural_frequency=16.4, damping_ratio=0.4, command="position", feedback="commanded")
+    for method in ("EE", "EXP-MIDPOINT"):
+        found = ck.gains(Ts=Ts, drive=servo, method=method)
+        assert found.response.overshoot <= 0.0101 and 5 < found.recommended < 15
+
+
+# --- the theorem: random loops of random robots --------------------------------------------------------
+
+
+def drawn_drive(rng):
+    numbers = dict(delay=float(rng.choice([0, 0, 1, 2, 0.4, 2.5, 3])), measurement_delay=int(rng.choice([0, 0, 1])))
+    kind = rng.integers(6)
+    if kind in (1, 3):
+        numbers |= dict(lag=float(10 ** rng.uniform(-2.3, -0.7)))
+    if kind in (2, 4, 5):
+        numbers |= dict(
+            natural_frequency=float(10 ** rng.uniform(0.9, 2.1)), damping_ratio=float(rng.uniform(0.25, 1.4))
+        )
+    if kind in (3, 4):
+        numbers |= dict(command="position")
+    if kind == 5:
+        numbers |= dict(command="position", feedback=str(rng.choice(["rebased", "commanded"])))
+    if rng.random() < 0.25:
+        numbers |= dict(smoothing=float(rng.uniform(0.1, 0.9)), smoothed=str(rng.choice(["error", "command"])))
+    if numbers.get("feedback") == "commanded":
+        numbers.pop("smoothed", None)
+    return Drive(**numbers)
+
+
+def drawn_rates(rng, jacobian, task):
+    """(M = J#KJ + (I − J#J) k of a random inverse, its largest rate): weights, levels, limits and a posture term."""
+    weights = 10 ** rng.uniform(-1, 1, 2)[task] if rng.random() < 0.5 else np.ones(len(jacobian))
+    J, n = weights[:, None] * jacobian, jacobian.shape[1]
+    kind = rng.choice(["exact", "damped", "levels"])
+    gain = np.ones(len(J)) if rng.random() < 0.3 else np.maximum(10 ** rng.uniform(-1.5, 0, 2), 0.01)[task]
+    if rng.random() < 0.2 and kind != "exact":  # joints held by their limits: rows of the first level with their rate
+        some = rng.choice(n, rng.integers(1, 3), replace=False)
+        J = np.vstack([1e3 * np.eye(n)[some], J])
+        gain, task = np.r_[np.full(len(some), rng.uniform(0.05, 1)), gain], np.r_[np.full(len(some), 0), task]
+    if kind == "exact":
+        inverse = np.linalg.pinv(J)
+    else:
+        damping = (
+            np.full(len(J), rng.uniform(0.01, 0.5))
+            if kind == "damped"
+            else np.sort(10 ** rng.uniform(-3, -0.3, 2))[task]
+        )
+        inverse = J.T @ np.linalg.inv(J @ J.T + np.diag(damping**2))
+    posture = rng.uniform(0.02, 1) if rng.random() < 0.35 else 0.0
+    M = inverse @ (gain[:, None] * J) + posture * (np.eye(n) - inverse @ J)
+    return M, max(gain.max(), posture)
+
+
+def step_map(rng, M, z, Ts):
+    """What a step of a random method does to the joints with rates z M/Ts, and its (name, passes)."""
+    method, passes = CASES[rng.integers(len(CASES))]
+    return method, passes, lambda z: _map(method, passes, M, z, Ts)
+
+
+def _map(method, passes, M, z, Ts):
+    if method.startswith("EXP"):
+        values, vectors = np.linalg.eig(M)
+        return (vectors @ np.diag(np.exp(-z * values)) @ np.linalg.inv(vectors)).real
+    return plant.march(method, passes, Ts, z / Ts * M)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_random_loop_is_unstable_below_the_scalar_limit(seed):
+    """Robots, postures, weights, levels, dampings, gains, postures, held joints, methods and drives at random."""
+    rng, Ts = np.random.default_rng(100 + seed), 0.01
+    for i in range(25):
+        jacobian, task = plant.jacobian(plant.ROBOTS[i % len(plant.ROBOTS)], rng)
+        M, largest = drawn_rates(rng, jacobian, task)
+        drive = drawn_drive(rng)
+        method, passes, at = step_map(rng, M / largest, 0.0, Ts)
+        share = stable_share(drive, Ts)
+        if share == 0:  # rebased servos that swing at any small gain
+            continue
+        z = min(gain_removing(share, method, passes), 50.0)
+        assert plant.radius(at(0.99 * z), [drive] * len(M), Ts) < 1 + 1e-6, (i, method, passes, drive)
+
+
+def test_with_exact_inverses_the_scalar_limit_is_the_limit():
+    rng, Ts = np.random.default_rng(7), 0.01
+    for i in range(20):
+        jacobian, _ = plant.jacobian(plant.ROBOTS[i % len(plant.ROBOTS)], rng)
+        drive = drawn_drive(rng)
+        share = stable_share(drive, Ts)
+        if not 0 < share < 1:
+            continue
+        z = gain_removing(share, "EE")
+        P = np.linalg.pinv(jacobian) @ jacobian
+        assert plant.radius(np.eye(len(P)) - 1.02 * z * P, [drive] * len(P), Ts) > 1 + 1e-6
+
+
+def test_joints_with_different_drives():
+    """One gain: the hull holds for every robot, and "the slowest is safe" does not."""
+    rng, Ts = np.random.default_rng(3), 0.01
+    for i in range(12):
+        late = float(rng.choice([0, 1, 2, 3.5]))
+        drives = [Drive(delay=late, lag=float(10 ** rng.uniform(-2.3, -0.7))) for _ in range(3)]
+        jacobian, _ = plant.jacobian(plant.ROBOTS[i % len(plant.ROBOTS)], rng)
+        n = jacobian.shape[1]
+        each = [drives[k] for k in rng.integers(3, size=n)]
+        share = mixed_share(each, Ts)
+        P = np.linalg.pinv(jacobian) @ jacobian
+        assert plant.radius(np.eye(n) - 0.99 * share * P, each, Ts) < 1 + 1e-7
+    several = ck.gains(Ts=Ts, drive=Drive(delay=2, lag=[0.2, 0.02, 0.02]))
+    slowest = ck.gains(Ts=Ts, drive=Drive(delay=2, lag=0.2))
+    assert several.recommended == slowest.recommended and several.largest_stable == pytest.approx(
+        slowest.largest_stable
+    )
+    assert len(several.drive.joints) == 2
+    unlike = [
+        Drive(delay=4, natural_frequency=9.0, damping_ratio=0.3, smoothing=0.7, smoothed="command"),
+        Drive(delay=2, natural_frequency=9.0, damping_ratio=0.05, smoothing=0.2, smoothed="command"),
+    ]
+    assert mixed_share(unlike, Ts) <= min(stable_share(one, Ts) for one in unlike) * (1 + 1e-9)
+
+
+# --- what is said ------------------------------------------------------------------------------------------
+
+
+def test_a_filter_lowers_gains_but_not_of_the_target():
+    """10 ms of dead time at 4 ms, EXP: 24 1/s without a filter; 18.2, 9.97 and 5.58 with ρ = 0.5, 0.8, 0.9."""
+
+    def recommended(**filters):
+        return ck.gains(Ts=0.004, drive=Drive(delay=2.5, **filters)).recommended
+
+    for kept, expected in ((0.0, 24), (0.5, 18.2), (0.8, 9.97), (0.9, 5.58)):
+        assert recommended(smoothing=kept) == pytest.approx(expected, rel=0.01)
+        assert recommended(smoothing=kept, smoothed="command") == pytest.approx(expected, rel=0.01)
+    assert recommended(smoothing=0.9, smoothed="target") == recommended()
+    kept = np.exp(-2 * np.pi * 20.0 * 0.004)
+    assert recommended(cutoff=20.0) == pytest.approx(recommended(smoothing=kept), rel=1e-12)
+    target = ck.gains(Ts=0.004, drive=Drive(delay=2.5, smoothing=0.9, smoothed="target")).response
+    assert target.lag_fed_forward == pytest.approx(0.01 * 0 + 0.004 * 0.9 / 0.1, rel=1e-9)
+
+
+@pytest.mark.parametrize(("Ts", "late"), [(0.002, 2.5), (0.001, 5), (0.005, 2), (0.01, 2)])
+def test_the_loop_of_kuka_lbr_is_unstable_as_it_is_configured(Ts, late):
+    """z = 0.995 a sample, an average of 0.5, a lag of 40 ms, dead time of 5, 10 and 20 ms."""
+    drive = Drive(delay=late if Ts < 0.005 else {0.005: 2, 0.01: 2}[Ts], lag=0.04, smoothing=0.5)
+    assert ck.gains(Ts=Ts, drive=drive, method="EE").largest_stable * Ts < 0.995
+
+
+def test_unknown_drives_are_assumed():
+    found = ck.gains(Ts=0.004)
+    assert found.assumed and found.recommended == ck.gains(Ts=0.004, drive=Drive(delay=7.5, lag=0.1)).recommended
+    assert "assumed" in str(found) and ck.gains(Ts=1e-4).recommended > 0
+
+
+def test_a_table_holds_the_gains_of_its_cells():
+    data = gain_table(Ts=[0.002, 0.01], dead_time=[0.0, 0.01, 0.02], drive=Drive(lag=0.05))
+    assert data.recommended.dims == ("Ts", "dead_time") and data.recommended.attrs["units"] == "1/s"
+    cell = ck.gains(Ts=0.01, drive=Drive(delay=2, lag=0.05))
+    assert float(data.recommended.sel(Ts=0.01, dead_time=0.02)) == cell.recommended
+    assert float(data.largest_stable.sel(Ts=0.01, dead_time=0.02)) == cell.largest_stable
+
+
+def test_the_same_loop_elsewhere():
+    found = ck.gains(Ts=0.002, drive=Drive(delay=17)).elsewhere
+    assert found["pink"].value == found["mink"].value == found["Placo"].value == pytest.approx(0.01989, rel=1e-3)
+    assert found["MoveIt Servo"].value == pytest.approx(found["pink"].value / 0.002)
+    assert found["Isaac Lab"].value is None and "identify" in found["Isaac Lab"].meaning
+    servo = ck.gains(Ts=0.02, drive=Drive(natural_frequency=20.0, damping_ratio=1.0, command="position")).elsewhere
+    assert 0 < servo["Isaac Lab"].value <= 1 and servo["UR servoj"].value > 0
+    rate = ck.gains(Ts=0.02, drive=Drive(lag=0.1)).elsewhere
+    assert rate["UR servoj"].value is None and rate["Isaac Lab"].value is None
+
+
+def test_rebased_servos_that_run_away_are_refused():
+    """Unstable at any small gain from τ = (2π − arccos(4ζ² − 1))/(ω₀√(2 − 4ζ²)) of dead time on."""
+    w, zeta = 10.0, 0.2
+    late = (2 * np.pi - np.arccos(4 * zeta**2 - 1)) / (w * np.sqrt(2 - 4 * zeta**2))
+
+    def of(samples):
+        drive = Drive(delay=samples, natural_frequency=w, damping_ratio=zeta, command="position", feedback="rebased")
+        return ck.gains(Ts=0.01, drive=drive)
+
+    assert stable_share(of(late / 0.01 + 1).drive, 0.01) == 0 < stable_share(of(late / 0.01 - 2).drive, 0.01)
+    refused = of(late / 0.01 + 1)
+    assert refused.recommended == 0 and refused.response is None and "measured joints" in refused.reason
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: ck.gains(Ts=0.0), "`Ts` must be positive"),
+        (lambda: ck.gains(Ts="4ms"), r"`Ts` must be a number, but is '4ms': write 0\.004"),
+        (lambda: ck.gains(Ts=0.01, drive=0.03), r"`drive` must be Drive\(\.\.\.\)"),
+        (lambda: ck.gains(Ts=0.01, method="EEE"), "`method` must be one of"),
+        (lambda: ck.gains(Ts=0.01, method="IE", M=-1), "`M` must be at least 0"),
+        (lambda: ck.gains(Ts=0.01).at(0.0), "`alpha` must be positive"),
+        (lambda: Drive(smoothing=1.0), "`smoothing` must be below 1"),
+        (lambda: Drive(smoothing=-0.1), "`smoothing` must be at least 0"),
+        (lambda: Drive(cutoff=0.0), "`cutoff` must be positive"),
+        (lambda: Drive(cutoff=10.0, smoothing=0.5), "`cutoff` must be left out"),
+        (lambda: Drive(smoothed="errors"), "`smoothed` must be one of"),
+    ],
+)
+def test_bad_input_is_named(call, words):
+    with pytest.raises(ArgumentError, match=words):
+        call()

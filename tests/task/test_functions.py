@@ -1,0 +1,153 @@
+"""Functions of joint values and target as tasks: rows and velocities that change with the target.
+
+Oracles: differences, and the orders that the methods promise.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import cnclik as ck
+from cnclik.law.law import observe
+from cnclik.law.reference import aims_of
+from cnclik.robot.model import modelled
+from cnclik.task.parts import At
+from cnclik.task.task import error
+from tests.oracles import close
+
+PANDA = ck.panda()
+Q = np.array([0.3, -0.5, 0.2, -1.8, 0.4, 1.6, 0.3])
+HERE = ck.forward(PANDA, Q)
+
+
+def direction(robot, q, target):
+    """Where a target is in the tip's frame, as seen from it: two coordinates of its direction."""
+    at = ck.forward(robot, q)
+    away = at.rotation.T @ (target - at.position)
+    return away[:2] / jnp.linalg.norm(away)
+
+
+def looking(**given):
+    """A camera at the tip that looks at a target that moves."""
+    return ck.function(
+        lambda robot, q: ck.forward(robot, q).rotation[:2, 2], ["across", "down"], ["1", "1"], error=direction,
+        target=3, **given,
+    )  # fmt: skip
+
+
+LOOK = looking() & ck.position("z")
+
+
+def paths(speed=1.0):
+    """A target that moves on a circle ahead of the tip, and the tip's height."""
+    ahead = np.asarray(HERE.position) + np.asarray(HERE.rotation)[:, 2] * 0.8 + np.array([0.05, 0.1, 0.0])
+
+    def seen(t):
+        return ahead + 0.1 * jnp.stack([jnp.sin(2 * speed * t), 1 - jnp.cos(2 * speed * t), jnp.sin(speed * t)])
+
+    high = ck.path(lambda t: HERE.position[2:] + 0.05 + 0.05 * jnp.sin(2 * t))
+    return ck.references(function=ck.path(seen), tip=high)
+
+
+def test_rows_and_velocities_are_what_the_error_does():
+    """Differences of the error."""
+    law, moving = ck.Law(modelled(PANDA), LOOK, alpha=1.0), paths()
+
+    @jax.jit
+    def missing(q, t):
+        return error(law.task, At(law.chain, q), aims_of(moving, law.task, t))
+
+    rows, velocity = jax.jit(lambda q: (lambda o: (o.rows, o.xdot_d))(observe(law, moving, 0.5, q)))(Q)
+    h = 1e-6
+    differences = [(missing(Q + d, 0.5) - missing(Q - d, 0.5)) / (2 * h) for d in h * np.eye(7)]
+    close(rows, -np.transpose(differences), atol=1e-8)
+    close(velocity, (missing(Q, 0.5 + h) - missing(Q, 0.5 - h)) / (2 * h), atol=1e-8)
+
+
+ORDERS = {"RK4": 4, "CN": 2, "AB2": 2, "EXP-EE": 1, "EXP-MIDPOINT": 2, "EXP-AB2": 2}
+
+
+def ends(method, N):
+    """Joint values after half a second; of a redundant arm too, as J# is exact."""
+    with ck.use_engine("plain"):
+        run = ck.solve(ck.Law(PANDA, LOOK, alpha=6.0), paths(), Q, 0.5 / N, N, method, ck.newton(8))
+    return np.asarray(run.q[-1])
+
+
+@functools.cache
+def exactly():
+    return ends("RK4", 500)
+
+
+QUICK = "EXP-MIDPOINT"
+
+
+@pytest.mark.parametrize("method", [m if m == QUICK else pytest.param(m, marks=pytest.mark.slow) for m in ORDERS])
+def test_methods_keep_their_orders(method):
+    order = ORDERS[method]
+    exact, N = exactly(), {4: 40, 2: 80, 1: 160}[order]
+    coarse, fine = (np.linalg.norm(ends(method, n) - exact) for n in (N, 2 * N))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15)
+
+
+def test_lanes_are_the_plain_loop():
+    q = Q + 0.1 * np.random.default_rng(2).normal(size=(8, 7))
+    law = ck.Law(PANDA, LOOK, alpha=6.0, inverse=ck.damped(0.02))
+    made = np.asarray(ck.lanes(lambda q: ck.solve(law, paths(), q, 0.01, 5).e[-1])(q))
+    with ck.use_engine("plain"):
+        close(made, [np.asarray(ck.solve(law, paths(), one, 0.01, 5).e[-1]) for one in q], atol=1e-12)
+
+
+def test_three_functions_are_one():
+    """Rows and velocity of one's own, where they are those of the error."""
+    task, wrong = looking(), []
+
+    def rows(robot, q, target):
+        wrong.append("asked")
+        return -jax.jacfwd(lambda q: direction(robot, q, target))(q)
+
+    def velocity(robot, q, target, motion):
+        wrong.append("asked")
+        return jax.jvp(lambda target: direction(robot, q, target), (target,), (motion,))[1]
+
+    aim = paths()["function"]
+    made = [
+        ck.solve(ck.Law(PANDA, one, alpha=6.0), aim, Q, 0.01, 10).q[-1]
+        for one in (task, looking(rows=rows, velocity=velocity))
+    ]
+    close(made[1], made[0], atol=1e-12)
+    assert len(wrong) >= 2
+
+
+def test_a_camera_keeps_looking_at_what_moves():
+    law = ck.Law(PANDA, LOOK, alpha=20.0)
+    run = ck.solve(law, paths(0.3), Q, 0.01, 300)
+    assert np.abs(run.e[-1]).max() < 1e-5 < 0.05 < np.abs(run.e[0]).max()
+    at, target = ck.forward(PANDA, run.q[-1]), paths(0.3)["function"].curve(3.0)[0]
+    seen = np.asarray(at.rotation).T @ np.asarray(target - at.position)
+    assert seen[2] > 0 and np.abs(seen[:2]).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: _run(looking(), ck.hold(values=[0.4, 0.1])), r"`reference` must give 3 values \(across, down\)"),
+        (lambda: _run(looking(), ck.hold_at(PANDA, looking(), Q)), "must give 3 values .*, but gives none"),
+        (lambda: ck.function(abs, ["a"], ["m"], target=2), "`target` must come with an `error`"),
+        (lambda: ck.function(abs, ["a"], ["m"], error=1), "`error` must be a function"),
+        (
+            lambda: _run(looking(rows=lambda *_: jnp.zeros((2, 3))), ck.hold([0.4] * 3)),
+            r"`rows` must return shape .2, 7",
+        ),
+    ],
+)
+def test_what_is_refused(make, message):
+    with pytest.raises(ck.ArgumentError, match=message):
+        make()
+
+
+def _run(task, reference):
+    return ck.solve(ck.Law(PANDA, task, alpha=1.0), reference, Q, 0.01, 1)
