@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from cnclik.cache import bounded_jit
 from cnclik.engine.native import native
 from cnclik.engine.plan import as_here, chosen
 from cnclik.engine.program import Bound, Program
@@ -27,7 +28,7 @@ class Batches:
         def run(kept, lanes, count):
             return tiled(lambda *own: as_c(*kept, *own), min(TILE, self.most), *lanes, count=count)
 
-        self.run = jax.jit(run)
+        self.run = bounded_jit(run)
 
     def bound(self, *kept):
         """Return the function call(leaves, size, pool=None) of batches. Args: kept: the first arguments, of all calls.

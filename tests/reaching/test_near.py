@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching.seeds import spans, turned
-from cnclik.reaching.units import in_units
+from cnclik.reaching.starts import spans, turned
+from cnclik.reaching.units import unit_of
 from tests.integrate.test_real_robots import ROBOTS, folder
 from tests.reaching.test_reach import both_ways, by_jax, drawn, tips
 
@@ -63,10 +63,10 @@ def wrong(chain, count):
     return found
 
 
-@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("way", ["c", by_jax], indirect=True)
 @pytest.mark.parametrize("robot", [ck.ur5, ck.panda])
 def test_near_is_where_the_search_begins_and_not_where_it_ends(robot, request):
-    slower = request.node.callspec.params["way"] == "jax"
+    slower = request.node.callspec.params["way"] == "xla"
     assert wrong(robot(), 60 if slower else 300) == {}
 
 
@@ -78,14 +78,14 @@ def test_near_of_eight_robots(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["jax"], indirect=True)
+@pytest.mark.parametrize("way", ["xla"], indirect=True)
 @pytest.mark.parametrize("name", ["UR5", "Panda", "iCub arm"])
 def test_near_without_a_compiler(name):
     file, tip, base = ROBOTS[name]
     assert wrong(ck.load_urdf(folder() / file, tip, base), 10_000) == {}
 
 
-@pytest.mark.parametrize("way", ["native", "jax"], indirect=True)
+@pytest.mark.parametrize("way", ["c", "xla"], indirect=True)
 def test_a_minimum_at_a_limit_next_to_near_hides_no_answer():
     """There the error is 5 µm: in float32 that is an answer, and the one nearest to `near`."""
     arm = ck.replace(ck.planar_arm([1.0, 0.8]), lower=(-3.0, -3.0), upper=(3.0, 1.2))
@@ -165,12 +165,12 @@ def at_limits(chain, count):
     return np.where(held, np.where(side, low, high), q)
 
 
-@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("way", ["c", by_jax], indirect=True)
 @pytest.mark.parametrize("kind", ["twisted", 1, 14])
 def test_an_answer_with_several_joints_at_their_limits_is_found(kind, request):
     """It has hardly any posture about it from which a search within the limits arrives."""
     chain = cornered(kind)
-    q = at_limits(chain, 100 if request.node.callspec.params["way"] == "jax" else 1000)
+    q = at_limits(chain, 100 if request.node.callspec.params["way"] == "xla" else 1000)
 
     def right(made):
         known = np.isin(made.status, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET])
@@ -189,7 +189,7 @@ def test_an_answer_with_several_joints_at_their_limits_is_found(kind, request):
     assert np.isin(alone, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET]).all()
 
 
-@pytest.mark.parametrize("way", ["native", pytest.param(by_jax, marks=pytest.mark.slow)], indirect=True)
+@pytest.mark.parametrize("way", ["c", pytest.param(by_jax, marks=pytest.mark.slow)], indirect=True)
 @pytest.mark.parametrize(
     ("kind", "some"),
     [(16, [846, 917, 952, 1361, 4442])]
@@ -235,7 +235,7 @@ def bordering(size, count):
     return arm, where, away - outer, inner - away
 
 
-@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("way", ["c", by_jax], indirect=True)
 @pytest.mark.parametrize("size", [1e-4, 1.0, 30.0, 1e6])
 def test_on_the_border_only_what_is_known_is_said(size):
     """By the law of cosines. Searches end there at errors of a billionth of the arm's length: those are near misses."""
@@ -258,7 +258,7 @@ def test_on_the_border_only_what_is_known_is_said(size):
     assert (beyond[made.status == ReachStatus.OUT_OF_REACH] > 1e-14 * size).all()
 
 
-@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("way", ["c", by_jax], indirect=True)
 def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach(way):
     """Postures with joints at 0, whose poses are reached: what `jump` forbids is never called out of reach."""
     arm = ck.from_dh([1.0] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)

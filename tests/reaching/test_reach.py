@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching import single
-from cnclik.reaching.seeds import spans
+from cnclik.reaching.starts import spans
 from tests.integrate.test_real_robots import ROBOTS, folder
 from tests.robot.test_urdf import Pinocchio, oracle
 
@@ -22,9 +21,9 @@ WRIST = ck.from_dh(
     upper=[2.5] * 6,
 )
 ARM = ck.planar_arm([1.0, 1.0])
-by_jax = pytest.param("jax", marks=pytest.mark.slow)  # CI looks at a few of them, and at whether both agree
-both_ways = pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
-jax_alone = pytest.mark.parametrize("way", ["jax"], indirect=True)
+by_jax = pytest.param("xla", marks=pytest.mark.slow)  # CI looks at a few of them, and at whether both agree
+both_ways = pytest.mark.parametrize("way", ["c", by_jax], indirect=True)
+jax_alone = pytest.mark.parametrize("way", ["xla"], indirect=True)
 PLANE = ck.position("xy")
 
 

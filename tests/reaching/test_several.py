@@ -7,8 +7,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.engine.compiler import can_build
-from cnclik.reaching.seeds import spans
-from cnclik.reaching.targets import owners
+from cnclik.reaching.starts import spans
+from cnclik.task.aims import owners
 from cnclik.robot.model import modelled
 from cnclik.robot.poses import quaternions
 from cnclik.task.parts import At

@@ -69,10 +69,10 @@ def complete(chain, targets, made):
     return np.array(done)
 
 
-@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("way", ["c", by_jax], indirect=True)
 @pytest.mark.parametrize("limit", [np.pi, 2.5])
 def test_all_that_the_closed_form_knows(limit, request):
-    count = 60 if request.node.callspec.params["way"] == "jax" else 150
+    count = 60 if request.node.callspec.params["way"] == "xla" else 150
     _all_of(limit, count, at_least=count - 1)
 
 
