@@ -135,9 +135,9 @@ def descend(chain, task: Task, terms: Terms, q, target, near, most, free) -> Arr
     bounds, q = (jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)), jnp.clip(q, low, high)
 
     def goes_on(s):
-        close = careful & (s.squares <= COARSE**2).all() & (s.looks < most + SLOW)
-        stuck = careful & (s.steep <= jnp.where(most <= CAREFUL, STUCK, STILL))
-        return ~s.arrived & ((s.looks < most) | close) & ~stuck
+        close = careful & (s.squares <= COARSE**2).all()  # as next to singularities, where errors fall slowly
+        stuck = careful & ~close & (s.steep <= jnp.where(most <= CAREFUL, STUCK, STILL))
+        return ~s.arrived & (s.looks < most + jnp.where(close, SLOW, 0)) & ~stuck
 
     far = zero + jnp.inf
     begin = State(q, q, jnp.stack([far, far]), far, far, zero + 1.0, 0 * most, zero > 1)

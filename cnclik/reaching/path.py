@@ -11,32 +11,28 @@ from cnclik.robot.posture import start_posture
 AHEAD = 64  # targets that one call goes along
 
 
-def path(search: Search, pose) -> np.ndarray:
+def path(search: Search, pose, progress=None) -> np.ndarray:
     """Return rows (B, width) of targets (B, t); the first one is free to jump.
 
     One program goes along the targets, until there is none CLOSE to the answer before it; that one is searched for.
     """
     asked, n, B = search.asked, search.n, len(pose)
-    free = search if asked.jump is None else memoized(asked, "_free", lambda asked: Search(replace(asked, jump=None)))
-    rows, at, k = (
-        np.empty((B, width(n))),
-        memoized(asked, "_start", lambda _: start_posture(asked.chain, asked.task)),
-        0,
-    )
+    free = search if asked.jump is None else Search(replace(asked, jump=None))
     along = search.attempts.along(search.stages[0].terms, AHEAD)
+    rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
     while k < B:
-        rows[k] = (free if k == 0 else search).rows(pose[k : k + 1], at[None])[0]
-        row = row_of(rows[k], n)
-        at, k = row.q if row.status <= ReachStatus.ACCEPTED else at, k + 1
-        while k < B:
+        rows[k] = (search if k else free).rows(pose[k : k + 1], q[None])[0]
+        row, k = row_of(rows[k], n), k + 1
+        q, count = row.q if row.status <= ReachStatus.ACCEPTED else q, AHEAD
+        while k < B and count == AHEAD:
             some = pose[k : k + AHEAD]
             ahead = np.concatenate([some, np.repeat(some[-1:], AHEAD - len(some), axis=0)])
-            made = along((ahead, at), 1)[0, : len(some)]
+            made = along((ahead, q), 1)[0, : len(some)]
             row = row_of(made, n)
-            fine = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE)
-            count = len(some) if fine.all() else int(np.argmin(fine))
+            close = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE)
+            count = len(some) if close.all() else int(np.argmin(close))
             rows[k : k + count] = made[:count]
-            at, k = made[count - 1, :n] if count else at, k + count
-            if count < AHEAD:
-                break
+            q, k = made[count - 1, :n] if count else q, k + count
+        if progress is not None:
+            progress(k, B)
     return rows

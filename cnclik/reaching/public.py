@@ -109,7 +109,7 @@ def reach(
     if not known:
         rows = traced(asked, pose, near)
     elif previous:
-        rows = path(search_of(asked), pose)
+        rows = path(search_of(asked), pose, progress)
     else:
         rows, size = [], POOL if progress is None else REPORTED
         for i in range(0, len(pose), size):

@@ -130,7 +130,9 @@ def _missed(aim, target, position, rotation) -> Missed:
     """Errors of positions (..., 3) and rotations (..., 3, 3) of a tip."""
     away, turn = target[..., :3] - position, target[..., 3:].reshape(*target.shape[:-1], 3, 3)
     chord = 2 * np.linalg.norm(poses.quaternions(turn @ rotation.mT)[..., 1:][..., list(aim.angular)], axis=-1)
-    return Missed(np.hypot.reduce(away[..., list(aim.linear)], axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
+    return Missed(
+        np.hypot.reduce(away[..., list(aim.linear)], axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1))
+    )
 
 
 # --- rows -------------------------------------------------------------------------------------------------

@@ -111,12 +111,12 @@ def with_looks(rows, n, looks, xp=np):
     return rows
 
 
-def wanted(asked, stage: Stage, found: Found, beyond: Found, finite, far, sure, why, xp=np):
+def wanted(asked, stage: Stage, found: Found, beyond: Found, far, sure, why, xp=np):
     """Return which targets (...,) need a stage of a search."""
     row = row_of(found.rows, asked.chain.n)
     missed = xp.where(stage.status, xp.min(beyond.costs, axis=-1), asked.squares(row, xp))
-    open_ = finite & (row.status != ReachStatus.SOLVED) & (why == 0) & (sure | xp.logical_not(stage.sure))
-    return open_ & (xp.isinf(stage.less) | (missed < stage.less**2)) & (~far | stage.far)
+    unsolved = (row.status != ReachStatus.SOLVED) & (why == 0) & (sure | xp.logical_not(stage.sure))
+    return unsolved & (xp.isinf(stage.less) | (missed < stage.less**2)) & (~far | stage.far)
 
 
 def advanced(stage: Stage, found: Found, k, inside, tried, block=None, xp=np) -> Found:
@@ -189,17 +189,19 @@ class Search:
 
     def found(self, of: Targets) -> np.ndarray:
         """Return the rows of targets, with the threads that the search has."""
-        asked, which = self.asked, np.arange(len(of.pose))
-        if not asked.downhill:  # nothing is tried for what is beyond reach
-            which = np.flatnonzero(~asked.too_far(of.pose))
-        if len(which) < len(of.pose):
-            rows = asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), asked.finite(*of[:2]), False, 0, True)
-            rows[which] = self.found(of.some(which))
+        asked, finite = self.asked, self.asked.finite(*of[:2])
+        usable = finite if asked.downhill else finite & ~asked.too_far(of.pose)  # nothing is tried for the others
+        if not usable.all():
+            rows = asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), finite, False, 0, True)
+            if usable.any():
+                rows[usable] = self.found(of.some(usable))
             return rows
         rows, block, left = self.first(of)
         if len(left):
             rows[left] = self.rest(of.some(left), block)
-        if asked.jump is not None and (gone := asked.away(row_of(rows, self.n))).any():
+        if asked.jump is not None:  # of answers at once: where `near` is outside the limits
+            row = row_of(rows, self.n)
+            gone = (row.status <= ReachStatus.ACCEPTED) & asked.away(row)
             rows[gone] = asked.concluded(rows[gone], True, False, 0, False)
         return rows
 
@@ -230,20 +232,20 @@ class Search:
     def rest(self, of: Targets, block) -> np.ndarray:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
         asked, n, K = self.asked, self.n, len(of.pose)
-        finite, far, order = asked.finite(*of[:2]), asked.too_far(of.pose), np.arange(block.shape[1])
+        far, order = asked.too_far(of.pose), np.arange(block.shape[1])
         tried = functools.partial(self.tried, of)
         found = beyond = advanced(self.stages[0], nothing((K,), n), order, of.inside, tried, block)
         sure, why = np.zeros(K, bool), np.zeros(K, int)
         for i, stage in enumerate(self.stages[1:]):
             if stage.status and not (stage.first or stage.downhill):
                 beyond = nothing((K,), n)
-            ids = np.flatnonzero(wanted(asked, stage, found, beyond, finite, far, sure, why))
+            ids = np.flatnonzero(wanted(asked, stage, found, beyond, far, sure, why))
             self.stage(stage, beyond if stage.status else found, ids, of)
             if i == 0:
                 sure = (asked.seeds >= SURE) & ~far
             if stage.status:
                 why[ids] = asked.meaning(stage.status, row_of(beyond.rows[ids], n))
-        return asked.concluded(found.rows, finite, sure, why, far)
+        return asked.concluded(found.rows, True, sure, why, far)
 
     def stage(self, stage: Stage, found: Found, ids, of: Targets) -> None:
         """Put what comes of a stage's tries for some targets into what was found."""

@@ -160,7 +160,9 @@ def _parts(name, targets, aim):
         where = None if where is None and not aim.linear else _positions(name, where, aim)
         turn = None if turn is None and not aim.angular else poses.rotations(name, turn, finite=False)
         return where, turn
-    if (found := poses.whole(name, targets, finite=False)) is not None:
+    four = not aim.linear and poses.shape_of(targets) == (4, 4) and _are_quaternions(targets)
+    found = None if four else poses.whole(name, targets, finite=False)
+    if found is not None:
         return found
     targets = errors.array(name, targets, finite=False)
     shape = targets.shape
@@ -178,6 +180,11 @@ def _parts(name, targets, aim):
         raise errors.fail(name, f"hold {alone}{count}", f"holds {shape[-1]}")
     kind = "pose" if aim.angular else "position"
     raise errors.fail(name, f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
+
+
+def _are_quaternions(found) -> bool:
+    """Whether a 4×4 array for an orientation is four quaternions: its last row is not that of a transform."""
+    return errors.concrete(found) and not np.array_equal(np.asarray(found, float)[3], [0, 0, 0, 1])
 
 
 def _positions(name, value, aim):

@@ -69,7 +69,7 @@ def _searched(asked, starts, pose, near):
         made = _choose(aside, beyond, found)
         anew = ~stage.downhill & begins_anew(k) & (k % ANEW < ROUND)
         made = made._replace(costs=jnp.where(anew, jnp.inf, made.costs))
-        want = wanted(asked, stage, found, beyond, finite, far, sure, why, jnp)
+        want = wanted(asked, stage, found, beyond, far, sure, why, jnp)
         stage = stage._replace(last=jnp.where(want, stage.last, 0))  # nothing is tried then
         order = k + jnp.arange(ROUND, dtype=jnp.int32)
         made = _choose(want, advanced(stage, made, order, inside, tried, xp=jnp), made)
