@@ -98,7 +98,7 @@ class Bound:
         return made
 
     def run(self, leaves, made, size, more, pool=None, cores=1):
-        """Fill the results, on the threads of a pool. Args: more: the address of what the C has beside the function's."""
+        """Fill the results, on the threads of a pool. Args: more: the address of what else the C has."""
         program, given = self.program, self.given
         leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, given, strict=True)]
         strides = [size_ if x.ndim > rank else 0 for x, (_, rank, size_) in zip(leaves, given, strict=True)]
@@ -106,9 +106,9 @@ class Bound:
         strides, out = array("q", self.zeros + strides), array("Q", [x.ctypes.data for x in made])
         places = [v.buffer_info()[0] for v in (ins, strides, out)]
 
-        def part(
-            start, end, held=(leaves, made, ins, strides, out)
-        ):  # for as long as threads work, also after an exception
+        held = leaves, made, ins, strides, out  # for as long as threads work, also after an exception
+
+        def part(start, end, held=held):
             memory = np.empty(program.work, np.uint8)
             program.library.run(start, end, *places, memory.ctypes.data)
 

@@ -120,8 +120,10 @@ def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State
     step = jnp.asarray(per_unit(chain), step.dtype) * jnp.clip(step, -LONGEST, LONGEST)
     best = jnp.where(better, s.q, s.best)
     onward = jnp.where(better, jnp.clip(s.q + step, low, high), best)
-    kept = [jnp.where(better, *v) for v in ((squares, s.squares), (cost, s.cost), (steep, s.steep))]
-    return State(jnp.where(here, s.q, onward), best, *kept, trust, s.looks + 1, here)
+    squares, cost, steep = jax.tree.map(
+        lambda new, old: jnp.where(better, new, old), (squares, cost, steep), (s.squares, s.cost, s.steep)
+    )
+    return State(jnp.where(here, s.q, onward), best, squares, cost, steep, trust, s.looks + 1, here)
 
 
 def descend(chain, task: Task, terms: Terms, q, target, near, most, free) -> Array:

@@ -5,7 +5,7 @@ import numpy as np
 from cnclik.reaching.descent import CLOSE
 from cnclik.reaching.result import ReachStatus, row_of, width
 from cnclik.reaching.search import Search
-from cnclik.record import memoized, replace
+from cnclik.record import replace
 from cnclik.robot.posture import start_posture
 
 AHEAD = 64  # targets that one call goes along

@@ -36,7 +36,7 @@ def reach(
     task: str | Task = "pose",
     tolerance: ArrayLike = (1e-6, 1e-6),
     accept: ArrayLike | None = None,
-    near: Float[ArrayLike, "*B n"] | None = None,
+    near: Float[ArrayLike, "*B n"] | str | None = None,
     jump: float | None = None,
     solutions: int = 1,
     seeds: int = 512,
@@ -96,9 +96,10 @@ def reach(
         errors.one_of("near", near, ("previous",))
     elif near is None and jump is not None:
         raise errors.fail("near", "be given with `jump`", "is not")
-    elif near is not None:
-        near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
-        near = (np if known else jnp).broadcast_to(near, (len(pose), chain.n)).astype(pose.dtype)
+    begin = None
+    if near is not None and not previous:
+        begin = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
+        begin = (np if known else jnp).broadcast_to(begin, (len(pose), chain.n)).astype(pose.dtype)
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
@@ -107,13 +108,13 @@ def reach(
     given = {} if len(aims(asked.task)) < 2 else {"targets": pose[0] if alone else pose}
     pose, moved = nearer(chain, asked.task, pose, np if known else jnp)
     if not known:
-        rows = traced(asked, pose, near)
+        rows = traced(asked, pose, begin)
     elif previous:
         rows = path(search_of(asked), pose, progress)
     else:
         rows, size = [], POOL if progress is None else REPORTED
         for i in range(0, len(pose), size):
-            part = pose[i : i + size], None if near is None else near[i : i + size]
+            part = pose[i : i + size], None if begin is None else begin[i : i + size]
             search = search_of(asked)
             rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
             if progress is not None:

@@ -1,8 +1,8 @@
 """Search: tries for the targets that are still open, in rounds, around one compiled program.
 
 The first sixteen tries begin at postures whose tips are near the target. The first that arrives is the answer; with
-`near` it is the one nearest to that. Later rounds hold tries of four kinds, see `starts.origins`; the best of a round go
-on carefully. So an answer is its target's own, whatever is asked beside it.
+`near` it is the one nearest to that. Later rounds hold tries of four kinds, see `starts.origins`; the best of a round
+go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
 import copy
@@ -42,7 +42,7 @@ class Stage(NamedTuple):
 
 def stages(asked: Asked, xp=np) -> list:
     """Return the stages of a search, in order."""
-    seeds, own = asked.seeds, asked.terms(xp=xp)
+    seeds, own = int(asked.seeds), asked.terms(xp=xp)
     four, sixteen = (times * seeds for times in LONGER)
     made = [Stage(own, 0, min(ROUND, seeds), sure=False, far=asked.downhill), Stage(own, ROUND, seeds, sure=False)]
     nearest = Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, sure=False, far=True, downhill=True)
@@ -273,8 +273,8 @@ class Search:
         ids, which = np.nonzero(most)
         given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
         targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
-        each = given, away[which], k[which], most[ids, which]
-        made = self.attempts(terms, *targets[:2], *each, self.asked.seed, self.pool)
+        numbers = away[which], k[which], most[ids, which]
+        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=self.pool)
         if len(ids) == shape[0] * shape[1]:
             return made.reshape(*shape, made.shape[-1])
         rows = np.tile(blank(self.n), (*shape, 1))

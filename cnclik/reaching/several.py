@@ -54,7 +54,7 @@ def _no_other(n):
 def _drawn(search, of: Targets, k, size):
     """Return the rows (B, size, width) of tries from number k on.
 
-    Where there are no more joints than coordinates they are free of all bounds, and those that arrive within them count.
+    Where there are no more joints than coordinates they are free of all bounds: those that arrive within them count.
     """
     asked, n, B = search.asked, search.n, len(of.pose)
     each, own = of.some(np.repeat(np.arange(B), size)), search.stages[0].terms

@@ -43,7 +43,7 @@ def spans(chain: Chain):
 
 
 def turned(q, about, periodic, low, high, xp=np):
-    """Return joint values (..., n), those of `periodic` joints by whole turns as near to `about` as the bounds allow."""
+    """Return joint values (..., n), `periodic` joints by whole turns as near to `about` as the bounds allow."""
     about, turn = xp.clip(about, low, high), 2 * math.pi
     near = q + turn * xp.round((about - q) / turn)
     near = xp.where((near > high) & (near - turn >= low), near - turn, near)
@@ -153,8 +153,8 @@ def origins(k, downhill, near, places, costs, xp=np) -> tuple:
 
     The first ABOUT tries begin about `near` (..., n) or None, each one farther off than the one before; others of the
     first BINNED in the target's bin. Of later ones every second begins about the best posture of its island so far, of
-    `places` (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as tries
-    from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, the first ones begin at
+    `places` (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as
+    tries from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, first ones begin at
     the best postures, the others anywhere, every second stretched.
     """
     island = island_of(k)

@@ -7,9 +7,9 @@ import pytest
 
 import cnclik as ck
 from cnclik.reaching.starts import spans
-from cnclik.task.aims import owners
 from cnclik.robot.model import modelled
 from cnclik.robot.poses import quaternions
+from cnclik.task.aims import owners
 from cnclik.task.parts import At
 from tests.oracles import close
 from tests.reaching.test_reach import both_ways
