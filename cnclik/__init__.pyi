@@ -27,9 +27,8 @@ from .law.inverse import (
     damped as damped, error_damped as error_damped, levels as levels, pseudoinverse as pseudoinverse,
     singular_damped as singular_damped,
 )
-from .law.law import Law as Law
+from .law.law import Law as Law, posture as posture
 from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
-from .law.null import posture as posture
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
     lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,
@@ -51,13 +50,8 @@ from .robot.builtin import panda as panda, ur5 as ur5
 from .robot.chain import (
     Chain as Chain, from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
 )
-from .robot.exchange import (
-    from_mujoco_q as from_mujoco_q,
-    from_pinocchio_q as from_pinocchio_q,
-    to_mujoco_q as to_mujoco_q,
-    to_pinocchio_q as to_pinocchio_q,
-)
-from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian, manipulability as manipulability
+from .robot.exchange import from_model_q as from_model_q, to_model_q as to_model_q
+from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian
 from .robot.mounted import join as join, with_base as with_base, with_tool as with_tool
 from .robot.mjcf import load_mjcf as load_mjcf
 from .robot.urdf import load_urdf as load_urdf

@@ -169,10 +169,10 @@ def integer(name: str, value, *, at_least: int, at_most: int | None = None) -> i
     return int(value)
 
 
-def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
+def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "Array":
     """A real array of one of the shapes (None matches any length); returned as an array of floats that JAX takes.
 
-    Args: most: what no entry is beyond, of either sign.
+    Args: most: what no entry is beyond, of either sign. of: what the entries are, such as "joint values".
     """
     import numpy as np
 
@@ -196,8 +196,7 @@ def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
     except (TypeError, ValueError):
         raise fail(name, "be an array of real numbers", f"is {value!r}{quantities.in_python(value)}") from None
     if shapes and not any(_fits(found.shape, s) for s in shapes):
-        wanted = " or ".join(_show(s) for s in shapes)
-        raise fail(name, f"have shape {wanted}", f"has shape {_show(found.shape)}")
+        raise _misshapen(name, found.shape, shapes, of)
     if finite and concrete(found) and not np.isfinite(np.asarray(found)).all():
         where = np.argwhere(~np.isfinite(np.asarray(found)))[0]
         place = f" at index {tuple(int(i) for i in where)}" if found.ndim else ""
@@ -205,6 +204,17 @@ def array(name: str, value, *shapes, finite=True, most=None) -> "Array":
     if most is not None and concrete(found) and (np.abs(found) > most).any():
         raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(found).max():g}")
     return as_jax_takes(found) if found.dtype.kind == "f" else found.astype(float)
+
+
+def _misshapen(name, shape, shapes, of):
+    """The error for another shape: a list of another length has as many numbers, all else a shape."""
+    lengths = [str(*s or (1,)) for s in shapes if len(s) < 2]
+    if len(shape) < 2 and lengths and "None" not in lengths:
+        counts = f"{' or '.join(dict.fromkeys(lengths))} {of if lengths[-1] != '1' else of.removesuffix('s')}"
+        wanted = " or ".join([counts, *(f"shape {_show(s)}" for s in shapes if len(s) > 1)])
+        return fail(name, f"have {wanted}", f"has {shape[0]}" if shape else "is a single number")
+    wanted = " or ".join(_show(s) for s in shapes)
+    return fail(name, f"have shape {wanted}", f"has shape {_show(shape)}")
 
 
 def as_jax_takes(value):

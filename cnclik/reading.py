@@ -1,7 +1,5 @@
 """Files that a user names: read whole, if they are files of a sensible size. Loads neither JAX nor NumPy."""
 
-import contextlib
-import contextvars
 import os
 import pathlib
 import re
@@ -11,22 +9,6 @@ import tomllib
 from cnclik import errors
 
 MOST_BYTES = 100 << 20  # of a robot, a spec or a table
-_inputs = contextvars.ContextVar("files that a command has read", default=None)
-
-
-@contextlib.contextmanager
-def remembered():
-    """Within the block, files that are read are inputs: see `is_input`."""
-    before = _inputs.set(set())
-    try:
-        yield
-    finally:
-        _inputs.reset(before)
-
-
-def is_input(path) -> bool:
-    """Whether the command that runs has read this file: it is not written over."""
-    return os.path.realpath(path) in (_inputs.get() or ())
 
 
 def read_bytes(argument: str, path, what: str, *, most: int | None = None) -> bytes:
@@ -52,8 +34,6 @@ def read_bytes(argument: str, path, what: str, *, most: int | None = None) -> by
             text = file.read(most + 1)
         if len(text) > most:
             raise errors.fail(argument, f"name {what} of at most {most >> 20} MiB", f"{shown!r} is larger")
-        if (inputs := _inputs.get()) is not None:
-            inputs.add(os.path.realpath(name))
         return text
     except errors.ArgumentError:
         raise

@@ -11,7 +11,9 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 """
 
 import dataclasses
+import functools
 import importlib
+import operator
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
@@ -43,6 +45,7 @@ Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in a
 T = TypeVar("T")
 
 _LITERAL = (float, int, bool, type(None))
+_is_none = functools.partial(operator.is_, None)
 
 
 def is_literal(value) -> bool:
@@ -60,7 +63,7 @@ class Literals:
         self.treedef, self.values = treedef, values
         # A tuple of arrays and literals, or of arrays alone: what most results are, put together without ceremony.
         self.flat = treedef == jax.tree.structure((0,) * len(values))
-        self.all_arrays = self.flat and all(v is HOLE for v in values)
+        self.all_arrays = self.flat and values.count(HOLE) == len(values)
         self._hash = hash((treedef, values))
 
     def __hash__(self):
@@ -89,9 +92,9 @@ HOLE = _Hole()
 
 def partition(tree):
     """Split any tree into its arrays (a list) and its literals (hashable)."""
-    leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
-    arrays = [v for v in leaves if not is_literal(v)]
-    return arrays, Literals(treedef, tuple(v if is_literal(v) else HOLE for v in leaves))
+    leaves, treedef = jax.tree.flatten(tree, is_leaf=_is_none)
+    values = tuple([v if type(v) in _LITERAL or is_literal(v) else HOLE for v in leaves])
+    return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], Literals(treedef, values)
 
 
 def combine(arrays, literals: Literals):
@@ -140,6 +143,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
         cls.__repr__ = _in_short
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
     names = tuple(f.name for f in dataclasses.fields(cls))
+    cls.__init__ = _helpful(cls, names)
 
     def flatten(self):
         # A record never changes, so it is taken apart once for each precision; repeated jit calls find the answer here.
@@ -178,6 +182,23 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
     cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
     with_jax(lambda jax: jax.tree_util.register_pytree_node(cls, flatten, unflatten))
     return cls
+
+
+def _helpful(cls, names):
+    """The constructor of a record, which answers an unknown argument with the nearest name."""
+    init = cls.__init__
+
+    @functools.wraps(init)
+    def helpful(self, *args, **given):
+        try:
+            init(self, *args, **given)
+        except TypeError:
+            if unknown := next((name for name in given if name not in names), None):
+                near = errors.nearest(unknown, names) or f" (it has {', '.join(names)})"
+                raise errors.ArgumentError(f"{cls.__name__} has no argument `{unknown}`{near}.") from None
+            raise
+
+    return helpful
 
 
 def _equal(self, other):

@@ -40,7 +40,7 @@ from cnclik.errors import ArgumentError
         ),
         (lambda: errors.seed(-1), "Argument `seed` must be a whole number from 0 to 1,073,741,823, but is -1."),
         (lambda: errors.seed(0.5), "Argument `seed` must be a whole number from 0 to 1,073,741,823, but is 0.5."),
-        (lambda: errors.array("q", [1, 2], (3,)), "Argument `q` must have shape (3,), but has shape (2,)."),
+        (lambda: errors.array("q", [1, 2], (3,)), "Argument `q` must have 3 numbers, but has 2."),
         (
             lambda: errors.array("a", np.ones((2, 3)), (), (2,), (2, 2)),
             "Argument `a` must have shape () or (2,) or (2, 2), but has shape (2, 3).",
@@ -107,7 +107,7 @@ def test_traced_values_are_checked_by_shape_alone():
 
     np.testing.assert_array_equal(fn(-1.0), [-2, 0])
     assert np.isnan(fn(jnp.nan)[0])
-    with pytest.raises(ArgumentError, match=r"must have shape \(3,\), but has shape \(1,\)"):
+    with pytest.raises(ArgumentError, match="must have 3 numbers, but has 1"):
         jax.jit(lambda x: errors.array("q", x[None], (3,)))(1.0)
 
 

@@ -1,6 +1,5 @@
 """Files that a user names: whatever they turn out to be, it is one line."""
 
-import contextlib
 import os
 
 import numpy as np
@@ -9,9 +8,9 @@ import pytest
 import cnclik as ck
 from cnclik import reading
 from cnclik.cli import main
-from cnclik.problem.tables import read_columns, read_targets
+from cnclik.problem.tables import read_columns
 from cnclik.reaching import targets
-from cnclik.task.build import orientation, position
+from cnclik.task.build import orientation
 
 
 @pytest.fixture
@@ -68,42 +67,6 @@ def test_numbers_too_wild_for_a_spline():
         places = np.concatenate([places, np.zeros((3, 2))], axis=1)
         with pytest.raises(ck.ArgumentError, match="`positions` must be such that a smooth path leads through them"):
             ck.waypoints(times, places)
-
-
-def test_numpys_files_that_are_damaged(tmp_path):
-    np.savez(tmp_path / "whole.npz", targets=np.ones((2, 3)))
-    np.save(tmp_path / "whole.npy", np.ones((2, 3)))
-    for name in ("whole.npz", "whole.npy"):
-        data = (tmp_path / name).read_bytes()
-        for k in range(0, len(data), 3):
-            for damaged in (data[:k], data[:k] + bytes([data[k] ^ 16]) + data[k + 1 :]):
-                (tmp_path / f"damaged{name[-4:]}").write_bytes(damaged)
-                found = None
-                with contextlib.suppress(ck.ArgumentError):
-                    found = read_targets(tmp_path / f"damaged{name[-4:]}", position())
-                if found is not None and name.endswith(".npz"):  # which has checksums
-                    np.testing.assert_array_equal(found, np.ones((2, 3)))
-
-
-def test_little_that_unpacks_to_much(tmp_path, monkeypatch):
-    np.savez_compressed(tmp_path / "packed.npz", targets=np.zeros((2000, 3)))
-    monkeypatch.setattr(reading, "MOST_BYTES", 4 << 10)
-    assert (tmp_path / "packed.npz").stat().st_size < 1 << 10
-    with pytest.raises(
-        ck.ArgumentError, match=r"`TARGETS` must name a file of at most .* unpacked, but packed\.npz is larger"
-    ):
-        read_targets(tmp_path / "packed.npz", position())
-
-
-def test_what_is_damaged_is_not_said_to_lack_targets(tmp_path):
-    np.savez(tmp_path / "whole.npz", targets=np.ones((50, 3)))
-    data = bytearray((tmp_path / "whole.npz").read_bytes())
-    data[300] ^= 64
-    (tmp_path / "damaged.npz").write_bytes(data)
-    np.savez(tmp_path / "other.npz", points=np.ones((2, 3)))
-    for name, told in (("damaged", "is damaged"), ("other", "holds no array `targets`")):
-        with pytest.raises(ck.ArgumentError, match=told):
-            read_targets(tmp_path / f"{name}.npz", position())
 
 
 def test_quaternions_that_no_float_can_square():

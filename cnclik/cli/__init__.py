@@ -51,8 +51,8 @@ def main(argv=None) -> None:
 
 
 def _run(verb, *options) -> None:
-    from cnclik import errors, reading
-    from cnclik.cli import arguments, common, remarks  # not at the top: `cnclik --help` answers at once
+    from cnclik import errors
+    from cnclik.cli import arguments, common  # not at the top: `cnclik --help` answers at once
     from cnclik.show.output import FigureError
 
     module = None
@@ -61,10 +61,10 @@ def _run(verb, *options) -> None:
         with _nothing_collected():
             module = importlib.import_module(f"cnclik.cli.{verb}")
             args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
-        if isinstance(args, common.ComputeOptions) and getattr(args, "computes", True):  # the others do not need JAX
+        if getattr(args, "computes", False):  # the others do not need JAX
             with _nothing_collected():
-                _prepare(args.cache)
-        with remarks.listening(module.Args), reading.remembered():
+                _prepare()
+        with common.remarks(module.Args):
             module.run(args)
     except errors.ArgumentError as error:
         _leave(2, error if module is None else arguments.of_options(module.Args, error))
@@ -104,18 +104,14 @@ def _nothing_collected():
         gc.enable()
 
 
-def _prepare(cache: bool) -> None:
-    """Set float64, a backend without windows, and the cache of compiled programs."""
-    os.environ.setdefault("MPLBACKEND", "agg")
+def _prepare() -> None:
+    """Set float64 and the cache of compiled programs, which JAX_ENABLE_COMPILATION_CACHE=0 switches off."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
     from cnclik.cache import use_cache
 
-    if cache:
-        use_cache()
-    else:
-        jax.config.update("jax_enable_compilation_cache", False)
+    use_cache()
 
 
 def _overview() -> str:

@@ -4,36 +4,36 @@ The type of a field gives the number and kind of its option's values; the text b
 unit become numbers in the option's own unit. Every error is one line.
 """
 
-import argparse
 import ast
 import dataclasses
 import inspect
 import itertools
 import re
+import shutil
 import textwrap
+import types
 import typing
 
 from cnclik import errors, quantities
-from cnclik.cli import common
 
+OUTPUT = ("out", "overwrite", "json", "csv", "figures")  # options of the last group of the help
 _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
 
-def option(default=dataclasses.MISSING, *, unit="1", metavar="", name="", about="", positional=False):
+def option(default=dataclasses.MISSING, *, unit="1", metavar="", about="", positional=False, group=""):
     """A field of `Args` that needs more than a type and a default.
 
     Args:
       default: the value, or a function that makes it. Without one the option must be given.
       unit: of its numbers, see `cnclik.quantities.units`.
-      metavar: the word for a value in the help; by default its kind.
-      name: of the option; by default the field's.
+      metavar: the word for its values in the help; by default their kind.
       about: its help, if there is no text below the field.
       positional: whether it is given by its place instead of a name.
+      group: its title in the help; by default the verb's own, or "output".
     """
     made = {"default_factory" if callable(default) else "default": default}
-    return dataclasses.field(
-        **made, metadata={"unit": unit, "metavar": metavar, "name": name, "about": about, "positional": positional}
-    )
+    marks = {"unit": unit, "metavar": metavar, "about": about, "positional": positional, "group": group}
+    return dataclasses.field(**made, metadata=marks)
 
 
 class _Option(typing.NamedTuple):
@@ -41,33 +41,43 @@ class _Option(typing.NamedTuple):
 
     name: str
     field: str
-    kind: "_Kind"
+    base: type  # of each value
+    choices: tuple
+    number: int | None  # of values; None: any; 0: a switch
+    several: bool  # whether they are a tuple
+    repeated: bool  # whether it may be given several times
     default: typing.Any
     unit: str
     metavar: str
     about: str
     positional: bool
+    group: str
 
-    @property
-    def switch(self) -> bool:
-        """Whether it takes no value."""
-        return self.kind.base is bool
+    def value(self, words):
+        """Return the value of some words. Raises: ArgumentError where they don't fit."""
+        if self.number == 0:
+            return words == ["on"]
+        if self.number not in (None, len(words)) or not all(map(self._takes, words)):
+            raise self.error(f"is {' '.join(words)!r}")
+        made = [self.base(word) for word in words]
+        return tuple(made) if self.several else made[0]
 
+    def _takes(self, word) -> bool:
+        if self.choices:
+            return word in self.choices
+        if self.base is int:
+            return re.fullmatch("[+-]?[0-9]{1,999}", word) is not None
+        return self.base is not float or quantities.number(word) is not None
 
-class _Kind(typing.NamedTuple):
-    """The type of an option's values, and how many it has."""
-
-    base: type
-    choices: tuple = ()
-    held_in: type | None = None  # tuple, for several values
-    values: int | None = 1  # their number; None: any; 0: a switch
-    optional: bool = False
-    repeated: bool = False  # whether it may be given several times
-
-    @property
-    def numeric(self) -> bool:
-        """Whether all values are numbers."""
-        return self.base in (int, float)
+    def error(self, found, must="be"):
+        """The error for values that are no such ones."""
+        words = {int: "an integer", float: "a number", str: "a text"}.get(self.base, "a path")
+        if self.choices:
+            words = f"{'some' if self.several else 'one'} of {', '.join(self.choices)}"
+        elif self.several:
+            words = {int: "integers", float: "numbers"}.get(self.base, "values")
+            words = f"{self.number} {words}" if self.number else words
+        return errors.ArgumentError(f"Option `{self.name}` must {must} {words}, but {found}.")
 
 
 def parse(Args, argv, *, prog, description):
@@ -77,27 +87,23 @@ def parse(Args, argv, *, prog, description):
 
     Raises: ArgumentError with the option, what it must be and what it is, or with the nearest name.
     """
-    every, argv = _options(Args), [str(a) for a in argv]
+    every, argv = options_of(Args), [str(a) for a in argv]
     if {"-h", "--help"} & set(argv):
         more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # the text that dataclasses write
-        _parser(every, prog, f"{description}\n\n{inspect.cleandoc(more)}").print_help()
+        print(_help(every, prog, f"{description}\n\n{inspect.cleandoc(more)}".strip()))
         raise SystemExit(0)
     named, places = {one.name: one for one in every if not one.positional}, [one for one in every if one.positional]
-    loose, given = _split(named, argv)
+    loose, given = _split(named, argv, prog)
     if len(loose) > len(places):
         alone = " and ".join(one.name for one in places) or "nothing"
         raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
-    made = {one.field: _value(one.kind, [word]) for one, word in zip(places, loose, strict=False)}
+    made = {one.field: one.value([word]) for one, word in zip(places, loose, strict=False)}
     written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
     for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # samples last: they need Ts
-        values, units = _in_own_units(one, typed, Ts)
-        name = one.name[2:].replace("-", "_")
-        written[name] = (*written.get(name, ()), *units) if one.kind.repeated else units
-        if not _fits(one.kind, values):
-            found = f"{' '.join(typed)!r}" + (f", {' '.join(values)} {one.unit}" if values != typed else "")
-            raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but is {found}.")
-        value = _value(one.kind, values)
-        made[one.field] = [*made.get(one.field, []), value] if one.kind.repeated else value
+        words, units = _in_own_units(one, typed, Ts)
+        value = one.value(words)
+        written[one.field] = (*written.get(one.field, ()), *units) if one.repeated else units
+        made[one.field] = [*made.get(one.field, []), value] if one.repeated else value
         Ts = value if one.field == "Ts" else Ts
     for one in every:
         if one.field not in made and one.default is dataclasses.MISSING:
@@ -110,31 +116,38 @@ def parse(Args, argv, *, prog, description):
 
 def of_options(Args, said) -> str:
     """The text of an error or a remark on an option: options are named as they are written on the command line."""
-    known, text = {one.name for one in _options(Args)}, str(said)
+    known, text = {one.name for one in options_of(Args)}, str(said)
 
     def written(found):
         name = f"--{found[2].replace('_', '-')}"
         return f"{'Option ' * bool(found[1])}`{name}`" if name in known else found[0]
 
-    first = re.match(_NAMED, text)
-    return text if first is None or written(first) == first[0] else common.as_options(re.sub(_NAMED, written, text))
+    return re.sub("(Argument )?`([^`]+)`", written, text)
 
 
-_NAMED = "(Argument )?`([^`]+)`"
-
-
-def _options(Args) -> list:
+def options_of(Args) -> list:
     """The options of a dataclass, positional ones included."""
     hints, about, every = typing.get_type_hints(Args), _texts(Args), []
     for field in dataclasses.fields(Args):
-        marks, lazy = field.metadata, field.default_factory
-        positional, name = marks.get("positional", False), marks.get("name") or field.name
-        kind = _kind(hints[field.name])
-        metavar = marks.get("metavar") or (name.upper() if positional else _metavar(kind))
+        marks, lazy, hint = field.metadata, field.default_factory, hints[field.name]
+        repeated = typing.get_origin(hint) is list
+        hint = typing.get_args(hint)[0] if repeated else hint
+        if typing.get_origin(hint) in (types.UnionType, typing.Union):  # such as `float | None`
+            hint = typing.get_args(hint)[0]
+        several = typing.get_origin(hint) is tuple
+        inner = typing.get_args(hint) if several else (hint,)
+        choices = typing.get_args(inner[0]) if typing.get_origin(inner[0]) is typing.Literal else ()
+        base = str if choices else inner[0]
+        count = 0 if base is bool else None if ... in inner else len(inner)
+        positional, word = marks.get("positional", False), {int: "INT", float: "X", str: "NAME", bool: ""}
+        values = "{" + ",".join(choices) + "}" if choices else word.get(base, "PATH")
+        values = f"{values} ..." if count is None else " ".join([values] * count)
+        metavar = marks.get("metavar") or (field.name.upper() if positional else values)
         every.append(_Option(
-            metavar if positional else "--" + name.replace("_", "-"), field.name, kind,
-            field.default if lazy is dataclasses.MISSING else lazy(), marks.get("unit", "1"), metavar,
+            metavar if positional else "--" + field.name.replace("_", "-"), field.name, base, choices, count, several,
+            repeated, field.default if lazy is dataclasses.MISSING else lazy(), marks.get("unit", "1"), metavar,
             marks.get("about") or about.get(field.name, ""), positional,
+            marks.get("group") or "output" * (field.name in OUTPUT),
         ))  # fmt: skip
     return every
 
@@ -153,12 +166,12 @@ def _texts(Args) -> dict:
     return found
 
 
-def _split(named, argv):
-    """(positional words, [(option, its values)]); the values of --no-NAME are ["False"].
+def _split(named, argv, prog):
+    """(positional words, [(option, its words)]); of a switch the word is "on" or "off".
 
     Raises: ArgumentError for an unknown option, or one without a value.
     """
-    off = {"--no-" + name[2:]: one for name, one in named.items() if one.switch}
+    switches = {f"--no-{name[2:]}": one for name, one in named.items() if one.number == 0}
     loose, given, queue = [], [], list(argv)
     while queue:
         token = queue.pop(0)
@@ -167,40 +180,39 @@ def _split(named, argv):
             continue
         typed, equals, value = token.partition("=")
         name = "--" + typed.lstrip("-").replace("_", "-")
-        name = "--smoothing" if name == "--filter" and "--smoothing" in named else name
-        one = (named | off).get(name)
-        if one is None or not typed.startswith("--"):
-            raise _unknown(named, typed, value if equals else "".join(queue[:1]))
-        values = [value] if equals else _values(one, queue)
-        queue = queue if equals else queue[len(values) :]
-        if not values and not one.switch:
-            raise errors.ArgumentError(f"Option `{name}` must be given {_words(one.kind)}, but has no value.")
-        if one.switch and values in ([], ["True"], ["False"]):
-            values = [str((values != ["False"]) is (name not in off))]
-        given.append((one, values))
+        one = (named | switches).get(name)
+        if one is None or not typed.startswith("--") or (equals and one.number == 0):
+            raise _unknown(named, token if one else typed, value if equals else "".join(queue[:1]), prog)
+        if one.number == 0:
+            given.append((one, ["off" if name in switches else "on"]))
+            continue
+        words = [value] if equals else _words(one, queue)
+        queue = queue if equals else queue[len(words) :]
+        if not words:
+            raise one.error("has no value", "be given")
+        given.append((one, words))
     return loose, given
 
 
-def _values(one, queue) -> list:
-    """The values that an option takes from the head of a queue; a separate unit counts as one of them."""
-    values = list(itertools.takewhile(lambda t: not _is_option(t), queue))
-    most = one.kind.values
-    if most is not None and values[most : most + 1] and values[most] in quantities.units(one.unit):
+def _words(one, queue) -> list:
+    """The words of an option at the head of a queue; a separate unit counts as one of them."""
+    words, most = list(itertools.takewhile(lambda t: not _is_option(t), queue)), one.number
+    if most is not None and words[most : most + 1] and words[most] in quantities.units(one.unit):
         most += 1
-    return values[:most]
+    return words[:most]
 
 
-def _in_own_units(one, values, Ts):
-    """(values as numbers without units, their units). A value that is no number passes, and is refused later."""
-    if not one.kind.numeric or values == ["None"] or not values:
-        return values, ()
+def _in_own_units(one, words, Ts):
+    """(words as numbers without units, their units). A word that is no number passes, and is refused later."""
+    if one.base not in (int, float):
+        return words, ()
     try:
-        found = quantities.read(" ".join(values), one.unit, Ts)
+        found = quantities.read(" ".join(words), one.unit, Ts)
     except ValueError as error:
-        rate = _as_time(" ".join(values)) if one.field == "Ts" else ""
-        raise errors.ArgumentError(f"Option `{one.name}` must be {_words(one.kind)}, but {error}.{rate}") from None
-    if not any(found.written) and len(found) == len(values):
-        return values, found.written
+        rate = _as_time(" ".join(words)) if one.field == "Ts" else ""
+        raise errors.ArgumentError(f"{str(one.error(error)).removesuffix('.')}.{rate}") from None
+    if not any(found.written) and len(found) == len(words):
+        return words, found.written
     return [f"{v:.0f}" if v.is_integer() and abs(v) < 1e15 else repr(v) for v in found], found.written
 
 
@@ -208,13 +220,12 @@ def _is_option(token) -> bool:
     return token.startswith("-") and len(token) > 1 and not _NUMBER.match(token)
 
 
-def _unknown(named, found, value):
+def _unknown(named, typed, value, prog):
     """The error for an unknown option. Args: value: the word after it."""
-    rate = _as_time(f"{value}Hz") if "--Ts" in named and found.lstrip("-") in ("hz", "rate", "frequency") else ""
-    try:
-        errors.one_of("Option", found, list(named))
-    except errors.ArgumentError as error:
-        return errors.ArgumentError(str(error).replace("Argument `Option`", "Option", 1) + rate)
+    rate = _as_time(f"{value}Hz") if "--Ts" in named and typed.lstrip("-") in ("hz", "rate", "frequency") else ""
+    near = re.search("'(.*)'", errors.nearest(typed, named))
+    instead = f"did you mean {near[1]}?" if near else f"`{prog} --help` lists the options."
+    return errors.ArgumentError(f"Unknown option {typed}; {instead}{rate}")
 
 
 def _as_time(text) -> str:
@@ -224,90 +235,26 @@ def _as_time(text) -> str:
     return f" A rate of {hertz:g} Hz is --Ts {1e3 / hertz:.6g}ms." if hertz > 0 else ""
 
 
-# --- types --------------------------------------------------------------------------------------------
-
-
-def _kind(hint) -> _Kind:
-    origin, inner = typing.get_origin(hint), typing.get_args(hint)
-    if origin is typing.Literal:
-        return _Kind(str, choices=inner)
-    if origin is list:
-        return _kind(inner[0])._replace(repeated=True)
-    if origin is tuple:
-        return _kind(inner[0])._replace(held_in=tuple, values=None if ... in inner else len(inner))
-    if origin:  # such as `float | None`
-        return _kind(inner[0])._replace(optional=True)
-    return _Kind(hint, values=0 if hint is bool else 1)
-
-
-def _fits(kind, values) -> bool:
-    if kind.optional and values == ["None"]:
-        return True
-    if kind.base is bool:
-        return values in (["True"], ["False"])
-    return kind.values in (None, len(values)) and all(_is_one(kind, v) for v in values)
-
-
-def _is_one(kind, value) -> bool:
-    if kind.choices:
-        return value in kind.choices
-    if kind.base is int:
-        return re.fullmatch("[+-]?[0-9]{1,999}", value) is not None
-    return kind.base is not float or quantities.number(value) is not None
-
-
-def _value(kind, values):
-    """Values converted to a kind that they fit."""
-    if kind.optional and values == ["None"]:
-        return None
-    if kind.base is bool:
-        return values == ["True"]
-    made = [kind.base(v) for v in values]
-    return kind.held_in(made) if kind.held_in else made[0]
-
-
-def _words(kind) -> str:
-    """A kind in words: "an integer", "one of a, b", "3 numbers"."""
-    if kind.choices:
-        return f"{'some' if kind.held_in else 'one'} of {', '.join(kind.choices)}"
-    if kind.held_in:
-        each = {int: "integers", float: "numbers"}.get(kind.base, "values")
-        return f"{kind.values} {each}" if kind.values else each
-    words = {int: "an integer", float: "a number", str: "a text", bool: "True or False"}
-    return words.get(kind.base, f"a {kind.base.__name__}".lower())
-
-
 # --- help ---------------------------------------------------------------------------------------------
 
 
-def _metavar(kind) -> str:
-    """The words for an option's values in the help: "X", "INT INT", "NAME ...", "{one,two}"."""
-    one = {int: "INT", float: "X", str: "NAME"}.get(kind.base, "PATH")
-    one = "{" + ",".join(kind.choices) + "}" if kind.choices else one
-    return " ".join([one] * kind.values) if kind.values else f"{one} ..."
-
-
-class _Form(argparse.RawDescriptionHelpFormatter):
-    """Help without breaks within a name, such as EXP-RK4."""
-
-    def _split_lines(self, text, width):
-        return textwrap.wrap(text, width, break_on_hyphens=False)
-
-
-def _parser(every, prog, description):
-    """The parser that prints the help."""
+def _help(every, prog, description) -> str:
+    """The help: options in groups, positional arguments first and output last."""
+    width = min(shutil.get_terminal_size().columns, 120)
     needed = {one.name: one.default is dataclasses.MISSING for one in every if one.positional}
-    usage = " ".join([prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
-    parser = argparse.ArgumentParser(prog, usage, description.strip(), formatter_class=_Form)
-    for one in every:
-        about = one.about.replace("%", "%%")
-        if one.default not in (None, False, (), [], dataclasses.MISSING):
+    usage = " ".join(["usage:", prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
+    titles = dict.fromkeys(["", *(one.group for one in every if one.group != "output"), "output"])
+    lines = [usage, "", description]
+    for title in titles:
+        some = [one for one in every if one.group == title]
+        lines += ["", f"{title or 'options'}:"] * bool(some)
+        for one in some:
             shown = " ".join(map(str, one.default)) if isinstance(one.default, tuple) else one.default
-            about = f"{about} (default: {'on' if shown is True else shown})"
-        if one.positional:
-            parser.add_argument(one.field, metavar=one.name, help=about)
-        elif one.switch:
-            parser.add_argument(one.name, "--no-" + one.name[2:], action="store_true", dest=one.field, help=about)
-        else:
-            parser.add_argument(one.name, metavar=one.metavar, dest=one.field, help=about)
-    return parser
+            shown = None if one.default in (None, False, (), [], dataclasses.MISSING) else shown
+            default = "" if shown is None else f" (default: {'on' if shown is True else shown})"
+            off = f", --no-{one.name[2:]}" * (one.default is True)
+            head = f"  {one.name}{off} {'' if one.positional else one.metavar}".rstrip()
+            text = textwrap.wrap(one.about + default, width - 26, break_on_hyphens=False)
+            first = [f"{head:<25} {text.pop(0)}"] if len(head) < 26 and text else [head]
+            lines += [*first, *(f"{'':25} {line}" for line in text)]
+    return "\n".join(lines)

@@ -1,26 +1,24 @@
-"""Options and tables that several verbs share."""
+"""Options and output that several verbs share."""
 
+import contextlib
 import dataclasses
-import re
+import json
+import sys
+import warnings
 
-from cnclik.problem.options import SWEPT
+from cnclik.cli.arguments import of_options
+from cnclik.errors import Remark
 
-
-@dataclasses.dataclass(kw_only=True)
-class CacheOption:
-    """For every verb."""
-
-    cache: bool = True
-    """Keep compiled programs in the user's cache folder and reuse them."""
+_said = []  # remarks of the running command
 
 
 @dataclasses.dataclass(kw_only=True)
-class ComputeOptions(CacheOption):
+class ComputeOptions:
     """For verbs that compute."""
 
+    computes = True  # whether JAX is needed; no option
     overwrite: bool = False
-    """Allow writing into folders, and over files, that cnclik did not make. Files that the command reads are never
-    overwritten."""
+    """Write over files that cnclik did not make, too."""
 
 
 def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, **look) -> None:
@@ -38,21 +36,29 @@ def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, 
     Console().print(shown)
 
 
-_CODE = re.compile(r'\b(\w+)=(?:"([\w-]+)"|(\w+)\((.*?)\)|\((.*?)\)|(-?\d[\d.e+-]*\d|-?\d))')
+@contextlib.contextmanager
+def remarks(Args):
+    """Context manager that prints each remark of the library once, on stderr, with the names of a verb's options;
+    other warnings are not changed.
+    """
+    _said.clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", Remark)
+        usual = warnings.showwarning
+
+        def show(message, category, *rest, **more):
+            if not issubclass(category, Remark):
+                usual(message, category, *rest, **more)
+            elif (text := of_options(Args, message)) not in _said:
+                _said.append(text)
+                print(f"cnclik: {text}", file=sys.stderr)
+
+        warnings.showwarning = show
+        yield
 
 
-def as_options(sentence: str) -> str:
-    """A text of the library, with options as the command line takes them: `N=400`, `stage=chord(2)`, as in Python."""
+def print_json(table: dict) -> None:
+    """Print a verb's answer as JSON, see `plain`, with its `remarks`."""
+    from cnclik.measure.files import plain
 
-    def option(found):
-        name, text, maker, given, several, number = found.groups()
-        if name not in SWEPT:
-            return found[0]
-        value = text or number or (several.replace(",", "") if several else maker.replace("_", "-"))
-        return f"--{name.replace('_', '-')} {value}" + (f" --{_NUMBERS[name]} {given}" if given else "")
-
-    return _CODE.sub(option, sentence)
-
-
-_NUMBERS = {"inverse": "damping", "stage": "M"}  # the option of the number that Python gives to such a value
-NAMES = tuple(field.name for field in dataclasses.fields(ComputeOptions))
+    print(json.dumps(plain(table | {"remarks": _said}), allow_nan=False))

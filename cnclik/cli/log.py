@@ -8,18 +8,21 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cli.arguments import option
-from cnclik.cli.common import CacheOption
-from cnclik.diagnosis.recording import APART, clock, no_motion, sampling_time
-from cnclik.problem.columns import words_of
+from cnclik.diagnosis.recording import APART, sampling_time
+from cnclik.problem.columns import SECONDS, clock_of, words_of
 from cnclik.problem.tables import read_columns
 
 SENT = {"command", "commands", "commanded", "cmd", "target", "desired", "reference", "ref", "setpoint", "sent"}
 MOVED = {"position", "positions", "pos", "motion", "actual", "measured", "feedback"}
 OTHER = {"velocity", "velocities", "vel", "effort", "efforts", "torque", "torques", "acceleration", "acc", "current"}
+STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index", "enabled"}
+STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
+EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # size of present-day stamps since 1970
+STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
 
 
 @dataclasses.dataclass(kw_only=True)
-class LogOptions(CacheOption):
+class LogOptions:
     """For verbs that read a log."""
 
     log: pathlib.Path = option(metavar="LOG.csv", positional=True)
@@ -57,9 +60,9 @@ class Log:
         """Indices of columns that are given by name or number."""
         return [self.names.index(errors.one_of("columns", column, self.names)) for column in given or ()]
 
-    def usual(self) -> list:
-        """The errors, or else the joints, in a file of `cnclik solve --csv`; of other files all columns of motion."""
-        return [i for i, name in enumerate(self.names) if name.startswith("e_")] or self.joints()
+    def errors(self) -> list:
+        """The errors in a file of `cnclik solve --csv`."""
+        return [i for i, name in enumerate(self.names) if name.startswith("e_")]
 
     def joints(self) -> list:
         """The joints in a file of `cnclik solve --csv`; of other files all columns of motion."""
@@ -119,3 +122,46 @@ def sampled(log: Log, Ts) -> float:
         return Ts
     with errors.called("t", name):
         return sampling_time(log.t, None)
+
+
+# --- which column is what -----------------------------------------------------------------------------
+
+
+def clock(names, table):
+    """(times [s] (N,) or None; indices of all columns of times; the unit they were read in, or None).
+
+    A pair of seconds and nanoseconds is one time. If the name does not state a unit, the size of the stamps does.
+    """
+    places, t, unit, parts = [], None, None, {}
+    for i, name in enumerate(names):
+        named = clock_of(name)
+        if named is None:
+            continue
+        places.append(i)
+        if named.part:
+            parts.setdefault(named.of, {})[named.unit] = table[:, i]
+        if t is None and not np.isnan(table[:, i]).all():
+            unit = named.unit or _unit_of(table[:, i])
+            t = (table[:, i] - table[0, i]) * SECONDS[unit]
+    for pair in parts.values():
+        if {"s", "ns"} <= set(pair):
+            return pair["s"] - pair["s"][0] + 1e-9 * (pair["ns"] - pair["ns"][0]), places, "s"
+    return t, places, unit
+
+
+def _unit_of(t) -> str:
+    """The unit of stamps, from their size since 1970 or their steps: a loop takes 0.1 ms to 0.5 s."""
+    with np.errstate(invalid="ignore"):
+        size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
+    since = [unit for least, unit in EPOCHS if least <= size < 4 * least and 1e-5 <= step * SECONDS[unit] <= 1.0]
+    return next(iter(since), None) or next((unit for least, unit in STEPS if step >= least), "s")
+
+
+def no_motion(names, table) -> list:
+    """Indices of columns that are not motion: non-numeric ones, and whole numbers named like a status or a count."""
+    places = []
+    for i, name in enumerate(names):
+        values = table[:, i][~np.isnan(table[:, i])]
+        if not len(values) or (np.all(values == np.round(values)) and STATUS & {*words_of(name)}):
+            places.append(i)
+    return places

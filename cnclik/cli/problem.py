@@ -1,70 +1,71 @@
 """The options that describe a problem, shared by every verb that takes one.
 
-They are those of `cnclik.problem.OPTIONS`, with its help and defaults. A verb's `Args` inherits the groups that it
-needs; `problem(args)` builds the problem.
+They are arguments of `problem_from` and fields of `Drive`, with their help, units and defaults. A verb's `Args`
+inherits the groups that it needs; `problem(args)` builds the problem.
 """
 
 import dataclasses
-import keyword
 from typing import Any
 
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.problem.options import DRIVE, INTEGER, MEASURED, NAME, NUMBER, NUMBERS, OPTIONS, PATH, SWEPT
+from cnclik.problem.options import INTEGER, NAME, NUMBER, NUMBERS, OPTIONS
 
-_TYPES = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
+_TYPES: dict[str, Any] = {NAME: str, NUMBER: float, NUMBERS: tuple[float, ...], INTEGER: int}
+_ROBOT = ("robot", "tip", "base", "task", "q0")
+_PATH = ("reference", "target", "center", "radius", "period", "speed", "begin")
+_LAW = ("alpha", "damping", "limits", "posture", "feedforward")
+_LOOP = ("method", "M", "Ts", "N")
+_DRIVE = ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feedback", "cutoff", "smoothed")
+# The other arguments are for sweeps and Python.
 
 
-def _field(name):
+def _field(name, group):
     """(name, type, field) of one option, for a dataclass of options."""
-    one = SWEPT[name]
-    kind, default = _TYPES[one.kind], one.default
+    one, default = OPTIONS[name], OPTIONS[name].default
     if name == "robot":
-        return name, str, option(about=one.help, positional=True)
-    kind = kind | None if default is None else kind
+        return name, str, option(about=one.help, positional=True, group=group)
+    kind = _TYPES[one.kind] | None if default is None else _TYPES[one.kind]
     default = (default,) if one.kind == NUMBERS and default is not None else default
-    return name + "_" * keyword.iskeyword(name), kind, option(default, unit=one.unit, name=name, about=one.help)
+    return name, kind, option(default, unit=one.unit, about=one.help, group=group)
 
 
 def _group(title, names):
-    made = dataclasses.make_dataclass(title, [_field(name) for name in names], kw_only=True)
+    made = dataclasses.make_dataclass("Options", [_field(name, title) for name in names], kw_only=True)
     made.__module__, made.__doc__ = __name__, ""
     return made
 
 
-_ROBOT, _TASK, _PATHS = (
-    ("robot", "tip", "base", "lengths"),
-    ("task", "stack"),
-    ("reference", *(n for n in OPTIONS if n in PATH), "future"),
-)
-RobotOptions: Any = _group("RobotOptions", _ROBOT)
-TaskOptions: Any = _group("TaskOptions", _TASK)
-ReferenceOptions: Any = _group("ReferenceOptions", _PATHS)
-LoopOptions: Any = _group("LoopOptions", [n for n in OPTIONS if n not in (*_ROBOT, *_TASK, *_PATHS)])
-DriveOptions: Any = _group("DriveOptions", DRIVE)
-MeasuredOptions: Any = _group("MeasuredOptions", MEASURED)
+RobotOptions: Any = _group("robot and task", _ROBOT)
+PathOptions: Any = _group("path", _PATH)
+LawOptions: Any = _group("law", _LAW)
+LoopOptions: Any = _group("loop", _LOOP)
+DriveOptions: Any = _group("drive", _DRIVE)
 
 
 @dataclasses.dataclass(kw_only=True)
-class ProblemOptions(LoopOptions, ReferenceOptions, TaskOptions, RobotOptions):
+class ProblemOptions(DriveOptions, LoopOptions, LawOptions, PathOptions, RobotOptions):
     """Everything `solve` needs."""
 
 
-def table(args) -> dict:
-    """The given options of the problem among a verb's options, as a flat table."""
-    names = {name: name + "_" * keyword.iskeyword(name) for name in SWEPT}
-    given = {name: getattr(args, field, None) for name, field in names.items()}
-    return {name: value for name, value in given.items() if value not in (None, [])}
+def given(args) -> dict:
+    """The options of the problem that the user gave, {name: value}; a single number is no list."""
+    names = [one.name for one in dataclasses.fields(args) if one.metadata.get("group")]
+    return {name: _number(name, getattr(args, name)) for name in names if name in args.written}
 
 
-def problem(args, **others):
-    """The `Problem` that a verb's options describe, some of which stand for its own. Raises: ArgumentError."""
-    from cnclik.problem.build import problem_from
-    from cnclik.problem.magnitudes import remark_on
+def _number(name, value):
+    single = isinstance(value, tuple) and len(value) == 1 and OPTIONS[name].unit not in ("q", "x")
+    return value[0] if single else list(value) if isinstance(value, tuple) else value
 
-    given = {name: value for name, value in (table(args) | others).items() if value is not None}
+
+def problem(args):
+    """The `Problem` that a verb's options describe. Raises: ArgumentError."""
+    from cnclik.problem.file import problem_of
+    from cnclik.problem.options import check_units
+
+    options = given(args) if args.robot.endswith(".py") else {"N": getattr(args, "N", None)} | given(args)
     with progress.bar("start and path"):
-        made = problem_from(**given)
-    named = given | ({} if getattr(args, "speed", None) is None else {"speed": args.speed})
-    remark_on(named, made.law.chain, made.law.task, made.Ts, args.written)
+        made = problem_of(args.robot, **{name: value for name, value in options.items() if value is not None})
+    check_units(made.law.chain, made.law.task, args.written)
     return made

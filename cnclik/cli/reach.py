@@ -9,30 +9,26 @@ import time
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import RobotOptions, TaskOptions
-from cnclik.cli.remarks import print_json
+from cnclik.cli.common import ComputeOptions, print_json
+from cnclik.cli.problem import RobotOptions
 from cnclik.quantities import aloud
 from cnclik.writing import checked_file, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, TaskOptions, RobotOptions):
+class Args(ComputeOptions, RobotOptions):
     """Find joint values that put the tip at targets, or several tips at their targets at the same time. Several tips
-    have a --tip and a --target each, or are those of a stack's file, with targets on their paths:
+    have a --tip and a --target each:
 
-    cnclik reach ROBOT --tip left --tip right --task position --target 0.5 0.3 0.2 --target 0.5 -0.3 0.2
-    cnclik reach ROBOT --stack FILE.toml --points 20"""
+    cnclik reach ROBOT --tip left --tip right --task position --target 0.5 0.3 0.2 --target 0.5 -0.3 0.2"""
 
     targets: pathlib.Path | None = option(None, positional=True)
-    """FILE.csv, .npy or .npz with one target per row: position [m] and, for a pose, a quaternion w x y z; or 4×4
-    transforms. With several tips each column begins with its tip's name, as in left.x."""
-    tip: list[str] = option(list)
+    """FILE.csv with a target per row: columns x, y, z and, for a pose, qw, qx, qy, qz, by name or in this order. With
+    several tips each name begins with the tip's, as in left.x. Or FILE.npy, an array as `cnclik.reach` takes it."""
+    tip: list[str] = option(list, group="robot and task")
     """Last link of the chain. Give --tip several times for several tips with targets at the same time."""
     target: list[tuple[float, ...]] = option(list, unit="x")
     """One target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z. Give it once for each tip."""
-    points: int = 1
-    """With --stack: number of targets on the paths, evenly spaced in time; 1 is where the paths begin."""
     random: int | None = None
     """Number of random reachable poses, in place of TARGETS."""
     seed: int = 0
@@ -64,7 +60,7 @@ def run(args: Args) -> None:
     from cnclik.problem.targets import wanted_of
 
     wanted = wanted_of(args)
-    asked = [wanted.title, *wanted.lines, _search(args, wanted.chain)]
+    asked = [wanted.title, wanted.line, _search(args, wanted.chain)]
     if not args.json:
         print(*asked, sep="\n")
     with errors.called("targets", "target") if args.target else contextlib.nullcontext():
@@ -73,25 +69,22 @@ def run(args: Args) -> None:
 
 def _search(args, chain) -> str:
     """A sentence about the search: its tolerance, start and limits."""
-    from cnclik.problem.heading import unless_given
     from cnclik.record import in_words
 
     near = "" if args.near is None else f" from {in_words(args.near)} {', '.join(dict.fromkeys(chain.units))}"
     near = ", each from the answer before it" if args.path else near
     exact = " and ".join(aloud(v, unit) for v, unit in zip(args.tolerance, ("m", "rad"), strict=True))
     limits = "within the joint limits" if args.limits else "without joint limits"
-    return f"Search {limits}{near}, to {exact}{unless_given(args.written, 'tolerance')}."
+    return f"Search {limits}{near}, to {exact}{' (default)' * ('tolerance' not in args.written)}."
 
 
 def _check(args):
     ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random}
     given = [name for name, value in ways.items() if value is not None]
-    if len(given) > 1 or (not given and args.stack is None):
+    if len(given) != 1:
         found = f"are {' and '.join(given)}" if given else "is none of them"
-        must = "One of TARGETS, --target X Y Z, --random N and --stack FILE must be given"
+        must = "One of TARGETS, --target X Y Z and --random N must be given"
         raise errors.ArgumentError(f"{must}, but there {found}.")
-    if errors.integer("points", args.points, at_least=1, at_most=errors.MOST) > 1 and (given or args.stack is None):
-        raise errors.fail("points", "come with the paths of a stack", f"is {args.points}")
     if args.random is not None:
         errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
     if args.path and args.near is not None:

@@ -5,14 +5,13 @@ import math
 import sys
 
 from cnclik.cli.arguments import option
-from cnclik.cli.common import CacheOption
-from cnclik.problem.words import ROBOTS
+from cnclik.problem.words import PLANAR, ROBOTS
 
 DEEPEST = 120  # columns of the tree's lines; deeper links are not indented further
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(CacheOption):
+class Args:
     """Print the tree of links with joints and limits; possible tips are in bold."""
 
     robot: str = option(positional=True)
@@ -22,7 +21,7 @@ class Args(CacheOption):
 def run(args: Args) -> None:
     from cnclik.robot.files import file_of, read_robot
 
-    if args.robot.partition(":")[0] in ROBOTS:
+    if args.robot.partition(":")[0] in (*ROBOTS, *PLANAR):
         from cnclik.problem.names import robot_and_tip
 
         robot, tip = robot_and_tip(args.robot)

@@ -6,20 +6,16 @@ import time
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, as_options, print_table
-from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
-from cnclik.cli.remarks import print_json
+from cnclik.cli.common import ComputeOptions, print_json, print_table
+from cnclik.cli.problem import ProblemOptions, given, problem
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
 from cnclik.writing import Refused, output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
-    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did. The loop
-    has one task, or several:
-
-    cnclik solve ROBOT --stack FILE.toml"""
+class Args(ComputeOptions, ProblemOptions):
+    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did."""
 
     out: Path = Path("solved")
     """Folder for trajectory and figures."""
@@ -28,7 +24,10 @@ class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
     figures: bool = True
     """Draw joint values, error, joint velocities, status and the path of the tip."""
     json: bool = False
-    """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedies as options."""
+    """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedy."""
+
+
+_FIGURES = ("joints", "error", "velocities", "status", "tip")
 
 
 def run(args: Args) -> None:
@@ -39,25 +38,20 @@ def run(args: Args) -> None:
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
-    asked = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
-    config = {"verb": "solve", **{k: list(v) if isinstance(v, tuple) else v for k, v in table(args).items()}}
-    config |= {} if made.tables is None else {"tasks": made.tables}
-    config |= {} if made.walls is None else {"walls": made.walls}
-    trajectory, time_per_step, data, written, refused = _kept(made, args, config)
+    trajectory, time_per_step, data, written, refused = _kept(made, args)
     with progress.bar("verdict"):
-        judged = verdict(made.law, made.reference, trajectory, **asked, noise=made.noise)
+        loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
+        judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
-    along = f"reference {args.reference}" * (made.tables is None)
-    loop = "; ".join(filter(None, (heading.loop_in_words(made, args.written), along, heading.drive_words(made))))
-    where = heading.start_and_target(made, table(args))
+    asked = [title, heading.loop_in_words(made), *heading.start_and_target(made)]
     facts = _summary(made, trajectory, time_per_step)
-    answer = as_options(f"{judged.sentence[0].upper()}{judged.sentence[1:]}")
+    answer = f"{judged.sentence[0].upper()}{judged.sentence[1:]}"
     if args.json:
-        asked_of = {"asked": [title, loop, *where], "facts": dict(facts)}
-        print_json(asked_of | {"verdict": plain(judged) | {"sentence": answer}, "out": str(args.out)})
+        about = {"asked": asked, "facts": dict(facts), "verdict": plain(judged) | {"sentence": answer}}
+        print_json(about | {"out": str(args.out)})
     else:
-        print("\n".join([title, loop, *where, answer]))
+        print("\n".join([*asked, answer]))
         print_table(facts, box=None, padding=(0, 2, 0, 0))
     if refused is not None:
         raise refused
@@ -68,15 +62,13 @@ def run(args: Args) -> None:
         print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
 
 
-_FIGURES = ("joints", "error", "velocities", "status", "tip")
-
-
-def _kept(made, args, config):
+def _kept(made, args):
     """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
 
     files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _FIGURES]
     whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
+    config = {"verb": "solve", "robot": args.robot} | given(args)
     data = refused = None
     try:
         with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
@@ -102,8 +94,7 @@ def _march(made):
     trajectory = jax.block_until_ready(made.run())  # compiles
     begun = time.perf_counter()
     jax.block_until_ready(made.run())
-    each = 1e6 * (time.perf_counter() - begun) / made.N
-    return trajectory, f"{plainly(each)} µs"
+    return trajectory, f"{plainly(1e6 * (time.perf_counter() - begun) / made.N)} µs"
 
 
 def _rows(data):

@@ -43,13 +43,9 @@ class Args(ComputeOptions):
 def run(args: Args) -> None:
     """Check the spec, compute the missing blocks, draw."""
     place = _join(args)
-    from cnclik.problem import options
-    from cnclik.problem.magnitudes import remark_on_times
     from cnclik.sweeps import files, store, summary
 
     spec = files.read(args.spec, args.set)
-    numbers = {n: v for n, v in spec.fixed.items() if n in ("Ts", "delay", "lag") and isinstance(v, (int, float))}
-    remark_on_times(numbers, numbers.get("Ts", options.DEFAULTS["Ts"]))
     out = args.out or pathlib.Path(f"sweep-{spec.name}")
     if args.check:
         _check(spec)

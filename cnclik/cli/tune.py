@@ -8,37 +8,31 @@ from pathlib import Path
 from typing import Any
 
 from cnclik import errors, quantities
-from cnclik.cli import common, progress
+from cnclik.cli import progress
 from cnclik.cli.arguments import option
 from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem, table
+from cnclik.cli.problem import ProblemOptions, given, problem
 from cnclik.show.output import draw, drawn_by, load_ahead
 from cnclik.version import __version__
 from cnclik.writing import output_folder
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
+class Args(ComputeOptions, ProblemOptions):
     """Tune the loop that these options describe. Writes tuned.json and a figure of the error before and after. A gain
     is at most the recommended one of `cnclik stability` for the same drives: without any option of the drives, 30 ms of
     dead time and a lag of 100 ms are assumed."""
 
-    N: int = 200
+    N: int = option(200, group="loop")
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward, links, tool; with --stack
+    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward, links, tool; of a stack
     also parameters of one task, as in hands.alpha, and of a posture only so."""
     bounds: tuple[str, ...] = option((), metavar="NAME=LOWER,UPPER ...")
     """Bounds in place of the defaults, as in alpha=0.1,12."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")
     """What to minimize: tracking (RMS of the error), settling, effort, jerk. Several have weights, as in tracking=1
     jerk=1e-4."""
-    velocity_limit: tuple[float, ...] | None = option(None, unit="q/s")
-    """Joint speed that the run keeps [rad/s, m/s], one number or one per joint; inf: no limit. Default: the robot's."""
-    steps: int = 100
-    """Number of gradient evaluations per start, at most."""
-    starts: int = 1
-    """Number of descents, the first from --alpha, the others from random values."""
     out: Path = Path("tuned")
     """Folder for tuned.json and the figure."""
     figures: bool = True
@@ -53,11 +47,8 @@ def run(args: Args) -> None:
 
     if args.figures:
         load_ahead("cnclik.show.style")
-    noise = None if made.noise is None else made.drawn()
-    limit = args.velocity_limit[0] if args.velocity_limit and len(args.velocity_limit) == 1 else args.velocity_limit
     loop: dict[str, Any] = dict(Ts=made.Ts, N=made.N, method=made.method, stage=made.stage, drive=made.drive)
-    asked: dict[str, Any] = dict(over=args.over, bounds=bounds, loss=loss, noise=noise, velocity_limit=limit)
-    asked |= dict(steps=args.steps, starts=args.starts)
+    asked: dict[str, Any] = dict(over=args.over, bounds=bounds, loss=loss, noise=made.drawn())
     with output_folder(args.out, overwrite=args.overwrite, files=["tuned.json", "error.png"]) as folder:
         begin = time.perf_counter()
         with progress.bar("evaluations") as report:
@@ -66,8 +57,7 @@ def run(args: Args) -> None:
         data = _plain(found, args)
         folder.write_text("tuned.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     print(f"{robot_and_task(made.name, made.tip, made.law.task)}, {made.method}, Ts {1e3 * made.Ts:g} ms, N {made.N}.")
-    print("\n".join(start_and_target(made, table(args))))
-    print(found)
+    print(*start_and_target(made), found, sep="\n")
     print(f"{found.evaluations} evaluations in {seconds:.1f} s, compilation included.")
     about = {"Title": f"{made.name}: tuned", "Comment": json.dumps(data["config"])}
     figures = {"error.png": (drawn_by("tuning", "error", found), about)} if args.figures else {}
@@ -94,13 +84,11 @@ def _plain(found, args) -> dict:
     """The result as nested tables of plain numbers, lists and texts."""
     from cnclik.measure.files import plain
 
-    allowed, own = found.advice.gains, {f.name: getattr(args, f.name) for f in dataclasses.fields(args)}
-    config = {name: v for name, v in own.items() if v is not None and name not in ("out", "figures", *common.NAMES)}
+    allowed = found.advice.gains
     made = {"cnclik": __version__, "alpha": found.law.alpha}
     made |= {name: {p.name: getattr(p, name) for p in found.parameters} for name in ("start", "lower", "upper", "unit")}
-    made |= {
-        name: getattr(found, name) for name in ("values", "loss", "losses", "speeds", "satisfied", "status", "why")
-    }
-    made |= {"evaluations": found.evaluations, "drive": found.drive, "response": found.advice.rates[0].response}
+    names = ("values", "loss", "losses", "speeds", "satisfied", "status", "why", "evaluations", "drive")
+    made |= {name: getattr(found, name) for name in names} | {"response": found.advice.rates[0].response}
     made["gains"] = {k: getattr(allowed, k) for k in ("recommended", "without_overshoot", "largest_stable", "assumed")}
-    return plain(made | {"config": table(args) | {name.rstrip("_"): v for name, v in config.items()}})
+    own = {name: getattr(args, name) for name in ("robot", "N", "over", "bounds", "loss")}
+    return plain(made | {"config": own | given(args)})

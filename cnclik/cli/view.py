@@ -7,31 +7,25 @@ import threading
 
 from cnclik.cli import terminal
 from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions
-from cnclik.cli.problem import MeasuredOptions, ProblemOptions, problem
+from cnclik.cli.problem import ProblemOptions, problem
 
 
 @dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, MeasuredOptions, ProblemOptions):
-    """Run a loop, or take a run of solve, and play it in a browser.
+class Args(ProblemOptions):
+    """Run a loop, or take a run of solve, and play it in a browser."""
 
-    cnclik view ROBOT --stack FILE.toml"""
-
+    computes = True
     robot: str = option(metavar="ROBOT|FILE", positional=True)
-    """A robot, as for solve; or what to play: trajectory.nc, or a folder of solve."""
-    N: int = 500
-    """Number of steps."""
+    """A robot or FILE.py, as for solve; or what to play: trajectory.nc, or a folder of solve."""
     host: str = "localhost"
-    """Host name or address to listen on; with 0.0.0.0 other machines can connect."""
-    port: int = 8080
-    """Port to listen on; if it is in use, the next free one."""
+    """Host name or address to listen on, at port 8080 or the next free one; with 0.0.0.0 other machines can connect."""
 
 
 def run(args: Args) -> None:
     from cnclik.show.viewer.front import is_run, view
 
     what = args.robot if is_run(args.robot) else problem(args)
-    viewer = view(what, robot=args.robot, host=args.host, port=args.port)
+    viewer = view(what, robot=getattr(what, "robot", None), host=args.host)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)
     if signal.getsignal(signal.SIGINT) is terminal.end:
         signal.signal(signal.SIGINT, signal.default_int_handler)  # Ctrl-C ends the viewer

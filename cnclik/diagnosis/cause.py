@@ -4,9 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.loop import (
-    COLOURS, DEAD, UNMODELLED, filtered, free, averaged, fits, path_basis, slowest, window,
-)  # fmt: skip
+from cnclik.diagnosis.loop import COLOURS, DEAD, UNMODELLED, averaged, filtered, fits, free, path_basis, slowest, window
 
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
@@ -41,7 +39,8 @@ def turned(y) -> Turned | None:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    line, found, plain = np.linspace(-1, 1, N)[:, None] ** np.arange(2), [], np.inf
+    line, plain = np.linspace(-1, 1, N)[:, None] ** np.arange(2), np.inf
+    found: list = []
     for theta in (0.0, *COLOURS):
         over = [1.0, -theta]
         left, acts = free(line, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
@@ -57,7 +56,7 @@ def turned(y) -> Turned | None:
                 rest = left + z * moved
                 score = N * np.sum(np.log(np.mean(rest**2, 0) + floor)) + np.log(N) * (theta != 0)
                 if z > 0 and R is rotation:
-                    found.append((score + 3 * np.log(N), d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
+                    found.append((float(score) + 3 * np.log(N), d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
                 elif z > 0:
                     plain = min(plain, score)
     least = min((one[0] for one in found), default=0.0)
@@ -71,8 +70,8 @@ def turned(y) -> Turned | None:
     else:
         axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         up = 1.0 if axis[np.argmax(np.abs(axis))] >= 0 else -1.0
-        axis *= up / max(np.linalg.norm(axis), 1e-12)
-    return Turned(float(up * _angle(R)), axis, z, max(angles, default=180.0) - min(angles, default=0.0))
+        axis *= up / max(float(np.linalg.norm(axis)), 1e-12)
+    return Turned(float(up * _angle(R)), axis, z, max(angles) - min(angles))
 
 
 def _angle(R) -> float:
@@ -122,8 +121,11 @@ def growth(y) -> tuple[float, float]:
     return float(factor), 0.95 if evidence > BETTER else 0.8
 
 
-def swept(y, period) -> tuple[float, float]:
-    """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy."""
+def swept(y, period) -> tuple[float, float, float]:
+    """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy; its unrest.
+
+    The unrest is the deviation of its size over the mean, of half the rows: 0.5 where noise excites it, 0 for a limit.
+    """
     N = len(y)
     still = free(path_basis(N, period), y)
     u, s, _ = np.linalg.svd(still, full_matrices=False)
@@ -134,6 +136,8 @@ def swept(y, period) -> tuple[float, float]:
     half = int(np.clip(np.searchsorted(total, total[-1] / 2), period / 2, max(N - 1 - period / 2, period / 2)))
     turn = np.angle(wave[1:] * np.conj(wave[:-1])) * energy
     if not 0 < half < N - 1:
-        return 1.0, 1.0
+        return 1.0, 1.0, 1.0
     speed = [np.sum(turn[p]) / max(np.sum(energy[p]), 1e-300) for p in (slice(half), slice(half, None))]
-    return float(speed[1] / speed[0]), float(np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300)))
+    larger = np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300))
+    size = np.sqrt(energy[N // 4 : 3 * N // 4])
+    return float(speed[1] / speed[0]), float(larger), float(np.std(size) / max(np.mean(size), 1e-300))

@@ -74,7 +74,7 @@ class LogCheck:
         lines = [f"{row[0]:<{width[0]}}  {row[1]:<{width[1]}}" for row in table]
         for i in range(2, len(width)):
             lines = [f"{line}  {row[i]:>{width[i]}}" for line, row in zip(lines, table, strict=True)]
-        said = "No limit is broken."
+        said = "No limit is broken." if any(one.limit is not None for one in self.findings) else "No limits are given."
         if self.broken:
             worst = max(self.broken, key=lambda one: one.share)
             said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.4g} s."

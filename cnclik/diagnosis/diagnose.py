@@ -37,10 +37,14 @@ OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
+STEADY = 0.1  # unrest of a sustained oscillation, at most; noise gives 0.5
+UNREST, DOUBLE = 0.2, 2.0  # of an oscillation that grows as a mode does: its unrest beyond that, its size below it
+FASTEST = np.log(1e3)  # growth in a period; with more it is a polynomial
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 LONG = 30  # samples of dead time, beyond which a sample more or less counts little
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
+WRONG_SIGN = "Each step adds to the error: the sign of error, Jacobian or command is wrong. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
 UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
@@ -53,7 +57,7 @@ class Diagnosis:
       kind: a `Kind`. cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
       Ts: sampling time of log and loop [s]. period: of the oscillation [samples]. growth: factor per sample.
       delay: dead time [samples], and interval: its ends, where dead time alone explains the log.
-      drive: a likely `Drive`. z: gain per sample of the best loop.
+      drive: a likely `Drive`. z: gain per sample of the likely loops.
       alpha: of the loop [1/s], if given. recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the
         drives may scale a gain, so factor is what the present one is to be multiplied by.
       angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn
@@ -139,8 +143,7 @@ def _seen(scaled, found, y, Ts, alpha) -> dict:
         return _turned_frames(spin)
     rate, sure = cause.growth(scaled)
     if rate:
-        note = "Each step adds to the error: the sign of the error, of the Jacobian or of the command is wrong. No gain helps."
-        return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure, "note": note}
+        return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure, "note": WRONG_SIGN}
     if found is None or not np.isfinite(found.period) or found.swings < SURELY or found.evidence < EVIDENCE_KNOWN:
         calm = found is not None and found.evidence > EVIDENCE_KNOWN and found.swings < 1 - SURELY
         return {"kind": Kind.CALM, "note": DECAYS} if calm else {"kind": Kind.UNDECIDED, "note": UNFINISHED}
@@ -151,8 +154,17 @@ def _swing(rows, found, Ts, alpha) -> dict:
     """Fields of a `Diagnosis` of a mode that swings."""
     change, turns = found.mode.real * found.period, len(rows) / found.period
     held = abs(change) < np.log(HELD)
-    faster, larger = cause.swept(loop.main_parts(rows), found.period)
+    faster, larger, unrest = cause.swept(loop.main_parts(rows), found.period)
+    if unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]:  # beside overtones a mode seems to decay
+        found = found._replace(mode=1j * found.mode.imag)
+        change, held = 0.0, True
+    if change > FASTEST:
+        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
     excited = change < -np.log(HELD) and larger > LASTS
+    if change > 0 or held:  # what grows, or does not, must do so as its mode does
+        wave = np.exp(found.mode * np.arange(len(rows)) - max(found.mode.real, 0.0) * len(rows)).real[:, None]
+        _, grows, rises = cause.swept(wave, found.period)
+        excited = unrest > rises + UNREST or larger < grows / DOUBLE
     same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
     if turns > SWEPT and same and not 1 / SWEEP < faster < SWEEP:
         return {"kind": Kind.UNDECIDED, "note": "The period changes, as of a sweep or another path, not of a loop."}
@@ -163,8 +175,8 @@ def _swing(rows, found, Ts, alpha) -> dict:
         return {"kind": Kind.CALM, "recommended_alpha": None, "note": note}
     needed = EVIDENCE_KNOWN if alpha is not None and drives.off < NEAR else EVIDENCE
     if alpha is None and (excited or held):
-        needed = EVIDENCE_EXCITED if held or turns > MANY else np.inf
-    short = turns < (PERIODS if held else 2.0 if abs(change) < np.log(2) else 1.2)
+        needed = EVIDENCE_EXCITED if not excited or turns > MANY else np.inf
+    short = turns < (PERIODS if held else 2.0 if change > -np.log(2) else 1.2)
     if short or found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS):
         return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
     limited = turns < PERIODS and abs(change) < np.log(1.5)
@@ -189,7 +201,7 @@ def _swing(rows, found, Ts, alpha) -> dict:
         "delay": found.dead[0] if found.alone else None,
         "interval": found.dead[1:] if found.alone else None,
         "drive": drives.drive,
-        "z": found.z,
+        "z": drives.alpha * Ts,
         "recommended_alpha": best,
         "factor": best / present,
         "confidence": 0.8 if alpha is None else 0.7 if limited or drives.off > NEAR else 0.95,
@@ -208,8 +220,8 @@ def _turned_frames(spin) -> dict:
     if np.max(np.abs(spin.axis)) > 0.99:
         axis = "xyz"[int(np.argmax(np.abs(spin.axis)))]
     note = (
-        f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}: no gain "
-        f"helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
+        f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}: no "
+        f"gain helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
     )
     made = {"cause": "turned frames", "angle": spin.degrees, "axis": spin.axis, "z": spin.z, "note": note}
     return {"kind": Kind.SPIRAL, "confidence": 0.95 if spin.open < 10 else 0.7, **made}
@@ -218,7 +230,7 @@ def _turned_frames(spin) -> dict:
 def _parts(y, found, rings) -> dict:
     """The path and the oscillation in the rows that were read, and what is left."""
     if found is None:
-        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0.0, 0, len(y)), False
+        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0, len(y)), False
     rows = y[found.first : found.last]
     period = found.period if rings else np.inf
     path, t = loop.path_basis(len(rows), period), np.arange(len(rows))

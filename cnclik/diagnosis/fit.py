@@ -283,7 +283,8 @@ def _made(log, fit) -> DriveFit:
     if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
-    alpha, notes = _recommended(log, kind, *((v[follows] if own else v) for v in (values, covs)), gain[follows])
+    chosen = follows if own else slice(None)
+    alpha, notes = _recommended(log, kind, values[chosen], covs[chosen], gain[follows])
     wide = NORMAL * np.minimum(np.sqrt(np.diagonal(covs, axis1=1, axis2=2)), WIDE)
     interval = {"delay": tuple(float(max(values[0, 0] + s * wide[0, 0], 0.0)) for s in (-1, 1))}
     for i, name in enumerate(names, 1):
@@ -364,7 +365,7 @@ def _drive(log, kind, values) -> Drive:
     """The `Drive` of values (1, p), or (k, p) of joints that differ."""
     names = [name for name in NUMBERS[kind] if name != "integral"]
     numbers = {name: np.exp(values[:, i]) * log.Ts ** SCALES[name] for i, name in enumerate(names, 1)}
-    made = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
+    made: dict = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
     delay = float(np.clip(values[0, 0], 0, MOST - 1))
     return Drive(command="velocity" if log.velocity else "position", delay=delay, **made)
 

@@ -21,15 +21,12 @@ PER_PERIOD, DEAD = 24, 16  # rows of a period that are kept, and of dead time, w
 LAGS = (0.0, 1.0, 2.5, 6.0, 15.0)  # of these rows; the phase at the limit changes by 20° from one to the next
 COLOURS = (0.8, 1.0)  # θ of C = 1 − θB, besides 0: of noise of the motion and of its measurement together
 PATHS = (0, 1, 2, 4, 8, 12, 16)  # columns of a path's basis: offset, drift, bends, slow sines
-UNMODELLED = 0.02  # share of the steps that no linear loop explains
+UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-CAREFUL, TAIL = (
-    0.15,
-    0.1,
-)  # shares of the likely drives that tolerate less than the one that is chosen, and that is said
+CAREFUL, TAIL = 0.25, 0.1  # shares of the likely drives that tolerate less than the one chosen, and than those said
 
 
 class Loop(NamedTuple):
@@ -40,7 +37,6 @@ class Loop(NamedTuple):
     swings: float  # share of the probability of loops that pass their target by VISIBLE
     dead: tuple  # dead time in rows of the best loop without a lag, and its ends
     alone: bool  # whether dead time alone explains the log much better than any lag
-    z: float  # of the best loop, per row
     first: int  # rows that were read
     last: int
 
@@ -80,7 +76,7 @@ def resolution_of(y):
 
 
 def prepared(y):
-    """(columns that move by more than noise and resolution, in units of these or of a tenth of their deviation; which)."""
+    """(columns that move by more than noise and resolution, in units of these or a tenth of their deviation; which)."""
     size, step = np.std(y, axis=0), resolution_of(y)
     moves = (np.ptp(y, axis=0) > 1e-12 * np.abs(y).max(0)) & (np.ptp(y, axis=0) > 3.5 * step)
     unit = np.maximum(np.maximum(0.1 * size, noise_of(y)), step)
@@ -134,7 +130,7 @@ def path_basis(N, period=np.inf):
     t = np.linspace(-1, 1, N)
     many = min(int(2 * N / (2.5 * period)), 6) if 4 * period < N else 0
     sines = [f(np.pi * i * (t + 1) / 2) for i in range(1, many + 1) for f in (np.cos, np.sin)]
-    return np.linalg.qr(np.stack([*(t**i for i in range(4)), *sines], 1))[0]
+    return np.linalg.qr(np.stack([*(t**i for i in range(4)), *sines], 1)[:, : max(N // 3, 2)])[0]
 
 
 def periods_of(y) -> list:
@@ -148,6 +144,8 @@ def periods_of(y) -> list:
     still = free(path_basis(N), y)
     power = np.sum(np.abs(np.fft.rfft(still, 4 * N, axis=0)) ** 2, 1) * np.arange(2 * N + 1)
     found = [4 * N / (6 + int(np.argmax(power[6:])))]
+    fast = 4 * N / (6 + int(np.argmax((power * np.arange(2 * N + 1) ** 2)[6:])))  # beside a path that moves more
+    found += [fast] if fast < found[0] / 1.6 else []
     hankel = np.lib.stride_tricks.sliding_window_view(shared, max(len(shared) - len(shared) // 2 + 1, 1))
     if len(hankel) < 4:
         return found
@@ -163,7 +161,7 @@ def periods_of(y) -> list:
         return found
     best = np.argmax(np.where(swings, np.sum(np.abs(powers * weights) ** 2, 0), 0))
     period = 2 * np.pi / turn[best] * every
-    return [period] if 1 / 1.6 < period / found[0] < 1.6 else [period, *found]
+    return [period, *(other for other in found if not 1 / 1.6 < period / other < 1.6)]
 
 
 # --- prediction errors --------------------------------------------------------------------------------
@@ -266,7 +264,7 @@ def read(y) -> Loop | None:
     evidence, m, loops = best
     if not loops.size:
         return None
-    dead, lag, z, _, score = loops
+    dead, lag, _, _, score = loops
     odds = np.exp(-0.25 * (score - score.min()))
     likely = np.flatnonzero(odds > 1e-3)
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
@@ -281,7 +279,6 @@ def read(y) -> Loop | None:
         swings=float(np.sum(odds[likely] * over) / np.sum(odds[likely])),
         dead=tuple(float(max((end + 0.5) * m - 0.5, 0.0)) for end in ends),
         alone=bool(least < score[~alone].min(initial=np.inf) - ALONE),
-        z=float(z[np.argmin(score)] / m),
         first=first,
         last=last,
     )
@@ -295,7 +292,7 @@ class Found(NamedTuple):
 
     drive: Drive  # of which a careful share of the likely drives tolerate less
     alpha: float  # gain of the loop [1/s], the mean of the likely drives
-    most: float  # and the largest of any
+    most: float  # and the largest of nearly all of them
     off: float  # least factor between a known gain and that of a drive with this mode
     ends: tuple  # two drives, between which most of the likely ones are
 
@@ -320,7 +317,9 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Found:
     odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
     order = np.argsort(calm)
     total = np.cumsum(odds[order]) / np.sum(odds)
-    places = [order[min(np.searchsorted(total, q), len(order) - 1)] for q in (CAREFUL, TAIL, 1 - TAIL)]
+    places = order[np.minimum(np.searchsorted(total, [CAREFUL, TAIL, 1 - TAIL]), len(order) - 1)]
     drives = [Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places]
     mean, least = np.sum(odds * gain) / np.sum(odds), np.exp(np.min(np.abs(off)))
-    return Found(drives[0], float(mean), float(gain.max()), float(least), tuple(drives[1:]))
+    order = np.argsort(gain)
+    most = np.interp((1 - TAIL) * np.sum(odds), np.cumsum(odds[order]), gain[order])
+    return Found(drives[0], float(mean), float(most), float(least), tuple(drives[1:]))

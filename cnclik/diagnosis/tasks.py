@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.diagnose import Diagnosis, diagnose
+from cnclik.diagnosis.diagnose import diagnose
 from cnclik.record import record
 
 ALIKE = 0.1  # relative difference, at most, between the periods of one mode
@@ -43,7 +43,7 @@ class StackDiagnosis:
             )
             if name in self.change:
                 words = (
-                    f"{one.kind}, {100 * self.share[name]:.2g} % of the swing: {self.factor[name]:.3g} times its gain"
+                    f"{one.kind}, {100 * self.share[name]:.3g} % of the swing: {self.factor[name]:.3g} times its gain"
                 )
             lines.append(f"{name}: {words}")
         if self.recommended_alpha is not None:
@@ -67,7 +67,7 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
         for n, a in (alpha or {}).items()
     }
     largest = max(known.values()) if len(known) == len(signals) else None  # no mode is faster
-    each: dict[str, Diagnosis] = {}
+    each: dict = {}
     for name, signal in signals.items():
         with errors.within(name):
             each[name] = diagnose(signal, Ts, alpha=largest)

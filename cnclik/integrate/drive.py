@@ -37,20 +37,23 @@ class Drive:
     On the error or the command it lowers the gains; on the target it delays the motion by Ts ρ/(1 − ρ).
 
     Attributes:
-      delay: dead time between command and motion [samples], also fractions; a known number, never traced.
-      measurement_delay: delay of the measurement [whole samples]. Measurements are time-stamped: the error that is fed
-        back is the error at the time of the measurement, so that a known path is followed without additional error. For
-        stability both delays add up.
-      lag: time constant of a first-order drive [s], one number or one per joint (n,).
-      natural_frequency, damping_ratio: ω₀ [rad/s] and ζ of a second-order drive, in place of a lag.
-      command: "velocity", or "position": the controller sums up its steps and sends joint values. Without lag both are
-        the same.
-      feedback: joint values that the controller uses. "measured": the robot's own, while commands are summed up
-        separately; "commanded": its own commands, so that drive, dead time and measurement delay do not enter the loop;
-        "rebased": measured, and each position command starts from them instead of the last command.
-      smoothing: ρ, the share of the old value that the filter keeps, 0 ≤ ρ < 1; 0: no filter.
-      cutoff: cut-off frequency f of the filter [Hz], in place of ρ = exp(−2π f Ts).
-      smoothed: what the filter smooths: "error", "command" or "target".
+      delay: dead time between command and motion [samples], at least 0, also fractions. On the command line a time has
+        its unit, as in 34ms; in Python it is a known number, never traced.
+      measurement_delay: delay of the measurement [whole samples], at least 0. Measurements are time-stamped: the error
+        that is fed back is the error at the time of the measurement, so that a known path is followed without
+        additional error. For stability both delays add up.
+      lag: time constant of a first-order drive [s], one number or one per joint.
+      natural_frequency: natural frequency ω₀ of a second-order drive [rad/s], positive, in place of a lag. It is
+        √(k_p/m) of a position servo. One number or one per joint.
+      damping_ratio: damping ratio ζ of a second-order drive, positive; k_v/(2 m ω₀) of a position servo. Default: 1.
+      command: what the drives take: velocity, or position, where the controller sums up its steps and sends joint
+        values. Without lag both are the same. Default: velocity.
+      feedback: joint values that the controller uses. measured: the robot's own, while commands are summed up
+        separately; commanded: its own commands, so that drive, dead time and measurement delay do not enter the loop;
+        rebased: measured, and each position command starts from them instead of the last command. Default: measured.
+      smoothing: low-pass filter: the share ρ of the old value that a moving average keeps, at least 0 and below 1.
+      cutoff: cut-off frequency f of the low-pass filter [Hz], positive, in place of ρ = exp(−2π f Ts).
+      smoothed: signal that the filter smooths: error, command or target. Default: error.
 
     Raises: ArgumentError for values that do not fit.
     """

@@ -112,7 +112,7 @@ def check_arguments(law, reference, q, Ts, method, stage, name="q0"):
     if not hasattr(stage, "tolerance"):
         raise errors.fail("stage", "be a stage such as picard(5)", f"is {stage!r}")
     errors.number("Ts", Ts, positive=True)
-    q = errors.array(name, q, (law.chain.n,))
+    q = errors.array(name, q, (law.chain.n,), of="joint values")
     if isinstance(q, np.ndarray):
         wide = q.dtype.itemsize >= 8 and jax.config.jax_enable_x64
         q = q.astype(np.float64 if wide else np.float32, copy=False)  # from any precision and byte order

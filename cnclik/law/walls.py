@@ -103,8 +103,6 @@ def wall(
     task = errors.kind("task", task, Task)
     if any(part.turns or part.tied for part in task.parts):
         raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
-    if any(getattr(part, "on_one_link", False) for part in task.parts):
-        raise errors.fail("task", "be of shapes on two links", "is of a distance that never changes")
     if (above is None) == (below is None):
         found = "neither is" if above is None else "both are"
         raise errors.fail("above", "be given, or `below`, but not both", found)
@@ -216,7 +214,7 @@ def apart_from(walls, chain, q):
     def one(q):
         return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
 
-    return _of_each(one, q)
+    return jnp.vectorize(one, signature="(n)->(k)")(q)
 
 
 @one_off
@@ -230,11 +228,4 @@ def _bent(walls, chain, q, qdot):
 
         return jax.jvp(along, (0.0,), (1.0,))[1]
 
-    return _of_each(one, q, qdot)
-
-
-def _of_each(one, *of):
-    """Apply a function of single vectors over all leading axes."""
-    for _ in range(np.ndim(of[0]) - 1):
-        one = jax.vmap(one)
-    return one(*of)
+    return jnp.vectorize(one, signature="(n),(n)->(k)")(q, qdot)

@@ -1,44 +1,44 @@
-"""Problem: records made from the plain names and values of command line, sweep files and Python."""
+"""Problem: a loop from names and numbers, as command line, sweep files and Python have them."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
+import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.method import Method, named
+from cnclik.integrate.method import Method, MethodLike, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
-from cnclik.law.inverse import Pseudoinverse
+from cnclik.law.bounded import bounded
+from cnclik.law.inverse import damped, pseudoinverse, singular_damped
 from cnclik.law.law import Law
+from cnclik.law.limits import velocity_scaling
+from cnclik.law.null import posture
 from cnclik.law.paths import causal
-from cnclik.law.reference import Reference, References, of_each
+from cnclik.law.reference import Reference, References
 from cnclik.problem import names
-from cnclik.problem import stack as stacks
-from cnclik.problem.magnitudes import check_units
-from cnclik.problem.options import DEFAULTS, DRIVE, PATH, SWEPT, in_own_units
-from cnclik.problem.reference import as_written, on_path, reference_from
-from cnclik.problem.words import BEGINS, FUTURES
-from cnclik.record import AnyArray, Float, Number
+from cnclik.problem import reference as paths
+from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
+from cnclik.record import AnyArray, ArrayLike, Float, Number
 from cnclik.robot.chain import Chain
 
 LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
-_OF_LAW = ("error_clamp", "feedforward", "near_singular")  # passed to the law unchanged
+Point = Float[ArrayLike, " d"]  # position in the task's coordinates or x y z [m], perhaps with a quaternion
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Problem:
-    """A loop, `solve(*p.loop)`, with the robot's name, drives and noise; `run()` uses all of it.
+    """A loop, `solve(*p.loop)`, with its drive and noise; `run()` uses all of it.
 
-    `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the
-    measured error, or None; `seed` is the seed of random numbers. `tip` is the name of the robot's tip. `tables` are
-    the given tables of a stack's tasks, and `walls` those of its walls.
+    `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the measured
+    error, or None; `seed` is the seed of random numbers. `name` and `tip` are the robot's, and `robot` its
+    file, with the meshes that the viewer shows; `given` holds the names of the options that are not the defaults.
     """
 
     name: str
@@ -53,8 +53,8 @@ class Problem:
     noise: AnyArray | None = None
     seed: int = 0
     tip: str = ""
-    tables: Mapping[str, Mapping[str, Any]] | None = None
-    walls: Mapping[str, Mapping[str, Any]] | None = None
+    robot: str | None = None
+    given: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:
         return f"Problem({self.name!r}, Ts={self.Ts:g}, N={self.N}, method={str(self.method)!r})\n  {self.law!r}"
@@ -65,7 +65,7 @@ class Problem:
         return self.law, self.reference, self.q0, self.Ts, self.N, self.method, self.stage
 
     def run(self, draws: Float[AnyArray, "N m"] | None = None) -> Trajectory:
-        """Run the loop on its robot: with its drives and noise.
+        """Run the loop on its robot: with its drive and noise.
 
         Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
         """
@@ -83,121 +83,196 @@ class Problem:
 def problem_from(
     robot: str | os.PathLike | Chain,
     *,
-    tasks: Mapping[str, Mapping[str, Any]] | None = None,
-    walls: Mapping[str, Mapping[str, Any]] | None = None,
-    **options: Any,
+    tip: str | None = None,
+    base: str | None = None,
+    task: str | None = None,
+    q0: Float[ArrayLike, " n"] | None = None,
+    reference: str = "hold",
+    target: Point | None = None,
+    start: Point | None = None,
+    center: Point | None = None,
+    radius: Number | None = None,
+    normal: Float[ArrayLike, " 3"] | None = None,
+    amplitude: Float[ArrayLike, " d"] | None = None,
+    frequency: Float[ArrayLike, " d"] | None = None,
+    phase: Float[ArrayLike, " d"] | None = None,
+    period: Number | None = None,
+    speed: Number | None = None,
+    begin: Literal["q0", "on-path"] = "q0",
+    future: Literal["known", "unknown"] = "known",
+    alpha: ArrayLike = 5.0,
+    damping: Number | None = None,
+    threshold: Number | None = None,
+    limits: str | None = None,
+    limit_rate: Number | None = None,
+    posture: Float[ArrayLike, " n"] | None = None,
+    posture_rate: Number | None = None,
+    feedforward: Number = 1.0,
+    error_clamp: ArrayLike | None = None,
+    method: MethodLike = "EXP-MIDPOINT",
+    stage: str = "picard",
+    M: int = 5,
+    Ts: Number = 0.01,
+    N: int = 1000,
+    noise: ArrayLike | None = None,
+    seed: int = 0,
+    **drive: Any,
 ) -> Problem:
-    """A whole problem from a flat table of names and numbers, such as the `[fixed]` table of a sweep file.
+    """Build a whole problem from names and numbers. None is the default; a text such as "34ms" has a unit.
+
+    The command line and sweep files have the same names. In Python a method or a stage may be the record itself, and
+    numbers may be traced.
 
     Args:
-      robot: a file or a name, as for `cnclik.load`, or a `Chain`.
-      tasks: for a stack {name of a task: {option: value}}, with options of `cnclik.problem.OF_TASK`, like the tables in
-        the file that `stack` names.
-      walls: for a stack {name of a wall: {option: value}}, with options of `cnclik.problem.OF_WALL`.
-      options: names and values of `cnclik.problem.OPTIONS` and `cnclik.problem.MEASURED`, which
-        have their meaning and default; None is the default. In Python `start` and `end` stand for `from` and `to`. A
-        method or a stage may be the record itself. Numbers may be traced.
+      robot: a URDF or MJCF file; panda; ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. For
+        commands also FILE.py, whose function problem() returns law, reference and q0.
+      tip: last link of the chain. Required where the file has several (`cnclik robots FILE` lists them).
+      base: first link of the chain (default: the root of the file), or a moving base: planar or free.
+      task: what to control: pose, position, orientation, or coordinates such as xy or xyrz. Default: pose where the
+        robot has enough joints for it.
+      q0: joint values at the start [rad, m]; default: a posture within the limits and away from singularities.
+      reference: the target's path: hold, line, circle, lissajous, or FILE.csv with waypoints: time, x, y, z and perhaps
+        qw, qx, qy, qz, in this order or by these names.
+      target: hold and line: the target, or the end of the line [m]; for a pose, optionally a quaternion w x y z after
+        it. Default: where the tip is after every joint has moved a little.
+      start: line: where it begins [m], as the target; default: where the tip is at q0.
+      center: circle and lissajous: centre [m]; default: so that the path starts at the tip.
+      radius: circle: radius [m], positive; default: a tenth of the arm's length.
+      normal: circle: normal vector of its plane; default: z.
+      amplitude: lissajous: amplitude [m], one number or one per axis; default: a twentieth of the arm's length.
+      frequency: lissajous: cycles per period, one per axis; default: 1, 2, 3.
+      phase: angle at t = 0 [rad]; lissajous takes one per axis.
+      period: duration of one turn (negative: opposite direction) or of the line [s], other than 0; default: that of the
+        run.
+      speed: tip speed [m/s], positive: along the waypoints of a file, in place of their times.
+      begin: where the loop starts: at q0, or on-path, at the path's first point with the joint values nearest to q0.
+      future: whether the controller knows the path ahead (known) or only the target's position and velocity at each
+        step's start (unknown).
+      alpha: gain [1/s], at least 0: one number or one per task coordinate. alpha·Ts is the dimensionless gain per step.
+      damping: damping λ (not λ²) of the inverse of the Jacobian [m, 1], positive; default: none, the pseudoinverse.
+      threshold: least singular value of the Jacobian [m, 1], positive, below which alone the inverse is damped.
+      limits: how joint limits are respected: velocity_scaling or bounded (also their positions). Default: not at all.
+      limit_rate: bounded: rate at which a joint may approach its limit [1/s], positive; default: 1/Ts, at most 10.
+      posture: preferred joint values, approached in the null space [rad, m].
+      posture_rate: rate at which the posture is approached [1/s], positive; default: 1.
+      feedforward: factor of the target's velocity: 1 is full feed-forward, 0 pure feedback.
+      error_clamp: limits of the position and orientation error that the gain multiplies [m, rad], positive. They keep
+        joint velocities small when the target is far away.
+      method: how a step is integrated: EE, IE, CN (the paper's), TRAPEZOID, HEUN, MIDPOINT, RK4, EXP-EE, EXP-HEUN,
+        EXP-MIDPOINT, EXP-RK4.
+      stage: iteration that solves an implicit step: picard, chord, newton.
+      M: number of iterations per implicit step, at least 0.
+      Ts: sampling time [s], positive; with a unit as in 4ms.
+      N: number of steps.
+      noise: standard deviation of white noise in the measured error [m, rad], at least 0: one number or one per task
+        coordinate.
+      seed: seed of the random numbers, at least 0.
+      drive: fields of `Drive`.
 
     Raises: ArgumentError naming the entry that does not fit.
     """
-    given = as_written({name: value for name, value in options.items() if value is not None})
-    for key in given:
-        errors.one_of("option", key, SWEPT)
-    asked = None if tasks is None else stacks.Written(tasks, walls or {})
-    if "stack" in given:
-        if tasks is not None:
-            raise errors.fail("tasks", "be left out where `stack` is given", "is given")
-        asked = stacks.read_stack(given["stack"])
-    if walls and (asked is None or "stack" in given):
-        raise errors.fail("walls", "come with `tasks`, or stand in the file of `stack`", "is given")
-    given, written = in_own_units(given)
-    v = dict.fromkeys(SWEPT) | DEFAULTS | given
-    if "M" in given and hasattr(v["stage"], "tolerance"):
-        raise errors.fail("M", "be left out where `stage` has it", f"is {given['M']!r}")
-    Ts = errors.number("Ts", v["Ts"], positive=True)
-    N = errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
+    given = locals() | drive
+    del given["robot"], given["drive"]
+    for name in drive:
+        errors.one_of("option", name, OPTIONS)
+    return _problem(robot, given, drive)
+
+
+def _problem(robot, given, drive) -> Problem:
+    v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
+    Ts, N = errors.number("Ts", v["Ts"], positive=True), errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
         raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    stack, tips = (None, None) if asked is None else (stacks.tables_from(asked, given), stacks.tips_of(asked))
-    chain, tip = names.robot_and_tip(robot, v["tip"], v["base"], v["lengths"], tips)
-    task = names.task_from(v["task"], chain) if stack is None else stacks.stack_from(stack.tasks, chain)
-    check_units(chain, task, written)
-    law = _law(chain, task, v, Ts, stack)
-    q0 = names.start_from(chain, task, v["q0"])
-    begin = errors.one_of("begin", v["begin"], BEGINS)
-    unknown = errors.one_of("future", v["future"], FUTURES) == "unknown"
-    if stack is None:
-        path = {name: v[name] for name in PATH}
-        reference = reference_from(v["reference"], chain, task, q0, horizon=N * Ts, **path)
-    else:
-        reference = stacks.references_of(stack.tasks, chain, task, q0, N * Ts)
-    q0 = on_path(chain, task, reference, q0) if begin == "on-path" else q0
+    chain, tip = names.robot_and_tip(robot, v["tip"], v["base"])
+    parts = names.task_from(v["task"], chain)
+    check_units(chain, parts, written)
+    law = _law(chain, parts, v, Ts)
+    q0 = names.start_from(chain, parts, v["q0"])
+    path = paths.reference_from(v["reference"], chain, parts, q0, horizon=N * Ts, **{k: v[k] for k in paths.OPTIONS})
+    if errors.one_of("begin", v["begin"], ("q0", "on-path")) == "on-path":
+        q0 = paths.on_path(chain, parts, path, q0)
+    unknown = errors.one_of("future", v["future"], ("known", "unknown")) == "unknown"
     return Problem(
-        name=names.robot_name(robot, v["tip"]),
+        name=names.robot_name(robot, given["tip"]),
         tip=tip,
+        robot=None if isinstance(robot, Chain) else str(robot),
         law=law,
-        reference=of_each(lambda one, _: causal(one), reference, task) if unknown else reference,
+        reference=causal(path) if unknown else path,
         q0=q0,
         Ts=Ts,
         N=N,
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
-        drive=drive_from(given, chain),
-        noise=_noise(v["noise"], task.m),
-        seed=errors.seed(given.get("seed", 0)),
-        **{} if stack is None else {"tables": _as_given(stack.tasks), "walls": _as_given(stack.walls) or None},
+        drive=drive_from({name: v[name] for name in drive}, chain),
+        noise=noise_from(v["noise"], parts.m),
+        seed=errors.seed(v["seed"]),
+        given=frozenset(name for name, value in given.items() if not _is_default(name, value)),
     )
 
 
-def _as_given(tables) -> dict:
-    return {name: one.given for name, one in tables.items()}
+def _is_default(name, value) -> bool:
+    return value is None or (isinstance(value, (int, float, str)) and value == DEFAULTS.get(name))
 
 
-def _law(chain, task, v, Ts, stack) -> Law:
-    walls: tuple = ()
-    damping = {name: v[name] for name in ("inverse", "damping", "threshold")}
-    if stack is None:
-        alpha, inverse = names.gain_from(v["alpha"]), names.inverse_from(*damping.values())
-        if task.m > chain.n and isinstance(inverse, Pseudoinverse):
-            names.require_free(chain, task)
-    else:
-        alpha = stacks.gains_from(stack.tasks, task, v["alpha"])
-        inverse = stacks.inverse_of(stack.tasks, task, chain, **damping)
-        walls = stacks.walls_from(stack.walls, chain)
+def _law(chain, task, v, Ts) -> Law:
+    _needs(v, "threshold", "damping")
+    _needs(v, "posture_rate", "posture")
+    damping, threshold, rest, rate = v["damping"], v["threshold"], v["posture"], v["posture_rate"]
+    if damping is None and task.m > chain.n:
+        names.require_free(chain, task)
+    if rest is not None:
+        rate = 1.0 if rate is None else errors.number("posture_rate", rate, positive=True)
+        rest = posture(errors.array("posture", rest, (chain.n,), of="joint values"), rate)
+    regular = pseudoinverse() if damping is None else damped(damping)
     return Law(
         chain,
         task,
-        alpha=alpha,
-        inverse=inverse,
-        limits=names.limits_from(v["limits"], Ts, v["limit_rate"], walls),
-        null_velocity=names.null_from(chain, v["posture"], v["posture_rate"]),
-        **{name: v[name] for name in _OF_LAW if v[name] is not None},
+        alpha=v["alpha"],
+        inverse=regular if threshold is None else singular_damped(damping, threshold),
+        limits=_limits(v["limits"], v["limit_rate"], Ts),
+        null_velocity=rest,
+        feedforward=v["feedforward"],
+        error_clamp=v["error_clamp"],
     )
 
 
+def _needs(given, name, other) -> None:
+    if given.get(name) is not None and given.get(other) is None:
+        raise errors.fail(name, f"come with `{other}`", "comes without")
+
+
+def _limits(name, rate, Ts):
+    """The limit method by name, or None.
+
+    The default rate [1/s] is 10, but at most 1/Ts: the rate at which one step can stop a joint at its limit.
+    """
+    if name is not None:
+        errors.one_of("limits", name, ("velocity_scaling", "bounded"))
+    if name != "bounded":
+        if rate is not None:
+            raise errors.fail("limit_rate", "come with limits bounded", f"comes with {name or 'none'}")
+        return velocity_scaling() if name else None
+    if rate is None:
+        rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
+    return bounded(errors.number("limit_rate", rate, positive=True))
+
+
 def drive_from(given, chain=None) -> Drive | None:
-    """Return the drive of a table of options; None if it has none of them."""
-    made = _per_joint(chain, given, DRIVE)
-    if "damping_ratio" in made and "natural_frequency" not in made:
-        raise errors.fail("damping_ratio", "come with `natural_frequency`", "comes without")
+    """Return the drive of a table of options, of which lists are one number per joint; None if it has none."""
+    _needs(given, "damping_ratio", "natural_frequency")
+    made: dict[str, Any] = {
+        name: errors.array(name, v, (None if chain is None else chain.n,)) if isinstance(v, (tuple, list)) else v
+        for name, v in given.items()
+        if v is not None
+    }
     return Drive(**made) if made else None
 
 
-def _noise(sigma, m):
-    """The standard deviation of the measured error, checked; an array."""
+def noise_from(sigma, m):
+    """Return the standard deviation of the measured error as an array, checked; or None."""
     if sigma is None:
         return None
     sigma = errors.array("noise", sigma, (), (1,), (m,))
     if errors.concrete(sigma) and (sigma < 0).any():
         raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
     return sigma
-
-
-def _per_joint(chain, given, names) -> dict:
-    """The given ones of these options. Several numbers are one per joint; a list of one is a number."""
-    made = {name: given[name] for name in names if name in given}
-    for name, value in made.items():
-        if isinstance(value, (tuple, list)):
-            shape = (None if chain is None else chain.n,)
-            made[name] = value[0] if len(value) == 1 else errors.array(name, value, shape)
-    return made

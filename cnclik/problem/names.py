@@ -1,4 +1,4 @@
-"""Names: records made from the words that a user may write, by the table in `words`."""
+"""Names: robots, tasks, starts and stages from the words that a user may write."""
 
 import itertools
 import os
@@ -7,37 +7,19 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.integrate.method import named
-from cnclik.law import null
-from cnclik.problem import words
+from cnclik.integrate import stage
+from cnclik.problem.words import PLANAR, ROBOTS, TASKS
 from cnclik.record import replace
-from cnclik.robot import urdf
-from cnclik.robot.chain import Chain
+from cnclik.robot import builtin, urdf
+from cnclik.robot.chain import Chain, planar_arm
 from cnclik.robot.files import file_of, read_robot
-from cnclik.robot.posture import is_planar, least_singular_values, singular_values, spread_postures, start_posture
+from cnclik.robot.posture import is_planar, singular_values, spread_postures, start_posture
 from cnclik.robot.tree import text_of
 from cnclik.task import build
 from cnclik.task.task import Task
-
-
-def fitting(what: str, name: str, choice: words.Takes, given: dict) -> dict:
-    """The given options of a name.
-
-    Raises: ArgumentError for an option that it needs but lacks, or that it does not use and would drop silently.
-    """
-    for key in choice.needs:
-        if given.get(key) is None:
-            raise errors.fail(key, f"be given for the {what} {name!r}", "is not")
-    given = {key: value for key, value in given.items() if value is not None}
-    for key, value in given.items():
-        if key not in choice.options:
-            raise errors.fail(key, f"be left out for the {what} {name!r}", f"is {value!r}")
-    return given
-
 
 # --- robot, task and start ----------------------------------------------------------------------------
 
@@ -63,108 +45,96 @@ def load(
     if isinstance(robot, (str, os.PathLike)):
         file = _file_of(str(robot))
         if file is None:
-            for name, value in {"base": base, "tips": tips, "freeze": freeze}.items():
-                if value is not None:
-                    raise errors.fail(name, f"be left out for the robot {str(robot)!r}", f"is {value!r}")
-            return robot_from(robot, tip)
+            return _built_in(str(robot), tip, base=base, tips=tips, freeze=freeze)[0]
         robot = file
     return urdf.chain(read_robot(robot), tip, base, tips=tips, freeze=freeze)
 
 
+@errors.called("path", "robot")
+def robot_and_tip(robot, tip=None, base=None, tips=None) -> tuple:
+    """(chain, name of its tip; "" if it has none) of a robot as for `load`.
+
+    Args: tips: in place of `tip`, for several, {name: the argument that names it}.
+    """
+    if isinstance(robot, Chain):
+        return robot, tip or ", ".join(tips or ())
+    if not isinstance(robot, (str, pathlib.Path)):
+        raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {robot!r}")
+    file = _file_of(str(robot))
+    if file is None:
+        return _built_in(str(robot), tip, base=base, tips=tips)
+    tree = read_robot(file)
+    if tips is None:
+        return urdf.chain(tree, tip, base), urdf.tip_of(tree, tip, base)
+    links = urdf.tips_of(tree, base, tips)
+    return urdf.chain(tree, base=base, tips=links), ", ".join(links)
+
+
 def _file_of(name: str) -> str | None:
     """The file, or its text, that a name means; None for a built-in robot. Raises: ArgumentError for other names."""
-    if name.partition(":")[0] in words.ROBOTS:
+    if name.partition(":")[0] in (*ROBOTS, *PLANAR):
         return None
     file = name if text_of(name) else file_of(name)
     if file is None:
-        names = ", ".join(n for n in words.ROBOTS if not words.ROBOTS[n].needs)
-        must = f"be a URDF or MJCF file, {names}, planar:1,1,1 or a name of robot_descriptions"
-        raise errors.fail("robot", must, f"is {name!r}")
+        near = errors.nearest(name, ROBOTS)
+        must = f"be a URDF or MJCF file, {', '.join(ROBOTS)}, planar:1,1,1 or a name of robot_descriptions"
+        raise errors.fail("robot", must, f"is {name!r}{near}")
     return file
 
 
-def robot_from(text, tip=None, base=None, lengths=None) -> Chain:
-    """A file or a name as for `load`, or a planar arm; `planar:1,1,1` is `planar` with these link lengths [m].
-
-    `planar-clockwise` turns as the paper's arms do. `tip` and `base` name links of a file.
-    """
-    return robot_and_tip(text, tip, base, lengths)[0]
-
-
-@errors.called("path", "robot")
-def robot_and_tip(text, tip=None, base=None, lengths=None, tips=None) -> tuple:
-    """(chain, name of its tip; "" if it has none).
-
-    Args: as `robot_from`; tips: in place of `tip`, for several, {name: the argument that names it}.
-    """
-    if isinstance(text, Chain):
-        return text, tip or ", ".join(tips or ())
-    if not isinstance(text, (str, pathlib.Path)):
-        raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {text!r}")
-    name, colon, parts = str(text).partition(":")
-    given = {"tip": tip, "base": base, "lengths": lengths}
-    if colon and name in words.ROBOTS and "lengths" in words.ROBOTS[name].needs:
-        if lengths is not None:
-            raise errors.fail("lengths", f"be left out for the robot {str(text)!r}", f"is {lengths!r}")
-        try:
-            given["lengths"] = [m for part in parts.split(",") for m in quantities.read(part, "m")]
-        except ValueError:
-            raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {str(text)!r}") from None
-    elif str(text) not in words.ROBOTS:
-        name = str(text)
-        tree, links = read_robot(_file_of(name)), fitting("robot", name, words.URDF, given)
-        if tips is not None:
-            links["tips"] = urdf.tips_of(tree, base, tips)
-            return urdf.chain(tree, **links), ", ".join(links["tips"])
-        return urdf.chain(tree, **links), urdf.tip_of(tree, **links)
-    robot = words.ROBOTS[name]
-    if given.pop("tip") not in (None, robot.tip):
-        raise errors.fail("tip", f"be {robot.tip!r} for the robot {name!r}", f"is {tip!r}")
-    return robot.make(**fitting("robot", name, robot, given)), robot.tip
+def _built_in(name, tip, **others) -> tuple:
+    """(chain, name of its tip) of a robot that cnclik has."""
+    kind, _, lengths = name.partition(":")
+    own = ROBOTS.get(name) or PLANAR.get(kind)
+    if own is None:
+        raise errors.fail("robot", f"be {kind}", f"is {name!r}")
+    for key, value in ({"tip": tip if tip != own else None} | others).items():
+        if value is not None:
+            must = f"be {own!r}" if key == "tip" else "be left out"
+            raise errors.fail(key, f"{must} for the robot {name!r}", f"is {value!r}")
+    if name in ROBOTS:
+        return getattr(builtin, name)(), own
+    try:
+        lengths = [m for part in lengths.split(",") for m in quantities.read(part, "m")]
+    except ValueError:
+        raise errors.fail("robot", "give link lengths such as planar:1,1,1", f"is {name!r}") from None
+    return planar_arm(lengths, clockwise=kind != "planar"), own
 
 
-def robot_name(text, tip=None) -> str:
+def robot_name(robot, tip=None) -> str:
     """The name of a robot in titles: its file's name without folder, and the tip if it is given."""
-    if isinstance(text, Chain):
-        return f"{text.n}-joint chain"
-    text = str(text)
-    name = text if text.partition(":")[0] in words.ROBOTS else pathlib.Path(text).stem
+    if isinstance(robot, Chain):
+        return f"{robot.n}-joint chain"
+    text = str(robot)
+    name = text if text.partition(":")[0] in (*ROBOTS, *PLANAR) else pathlib.Path(text).stem
     return f"{name} {tip}" if tip else name
 
 
-def task_from(text, chain: Chain | None = None, **of) -> Task:
-    """`pose`, `position`, `orientation`, or task coordinates by name such as `xy`, `rz`, `xyzrxry`.
+def task_from(text, chain: Chain | None = None, tip: str | None = None) -> Task:
+    """`pose`, `position`, `orientation`, or task coordinates by name such as `xy`, `rz`, `xyzrxry`, of a tip.
 
     On a planar arm the three words mean its plane: xy with rz, xy, rz. The default is `pose` if the chain has
     the joints for it, else `position`.
-
-    Args: of: `tip`, `relative_to` and `weights`, as `cnclik.pose` takes them.
     """
     if isinstance(text, Task):
         return text
     flat = chain is not None and is_planar(chain)
     if text is None:
-        text = "pose" if not flat and (chain is None or _moved_by(chain, of) >= 6) else "position"
-    if isinstance(text, str) and text in words.TASKS:
+        moved = 6 if chain is None else len({chain.joints[i].coordinate for i in chain.way(chain.tip_number(tip))})
+        text = "pose" if not flat and moved >= 6 else "position"
+    if text in TASKS:
         axes, turns = ("xy", "z") if flat else ("xyz", "xyz")
         axes, turns = axes * (text != "orientation"), turns * (text != "position")
     else:
         found = re.fullmatch(r"(x?y?z?)((?:rx)?(?:ry)?(?:rz)?)", str(text))
         if not found or not text:
-            kinds = words.STACKED if of else words.TASKS
-            must = f"be {', '.join(kinds)}, or coordinates such as xy or xyrz"
-            raise errors.fail("task", must, f"is {text!r}")
+            near = errors.nearest(text, TASKS)
+            must = f"be {', '.join(TASKS)}, or coordinates such as xy or xyrz"
+            raise errors.fail("task", must, f"is {text!r}{near}")
         axes, turns = found[1], found[2].replace("r", "")
     if not turns:
-        return build.position(axes, **of)
-    return build.pose(axes, turns, **of) if axes else build.orientation(turns, **of)
-
-
-def _moved_by(chain, of) -> int:
-    """How many joint coordinates move a tip, relative to another tip if the task is."""
-    ways = [chain.way(chain.tip_number(of.get("tip")))]
-    ways += [chain.way(chain.tip_number(of["relative_to"]))] if of.get("relative_to") else []
-    return len({chain.joints[i].coordinate for way in ways for i in way})
+        return build.position(axes, tip=tip)
+    return build.pose(axes, turns, tip=tip) if axes else build.orientation(turns, tip=tip)
 
 
 _APART = 1e-3  # least singular value, for an arm of length 1, below which coordinates do not move independently
@@ -179,7 +149,9 @@ def require_free(chain: Chain, task) -> None:
     postures = spread_postures(chain)
 
     def apart(some):
-        return float(np.max(least_singular_values(chain, some, postures))) if some.m <= chain.n else 0.0
+        each = [some.alone(name) for name, _ in some.tasks] or [some]
+        least = [singular_values(chain, [one], postures)[0] for one in each]
+        return float(np.min(least, axis=0).max()) if some.m <= chain.n else 0.0
 
     if apart(task) > _APART:
         return
@@ -200,7 +172,7 @@ def start_from(chain: Chain, task, q0=None):
     task, and of all tips together."""
     if q0 is None:
         return start_posture(chain, *_of_tips(task).values())
-    q0 = errors.array("q0", q0, (chain.n,))
+    q0 = errors.array("q0", q0, (chain.n,), of="joint values")
     return np.asarray(q0, float) if errors.concrete(q0) else q0
 
 
@@ -231,70 +203,11 @@ def near_singular_start(chain: Chain, task, q0, below) -> str:
     return f"The start is near a singularity of {where} (least singular value {value:.2g}): give another --q0."
 
 
-# --- law ----------------------------------------------------------------------------------------------
-
-
-def gain_from(alpha):
-    """A gain [1/s], at least 0: a number, or one per task coordinate; a list of one is a number."""
-    alpha = errors.array("alpha", alpha, (), (None,))
-    if errors.concrete(alpha) and np.any(np.asarray(alpha) < 0):
-        raise errors.fail("alpha", "be at least 0", f"is {' '.join(f'{v:g}' for v in np.atleast_1d(alpha))}")
-    return alpha[0] if alpha.shape == (1,) else alpha
-
-
-def inverse_from(name=None, damping=None, threshold=None):
-    """J# by name, one of `words.INVERSES`.
-
-    Args:
-      name: the default is damped if `damping` is given, else pseudoinverse.
-      damping: λ of the damped ones (never λ²).
-      threshold: least singular value below which singular-damped is damped.
-    """
-    if name is None:
-        name = "pseudoinverse" if damping is None else "damped"
-    choice = words.INVERSES[errors.one_of("inverse", name, words.INVERSES)]
-    given = fitting("inverse", name, choice, {"damping": damping, "threshold": threshold})
-    return choice.make(**{key: errors.number(key, value) for key, value in given.items()})
-
-
-def limits_from(name="none", Ts=None, rate=None, walls=()):
-    """The limit method by name, one of `words.LIMITS`; with walls it is bounded.
-
-    The default rate [1/s] is 10, but at most 1/Ts if the sampling time is known: the rate at which one step can stop a
-    joint at its limit.
-    """
-    if walls and name not in ("none", "bounded"):
-        raise errors.fail("limits", "be bounded, or be left out, where there are walls", f"is {name!r}")
-    name, walls = ("bounded", {"walls": walls}) if walls else (name, {})
-    choice = words.LIMITS[errors.one_of("limits", name, words.LIMITS)]
-    if name != "bounded":
-        if rate is not None:
-            raise errors.fail("limit_rate", "come with limits bounded", f"comes with {name}")
-        return choice.make() if choice.maker else None
-    if rate is None:
-        rate = 10.0
-        if Ts is not None:
-            rate = min(rate, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(rate, 1.0 / Ts)
-    return choice.make(errors.number("limit_rate", rate, positive=True), **walls)
-
-
-def null_from(chain: Chain, posture=None, posture_rate=None):
-    """The null-space term, or None: towards a `posture` (n,) at `posture_rate` (default 1/s)."""
-    if posture is None:
-        if posture_rate is not None:
-            raise errors.fail("posture_rate", "come with `posture`", "comes without")
-        return None
-    rate = 1.0 if posture_rate is None else errors.number("posture_rate", posture_rate, positive=True)
-    return null.posture(errors.array("posture", posture, (chain.n,)), rate)
-
-
 # --- loop ---------------------------------------------------------------------------------------------
-
-method_from = named
 
 
 def stage_from(name="picard", M=5, **options):
     """The solver of implicit stages. Args: name: of the iteration; M: its passes; options: its other options."""
     if hasattr(name, "tolerance"):
         return name
-    return words.STAGES[errors.one_of("stage", name, words.STAGES)].make(M, **options)
+    return getattr(stage, errors.one_of("stage", name, ("picard", "chord", "newton")))(M, **options)

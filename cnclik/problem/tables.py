@@ -1,15 +1,13 @@
-"""Files of numbers that a user brings: a CSV table, and targets in any of the forms they come in."""
+"""Tables: CSV files of numbers, as logs, waypoints and targets."""
 
 import csv
-import io
 import itertools
 import pathlib
 import re
 
 import numpy as np
 
-from cnclik import errors, quantities, reading
-from cnclik.problem.columns import POSITION, QUATERNION, TRANSFORM, meanings, of_tip
+from cnclik import errors, quantities
 from cnclik.reading import read_bytes
 
 
@@ -31,32 +29,52 @@ def read_columns(argument: str, file) -> tuple:
     return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
 
 
-def read_poses(argument: str, file, by_place, tip=()) -> tuple:
-    """({what: column (rows,)}, numbers (rows, columns)) of a table of poses; see `columns.meanings`.
+POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 
-    Without a header the columns are taken by their place, and a remark states that.
 
-    Args:
-      by_place: function from a number of columns to what they are, or None for a number that fits nothing.
-      tip: names of the tip. If columns begin with one of them, such as left_hand.x, the others are ignored.
-    Raises: as `read_columns`, and for unknown or repeated names.
+def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
+    """(times [s] (k,) or None, points (k, d)) of a CSV file: positions [m], quaternions w x y z, or both, for a task.
+
+    The columns have the names time, x, y, z, qw, qx, qy, qz, or without a header this order.
+
+    Args: timed: whether there must be times. tip: where names begin with it, as in left.x, those columns are read.
+    Raises: as `read_columns`, and for unknown, repeated or missing columns.
     """
     names, rows = _cells(argument, file)
-    if own := of_tip(names, tip):
-        names, rows = tuple(own.values()), [[row[i] for i in own if i < len(row)] for row in rows]
-    found = meanings(argument, pathlib.Path(file).name, names) if names else None
-    table = _numbers(argument, file, rows)
-    if found is None:
-        order = by_place(table.shape[-1]) if rows else None
-        if order is None:
-            return {}, table
-        errors.remark(f"{pathlib.Path(file).name} has no header; its columns were read as {' '.join(order)}.")
-        found = [(what, 1.0) for what in order]
-    elif rows and len(names) != table.shape[1]:
-        shown = f"{pathlib.Path(file).name} has {len(names)} names and {table.shape[1]} columns"
-        raise errors.fail(argument, "name every column", shown)
-    table = table.reshape(len(rows), len(found))
-    return {what: factor * table[:, i] for i, (what, factor) in enumerate(found)}, table
+    name, known = pathlib.Path(file).name, ("time", *POSITION, *QUATERNION)
+    table = _numbers(argument, file, rows) if rows else np.zeros((0, len(names)))
+    if not names and rows:
+        names = _in_order(table.shape[1], task, timed)
+        if len(names) != table.shape[1]:
+            must = f"have columns {' '.join(names)}, in this order or by name"
+            raise errors.fail(argument, must, f"{name} has {table.shape[1]}")
+    if rows and len(names) != table.shape[1]:
+        found = f"{name} has {len(names)} names and {table.shape[1]} columns"
+        raise errors.fail(argument, "have a name for each column", found)
+    if len(set(names)) < len(names):
+        raise errors.fail(argument, "name each column once", f"{name} has {' '.join(names)}")
+    columns = dict(zip(names, table.T, strict=False)) if rows else dict.fromkeys(names or known, np.zeros(0))
+    if tip and any(column.startswith(f"{tip}.") for column in columns):
+        columns = {key.removeprefix(f"{tip}."): v for key, v in columns.items() if key.startswith(f"{tip}.")}
+    for column in columns:
+        if column not in known:
+            found = f"{name} has {column!r}{errors.nearest(column, known)}"
+            raise errors.fail(argument, f"have columns {' '.join(known)}", found)
+    axes = () if not task.position else POSITION if set(POSITION) <= set(columns) else task.position
+    turns = QUATERNION if task.orientation and (set(QUATERNION) & set(columns) or not task.position) else ()
+    needed = (*("time",) * timed, *axes, *turns)
+    if lacking := [column for column in needed if column not in columns]:
+        instead = ", or a --speed" * ("time" in lacking)
+        raise errors.fail(argument, f"have columns {' '.join(needed)}{instead}", f"{name} lacks {' '.join(lacking)}")
+    return columns.get("time"), np.stack([columns[column] for column in (*axes, *turns)], 1)
+
+
+def _in_order(width, task, timed) -> tuple:
+    """The names of so many columns of a file without a header; the longest ones where there is no such number."""
+    places = (task.position, task.position and POSITION)
+    turns = ((), QUATERNION) if task.orientation else ((),)
+    orders = [(*("time",) * timed, *place, *turn) for place in places for turn in turns if place or turn]
+    return next((names for names in orders if len(names) == width), orders[-1])
 
 
 def _cells(argument, file) -> tuple:
@@ -105,67 +123,3 @@ def _numbers(argument, file, rows):
             raise errors.fail(argument, "hold numbers, as many in every row", found)
         table.append(values)
     return np.array(table, float)
-
-
-def read_targets(file, task, number=None, tip=()) -> np.ndarray:
-    """Targets of a file for the task of one tip, as `cnclik.reach` takes them.
-
-    A CSV file has a target per row, with columns by name (`cnclik.problem.columns`). Without a header the columns are
-    the position [m] and, for a pose, a quaternion w x y z, or the 16 numbers of a 4×4 transform row by row. A .npy file
-    has an array of such rows or of transforms, a .npz file has it under `targets`. For several tips the columns of a
-    CSV file begin with a tip's name, such as left_hand.x; other files have transforms (targets, tips, 4, 4).
-
-    Args: number, tip: the index of the tip, if there are several, and the names that it may have.
-    """
-    path = pathlib.Path(file)
-    ending = errors.ending("TARGETS", path, ".csv", ".npy", ".npz")
-    if ending == ".csv":
-        found = _targets("TARGETS", path, task, tip)
-    else:
-        data = io.BytesIO(read_bytes("TARGETS", path, "a file of targets"))
-        try:
-            found = np.load(data, allow_pickle=False)
-            if ending == ".npz":
-                most = 8 * reading.MOST_BYTES
-                if found.zip.getinfo("targets.npy").file_size > most:  # a few compressed bytes may expand to that
-                    words = f"name a file of at most {most >> 20} MiB when it is unpacked"
-                    raise errors.fail("TARGETS", words, f"{path.name} is larger")
-                found = found["targets"]
-        except errors.ArgumentError:
-            raise
-        except Exception as error:  # damaged files raise errors of many kinds in NumPy, zipfile and zlib
-            lacking = isinstance(error, (KeyError, AttributeError))  # AttributeError: one array without a name
-            reason = getattr(error, "strerror", None) or ("holds no array `targets`" if lacking else "is damaged")
-            raise errors.fail("TARGETS", "name a file that can be read", f"{path.name}: {reason}") from None
-        if number is not None:
-            if found.ndim != 4 or number >= found.shape[1]:
-                must = "hold transforms (targets, tips, 4, 4)"
-                raise errors.fail("TARGETS", must, f"{path.name} holds {found.shape}")
-            found = found[:, number]
-    if found.size == 0:
-        raise errors.fail("TARGETS", "hold at least one target", f"{path.name} holds none")
-    if found.ndim == 2 and found.shape[1] == 16:
-        return found.reshape(-1, 4, 4)
-    return found
-
-
-def _targets(argument, path, task, tip):
-    """Rows of a CSV file as targets: positions, quaternions, both, or transforms."""
-    sizes = {3: POSITION, 4: QUATERNION, 7: POSITION + QUATERNION, 16: TRANSFORM}
-    if tip and not of_tip(_cells(argument, path)[0], tip):
-        must = f"have columns for each tip, such as {tip[0]}.x"
-        raise errors.fail(argument, must, f"{path.name} has none that begins so")
-    columns, table = read_poses(argument, path, sizes.get, tip)
-    if not columns:
-        return table
-    if TRANSFORM[0] in columns:
-        return np.stack([columns[name] for name in TRANSFORM], 1)
-    lacking = [axis for axis in task.position if axis not in columns]
-    if lacking or (task.orientation and not task.position and "qw" not in columns):
-        names = " ".join(lacking or QUATERNION)
-        raise errors.fail(argument, f"have columns {names} for this task", f"{path.name} has {' '.join(columns)}")
-    none = np.zeros(len(table))  # for coordinates that the task does not have
-    parts = [columns.get(axis, none) for axis in POSITION] if task.position else []
-    if task.orientation and "qw" in columns:
-        parts += [columns[name] for name in QUATERNION]
-    return np.stack(parts, 1)

@@ -154,8 +154,8 @@ def origins(k, downhill, near, places, costs, xp=np) -> tuple:
     The first ABOUT tries begin about `near` (..., n) or None, each one farther off than the one before; others of the
     first BINNED in the target's bin. Of later ones every second begins about the best posture of its island so far, of
     `places` (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as
-    tries from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, first ones begin at
-    the best postures, the others anywhere, every second stretched.
+    tries from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, the first begin
+    at the best postures, the others anywhere, every second stretched.
     """
     island = island_of(k)
     by = xp.isfinite(costs[..., island]) & xp.where(downhill, k < ISLANDS, (k >= BINNED) & (k % 2 == 0))

@@ -4,33 +4,34 @@ import functools
 import math
 
 from cnclik.robot.chain import Chain, from_dh
+from cnclik.robot.mounted import with_tool
 
 _QUARTER = math.pi / 2
 
 
 @functools.cache
 def panda() -> Chain:
-    """Franka Emika Panda, 7 revolute joints, base to flange.
+    """Return a Franka Emika Panda, 7 revolute joints, base to flange.
 
     Modified Denavit-Hartenberg parameters and limits as published in the Franka Control Interface
     documentation ("Robot and interface specifications").
     """
-    return from_dh(
+    arm = from_dh(
         a=[0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088],
         alpha=[0.0, -_QUARTER, _QUARTER, _QUARTER, -_QUARTER, _QUARTER, _QUARTER],
         d=[0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0],
         convention="modified",
-        tool=[[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.107], [0.0, 0.0, 0.0, 1.0]],
         joint_names=[f"panda_joint{i}" for i in range(1, 8)],
         lower=[-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
         upper=[2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
         velocity_limit=[2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61],
     )
+    return with_tool(arm, [0.0, 0.0, 0.107])
 
 
 @functools.cache
 def ur5() -> Chain:
-    """Universal Robots UR5, 6 revolute joints, base to tool flange.
+    """Return a Universal Robots UR5, 6 revolute joints, base to tool flange.
 
     Standard Denavit-Hartenberg parameters as published by the maker ("DH parameters for calculations of
     kinematics and dynamics"); joints turn ±360° at up to 180°/s (technical specification).

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -18,7 +19,6 @@ from cnclik.robot import poses
 from cnclik.robot.bases import BALL
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
 from cnclik.robot.masses import Masses
-from cnclik.robot.plausible import remark_on_angles, remark_on_robot
 from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import MOST
 
@@ -59,7 +59,7 @@ class Chain:
     lower: tuple[Number, ...]  # (n,) lower limits [rad or m], −inf where unlimited
     upper: tuple[Number, ...]  # (n,) upper limits [rad or m], inf where unlimited
     velocity_limit: tuple[Number, ...]  # (n,) [rad/s or m/s], inf where unlimited
-    masses: Masses = ()  # of the base, then of each joint, with all links fixed to it, None where unknown; () for none
+    masses: Masses = ()  # of the base, then of each joint, with all links fixed to it; () if they are unknown
 
     def __post_init__(self):
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
@@ -85,7 +85,7 @@ class Chain:
         return self.tips[self.tip_number()].offset
 
     def tip_number(self, tip: str | None = None) -> int:
-        """Index of the tip with this name; None: the only tip. Raises: ArgumentError."""
+        """Return the index of the tip with this name; None: the only tip. Raises: ArgumentError."""
         names = [t.name for t in self.tips]
         if tip is not None:
             return names.index(errors.one_of("tip", tip, names))
@@ -94,12 +94,12 @@ class Chain:
         return 0
 
     def way(self, tip: int) -> list[int]:
-        """Indices of the joints from the base to the tip with this index."""
-        found, parents, i = [], self.parents, self.tips[tip].joint
+        """Return the indices of the joints from the base to the tip with this index."""
+        indices, parents, i = [], self.parents, self.tips[tip].joint
         while i >= 0:
-            found.append(i)
+            indices.append(i)
             i = parents[i]
-        return found[::-1]
+        return indices[::-1]
 
     @property
     def balls(self) -> tuple[tuple[int, int], ...]:
@@ -113,14 +113,15 @@ class Chain:
 
     @property
     def _kinds(self) -> tuple[str, ...]:
-        """What each coordinate is: the kind of the first joint it drives."""
+        """Kind of the first joint that each coordinate drives."""
         kinds = {j.coordinate: "rotation vector" if j.kind == BALL else j.kind for j in reversed(self.joints)}
         return tuple(kinds.get(i, REVOLUTE) for i in range(self.n))
 
     @property
     def periodic(self) -> tuple[bool, ...]:
         """For each coordinate, whether a whole turn changes nothing: its joints all rotate, by whole multiples."""
-        slow = {j.coordinate for j in self.joints if j.kind != REVOLUTE or not _is_whole(j.multiplier)}
+        whole = [is_number(j.multiplier) and float(j.multiplier).is_integer() for j in self.joints]
+        slow = {j.coordinate for j, by in zip(self.joints, whole, strict=True) if j.kind != REVOLUTE or not by}
         return tuple(i not in slow for i in range(self.n))
 
     def __repr__(self):
@@ -140,20 +141,8 @@ class Chain:
         return "\n".join(lines)
 
 
-def with_one_tip(chain) -> Chain:
-    """The chain. Raises: ArgumentError unless it is one, and has one tip."""
-    tips = [t.name for t in errors.kind("chain", chain, Chain).tips]
-    if len(tips) > 1:
-        raise errors.fail("chain", "have one tip, as of load_urdf(file, tip=...)", f"has several: {', '.join(tips)}")
-    return chain
-
-
-def _is_whole(number) -> bool:
-    return is_number(number) and float(number).is_integer()
-
-
 def planar_arm(lengths: Float[ArrayLike, " n"], *, clockwise: bool = False, joint_names: Names = None) -> Chain:
-    """Planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).
+    """Return a planar arm of revolute joints about z; at q = 0 it lies along +y (Drexler 2016, Section V).
 
     Joint i sits at (0, l₁ + … + lᵢ₋₁, 0), the tip at (0, l₁ + … + lₙ, 0).
 
@@ -180,14 +169,12 @@ def from_dh(
     *,
     convention: str = "standard",
     kinds: str | None = None,
-    base: PoseLike | None = None,
-    tool: PoseLike | None = None,
     joint_names: Names = None,
     lower: Float[ArrayLike, " n"] | None = None,
     upper: Float[ArrayLike, " n"] | None = None,
     velocity_limit: Float[ArrayLike, " n"] | None = None,
 ) -> Chain:
-    """Chain from Denavit-Hartenberg parameters.
+    """Return the chain of Denavit-Hartenberg parameters; `with_base` and `with_tool` put fixed poses around it.
 
     standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α) per joint (Siciliano et al. 2009, eq. 2.52);
     modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d) (Craig 2005, eq. 3.6).
@@ -198,7 +185,6 @@ def from_dh(
       theta: (n,) joint angle offsets [rad], 0 by default; the fixed angle of a prismatic joint.
       convention: "standard" or "modified".
       kinds: string such as "RRP", by default all revolute; for P, q adds to d.
-      base, tool: fixed poses before the first and after the last frame, such as 4×4 transforms, or None.
       joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
     """
     a, alpha, d = _scalars("a", a), _scalars("alpha", alpha), _scalars("d", d)
@@ -208,11 +194,9 @@ def from_dh(
         if len(values) != n:
             raise errors.fail(name, f"have shape ({n},) like `a`", f"has shape ({len(values)},)")
     errors.one_of("convention", convention, ("standard", "modified"))
-    for name, angles in (("`alpha`", alpha), ("`theta`", theta)):
-        remark_on_angles(f"An angle of {name}", angles)
     kinds = _kinds(kinds, n)
 
-    joints, before = [], offset_of("base", base)
+    joints, before = [], Offset()
     for i in range(n):
         along_x = Offset(position=(a[i], 0.0, 0.0), rotation=turn((1.0, 0.0, 0.0), alpha[i]))
         along_z = Offset(position=(0.0, 0.0, d[i]), rotation=turn((0.0, 0.0, 1.0), theta[i]))
@@ -221,8 +205,7 @@ def from_dh(
         # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
         joints.append(Joint(kind=kinds[i], axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
         before = along_z if convention == "modified" else compose(along_z, along_x)
-    tip = compose(before, offset_of("tool", tool))
-    return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
+    return assemble(joints, before, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
 def from_screws(
@@ -236,7 +219,7 @@ def from_screws(
     upper: Float[ArrayLike, " n"] | None = None,
     velocity_limit: Float[ArrayLike, " n"] | None = None,
 ) -> Chain:
-    """Chain from a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
+    """Return the chain of a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
 
     Args:
       points: (n, 3) a point on each joint's axis in the home configuration q = 0 [m].
@@ -268,7 +251,7 @@ def assemble(
     velocity_limit: Float[ArrayLike, " n"] | None = None,
     masses: Masses = (),
 ) -> Chain:
-    """Chain from joints built one by one, with limits checked against the number of coordinates.
+    """Return a chain of joints built one by one, with its arguments checked.
 
     Args: tip: an `Offset` from the last joint, or the `Tip`s.
     """
@@ -284,9 +267,9 @@ def assemble(
     def limits(name, values, default):
         if values is None:
             return (default,) * n
-        return tuple(float(v) for v in errors.array(name, values, (n,), finite=False))
+        return tuple(map(float, errors.array(name, values, (n,), finite=False)))
 
-    made = Chain(
+    return Chain(
         joints=joints,
         tips=tip if isinstance(tip, tuple) else (Tip(name="tip", joint=len(joints) - 1, offset=tip or Offset()),),
         joint_names=tuple(given),
@@ -295,40 +278,37 @@ def assemble(
         velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
         masses=masses,
     )
-    remark_on_robot(made)
-    return made
 
 
 # --- reading arguments --------------------------------------------------------------------------------
 
 
 def _scalars(name, values, size=None) -> tuple:
-    """A sequence as a tuple of scalars: Python numbers stay literal, entries of an array stay leaves."""
+    """Return a sequence as a tuple of scalars: Python numbers stay literal, entries of an array stay leaves."""
     if isinstance(values, (list, tuple)):
-        out = tuple(float(v) if is_number(v) else v for v in values)
+        scalars = tuple(float(v) if is_number(v) else v for v in values)
     else:
-        array = errors.array(name, values, (None,))
-        out = tuple(array[i] for i in range(array.shape[0]))
-    if not out or (size is not None and len(out) != size):
-        raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(out)},)")
-    for i, value in enumerate(out):
+        scalars = tuple(errors.array(name, values, (None,)))
+    if not scalars or (size is not None and len(scalars) != size):
+        raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(scalars)},)")
+    for i, value in enumerate(scalars):
         errors.number(f"{name}[{i}]", value)
         if is_number(value) and abs(value) > MOST:
             raise errors.fail(f"{name}[{i}]", f"be within ±{MOST:g}", f"is {value:g}")
-    return out
+    return scalars
 
 
 def _rows(name, rows) -> list:
-    """Rows of three scalars each, as `_scalars`."""
+    """Return rows of three scalars each, as `_scalars`."""
     if not isinstance(rows, (list, tuple)) and np.ndim(rows) != 2:
         raise errors.fail(name, "have shape (n, 3)", f"has shape {np.shape(rows)}")
     return [_scalars(f"{name}[{i}]", row, 3) for i, row in enumerate(rows)]
 
 
 def _known(name, values, n):
-    """Limits (n,) as floats; None if they are traced or belong to several lanes."""
+    """Return limits (n,) as floats; None if they are traced or belong to several lanes."""
     parts = values if isinstance(values, (tuple, list)) else ()
-    if any(np.ndim(v) for v in parts) or not all(map(errors.concrete, (values, *parts))):
+    if any(map(np.ndim, parts)) or not all(map(errors.concrete, (values, *parts))):
         return None
     known = errors.array(name, values, (n,), finite=False).tolist()
     if any(map(math.isnan, known)):
@@ -345,30 +325,26 @@ def _kinds(kinds, n):
 
 
 def offset_of(name, transform, places=False) -> Offset:
-    """Offset of a pose (see `poses.whole`) or of a position (3,); None is the identity. Nested lists stay literal."""
-    if transform is None:
-        return Offset()
-    if isinstance(transform, Offset):
-        return transform
-    found = poses.whole(name, transform)
-    if places and found is None and len(poses.shape_of(transform)) == 1:
+    """Return the offset of a pose (see `poses.whole`), or where it `places` of a position (3,); None is the identity.
+
+    Lists of numbers stay literal.
+    """
+    if transform is None or isinstance(transform, Offset):
+        return transform or Offset()
+    pose = poses.whole(name, transform)
+    if places and pose is None and len(poses.shape_of(transform)) == 1:
         return Offset(position=_scalars(name, transform, 3))
-    if found is None or np.ndim(found[0]) != 1:
+    if pose is None or np.ndim(pose[0]) != 1:
         must = "be one pose: " + poses.FORMS + ", or a position (3,)" * places
-        raise errors.fail(name, must, f"has shape {np.shape(found[0])}" if found else f"is {transform!r}")
-    position, rotation = found
-    if isinstance(transform, (list, tuple)):  # Python numbers stay literal, even next to traced ones
-        written = [x for part in transform for x in (part if isinstance(part, (list, tuple)) else [part])]
-        if all(map(is_number, written)):
-            position, rotation = position.tolist(), rotation.tolist()
-        elif len(transform) == 4:
-            rows = [_scalars(f"{name}[{i}]", transform[i], 4) for i in range(3)]
-            position, rotation = [row[3] for row in rows], [row[:3] for row in rows]
+        raise errors.fail(name, must, f"has shape {np.shape(pose[0])}" if pose else f"is {transform!r}")
+    if all(map(is_number, jax.tree.leaves(transform))):
+        pose = [part.tolist() for part in pose]
+    position, rotation = pose
     return Offset(position=_scalars(name, position, 3), rotation=tuple(_scalars(name, row, 3) for row in rotation))
 
 
 def _unit(name, axis):
-    if all(errors.concrete(a) for a in axis) and not any(float(a) for a in axis):
+    if all(map(errors.concrete, axis)) and not any(map(float, axis)):
         raise errors.fail(name, "not be the zero vector", "is")
     squared = sum(a * a for a in axis)
     length = math.sqrt(squared) if all(map(is_number, axis)) else squared**0.5

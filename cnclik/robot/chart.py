@@ -14,44 +14,46 @@ of functions of q are computed there. For a robot without such joints y is q, an
 """
 
 import functools
-import math
 
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik.robot.rotations import log_quaternion, quaternion
 
-TERMS = 12  # terms of c: exact to rounding below 1.2 rad, to 1e-8 at π, and finite beyond
-_C = [2 * sum(n ** (-2.0 * k) for n in range(1, 200)) / (2 * math.pi) ** (2 * k) for k in range(2, TERMS)]
+_C = (  # of c: |B₂ₖ|/(2k)! for k = 2, 3, …; exact to rounding below 1.2 rad, to 1e-8 at π, and finite beyond
+    *(1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600),
+    *(3617 / 10670622842880000, 43867 / 5109094217170944000, 174611 / 802857662698291200000),
+    77683 / 14101100039391805440000,
+)
 
 
 def centre(chain, q):
-    """y (n,) of q (n,) in the chart centred there."""
+    """Return y (n,) of q (n,) in the chart centred there."""
     return _each(chain, q, lambda at: 0.0 * q[at])
 
 
 def into(chain, start, q):
-    """y (n,) of q (n,) in the chart centred at `start` (n,)."""
-    return _each(chain, q, lambda at: joined(-start[at], q[at]))
+    """Return y (n,) of q (n,) in the chart centred at `start` (n,)."""
+    return _each(chain, q, lambda at: _joined(-start[at], q[at]))
 
 
 def out(chain, start, y):
-    """q (n,) of y (n,) in the chart centred at `start` (n,)."""
-    return _each(chain, y, lambda at: joined(start[at], y[at]))
+    """Return q (n,) of y (n,) in the chart centred at `start` (n,)."""
+    return _each(chain, y, lambda at: _joined(start[at], y[at]))
 
 
 def rates(chain, y, qdot):
-    """ẏ (n,) of a robot at y with the velocity q̇."""
+    """Return ẏ (n,) of a robot at y with the velocity q̇."""
     return _each(chain, qdot, lambda at: _dexp_inverse(y[at], qdot[at]))
 
 
 def between(chain, start, q):
-    """The displacement (n,) from one posture to another: q − start, with log(R₀ᵀ R) for rotations."""
+    """Return the displacement (n,) from one posture to another: q − start, with log(R₀ᵀ R) for rotations."""
     return into(chain, start, q) - centre(chain, start)
 
 
 def apart(chain, starts, several):
-    """The same (..., n) for many postures, from one start or from as many."""
+    """Return the displacements (..., n) to many postures, from one start or from as many."""
     if not chain.balls:
         return several - starts
     starts = jnp.broadcast_to(jnp.asarray(starts), np.shape(several))
@@ -59,19 +61,19 @@ def apart(chain, starts, several):
 
 
 def moved(chain, q, step):
-    """The posture (n,) after a displacement."""
+    """Return the posture (n,) after a displacement."""
     return out(chain, q, centre(chain, q) + step)
 
 
 def _each(chain, vector, fn):
-    """The vector with the entries of each rotation replaced by `fn` of their indices."""
+    """Return the vector with the entries of each rotation replaced by `fn` of their indices."""
     for _, i in chain.balls:
         vector = jnp.concatenate([vector[:i], fn(slice(i, i + 3)), vector[i + 3 :]])
     return vector
 
 
-def joined(a, b):
-    """log(exp(a) exp(b)) of rotation vectors (3,), of length at most π."""
+def _joined(a, b):
+    """Return log(exp(a) exp(b)) of rotation vectors (3,), of length at most π."""
     (wa, va), (wb, vb) = quaternion(a), quaternion(b)
     w, v = wa * wb - va @ vb, wa * vb + wb * va + jnp.cross(va, vb)
     sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)  # the shorter rotation

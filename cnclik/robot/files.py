@@ -17,7 +17,7 @@ _FIRST = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->|<!\w[^>]*>)
 @errors.called("path", "robot")
 @errors.called("model", "robot")
 def read_robot(robot) -> Tree:
-    """The kinematic tree of a URDF or MJCF file, of its text, or of a MuJoCo model.
+    """Return the kinematic tree of a URDF or MJCF file, of its text, or of a MuJoCo model.
 
     Raises: ArgumentError as `load_urdf` and `load_mjcf`.
     """
@@ -29,7 +29,7 @@ def read_robot(robot) -> Tree:
 
 
 def is_mjcf(robot) -> bool:
-    """Whether it is a MuJoCo model, or a file or text whose first element is <mujoco>."""
+    """Return whether it is a MuJoCo model, or a file or text whose first element is <mujoco>."""
     if type(robot).__module__.partition(".")[0] == "mujoco":
         return True
     if (text := text_of(robot)) is not None:
@@ -43,17 +43,17 @@ def is_mjcf(robot) -> bool:
 
 
 def file_of(name: str) -> str | None:
-    """The file for a name: the name itself if it is a file or ends like one, or the file of a robot of
-    robot_descriptions, which downloads it; None for anything else.
+    """Return the file for a name: itself if it is a file or ends like one, or that of a robot of robot_descriptions.
+
+    The package downloads it. None for anything else.
 
     Raises: ArgumentError if robot_descriptions knows the name but cannot load it.
     """
     if os.path.exists(name) or name.lower().endswith(ENDINGS):
         return name
     module = f"{_DESCRIPTIONS}.{name}"
-    if not re.fullmatch(r"[a-z]\w*", name) or importlib.util.find_spec(_DESCRIPTIONS) is None:
-        return None
-    if importlib.util.find_spec(module) is None:
+    known = re.fullmatch(r"[a-z]\w*", name) and importlib.util.find_spec(_DESCRIPTIONS)
+    if not (known and importlib.util.find_spec(module)):
         return None
     try:
         loaded = importlib.import_module(module)

@@ -4,89 +4,91 @@ Vectors are tuples of scalars, matrices tuples of rows. Products with a Python 0
 geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
 """
 
-import functools
+import itertools
 import math
 
 from cnclik.record import Number, record
+from cnclik.robot.tree import snapped
 
 Triple = tuple[Number, Number, Number]
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO = (0.0, 0.0, 0.0)
+_NUMBERS = float, int
 
 
 def is_number(a) -> bool:
-    """Whether a scalar is a Python number, which is compiled in."""
-    return type(a) in (float, int)
+    """Return whether a scalar is a Python number, which is compiled in."""
+    return type(a) in _NUMBERS
 
 
 def mul(a, b):
-    if is_number(b) and not is_number(a):
+    """Return a b, without a product where one is a Python 0, 1 or −1."""
+    if type(a) not in _NUMBERS:
         a, b = b, a
-    if is_number(a) and a in (0, 1, -1):
+    if type(a) in _NUMBERS and a in (0, 1, -1):
         return 0.0 if a == 0 else b if a == 1 else -b
     return a * b
 
 
 def add(a, b):
-    if is_number(a) and a == 0:
+    """Return a + b, without a sum where one is a Python 0."""
+    if type(a) in _NUMBERS and a == 0:
         return b
-    return a if is_number(b) and b == 0 else a + b
+    return a if type(b) in _NUMBERS and b == 0 else a + b
+
+
+def dot(u, v):
+    """Return Σ uᵢ vᵢ, without the terms that are a Python 0."""
+    total = 0.0
+    for a, b in zip(u, v, strict=True):
+        known = type(a) is float and type(b) is float
+        total = total + a * b if known and type(total) is float else add(total, mul(a, b))
+    return total
 
 
 def vadd(a, b):
     return tuple(map(add, a, b))
 
 
-def scale(s, v):
-    return tuple(mul(s, x) for x in v)
-
-
 def vsub(a, b):
     return vadd(a, scale(-1.0, b))
 
 
+def scale(s, v):
+    return tuple(map(mul, itertools.repeat(s), v))
+
+
 def matvec(m, v):
-    return tuple(functools.reduce(add, map(mul, row, v)) for row in m)
+    return tuple(map(dot, m, itertools.repeat(v)))
 
 
 def matmul(a, b):
-    columns = transpose(b)
-    return tuple(matvec(columns, row) for row in a)
+    return tuple(map(matvec, itertools.repeat(transpose(b)), a))
 
 
 def transpose(m):
     return tuple(zip(*m, strict=True))
 
 
-def rotation_parts(axis):
-    """a aᵀ, [a]× and I − a aᵀ of a unit axis: a rotation about it is their sum, weighted by 1, sine and cosine.
+def turn(axis, angle):
+    """Return the rotation about a unit axis by a fixed angle, R = a aᵀ + (I − a aᵀ) cos + [a]× sin.
 
     Rodrigues' formula (Murray, Li & Sastry 1994, eq. 2.14).
     """
-    x, y, z = axis
-    along = tuple(scale(a, axis) for a in axis)
-    crossed = ((0.0, mul(-1.0, z), y), (z, 0.0, mul(-1.0, x)), (mul(-1.0, y), x, 0.0))
-    return along, crossed, tuple(map(vsub, IDENTITY, along))
-
-
-def rotation_about(axis, sine, cosine):
-    """The rotation about a unit axis by an angle of this sine and cosine."""
-    along, crossed, across = rotation_parts(axis)
-    rows = zip(along, crossed, across, strict=True)
-    return tuple(vadd(a, vadd(scale(cosine, c), scale(sine, s))) for a, s, c in rows)
-
-
-def turn(axis, angle):
-    """Rotation by a fixed angle; sines of literal multiples of π/2 are exact, so that they fold."""
     if is_number(angle):
-        sine, cosine = (0.0 if abs(v) < 1e-15 else v for v in (math.sin(angle), math.cos(angle)))
-        sine, cosine = (round(v) * 1.0 if abs(abs(v) - 1) < 1e-15 else v for v in (sine, cosine))
+        sine, cosine = snapped((math.sin(angle), math.cos(angle)))
     else:
         import jax.numpy as jnp
 
         sine, cosine = jnp.sin(angle), jnp.cos(angle)
-    return rotation_about(axis, sine, cosine)
+    x, y, z = axis
+    crossed = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
+    along = tuple(scale(a, axis) for a in axis)
+    across = tuple(map(vsub, IDENTITY, along))
+    return tuple(
+        vadd(a, vadd(scale(cosine, b), scale(sine, c))) for a, b, c in zip(along, across, crossed, strict=True)
+    )
 
 
 @record
@@ -98,15 +100,16 @@ class Offset:
 
 
 def compose(first: Offset, second: Offset) -> Offset:
-    """The transform `first`, then `second` in the frame after it."""
+    """Return the transform `first`, then `second` in the frame after it."""
     return Offset(position=placed(first, second.position), rotation=matmul(first.rotation, second.rotation))
 
 
 def placed(offset: Offset, point: Triple) -> Triple:
-    """A point given in the frame of an offset, in the previous frame."""
+    """Return a point given in the frame of an offset, in the previous frame."""
     return vadd(offset.position, matvec(offset.rotation, point))
 
 
 def inverse(offset: Offset) -> Offset:
+    """Return the transform back."""
     back = transpose(offset.rotation)
     return Offset(position=scale(-1.0, matvec(back, offset.position)), rotation=back)

@@ -54,7 +54,7 @@ def load_mjcf(
 
 
 def read_mjcf(model) -> Tree:
-    """The whole kinematic tree of a model. Args and raises: as `load_mjcf`."""
+    """Return the whole kinematic tree of a model. Args and raises: as `load_mjcf`."""
     file, compiled = _compiled(model)
     bodies = [compiled.body(i).name or f"body{i}" for i in range(compiled.nbody)]
     joints = [compiled.joint(i).name or f"joint{i}" for i in range(compiled.njnt)]
@@ -78,7 +78,7 @@ def read_mjcf(model) -> Tree:
 
 
 def _compiled(model) -> tuple:
-    """(name, MjModel)."""
+    """Return (name, MjModel)."""
     try:
         mujoco: Any = importlib.import_module("mujoco")
     except ImportError:
@@ -86,23 +86,19 @@ def _compiled(model) -> tuple:
         raise errors.ArgumentError(need) from None
     if isinstance(model, mujoco.MjModel):
         return "the model", model
-    text = text_of(model)
-    if not isinstance(model, (str, os.PathLike, mujoco.MjSpec)):
+    if isinstance(model, mujoco.MjSpec):
+        file, read = "the spec", lambda: model.copy().compile()
+    elif (text := text_of(model)) is not None:
+        file, read = "the text", lambda: mujoco.MjModel.from_xml_string(text)
+    elif isinstance(model, (str, os.PathLike)):
+        read_bytes("model", model, "an MJCF file")  # reports an unreadable file in our words
+        file, read = pathlib.Path(model).name, lambda: mujoco.MjModel.from_xml_path(os.fspath(model))
+    else:
         must = "be an MJCF file, the text of one, a mujoco.MjSpec or a mujoco.MjModel"
         raise errors.fail("model", must, f"is {type(model).__name__}")
-    file = (
-        "the text" if text is not None else "the spec" if isinstance(model, mujoco.MjSpec) else pathlib.Path(model).name
-    )
     try:
-        if isinstance(model, mujoco.MjSpec):
-            return file, model.copy().compile()
-        if text is not None:
-            return file, mujoco.MjModel.from_xml_string(text)
-        read_bytes("model", model, "an MJCF file")  # reports an unreadable file in our words
-        return file, mujoco.MjModel.from_xml_path(os.fspath(model))
+        return file, read()
     except (ValueError, mujoco.FatalError) as error:
-        if isinstance(error, errors.ArgumentError):
-            raise
         raise errors.fail("model", "be one that MuJoCo reads", f"{file}: {' '.join(str(error).split())}") from None
 
 
@@ -116,11 +112,11 @@ def _edge(name, kind, parent, child, origin: Offset, *rest) -> Edge:
 
 
 def _joints_of(model, i, parent, body, joints, coupled) -> list:
-    """The joints from a body's parent to it: one for each of its own, about its place in the body's frame.
+    """Return the joints from a body's parent to it: one for each of its own, about its place in the body's frame.
 
     A joint's value is MuJoCo's qpos, which moves the body by the difference to its reference, qpos0.
     """
-    found, at, before = [], _offset(model.body_pos[i], model.body_quat[i]), ZERO
+    edges, at, before = [], _offset(model.body_pos[i], model.body_quat[i]), ZERO
     first = model.body_jntadr[i]
     for k in range(first, first + model.body_jntnum[i]):
         kind = _TYPES[model.jnt_type[k]]
@@ -134,16 +130,16 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
             bounds = tuple(map(float, model.jnt_range[k])) if model.jnt_limited[k] else bounds
         child, kind = f"{joints[k]} of {body}", "fixed" if leader is None else kind
         mimic = (leader, *mimic) if leader else None
-        found.append(_edge(joints[k], kind, parent, child, origin, axis, *bounds, math.inf, mimic))
+        edges.append(_edge(joints[k], kind, parent, child, origin, axis, *bounds, math.inf, mimic))
         parent, before, at = child, place, Offset()
-    if found and not any(before):
-        return [*found[:-1], dataclasses.replace(found[-1], child=body)]
-    return [*found, _edge(body, "fixed", parent, body, compose(at, Offset(position=scale(-1.0, before))))]
+    if edges and not any(before):
+        return [*edges[:-1], dataclasses.replace(edges[-1], child=body)]
+    return [*edges, _edge(body, "fixed", parent, body, compose(at, Offset(position=scale(-1.0, before))))]
 
 
 def _couplings(file, model, joints) -> dict:
-    """{joint: (the joint that it follows, multiplier, offset)}; None instead of a joint for a constant value."""
-    found: dict = {}
+    """Return {joint: (the joint that it follows, multiplier, offset)}; None instead of a joint for a constant value."""
+    follows: dict = {}
     left = []
     for k in np.flatnonzero(model.eq_active0):
         kind, one, other = int(model.eq_type[k]), int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
@@ -151,22 +147,21 @@ def _couplings(file, model, joints) -> dict:
             left += ["a closed loop (connect, weld)"] if kind < 2 else ["a coupling of tendons"] if kind == 3 else []
             continue
         shift, factor, *higher = map(float, model.eq_data[k][:5])
-        if other >= 0 and any(higher):
-            left.append(f"the coupling of {joints[one]} to {joints[other]}, which is not linear")
-            continue
-        at, its = (float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other))
+        rest, its = (float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other))
         if other < 0:
-            found[joints[one]] = None, 0.0, at + shift
+            follows[joints[one]] = None, 0.0, rest + shift
+        elif any(higher):
+            left.append(f"the coupling of {joints[one]} to {joints[other]}, which is not linear")
         else:
-            found[joints[one]] = joints[other], factor, at + shift - factor * its
+            follows[joints[one]] = joints[other], factor, rest + shift - factor * its
     if left:
         more = f" and {len(left) - 1} more" if len(left) > 1 else ""
         errors.remark(f"{file} has {left[0]}{more}: joints are taken as if there were none.")
-    return found
+    return follows
 
 
 def _inertials(model, bodies) -> dict:
-    """Masses of the bodies below a joint."""
+    """Return the masses of the bodies below a joint."""
     jointed = set(model.body_rootid[model.jnt_bodyid].tolist())
     return {
         name: (float(model.body_mass[i]), tuple(map(float, model.body_ipos[i])))

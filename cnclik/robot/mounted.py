@@ -4,19 +4,19 @@ from cnclik import errors
 from cnclik.record import replace
 from cnclik.robot.chain import Chain, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose
-from cnclik.robot.masses import added, put
+from cnclik.robot.masses import joined, put
 from cnclik.robot.poses import PoseLike
 
 
 def with_tip(chain: Chain, offset: Offset, tip: str | None = None) -> Chain:
-    """The chain with the tip at an offset from its joint."""
+    """Return the chain with the tip at an offset from its joint."""
     number = chain.tip_number(tip)
     tips = (replace(t, offset=offset) if i == number else t for i, t in enumerate(chain.tips))
     return replace(chain, tips=tuple(tips))
 
 
 def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
-    """The chain with a fixed tool after its tip.
+    """Return the chain with a fixed tool after its tip.
 
     The tool is a (3,) offset [m] or a pose: a 4×4 transform, [x, y, z, w, x, y, z], a `Pose`, or an object with
     translation and rotation such as Pinocchio's SE3.
@@ -28,7 +28,7 @@ def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
 
 
 def with_base(chain: Chain, base: PoseLike) -> Chain:
-    """The chain with its base at a (3,) position [m] or a pose (as for `with_tool`) in the world frame.
+    """Return the chain with its base at a (3,) position [m] or a pose (as for `with_tool`) in the world frame.
 
     Targets, Jacobians and tip poses are then in the world frame.
     """
@@ -37,7 +37,7 @@ def with_base(chain: Chain, base: PoseLike) -> Chain:
 
 
 def _placed(joints, parents, base):
-    """Joints with a fixed transform before those on the base."""
+    """Return joints with a fixed transform before those on the base."""
     return tuple(
         replace(joint, origin=compose(base, joint.origin)) if parent < 0 else joint
         for joint, parent in zip(joints, parents, strict=True)
@@ -70,7 +70,7 @@ def join(
     errors.kind("other", other, Chain)
     carrier, count = chain.tips[number], len(chain.joints)
     start = compose(carrier.offset, offset_of("transform", transform, places=True))
-    joints = [replace(j, parent=parent) for j, parent in zip(chain.joints, chain.parents, strict=True)]
+    joints = list(chain.joints)
     for joint, parent in zip(_placed(other.joints, other.parents, start), other.parents, strict=True):
         parent = carrier.joint if parent < 0 else count + parent
         name = joint.follower and prefix + joint.follower
@@ -82,5 +82,5 @@ def join(
         if twice := sorted({name for name in several if several.count(name) > 1}):
             raise errors.fail("prefix", "tell the names of both robots apart", f"leaves {', '.join(twice)} twice")
     limits = {name: getattr(chain, name) + getattr(other, name) for name in ("lower", "upper", "velocity_limit")}
-    masses = added(chain, other, carrier.joint, start)
+    masses = joined(chain, other, carrier.joint, start)
     return assemble(joints, tuple(tips), joint_names=names, **limits, masses=masses)

@@ -5,6 +5,7 @@ A rotation may be as rough as three decimals; a known one is then made exact, in
 
 from __future__ import annotations
 
+import functools
 from typing import Any, Protocol
 
 import jax
@@ -33,7 +34,7 @@ PoseLike = ArrayLike | Posed  # numbers may be only a position
 
 
 def whole(name, value, *, finite=True):
-    """(positions (..., 3), rotations (..., 3, 3)) of one or several whole poses; None for anything else.
+    """Return (positions (..., 3), rotations (..., 3, 3)) of one or several whole poses; None for anything else.
 
     Args:
       value: of FORMS; transforms (4, 4) or (B, 4, 4), numbers (7,) or (B, 7).
@@ -59,7 +60,7 @@ def whole(name, value, *, finite=True):
 
 
 def rotations(name, value, *, finite=True):
-    """Rotations (3, 3) or (B, 3, 3) of rotation matrices or of unit quaternions (4,) or (B, 4), w x y z.
+    """Return rotations (3, 3) or (B, 3, 3) of rotation matrices or of unit quaternions (4,) or (B, 4), w x y z.
 
     Args and raises: as `whole`.
     """
@@ -67,23 +68,22 @@ def rotations(name, value, *, finite=True):
     return _from_matrices(name, value) if value.shape[-1] == 3 else _from_quaternions(name, value)
 
 
-def quaternions(found) -> np.ndarray:
-    """Unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations: from the largest row of the products qᵢqⱼ."""
-    found = np.asarray(found, float)
-    rows = np.array(products_of_quaternion(np.moveaxis(found, (-2, -1), (0, 1))))
+def quaternions(rotations) -> np.ndarray:
+    """Return unit quaternions (..., 4), w x y z with w ≥ 0, of known rotations, from the largest row of qᵢqⱼ."""
+    rows = np.array(products_of_quaternion(np.moveaxis(np.asarray(rotations, float), (-2, -1), (0, 1))))
     rows = np.moveaxis(rows, (0, 1), (-2, -1))
     largest = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), -1)
-    made = np.take_along_axis(rows, largest[..., None, None], -2)[..., 0, :]
-    return made / np.linalg.norm(made, axis=-1, keepdims=True) * np.where(made[..., :1] < 0, -1.0, 1.0)
+    row = np.take_along_axis(rows, largest[..., None, None], -2)[..., 0, :]
+    return row / np.linalg.norm(row, axis=-1, keepdims=True) * np.where(row[..., :1] < 0, -1.0, 1.0)
 
 
 def library(*arrays):
-    """NumPy if all is known, JAX's if something is traced."""
+    """Return NumPy if all is known, JAX's NumPy if something is traced."""
     return np if all(map(errors.concrete, jax.tree.leaves(arrays))) else jnp
 
 
 def shape_of(value) -> tuple:
-    """The shape of an array, traced or not, or of nested sequences; () if rows have different lengths."""
+    """Return the shape of an array, traced or not, or of nested sequences; () if rows have different lengths."""
     if not isinstance(value, (list, tuple)):
         return tuple(getattr(value, "shape", ()))
     inner = set(map(shape_of, value))
@@ -91,7 +91,7 @@ def shape_of(value) -> tuple:
 
 
 def _float(value):
-    """In float64 if it is known: half precision would have an error of a thousandth."""
+    """Return a known value in float64: half precision would have an error of a thousandth."""
     return np.asarray(value, float) if errors.concrete(value) else value
 
 
@@ -100,15 +100,15 @@ def _from_quaternions(name, value):
     with np.errstate(over="ignore", invalid="ignore"):
         norm = xp.sqrt(xp.sum(value * value, axis=-1, keepdims=True))
         if xp is np:
-            wrong = (np.isfinite(value).all(axis=-1) & ~(np.abs(norm[..., 0] - 1) <= NORM)).ravel()
+            norms = norm.ravel()
+            wrong = np.isfinite(value).all(axis=-1).ravel() & ~(np.abs(norms - 1) <= NORM)
             if wrong.any():
                 k = int(np.argmax(wrong))
                 must = f"hold {'unit quaternions' if len(wrong) > 1 else 'a unit quaternion'} w x y z"
-                raise errors.fail(name, must, f"has one of norm {norm.ravel()[k]:.6g}{_at(wrong, k)}")
+                raise errors.fail(name, must, f"has one of norm {norms[k]:.6g}{_at(wrong, k)}")
         value = xp.where(xp.isfinite(norm), value / norm, xp.nan)
-        rows = rotation_from_quaternion(value.T)
-    made = xp.array(rows)
-    return made if value.ndim == 1 else xp.moveaxis(made, -1, 0)
+        rotations = xp.array(rotation_from_quaternion(value.T))
+    return rotations if value.ndim == 1 else xp.moveaxis(rotations, -1, 0)
 
 
 def _from_matrices(name, value):
@@ -117,51 +117,40 @@ def _from_matrices(name, value):
     value = _float(value)
     with np.errstate(over="ignore", invalid="ignore"):
         gap, right = _gaps(value)
-        if value.ndim == 2 and gap <= _EXACT and right:  # quick, as a control loop converts one at a time
+        if np.all(gap <= _EXACT) and np.all(right):
             return value
         gap, right = np.atleast_1d(gap), np.atleast_1d(right)
-        wrong = (gap > ROUGH) | ((gap <= ROUGH) & ~right)
-        if (gap <= _EXACT).all() and not wrong.any():
-            return value
-        wrong = wrong & np.isfinite(value).all(axis=(-1, -2)).ravel()  # the status reports others
+        finite = np.isfinite(value).all(axis=(-1, -2)).ravel()  # a status reports others
+        wrong = finite & ((gap > ROUGH) | ~right)
+        exact = matrices = value.reshape(-1, 3, 3)
         if wrong.any():
             k = int(np.argmax(wrong))
-            raise errors.fail(
-                name,
-                f"hold {'rotations' if len(wrong) > 1 else 'a rotation'}, with rows of length 1 at right angles",
-                f"{_what_it_is(value.reshape(-1, 3, 3)[k])}{_at(wrong, k)}",
-            )
-        made, rough = value.reshape(-1, 3, 3).copy(), ~(gap <= _EXACT)
+            must = f"hold {'rotations' if len(wrong) > 1 else 'a rotation'}, with rows of length 1 at right angles"
+            raise errors.fail(name, must, f"{_what_it_is(matrices[k])}{_at(wrong, k)}")
         for _ in range(3):  # to the nearest rotation: an error of ROUGH becomes its eighth power
-            some = made[rough]
-            made[rough] = some @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(some, -1, -2) @ some)
-    return made.reshape(value.shape)
+            exact = exact @ (1.5 * np.eye(3) - 0.5 * exact.mT @ exact)
+    return np.where((gap <= _EXACT)[:, None, None], matrices, exact).reshape(value.shape)
 
 
-def _gaps(r):
-    """Deviation of matrices (..., 3, 3) from orthonormal rows, and whether they are right-handed.
+def _gaps(matrices) -> tuple:
+    """Return how far the rows of matrices (..., 3, 3) are from orthonormal, and whether they are right-handed.
 
     Written out: for ten thousand matrices the library's product and determinant take twenty times as long; for one,
     Python's numbers are quicker than NumPy's.
     """
-    alone = r.ndim == 2
-    a, b, c, d, e, f, g, h, i = r.reshape(9).tolist() if alone else np.ascontiguousarray(r.reshape(-1, 9).T)
-    lengths = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i
-    angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+    alone = matrices.ndim == 2
+    a, b, c, d, e, f, g, h, i = (
+        matrices.reshape(9).tolist() if alone else np.ascontiguousarray(matrices.reshape(-1, 9).T)
+    )
+    lengths = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
+    gaps = *map(abs, lengths), abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
     right = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
-    off = *(length - 1.0 for length in lengths), *angles
-    if alone:
-        return (max(map(abs, off)) if all(v == v for v in off) else np.nan), right
-    largest = np.abs(off[0])
-    for gap in off[1:]:
-        np.maximum(largest, np.abs(gap), out=largest)
-    return largest, right
+    return (max(gaps) if alone else functools.reduce(np.maximum, gaps)), right
 
 
 def _what_it_is(r) -> str:
-    """What is wrong with a matrix that is not a rotation."""
-    lengths = np.linalg.norm(r, axis=1)
-    scale = lengths.mean()
+    """Say what is wrong with a matrix that is not a rotation."""
+    scale = np.linalg.norm(r, axis=1).mean()
     if scale and np.abs(r @ r.T / scale**2 - np.eye(3)).max() < ROUGH:
         if np.linalg.det(r) < 0:
             return "holds a mirrored one, of determinant −1" if abs(scale - 1) < ROUGH else "holds a mirrored one"
@@ -169,22 +158,24 @@ def _what_it_is(r) -> str:
     return "holds another matrix"
 
 
-def _check_last_row(name, found):
+def _check_last_row(name, transforms):
     """Raise ArgumentError unless transforms (..., 4, 4), if finite, end with 0 0 0 1."""
-    if not errors.concrete(found):
+    if not errors.concrete(transforms):
         return
-    found = np.asarray(found).reshape(-1, 4, 4)
-    last = found[:, 3]
+    transforms = np.asarray(transforms).reshape(-1, 4, 4)
+    last = transforms[:, 3]
     if (last == _LAST).all():
         return
     with np.errstate(invalid="ignore"):
         wrong = np.isfinite(last).all(axis=1) & ~(np.abs(last - _LAST) <= 1e-9).all(axis=1)
+
     if wrong.any():
         k = int(np.argmax(wrong))
-        turned = np.array_equal(found[k, :, 3], _LAST)
+        turned = np.array_equal(transforms[k, :, 3], _LAST)
         remedy = ": the translation stands in the last row, so transpose it" if turned else ""
-        shown = " ".join(f"{v:g}" for v in last[k])
-        raise errors.fail(name, "have the last row 0 0 0 1", f"has {shown}{_at(wrong, k)}{remedy}")
+        raise errors.fail(
+            name, "have the last row 0 0 0 1", f"has {' '.join(f'{v:g}' for v in last[k])}{_at(wrong, k)}{remedy}"
+        )
 
 
 def _at(wrong, k) -> str:

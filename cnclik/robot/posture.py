@@ -1,35 +1,31 @@
 """Posture: length of an arm, whether it is planar, distance of postures from singularities, and start postures.
 
-A task's class is in a later room; its `rows_at`, `lengths` and `each` are used.
+A task's class is in a later room; its `rows_at` and `lengths` are used.
 """
 
 import functools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import replace
 from cnclik.robot.chain import REVOLUTE, Chain
-from cnclik.robot.fixed import IDENTITY, Offset, compose
-from cnclik.robot.model import modelled
+from cnclik.robot.fixed import IDENTITY
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
 _SINGULAR = 1e-9  # least singular values that are rounding
 _PARALLEL, _SHORT = 0.99, 0.01  # cosine of parallel axes; distance of axes that are one [m]
-_LEAST_BEND, _MOST_BEND = (
-    math.radians(0.5),
-    math.radians(25),
-)  # range of a joint beyond straight that is "a few degrees"
-_SOME = 16  # of the spread postures, by which a coordinate that no joint moves is known
+_BEND = math.radians(0.5), math.radians(25)  # range of a joint beyond straight that is "a few degrees"
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
-    """Length of the stretched arm [m]: the sum of distances from joint to joint to tip, at least 1 mm or `least`.
+    """Return the length of the stretched arm [m]: the distances from joint to joint to tip, at least 1 mm or `least`.
 
-    For the tip of a given index, or for the farthest of several tips. A float, or traced where the geometry is.
+    It is a float, or traced where the geometry is. Args: number: index of the tip; None: the farthest one's.
     """
     ways = [
         [*(chain.joints[i].origin.position for i in chain.way(k)[1:]), tip.offset.position]
@@ -43,7 +39,7 @@ def arm_length(chain: Chain, least=1e-3, number=None):
 
 
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
-    """How far points lie beyond the stretched arm, measured from the first joint [m].
+    """Return how far points lie beyond the stretched arm, measured from the first joint [m].
 
     Args: points: (..., len(axes)), coordinates along those axes. number: index of the tip.
     Returns: (...,), negative within reach; −∞ for arms with sliding joints, which have no fixed length.
@@ -61,7 +57,7 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
 
 
 def is_planar(chain: Chain) -> bool:
-    """Whether the tip moves in a plane z = const and turns about z only, judged by the chain's literal geometry."""
+    """Return whether the tip moves in a plane z = const and turns about z only, by the chain's literal geometry."""
     return all(
         joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == IDENTITY
         for joint in chain.joints
@@ -74,84 +70,58 @@ def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
     An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
     is singular, and an answer of an inverse may end on the side that was not meant.
     """
-    frames, found = [], {}
-    for joint, parent in zip(chain.joints, chain.parents, strict=True):
-        before = frames[parent] if parent >= 0 else Offset()
-        frames.append(compose(before, joint.origin))
-    if not all(map(errors.concrete, (x for f in frames for x in (*f.position, *sum(f.rotation, ()))))):
+    limits = list(zip(chain.lower, chain.upper, strict=True))
+    if not all(map(errors.concrete, jax.tree.leaves(chain))):
         return []
-    places = np.array([f.position for f in frames], float)
-    axes = np.array(
-        [np.array(f.rotation, float) @ np.array(j.axis, float) for f, j in zip(frames, chain.joints, strict=True)]
-    )
+    bends = {
+        i: limits[joint.coordinate]
+        for i, joint in enumerate(chain.joints)
+        if joint.kind == REVOLUTE and not joint.follower and joint.multiplier == 1
+        if limits[joint.coordinate][0] < limits[joint.coordinate][1] < math.inf
+    }
+    if not bends:
+        return []
+    stretched = frames(modelled(chain), np.zeros(chain.n))
+    axes, places, elbows = stretched.axes, stretched.points, {}
     for way in map(chain.way, range(len(chain.tips))):
         way = [i for i in way if chain.joints[i].kind == REVOLUTE]
-        for k, i in enumerate(way):
-            joint, axis = chain.joints[i], axes[i]
-            low, high = (float(bound[joint.coordinate]) for bound in (chain.lower, chain.upper))
-            apart = {j: places[j] - places[i] - axis * (axis @ (places[j] - places[i])) for j in way}
-            near = [j for j in way if abs(axes[j] @ axis) > _PARALLEL and np.linalg.norm(apart[j]) > _SHORT]
-            above, below = [j for j in near if j in way[:k]], [j for j in near if j in way[k + 1 :]]
-            if not (above and below) or joint.follower or joint.multiplier != 1 or not low < high < math.inf:
+        for i in [i for i in way if i in bends]:
+            away = {j: places[j] - places[i] for j in way if abs(axes[j] @ axes[i]) > _PARALLEL}
+            across = {j: v - axes[i] * (axes[i] @ v) for j, v in away.items()}
+            near = [j for j in across if np.linalg.norm(across[j]) > _SHORT]
+            above, below = [j for j in near if j < i], [j for j in near if j > i]
+            if not (above and below):
                 continue
-            back, on = -apart[above[-1]], apart[below[0]]
-            straight = math.atan2(axis @ np.cross(on, back), on @ back) - float(joint.offset)
+            back, on = -across[above[-1]], across[below[0]]
+            straight = math.atan2(axes[i] @ np.cross(on, back), on @ back)
+            low, high = bends[i]
             beyond = min(high - straight, straight - low)
-            if _LEAST_BEND < beyond < _MOST_BEND:
-                found.setdefault(chain.joint_names[joint.coordinate], (straight, beyond))
-    return [(name, *values) for name, values in found.items()]
+            if _BEND[0] < beyond < _BEND[1]:
+                elbows.setdefault(chain.joint_names[chain.joints[i].coordinate], (straight, beyond))
+    return [(name, *values) for name, values in elbows.items()]
 
 
 def task_jacobians(chain: Chain, task, postures):
-    """Task Jacobians (K, m, n) at (K, n) postures, in NumPy, which does not compile."""
+    """Return task Jacobians (K, m, n) at (K, n) postures, in NumPy, which does not compile."""
     return np.array(task.rows_at(modelled(chain), np.asarray(postures, float)))
 
 
-def least_singular_values(chain: Chain, task, postures):
-    """Least singular value of the task Jacobian at each of (K, n) postures, with lengths in the arm's own unit.
-
-    For a stack, the least of its tasks' values.
-    """
-    j = _in_own_unit(chain, task, postures)
-    apart = [own for _, own in task.each] or [slice(None)]
-    return np.min([_least(j[:, own]) for own in apart], axis=0)
-
-
-def unmoved(chain: Chain, task) -> list[str]:
-    """Names of the coordinates of tips that no joint moves in any posture, such as x of a jaw that slides along y."""
-    tips = [i for i, part in enumerate(task.parts) if hasattr(part, "axes")]
-    if not tips:
-        return []
-    poses = replace(task, parts=tuple(task.parts[i] for i in tips), weights=None, tasks=())
-    largest = np.abs(_in_own_unit(chain, poses, spread_postures(chain)[:_SOME])).max(axis=(0, 2))
-    names = [name for i in tips for name in task.names[task.slices[i]]]
-    return [name for name, size in zip(names, largest, strict=True) if size < _SINGULAR]
-
-
-def _in_own_unit(chain, task, postures):
-    j = task_jacobians(chain, task, postures)
-    j[:, task.lengths] /= arm_length(chain)
-    return j
-
-
-def _least(j):
-    return np.linalg.svd(j, compute_uv=False)[:, -1]
-
-
-def evenly(count: int, n: int):
-    """Points (count, n) that fill the unit cube evenly, the same on every machine; the first is its centre.
-
-    An additive sequence (Roberts 2018).
-    """
-    base = 2.0
-    for _ in range(50):
-        base = (1 + base) ** (1 / (n + 1))
-    return np.mod(0.5 + np.outer(np.arange(count), base ** -np.arange(1.0, n + 1)), 1.0)
+def singular_values(chain: Chain, tasks, postures):
+    """Return least singular values (k, K) at (K, n) postures of the Jacobian of each task, and of all of them together
+    where the chain has joints enough. Lengths are in the arm's own unit."""
+    each = []
+    for task in tasks:
+        each.append(task_jacobians(chain, task, postures))
+        each[-1][:, task.lengths] /= arm_length(chain)
+    if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
+        each.append(np.concatenate(each, axis=1))
+    least = [np.linalg.svd(j, compute_uv=False)[:, -1] for j in each]
+    return np.array(least).reshape(-1, len(postures))
 
 
 def start_posture(chain: Chain, *tasks):
-    """A posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip, and of
-    all of them together where there are joints enough.
+    """Return a posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip,
+    and of all of them together where there are joints enough.
 
     The middle of the limits (0 for joints without limits) if the task Jacobians are well conditioned there. Otherwise,
     of 256 fixed postures around it, the one with the largest least singular value relative to each task's largest.
@@ -163,17 +133,19 @@ def start_posture(chain: Chain, *tasks):
     return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
 
 
-def singular_values(chain: Chain, tasks, postures):
-    """Least singular values (k, K) at (K, n) postures of the Jacobian of each task, and of all of them together where
-    the chain has joints enough. Lengths are in the arm's own unit."""
-    each = [_in_own_unit(chain, task, postures) for task in tasks]
-    if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
-        each.append(np.concatenate(each, axis=1))
-    return np.array([_least(j) for j in each]).reshape(-1, len(postures))
+def evenly(count: int, n: int):
+    """Return points (count, n) that fill the unit cube evenly, the same on every machine; the first is its centre.
+
+    An additive sequence (Roberts 2018).
+    """
+    base = 2.0
+    for _ in range(50):
+        base = (1 + base) ** (1 / (n + 1))
+    return np.mod(0.5 + np.outer(np.arange(count), base ** -np.arange(1.0, n + 1)), 1.0)
 
 
 def spread_postures(chain: Chain):
-    """256 postures (256, n) well inside the limits, the same on every machine; the first is their middle."""
+    """Return 256 postures (256, n) well inside the limits, the same on every machine; the first is their middle."""
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     lower, upper = np.where(lower < -_FAR, -np.inf, lower), np.where(upper > _FAR, np.inf, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper)

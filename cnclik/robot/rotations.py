@@ -12,24 +12,25 @@ register_waiting()  # all of the robot that needs JAX comes by here
 
 
 def library(*arrays):
-    """NumPy, which does not compile, if all arrays are NumPy's; otherwise JAX's."""
+    """Return NumPy, which does not compile, if all arrays are NumPy's; otherwise JAX's."""
     return np if all(isinstance(v, (np.ndarray, np.generic)) for v in arrays) else jnp
 
 
 def product(a, b):
-    """A B = Σⱼ aᵢⱼ bⱼₖ of small matrices (..., k, k), as sums: for a product XLA calls a library, which takes ten times
-    as long.
+    """Return A B = Σⱼ aᵢⱼ bⱼₖ of small matrices (..., k, k), as sums.
+
+    For a product XLA calls a library, which takes ten times as long.
     """
     return (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)
 
 
 def safe_norm(v):
-    """‖v‖ with derivative 0 (not NaN) at v = 0."""
+    """Return ‖v‖ with derivative 0 (not NaN) at v = 0."""
     return safe_sqrt(v @ v)
 
 
 def safe_sqrt(x):
-    """√x with derivative 0 (not NaN) at x = 0.
+    """Return √x with derivative 0 (not NaN) at x = 0.
 
     A rounding replaces 0 below the root. A compiler may compute x twice, once with a fused multiply-add, and find 0
     only once; with 1 instead of a rounding, a resting target would then seem to have moved by 1 m.
@@ -39,19 +40,19 @@ def safe_sqrt(x):
 
 
 def axial(m):
-    """Twice the vector of a 3×3 matrix's antisymmetric part: 2 sin θ a for a rotation by θ about a."""
+    """Return twice the vector of a 3×3 matrix's antisymmetric part: 2 sin θ a for a rotation by θ about a."""
     return jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
 
 
 def crossed(w):
-    """[w]×, the matrix of the cross product with w."""
-    x, y, z = w
-    zero = jnp.zeros_like(x)
-    return jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    """Return [w]×, the matrix of the cross product with w (3, ...)."""
+    (x, y, z), xp = w, library(w)
+    zero = xp.zeros_like(x)
+    return xp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
 
 
 def exp_so3(w):
-    """Rotation by a rotation vector [rad]: exp([w]×) = I + a [w]× + b [w]×², finite with all derivatives at w = 0."""
+    """Return exp([w]×) = I + a [w]× + b [w]×² of a rotation vector [rad], finite with all derivatives at w = 0."""
     squared = w @ w
     small = squared < 1e-4
     safe = jnp.where(small, 1.0, squared)
@@ -63,7 +64,7 @@ def exp_so3(w):
 
 
 def _series(x, *coefficients):
-    """Horner's rule: c0 + c1 x + c2 x² + ..."""
+    """Return c0 + c1 x + c2 x² + … by Horner's rule."""
     out = coefficients[-1]
     for c in coefficients[-2::-1]:
         out = c + x * out
@@ -71,7 +72,7 @@ def _series(x, *coefficients):
 
 
 def quaternion_from_rotation(r):
-    """Unit quaternion (w, x, y, z), w ≥ 0, of a rotation.
+    """Return the unit quaternion (w, x, y, z), w ≥ 0, of a rotation.
 
     The rows of 4 q qᵀ are linear in the entries of R; taking the row with the largest diagonal keeps the
     one square root away from 0, so values and derivatives stay finite everywhere (after Shepperd 1978).
@@ -86,7 +87,7 @@ def quaternion_from_rotation(r):
 
 
 def products_of_quaternion(r):
-    """Rows of 4 q qᵀ of a rotation's quaternion, each entry linear in those of the rotation."""
+    """Return rows of 4 q qᵀ of a rotation's quaternion, each entry linear in those of the rotation."""
     (a, b, c), (d, e, f), (g, h, i) = r
     return [
         [1 + a + e + i, h - f, c - g, d - b],
@@ -97,7 +98,7 @@ def products_of_quaternion(r):
 
 
 def rotation_from_quaternion(q):
-    """Rotation of a unit quaternion (w, x, y, z), as rows of scalars, or of arrays if q is four arrays."""
+    """Return the rotation of a unit quaternion (w, x, y, z), as rows of scalars, or of arrays if q is four arrays."""
     w, x, y, z = q
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -108,7 +109,7 @@ def rotation_from_quaternion(q):
 
 @functools.partial(jax.jit, inline=True)  # a stack has dozens: traced once
 def log_so3(r):
-    """Rotation vector [rad], of length at most π, of a rotation: the inverse of `exp_so3`.
+    """Return the rotation vector [rad], of length at most π, of a rotation: the inverse of `exp_so3`.
 
     Values and derivatives are finite at 0 and at π. At exactly π the vector and its negative describe the
     same rotation; one of them is returned, with the derivative of its branch.
@@ -124,7 +125,7 @@ def log_so3(r):
 
 
 def log_quaternion(w, v):
-    """Rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0; smooth, without a branch.
+    """Return the rotation vector [rad], of length at most π, of a unit quaternion with w ≥ 0; smooth, without a branch.
 
     From y = tan²(θ/8) ≤ 0.172, where the series of atan(√y)/√y is short: a third of the time of `log_so3`.
     """
@@ -137,7 +138,7 @@ def log_quaternion(w, v):
 
 
 def quaternion(v):
-    """Unit quaternion, w and (x, y, z), of rotation vectors (..., 3), finite with all derivatives at 0."""
+    """Return the unit quaternion, w and (x, y, z), of rotation vectors (..., 3), finite with all derivatives at 0."""
     xp = library(v)
     squared = 0.25 * xp.sum(v * v, axis=-1)
     small = squared < 1e-4

@@ -1,8 +1,6 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
-import itertools
 import os
-import re
 from collections.abc import Sequence
 
 from cnclik import errors
@@ -12,8 +10,6 @@ from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
 from cnclik.robot.masses import lumped
 from cnclik.robot.tree import MOST, Tree, read_urdf
 
-# A link named gripper may be the body that a wrist turns; a joint of that name moves a jaw. Searched: "JOINT CHILD".
-_JAW = re.compile(r"finger|jaw|claw|knuckle|thumb|gripper.* ", re.IGNORECASE)
 _NAMED = 4  # candidates for a tip that a message names
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
 
@@ -55,153 +51,171 @@ def load_urdf(
 
 
 def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=None, freeze=None) -> Chain:
-    """The robot of a tree. Args and raises: as `load_urdf`."""
+    """Return the robot of a tree. Args and raises: as `load_urdf`."""
     tree, base = grounded(tree, base if base is None or base in BASES else link_of(tree, "base", base))
     if tips is None:
         end = tip_of(tree, tip, base)
         ends = {end: (end, Offset())}
-        if tip is None:
-            _remark_on_a_jaw(end, *tree.way(end, base))
     elif tip is not None:
         raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
     else:
         ends = _ends(tree, tips)
-    tree = unfolded(tree, base, [link for link, _ in ends.values()])
-    frozen = _frozen(tree, freeze)
-    joints, at, followed = _walked(tree, base, [link for link, _ in ends.values()], frozen)
-    for link, _ in ends.values():
-        if at[link][0] < 0:
+    links = [link for link, _ in ends.values()]
+    tree = unfolded(tree, base, links)
+    walk = _Walk(tree, base, _frozen(tree, freeze))
+    for link in links:
+        walk.to(link)
+        if walk.at[link][0] < 0:
             raise errors.fail("tips" if tips else "tip", "be moved by a joint", f"is {link!r}, fixed to {base!r}")
     if tree.inertials:
-        _rest(tree, at, frozen, joints, followed)
+        walk.beside()
+    leaders = [walk.by_name[name] for name in walk.coordinates]
+    places = ((name, *walk.at[link], where) for name, (link, where) in ends.items())
     return assemble(
-        joints,
-        tuple(Tip(name=n, joint=at[link][0], offset=compose(at[link][1], off)) for n, (link, off) in ends.items()),
-        joint_names=[e.name for e in followed],
-        lower=[e.lower for e in followed],
-        upper=[e.upper for e in followed],
-        velocity_limit=[e.velocity for e in followed],
-        masses=lumped(tree.inertials, at, len(joints)),
+        walk.joints,
+        tuple(Tip(name=name, joint=joint, offset=compose(at, where)) for name, joint, at, where in places),
+        joint_names=list(walk.coordinates),
+        lower=[e.lower for e in leaders],
+        upper=[e.upper for e in leaders],
+        velocity_limit=[e.velocity for e in leaders],
+        masses=lumped(tree.inertials, walk.at, len(walk.joints)),
     )
 
 
-def _walked(tree, base, links, frozen) -> tuple:
-    """(joints between base and links, {link: (index of the joint that carries it, its place in that frame)}, the
-    followed joint of each coordinate)
-    """
-    by_name = {e.name: e for e in tree.edges}
-    joints, at, followed, leaders = [], {base: (-1, Offset())}, [], {}
-    for link in links:
-        up, down = tree.way(link, base)
+class _Walk:
+    """The joints between the base and the links that were walked to, and the places of these links."""
+
+    def __init__(self, tree, base, frozen):
+        self.tree, self.base, self.frozen = tree, base, frozen
+        self.by_name = {e.name: e for e in tree.edges}
+        self.joints: list[Joint] = []
+        self.coordinates: dict = {}  # {joint, which mimic joints may follow: index of its coordinate}
+        self.at: dict = {base: (-1, Offset())}  # {link: (index of the joint that carries it, its place in that frame)}
+
+    def to(self, link) -> None:
+        """Walk to a link: up the tree, then down."""
+        up, down = self.tree.way(link, self.base)
         for edge, turned in (*((e, True) for e in up), *((e, False) for e in down)):
-            here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
-            if there in at:
-                continue
-            parent, before = at[here]
-            if edge.type == "fixed":
-                at[there] = parent, _after(before, edge, turned)
+            if (edge.parent if turned else edge.child) in self.at:
                 continue
             if edge.type == BALL and turned:
                 name = edge.name.rpartition("_")[0]
                 raise errors.fail("base", "be a link before a floating joint", f"is beyond {name!r}")
-            kind, (leader, multiplier, offset) = _MOVING[edge.type], _leader(by_name, edge, leaders)
-            if leader.name in frozen:
-                at[there] = parent, _after(before, edge, turned, multiplier * frozen[leader.name] + offset)
+            if edge.type == "fixed":
+                self._still(edge, turned)
                 continue
-            before, axis, after = _around(before, edge, turned)
-            if leader not in followed:
-                followed.append(leader)
-            about = dict(coordinate=followed.index(leader), multiplier=multiplier, offset=offset, parent=parent)
-            name = "" if leader is edge else edge.name
-            joints.append(Joint(kind=kind, axis=axis, origin=before, follower=name, **about))
-            at[there] = len(joints) - 1, after
-    return joints, at, followed
+            leader, multiplier, offset = _leader(self.by_name, edge)
+            if leader.name in self.frozen:
+                self._still(edge, turned, multiplier * self.frozen[leader.name] + offset)
+                continue
+            self.coordinates.setdefault(leader.name, len(self.coordinates))
+            self._moving(edge, turned, leader, multiplier, offset)
+
+    def beside(self) -> None:
+        """Walk to all other links, for their masses.
+
+        Joints without a coordinate stay as near to 0 as their limits allow; a mimic joint follows its leader, or stays
+        where that does. Links on a floating or planar joint are another body and left out. Ball joints keep the file's
+        orientation.
+        """
+        tree, waiting = self.tree, [*self.at]
+        for link in waiting:
+            above = [(tree.above[link], True)] if link in tree.above else []
+            for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
+                there = edge.parent if turned else edge.child
+                if there in self.at or edge.type in ("floating", "planar"):
+                    continue
+                waiting.append(there)
+                try:
+                    leader, multiplier, offset = _leader(self.by_name, edge) if edge.mimic else (edge, 1.0, 0.0)
+                except errors.ArgumentError:  # it follows itself, or a joint that is missing
+                    leader, multiplier, offset = edge, 1.0, 0.0
+                if leader.name in self.coordinates:
+                    self._moving(edge, turned, leader, multiplier, offset)
+                else:
+                    value = self.frozen.get(leader.name, min(max(0.0, leader.lower), leader.upper))
+                    self._still(edge, turned, multiplier * value + offset)
+
+    def _moving(self, edge, turned, leader, multiplier, offset) -> None:
+        """Add a joint and the link after it."""
+        here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
+        parent, before = self.at[here]
+        origin, axis, after = _around(before, edge, turned)
+        joint = Joint(
+            kind=_MOVING[edge.type],
+            axis=axis,
+            origin=origin,
+            coordinate=self.coordinates[leader.name],
+            multiplier=multiplier,
+            offset=offset,
+            parent=parent,
+            follower="" if leader is edge else edge.name,
+        )
+        self.joints.append(joint)
+        self.at[there] = len(self.joints) - 1, after
+
+    def _still(self, edge, turned, value=0.0) -> None:
+        """Add the link after a joint that does not move, or stays at a value."""
+        here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
+        parent, before = self.at[here]
+        before, axis, after = _around(before, edge, turned)
+        if edge.type in _MOVING:
+            before = compose(before, moved(edge.type, axis, value))
+        self.at[there] = parent, compose(before, after) if turned else before
 
 
 def _around(before: Offset, edge, turned) -> tuple:
-    """The pose of a joint, its axis, and the offset after its motion."""
+    """Return the pose of a joint, its axis, and the offset after its motion."""
     origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
     if turned:  # traversed from its child, a joint acts in the opposite direction
         return before, scale(-1.0, edge.axis), inverse(origin)
     return compose(before, origin), edge.axis, Offset()
 
 
-def _after(before: Offset, edge, turned, value=0.0) -> Offset:
-    """The pose of the link after a joint with a fixed value."""
-    before, axis, after = _around(before, edge, turned)
-    before = compose(before, moved(edge.type, axis, value)) if edge.type in _MOVING else before
-    return compose(before, after) if turned else before
-
-
 def moved(kind: str, axis, value) -> Offset:
-    """The transform of a joint with a fixed value."""
+    """Return the transform of a joint with a fixed value."""
     if _MOVING[kind] == PRISMATIC:
         return Offset(position=scale(value, axis))
     return Offset(rotation=turn(axis, value))
 
 
-def _rest(tree, at, frozen, joints, followed) -> None:
-    """Add to `at` the links beside the ways to the tips, for their masses: joints without a coordinate stay as near to
-    0 as their limits allow, and a mimic joint follows its leader, as one more of the joints.
-
-    Links on a floating or planar joint are another body and left out. Ball joints keep the file's orientation.
-    """
-    waiting, by_name = [*at], {e.name: e for e in tree.edges}
-    for link in waiting:
-        above = [(tree.above[link], True)] if link in tree.above else []
-        for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
-            there = edge.parent if turned else edge.child
-            if there not in at and edge.type not in ("floating", "planar"):
-                waiting.append(there)
-                leader = None if edge.mimic is None or edge.type not in _MOVING else _followed(by_name, edge, followed)
-                if leader is None:
-                    value = _at_rest(edge, by_name, frozen)
-                    at[there] = at[link][0], _after(at[link][1], edge, turned, value)
-                    continue
-                before, axis, after = _around(at[link][1], edge, turned)
-                about = dict(coordinate=leader[0], multiplier=leader[1], offset=leader[2], parent=at[link][0])
-                joints.append(Joint(kind=_MOVING[edge.type], axis=axis, origin=before, follower=edge.name, **about))
-                at[there] = len(joints) - 1, after
-
-
-def _followed(by_name, edge, followed):
-    """(coordinate, multiplier, offset) of a mimic joint whose leader has a coordinate; None of others."""
-    try:
-        leader, multiplier, offset = _leader(by_name, edge, {})
-    except errors.ArgumentError:  # it follows itself, or a joint that is missing
-        return None
-    return (followed.index(leader), multiplier, offset) if leader in followed else None
-
-
-def _at_rest(edge, by_name, frozen) -> float:
-    """Value of a joint at rest; of a mimic from its leader's, which may be a mimic, too. A missing leader is at 0."""
-    row: dict = {}
-    while edge is not None and edge.mimic is not None and edge.name not in row:
-        row[edge.name] = edge.mimic
-        edge = by_name.get(edge.mimic[0])
-    known = edge is not None and edge.mimic is None
-    value = frozen.get(edge.name, min(max(0.0, edge.lower), edge.upper)) if known else 0.0
-    for _, multiplier, offset in reversed(row.values()):
-        value = multiplier * value + offset
-    return value
+def _leader(by_name, edge) -> tuple:
+    """Return the joint that an edge follows (itself, if it is no mimic) and how: value = multiplier·q + offset."""
+    multiplier, offset, way = 1.0, 0.0, {edge.name: None}
+    while edge.mimic is not None:
+        name, factor, shift = edge.mimic
+        multiplier, offset = multiplier * factor, multiplier * shift + offset
+        if max(abs(multiplier), abs(offset)) > MOST:
+            raise errors.fail(
+                "path", f"have mimic joints within ±{MOST:g}", f"{next(iter(way))!r} is {multiplier:g}·q + {offset:g}"
+            )
+        if name in way:
+            raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*way, name))} do not")
+        follower, edge = edge, by_name.get(name)
+        if edge is None or edge.type not in _MOVING:
+            what = "is not in the file" if edge is None else f"is {edge.type}"
+            must = "have mimic joints that follow a moving joint"
+            raise errors.fail("path", must, f"{follower.name!r} follows {name!r}, which {what}")
+        way[name] = None
+    return edge, multiplier, offset
 
 
 def _ends(tree, tips) -> dict:
-    """{name of a tip: (its link, its place in the link's frame)}"""
+    """Return {name of a tip: (its link, its place in the link's frame)}."""
     named = tips if isinstance(tips, dict) else {}
     if not named and isinstance(tips, (list, tuple)) and all(isinstance(link, str) for link in tips):
         named = {link: link for link in tips}
     if not named or len(named) < len(tips):
         raise errors.fail("tips", "hold different links, or be {name: link} or {name: (link, where)}", f"is {tips!r}")
-    found = {}
+    ends = {}
     for name, end in named.items():
         link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
-        found[name] = link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where, places=True)
-    return found
+        ends[name] = link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where, places=True)
+    return ends
 
 
 def _frozen(tree, freeze) -> dict:
-    """{name of a fixed joint: its value}, checked."""
+    """Return {name of a fixed joint: its value}, checked."""
     moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
     if not isinstance(freeze, (dict, type(None))):
         raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
@@ -220,8 +234,8 @@ def _frozen(tree, freeze) -> dict:
 
 
 def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
-    """The name of the last link: the given one, or the only possible one. Args and raises: as `load_urdf`."""
-    base = tree.root if base is None or base in BASES else link_of(tree, "base", base)
+    """Return the name of the last link: the given one, or the only possible one. Args and raises: as `load_urdf`."""
+    base = _first(tree, base)
     if tip is not None:
         return link_of(tree, "tip", tip)
     candidates = tree.tips(base)
@@ -237,9 +251,8 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
 
 
 def tips_of(tree: Tree, base: str | None, named: dict) -> list[str]:
-    """The links of several tips, {name: the argument that names it}; all candidates if none is named."""
-    root = tree.root if base is None or base in BASES else link_of(tree, "base", base)
-    links = [link_of(tree, argument, link) for link, argument in named.items()]
+    """Return the links of several tips, {name: the argument that names it}; all candidates if none is named."""
+    root, links = _first(tree, base), [link_of(tree, argument, link) for link, argument in named.items()]
     for link, argument in zip(links, named.values(), strict=True):
         if base not in ("planar", "free") and all(edge.type == "fixed" for way in tree.way(link, root) for edge in way):
             left_out = " (leave it out for the frame of the base)" if argument.endswith("relative_to") else ""
@@ -247,54 +260,14 @@ def tips_of(tree: Tree, base: str | None, named: dict) -> list[str]:
     return links or list(tree.tips(root)) or [tip_of(tree, None, base)]
 
 
-def _remark_on_a_jaw(tip, up, down):
-    """Remark on a default tip that the last joint moves like a gripper's jaw: it is probably not the intended one."""
-    moving = [edge for edge in (*up, *down) if edge.type not in ("fixed", "floating", "planar")]  # a base is no arm
-    jaws = list(itertools.takewhile(lambda edge: _JAW.search(f"{edge.name} {edge.child}"), reversed(moving)))
-    if 0 < len(jaws) < len(moving):
-        jaw = jaws[-1]
-        errors.remark(
-            f"The tip is {tip!r}, a gripper's jaw that joint {jaw.name!r} moves. The tip {jaw.parent!r} is the arm "
-            "without the jaw."
-        )
+def _first(tree, base) -> str:
+    return tree.root if base is None or base in BASES else link_of(tree, "base", base)
 
 
-def _leader(by_name, edge, known):
-    """The joint that an edge follows (itself, if it is no mimic) and how: value = multiplier·q + offset.
-
-    Args:
-      known: {name: the results so far}, which is extended.
-    """
-    way = {}  # names of mimics, in the order in which they follow each other
-    while edge.mimic is not None and edge.name not in known:
-        way[edge.name] = edge
-        name = edge.mimic[0]
-        if name in way:
-            raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*way, name))} do not")
-        follower, edge = edge.name, by_name.get(name)
-        if edge is None or edge.type not in _MOVING:
-            what = "is not in the file" if edge is None else f"is {edge.type}"
-            raise errors.fail(
-                "path", "have mimic joints that follow a moving joint", f"{follower!r} follows {name!r}, which {what}"
-            )
-    leader, multiplier, offset = known.get(edge.name, (edge, 1.0, 0.0))
-    for name, follower in reversed(way.items()):
-        _, factor, shift = follower.mimic
-        multiplier, offset = multiplier * factor, offset * factor + shift
-        if max(abs(multiplier), abs(offset)) > MOST:
-            raise errors.fail(
-                "path", f"have mimic joints within ±{MOST:g}", f"{name!r} is {multiplier:g}·q + {offset:g}"
-            )
-        known[name] = leader, multiplier, offset
-    return leader, multiplier, offset
-
-
-def link_of(tree, name, link):
+def link_of(tree, name, link) -> str:
+    """Return a link. Raises: ArgumentError of an argument `name` for an unknown one."""
     if isinstance(link, str) and link in tree.links:
         return link
-    padded = [known for known in tree.links if isinstance(link, str) and known.strip() == link.strip()]
-    if len(padded) == 1:  # some files have invisible spaces around a name
-        return padded[0]
-    hint = errors.nearest(link, tree.links)
     moving = f"{', '.join(BASES)} or " if name == "base" else ""
-    raise errors.fail(name, f"be {moving}one of the {len(tree.links)} links of {tree.file}", f"is {link!r}{hint}")
+    must = f"be {moving}one of the {len(tree.links)} links of {tree.file}"
+    raise errors.fail(name, must, f"is {link!r}{errors.nearest(link, tree.links)}")

@@ -266,7 +266,7 @@ class _Case:
         if over and not remedy:
             change, remedy = (
                 {"limits": "velocity_scaling"},
-                "keep joint velocities within their limits by limits=velocity_scaling() or limits=bounded()",
+                "limits of velocity_scaling or bounded keep joint velocities within those of the robot",
             )
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
         return Verdict(
@@ -389,7 +389,7 @@ class _Case:
             if len(near):
                 speed = float(np.max(np.asarray(self.law.alpha, float)) * self.size()[near[0]])
                 damping = float(f"{speed / (2 * np.min(np.array(self.law.chain.velocity_limit, float))):.1g}")
-                words = f"near the singularity use inverse=damped({damping:g})"
+                words = f"near the singularity use a damping of {damping:g}"
                 return {"damping": damping}, f"{words}, which keeps joint velocities below |v|/(2 λ)"
         return {}, ""
 

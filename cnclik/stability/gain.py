@@ -16,7 +16,7 @@ from cnclik import errors
 from cnclik.integrate.drive import MOST, Drive, drive_in_words
 from cnclik.integrate.method import DEFAULT, Method, MethodLike, named
 from cnclik.record import Number, replace
-from cnclik.stability.linear import REACH, describe, first_beyond, gain_removing, passes_of, removed
+from cnclik.stability.linear import describe, first_beyond, gain_removing, passes_of, removed
 from cnclik.stability.poles import LONGEST, SETTLED, ScalarLoop, crossings, frequencies, scalar_loop, within
 
 # Of an arm of which nothing is known: 34 ms of dead time were measured of a UR, 30 ms of others; the position servos of
@@ -28,6 +28,9 @@ OVERSHOOT = 0.01  # of a step, that counts as none
 WITHIN = 0.02  # share of a step within which it has settled
 SWING = 1e-4  # relative imaginary part of a pole that counts as 0: rounding separates equal poles
 SLOWEST, ZERO = 1e-6, 1e-9  # poles within a share of the slowest are as slow; smaller poles count as 0
+BESIDE = 1e-6  # share of a limit below it where two poles that meet are still apart
+RATES = (1e-6, 30.0, 1024)  # of real poles times Ts, among which is looked: from, to, points
+ROUNDS = 4  # of a search around the maximum, each 16 times finer
 SMALL = 1e-4  # share of a limit at which a loop must be stable, too
 INERTIA = (0.5, 2.0)  # of a rebased servo, as a share of that of the posture where it was identified
 TINY = 1e-300  # of a pole at 0, whose logarithm is taken
@@ -265,7 +268,9 @@ def smooth_share(drive: Drive, Ts: float, stable: float) -> float:
         slow = (size >= size.max(-1, keepdims=True) * (1 - SLOWEST)) & (size > ZERO)
         return (slow & ((poles.real < 0) | (np.abs(poles.imag) > SWING * size))).any(-1)
 
-    share = min(stable, first_beyond(swings, min(stable, REACH), points=128, halvings=40))
+    share = min(stable, double_pole(loop))
+    if np.isfinite(share) and swings(share * (1 - BESIDE)):  # another pole is slower before
+        share = first_beyond(swings, share, points=128, halvings=40)
     if not np.isfinite(share) or overshoot(whole, share) <= OVERSHOOT:
         return share
     low, high = 0.0, share
@@ -273,6 +278,29 @@ def smooth_share(drive: Drive, Ts: float, stable: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if overshoot(whole, middle) > OVERSHOOT else (middle, high)
     return low
+
+
+def double_pole(loop: ScalarLoop) -> float:
+    """Return the share with which the pole that starts at ζ = 1 meets another real one, or 0: the first maximum of
+    s(ζ) = −1/ℓ(ζ) from 1 downwards; inf where it grows without limit."""
+
+    def share(rate):
+        with np.errstate(all="ignore"):
+            return -1.0 / loop.unit_gain(np.exp(-rate)).real
+
+    rates = np.geomspace(*RATES)  # ζ = e^{−rate}
+    shares = share(rates)
+    falls = np.flatnonzero(~(shares[1:] >= shares[:-1]))
+    if not falls.size:
+        return float(shares[-1])
+    i = falls[0]
+    if not 0 <= shares[i + 1] <= shares[i]:
+        return np.inf
+    for _ in range(ROUNDS):
+        rates = np.linspace(rates[max(i - 1, 0)], rates[i + 1], 33)
+        shares = share(rates)
+        i = min(int(shares.argmax()), 31)
+    return float(shares[i])
 
 
 def overshoot(loop: ScalarLoop, s: float) -> float:

@@ -19,6 +19,7 @@ from cnclik.integrate.method import Method, MethodLike, named
 REACH = 1e6  # z up to which is looked: a method stable so far has no limit
 SLACK = 2.0**-40  # |R| beyond 1 by more than rounding
 PAST = 1e-15  # what R may exceed 1 by, as rounding
+WHOLE = 1e-12  # of a share that is missing: all of an error is removed, but for rounding
 NEAR, POINTS, HALVINGS = 10.0, 1024, 52  # of a search
 
 
@@ -88,7 +89,7 @@ def gain_removing(share: float, method: MethodLike, M: Any = None) -> float:
     """Return the largest z up to which a step removes no more than a share of an error, and adds nothing to it."""
     method = named(method)
     if method.exponential:
-        return float(-np.log1p(-share)) if share < 1 else np.inf
+        return float(-np.log1p(-share)) if share < 1 - WHOLE else np.inf
 
     def beyond(z):
         taken = removed(method, z, M)

@@ -21,7 +21,7 @@ from cnclik.integrate.drive import Drive, Sampled, sampled
 SETTLED = 1e-3  # share of a step, squared, down to which a response is continued
 LONGEST, FAR = 20_000, 1e12  # samples of a response; what is larger counts as infinite
 FINE = 2048  # frequencies at which a loop gain is evaluated
-HALVINGS = 52
+PARTS, ROUNDS = 16, 13  # of a search: as fine as rounding
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -155,8 +155,10 @@ def crossings(of, at):
     values = of(at)
     i = np.flatnonzero(values[:-1] * values[1:] < 0)
     low, high, below = at[i], at[i + 1], values[i] < 0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        first = (of(middle) < 0) == below
-        low, high = np.where(first, middle, low), np.where(first, high, middle)
+    for _ in range(ROUNDS):
+        points = low + (high - low) * np.linspace(0.0, 1.0, PARTS + 1)[:, None]
+        crossed = (of(points[1:]) < 0) != below
+        crossed[-1] = True
+        first = np.argmax(crossed, axis=0)
+        low, high = (np.take_along_axis(points, (first + k)[None], 0)[0] for k in (0, 1))
     return 0.5 * (low + high)

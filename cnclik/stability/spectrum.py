@@ -15,12 +15,12 @@ from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, evaluate
+from cnclik.law.law import Law, check_loop, evaluate, observe
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64_if_known
 from cnclik.record import ArrayLike, Float, Number, cast, replace
 from cnclik.robot import chart
-from cnclik.robot.model import as_joint_values, modelled, one_off, standing
+from cnclik.robot.model import as_joint_values, modelled, one_off
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
 
@@ -78,7 +78,7 @@ def task_map(law, reference, q, Ts, method, stage):
 def one_step(law, reference, q, Ts, method, stage):
     """Return ∂q[k+1]/∂q[k] of the step from t = 0 in the chart at q (n, n), and the rows of the weighted J (m, n)."""
     law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
-    law, t = replace(law, chain=standing(law.chain, q)), jnp.zeros_like(Ts)
+    t = jnp.zeros_like(Ts)
 
     def move(y):
         now = chart.out(law.chain, q, y)
@@ -109,4 +109,4 @@ def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
 
 @one_off
 def _error_of_numbers(law, reference, q):
-    return evaluate(modelled(law), reference, jnp.zeros_like(q[0]), q).e
+    return observe(modelled(law), reference, jnp.zeros_like(q[0]), q).e

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from cnclik import errors
-from cnclik.problem.options import NAME, SWEPT, check_values
+from cnclik.problem.options import NAME, OPTIONS, check_values
 from cnclik.sweeps import expression
 from cnclik.sweeps.grid import COMPILED_IN, COUNTED, LEVEL, Axis, axis
 
-NAMES = tuple(name for name, option in SWEPT.items() if option.kind == NAME)  # never expressions
+NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # never expressions
 MOST_VALUES = 10_000_000  # values of an axis, at most
 MOST_WHOLE = 2**53  # larger integers are not exact as floats
 KINDS = {"linspace": (), "geomspace": (), "range": (), "samples": ("low", "high", "seed", "per")}

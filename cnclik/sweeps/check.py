@@ -5,7 +5,6 @@ import functools
 import itertools
 import math
 import operator
-import os
 import pathlib
 
 import numpy as np
@@ -13,8 +12,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import reference as ref
 from cnclik.measure import metrics
-from cnclik.problem.options import OF_STACK
-from cnclik.problem.stack import read_stack
 from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
 from cnclik.sweeps.axes import NAMES, is_name, known_keys, meant
@@ -61,14 +58,8 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         if not isinstance(written.get(key), str) or not written[key].strip():
             raise errors.fail(key, "be a sentence", "is missing" if key not in written else f"is {written[key]!r}")
     fixed, bundles = _table(written, "fixed"), _bundles(written)
-    tasks = {name: _table(written["tasks"], name, "tasks.") for name in _table(written, "tasks")}
-    walls = {name: _table(written["walls"], name, "walls.") for name in _table(written, "walls")}
-    if set(OF_STACK) & set(_table(written, "axes")) and "stack" in fixed and not tasks:  # axes of a file's tables
-        file = fixed.pop("stack")
-        tasks, walls = read_stack(path if os.path.isfile(path := pathlib.Path(folder, str(file))) else file)
-    stack = {"tasks": tasks, "walls": walls}
-    axes = _of_stack(_table(written, "axes"), stack, "tasks" not in written)
-    _check_names(fixed, axes, bundles, stack)
+    axes = _table(written, "axes")
+    _check_names(fixed, axes, bundles)
     unit_names = _table(written, "units")
     for named, unit in unit_names.items():
         if not isinstance(unit, str):
@@ -81,8 +72,6 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
         metrics=_metrics(written.get("metrics", list(metrics.DEFAULT))),
         fixed=fixed,
-        tasks=tasks,
-        walls=walls,
         axes={},
         written=axes,
         bundles=bundles,
@@ -132,25 +121,6 @@ def _bundles(written) -> dict:
     return found
 
 
-def _of_stack(axes, stack, of_file) -> dict:
-    """Axes, where those of a stack have names such as "tasks.hands.alpha"; they replace values of the file."""
-    found = {name: value for name, value in axes.items() if name not in stack}
-    for kind, tables in stack.items():
-        for name in _table(axes, kind, "axes."):
-            for key, value in _table(axes[kind], name, f"axes.{kind}.").items():
-                where = f"axes.{kind}.{name}.{key}"
-                if not tables:
-                    raise errors.fail(where, f"have its table, [{kind}.{name}]", "has none")
-                errors.one_of(where, name, list(tables))
-                errors.one_of(where, key, OF_STACK[kind])
-                if of_file:
-                    tables[name].pop(key, None)
-                elif key in tables[name]:
-                    raise errors.fail(where, f"not be in [{kind}.{name}] as well", "is in both")
-                found[where.removeprefix("axes.")] = value
-    return found
-
-
 def _where(name, label):
     return f"cases.{label}" if name == "case" else f"bundles.{name}.{label}"
 
@@ -163,7 +133,7 @@ def _metrics(names):
     return tuple(dict.fromkeys(names))
 
 
-def _check_names(fixed, axes, bundles, stack):
+def _check_names(fixed, axes, bundles):
     """Check that every name is an option or used, and that every used name is defined once, without a cycle."""
     tables = {_where(n, label): table for n, labels in bundles.items() for label, table in labels.items()}
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
@@ -200,16 +170,9 @@ def _check_names(fixed, axes, bundles, stack):
         for name, value in table.items():
             if not is_name(name) and (table is not axes or isinstance(value, list)):
                 use(name, expression.names(name, value), table)
-    every = {f"{kind}.{name}": table for kind, some in stack.items() for name, table in some.items()}
-    for own, table in every.items():
-        known_keys(own, table, OF_STACK[own.partition(".")[0]])
-        for key, value in table.items():
-            if expression.is_one(where := f"{own}.{key}", key, value):
-                use(where, expression.names(where, value))
     for where, table in {"fixed": fixed, "axes": axes, **tables}.items():
         for name in table:
-            if not (table is axes and name.rpartition(".")[0] in every):
-                known_keys(where, (name,), (*OPTIONS, *sorted(used)))
+            known_keys(where, (name,), (*OPTIONS, *sorted(used)))
     for name in REQUIRED:
         if name not in everywhere:
             lacking = next((where for where, table in tables.items() if name not in table), "fixed")

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.problem.options import INTEGER, NUMBER, NUMBERS, OF_TASK, OF_WALL, SWEPT
+from cnclik.problem.options import OPTIONS
 
 DEEPEST = 100  # nested brackets and signs, at most
 MOST = 2.0**1000  # intermediate results, at most: Python's integers would grow until memory runs out
@@ -73,8 +73,8 @@ def parse(name: str, text: str):
 
 
 def _written(name, text):
-    options = SWEPT | OF_WALL  # axes.q0.low has the unit of q0
-    own = next((options[part].unit for part in name.split(".")[::-1] if part in options), "1")
+    # axes.q0.low has the unit of q0
+    own = next((OPTIONS[part].unit for part in name.split(".")[::-1] if part in OPTIONS), "1")
     try:
         return _Written(text, own, quantities.read(text, own, Ts=1.0, marked=True).written)
     except ValueError as error:
@@ -114,19 +114,6 @@ def names(name: str, value) -> set:
         return tree.needs
     found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     return found - _FUNCTIONS - set(_CONSTANTS)
-
-
-def is_one(name: str, option: str, value) -> bool:
-    """Whether an option of a stack is to be evaluated: it is numeric, and no number in it has a unit."""
-    known = (OF_TASK | OF_WALL).get(option)
-    if known is None or known.kind not in (NUMBER, NUMBERS, INTEGER):
-        return False
-    if isinstance(value, (list, tuple)):
-        return all(is_one(name, option, v) for v in value)
-    try:
-        return not isinstance(value, str) or not isinstance(parse(name, value), _Written)
-    except errors.ArgumentError:  # such as degrees for a point [m]: the task's builder reports it
-        return False
 
 
 def units(name: str, value) -> tuple:

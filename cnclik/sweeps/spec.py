@@ -5,9 +5,7 @@ Everything a loop depends on is a named value, by the names of `cnclik.problem.O
 their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
 others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
 stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` define how
-the error is measured that is fed back. `[tasks.NAME]` are the tables of a stack of tasks, whose options may be
-expressions, too; an axis tasks.NAME.OPTION varies one. `[walls.NAME]` are those of its walls, in the same way,
-but for `level`.
+the error is measured that is fed back.
 """
 
 import dataclasses
@@ -28,9 +26,8 @@ from cnclik.measure import metrics
 from cnclik.measure.metrics import Metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, problem_from
-from cnclik.problem.magnitudes import check_units
 from cnclik.problem.names import robot_and_tip, stage_from
-from cnclik.problem.stack import Written, read_stack, tips_of
+from cnclik.problem.options import check_units
 from cnclik.stability.gain import stable_share
 from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import expression
@@ -39,11 +36,11 @@ from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
 from cnclik.sweeps.labels import LIMIT, UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
-TABLES = ("fixed", "tasks", "walls", "axes", "cases", "bundles", "units", "figure")
-FILES = ("robot", "reference", "stack")  # options that may name a file
+TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
+FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
-OPTIONS = options.SWEPT
-DEFAULTS = {name: option.default for name, option in OPTIONS.items() if option.default is not None} | {
+OPTIONS = options.OPTIONS
+DEFAULTS = options.DEFAULTS | {
     "delay": 0,
     "measurement_delay": 0,
 }
@@ -60,8 +57,6 @@ class Spec:
     lanes: int | None
     metrics: tuple
     fixed: dict
-    tasks: dict  # {task: {option: value}} of a stack, or {}
-    walls: dict  # {wall: {option: value}} of the stack
     axes: dict  # name -> Axis
     written: dict  # name -> the axis as written
     bundles: dict  # axis -> {label: {name: value}}; "case" first
@@ -117,7 +112,7 @@ class Spec:
 
     def build(self, /, **values) -> Problem:
         """One loop."""
-        known, look = self.lookup(**values)
+        known, _ = self.lookup(**values)
         v = self.values(**values)
         for name in FILES:
             if name in v:
@@ -125,27 +120,10 @@ class Spec:
         M = self.axes.get("M")
         most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
         v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        tables = self._stack(known, look)
-        made = problem_from(**v, tasks=tables["tasks"] or None, walls=tables["walls"])
+        made = problem_from(**v)
         written = {name: expression.units(name, known[name]) for name in v if name not in NAMES}
         check_units(made.law.chain, made.law.task, written)
         return made
-
-    def _stack(self, known, look) -> dict:
-        """The tables of one loop's tasks and walls, with expressions evaluated."""
-        stack = {kind: {name: dict(one) for name, one in getattr(self, kind).items()} for kind in options.OF_STACK}
-        for kind, name, table in ((kind, name, one) for kind, some in stack.items() for name, one in some.items()):
-            for key, value in table.items():
-                if key == "reference":
-                    table[key] = str(self.file(value) or value)
-                elif expression.is_one(where := f"{kind}.{name}.{key}", key, value):
-                    table[key] = expression.evaluate(where, value, look)
-        for one in known:
-            if one.partition(".")[0] in stack:
-                kind, name, key = one.split(".")
-                value = look(one)
-                stack[kind][name][key] = str(self.file(value) or value) if key == "reference" else value
-        return stack
 
     def file(self, text) -> pathlib.Path | None:
         """The file of a name, relative to the spec's folder, or None."""
@@ -187,13 +165,7 @@ class Spec:
         known = UNITS | {name: "1" for name in self.bundles}
         for name, one in self.axes.items():
             width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
-            *of, option = name.split(".")
-            task = law.task.alone(of[1]) if of[:1] == ["tasks"] else law.task
-            known[name] = options.units(law, task, width).get(option, known.get(name, ""))
-            if of[:1] == ["walls"]:  # those of corners have numbers
-                own = next(w for w in getattr(law.limits, "walls", ()) if of[1] in (w.name, w.name.rpartition("_")[0]))
-                unit = options.OF_WALL[option].unit
-                known[name] = own.task.units[0] if unit == "q" else unit
+            known[name] = options.units(law, law.task, width).get(name, known.get(name, ""))
         return known | self.units
 
     def data(self) -> dict:
@@ -206,12 +178,10 @@ class Spec:
             "cases": self.bundles.get("case", {}),
         }
         bundles = {name: labels for name, labels in self.bundles.items() if name != "case"}
-        tables = [*self.tables(), *(self.tasks.values())]
-        named = [table[name] for table in tables for name in FILES if name in table]
+        named = [table[name] for table in self.tables() for name in FILES if name in table]
         of_files = (a for name, a in self.axes.items() if name.rpartition(".")[2] in FILES)
         named += [v for a in of_files for v in a.values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
-        about |= {name: table for name in ("tasks", "walls") if (table := getattr(self, name))}
         return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
 
 
@@ -222,9 +192,7 @@ def _evaluations(p) -> float:
 
 def joints_of(known, look, spec) -> int:
     """Number of joints of a loop's robot, which must not depend on the number of joints itself."""
-    lengths, file = look("lengths") if "lengths" in known else None, known.get("stack")
-    tips = tips_of(Written(spec.tasks, spec.walls) if file is None else read_stack(spec.file(file) or file))
-    return robot_and_tip(known["robot"], known.get("tip"), known.get("base"), lengths, tips)[0].n
+    return robot_and_tip(known["robot"], known.get("tip"), known.get("base"))[0].n
 
 
 @functools.cache

@@ -27,7 +27,7 @@ from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
 from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import OWN, check_own, hidden_folder, remove_abandoned
+from cnclik.writing import OWN, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
 _MARK = OWN  # file in a store: {file: checksum} of its description and of its coordinates
@@ -217,8 +217,6 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()  # check that the folder is writable
     if not os.path.exists(path):
-        if not overwrite:
-            check_own("out", folder, "a sweep")
         return None
     store = Store(folder)
     if fresh:

@@ -93,26 +93,23 @@ def function(
     *,
     error: Callable | None = None,
     target: int | None = None,
-    rows: Callable | None = None,
-    velocity: Callable | None = None,
     weights: Weights = None,
 ) -> Task:
     """Control a function of the joint values, x = value(robot, q); its rows are its derivative, by JAX.
+
+    Where a faster form of a derivative is known, give the function that one by `jax.custom_jvp`.
 
     Args:
       value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point: lambda robot, q:
         jnp.linalg.norm(ck.forward(robot, q, tip="hand").position - point)[None].
       names, units: of the m coordinates.
       error: (robot, q, target (k,)) to e (m,), 0 at the target, where the error is not target − value: for an angle the
-        shorter way round, for a camera the distance of a moving target from its axis. Its derivatives are taken by JAX.
+        shorter way round, for a camera the distance of a moving target from its axis.
       target: k; default: m.
-      rows: (robot, q, target) to (m, n), −∂e/∂q, where a faster form is known.
-      velocity: (robot, q, target, its velocity (k,)) to (m,), ∂e/∂target times the velocity, likewise.
       weights: (m,) positive weights, or one for all.
     """
-    given = {"value": value, "error": error, "rows": rows, "velocity": velocity}
-    for name, fn in given.items():
-        if not (callable(fn) or (fn is None and name != "value")):
+    for name, fn in (("value", value), ("error", error or value)):
+        if not callable(fn):
             raise errors.fail(name, "be a function of the robot and q", f"is {fn!r}")
     names, units = _names("names", names), _names("units", units)
     if len(names) != len(units) or not names:
@@ -120,8 +117,7 @@ def function(
     if target is not None and error is None:
         raise errors.fail("target", "come with an `error`: else it is as long as the value", f"is {target!r}")
     size = None if target is None else errors.integer("target", target, at_least=1)
-    its: dict[str, Any] = {"of_target": error, "its_rows": rows, "its_velocity": velocity, "size": size}
-    return _task(weights, Function(value=value, names=names, units=units, **its))
+    return _task(weights, Function(value=value, names=names, units=units, of_target=error, size=size))
 
 
 def stack(**tasks: Task) -> Task:

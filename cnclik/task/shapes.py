@@ -62,11 +62,6 @@ class Distance(Vector):
     names, units = ("distance",), ("m",)
     tip, to = "distance", None
 
-    @property
-    def on_one_link(self):
-        """Whether the distance never changes."""
-        return self.one.tip == self.other.tip
-
     def on(self, chain):
         for shape in (self.one, self.other):
             if shape.tip is not None:
@@ -172,6 +167,8 @@ def distance(one: Rounded, other: Rounded | HalfSpace) -> Task:
     one = errors.kind("one", one, Rounded, "be ck.sphere(...) or ck.capsule(...)")
     known = "be ck.sphere(...), ck.capsule(...) or ck.half_space(...)"
     other = errors.kind("other", other, (Rounded, HalfSpace), known)
+    if one.tip == other.tip:
+        raise errors.fail("one", "be on another link than `other`", f"is on {one.tip or 'the base'}, too")
     return Task(parts=(Distance(one=one, other=other),))
 
 

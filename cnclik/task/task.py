@@ -41,11 +41,6 @@ class Task:
         return sum(part.m for part in self.parts)
 
     @property
-    def weight_of_each(self) -> Float[ArrayLike, " m"]:
-        """The weights of the coordinates: 1 where none are given."""
-        return np.ones(self.m) if self.weights is None else self.weights
-
-    @property
     def slices(self) -> tuple[slice, ...]:
         """Where the coordinates of each part stand."""
         return _slices(part.m for part in self.parts)
@@ -132,13 +127,6 @@ class Task:
         weights = None if self.weights is None else self.weights[where]  # type: ignore[index]
         return Task(parts=tuple(itertools.compress(self.parts, inside)), weights=weights)
 
-    def about(self, tip: str | None) -> Task:
-        """Return the task with this tip for its parts that name none."""
-        if tip is None:
-            return self
-        named = (replace(p, tip=tip) if hasattr(p, "axes") and p.tip is None else p for p in self.parts)
-        return replace(self, parts=tuple(named))
-
     def on(self, chain) -> Task:
         """Return the task on this robot. Raises: ArgumentError for tips and joints that the robot has not."""
         for part in self.parts:
@@ -172,10 +160,6 @@ class Task:
     @property
     def linear(self) -> tuple[int, ...]:
         return tuple(places(self.position).tolist())
-
-    @property
-    def angular(self) -> tuple[int, ...]:
-        return tuple(places(self.orientation).tolist())
 
     def __and__(self, other: Task) -> Task:
         other = errors.kind("task", other, Task, "be a task such as ck.position()")

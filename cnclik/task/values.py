@@ -64,8 +64,6 @@ class Function(Vector):
     units: tuple[str, ...]
     of_target: Callable | None = None  # (robot, q, target) to e; None: target − value
     size: int | None = None  # of the target; None: m
-    its_rows: Callable | None = None  # (robot, q, target) to the rows; None: by JAX
-    its_velocity: Callable | None = None  # (robot, q, target, motion) to what the target's velocity adds to e
     tip, to = "function", None
 
     @property
@@ -76,42 +74,36 @@ class Function(Vector):
     def shape(self):
         return (self.size or self.m,)
 
-    def _made(self, name, fn, *given, shape=()):
-        made = jnp.asarray(fn(*given))
-        if made.shape != (self.m, *shape):
-            of = ", ".join(map(str, (self.m, *shape))) + "," * (not shape)
-            raise errors.fail(name, f"return shape ({of}), one of each name", f"returns shape {made.shape}")
-        return made.astype(jnp.result_type(given[1]))
+    def _checked(self, name, values, q):
+        values = jnp.asarray(values)
+        if values.shape != (self.m,):
+            raise errors.fail(name, f"return shape ({self.m},), one of each name", f"returns shape {values.shape}")
+        return values.astype(q.dtype)
 
     def here(self, robot: At):
         return None if self.size not in (None, self.m) else self.x(robot)
 
     def x(self, robot: At):
-        return self._made("value", self.value, robot.chain, robot.q)
+        return self._checked("value", self.value(robot.chain, robot.q), robot.q)
 
     def error(self, robot: At, aim):
         if self.of_target is None:
             return aim - self.x(robot)
-        return self._made("error", self.of_target, robot.chain, robot.q, aim)
+        return self._checked("error", self.of_target(robot.chain, robot.q, aim), robot.q)
 
     def rows(self, robot: At, aim=None):
-        if self.its_rows is not None and aim is not None:
-            return self._made("rows", self.its_rows, robot.chain, robot.q, aim, shape=robot.q.shape)
-
         chain = robot.chain
 
-        def taken(start, y):
+        def moved(start, y):
             at = At(chain, chart.out(chain, start, y))
             return self.x(at) if aim is None or self.of_target is None else -self.error(at, aim)
 
-        def made(q):
-            return jax.jacfwd(functools.partial(taken, q))(chart.centre(chain, q))
+        def derivative(q):
+            return jax.jacfwd(functools.partial(moved, q))(chart.centre(chain, q))
 
-        return made(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(made)(robot.q))
+        return derivative(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(derivative)(robot.q))
 
     def velocity(self, robot: At, aim, motion):
-        if self.its_velocity is not None:
-            return self._made("velocity", self.its_velocity, robot.chain, robot.q, aim, motion)
         if self.of_target is None:
             return motion
         return jax.jvp(lambda aim: self.error(robot, aim), (aim,), (motion,))[1]

@@ -7,7 +7,9 @@ its position and quaternion in columns such as ``left_knee_link.x``. Any motion-
 it on a free base with two steps a frame. Its feet come first, and its joints stay within their limits.
 """
 
+import functools
 import importlib.metadata
+import operator
 import pathlib
 import tempfile
 
@@ -16,9 +18,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.robot.poses import quaternions
+from cnclik.robot.poses import quaternions, rotations
 
 jax.config.update("jax_enable_x64", True)
+QUATERNION = ("qw", "qx", "qy", "qz")
 installed = importlib.metadata.files("example-robot-data") or []
 file = pathlib.Path(next(one for one in installed if one.name == "g1_29dof_rev_1_0.urdf").locate())
 sides, parts = ("left", "right"), ("hip_roll", "knee", "shoulder_yaw", "elbow", "wrist_yaw")
@@ -54,31 +57,30 @@ np.savetxt(clip, np.stack([*columns.values()], 1), delimiter=",", header=",".joi
 
 # %%
 # Retargeted: z = alpha·Ts = 1, and two steps a frame. Orientations weigh less than positions.
-pose = {"task": "pose", "reference": str(clip), "weights": [1.0] * 3 + [0.22] * 3}
-tasks = {
-    "feet": pose | {"tip": feet, "level": 1, "damping": 0.02},
-    "body": pose | {"tip": body, "level": 2, "damping": 0.05},
-}
-problem = ck.problem_from(
-    file,
-    base="free",
-    tasks=tasks,
-    q0=q[0],
-    Ts=0.5 / fps,
-    N=2 * len(t) - 2,
-    alpha=2 * fps,
-    method="EE",
-    limits="bounded",
-    limit_rate=2 * fps,
-)
-run = problem.run()
+table = np.genfromtxt(clip, delimiter=",", names=True, deletechars="")
+
+
+def path(tip):
+    """The path of one link, from its columns."""
+    position, turn = (np.stack([table[f"{tip}.{name}"] for name in names], 1) for names in ("xyz", QUATERNION))
+    return ck.waypoints(table["time"], position, rotations("clip", turn))
+
+
+weights = [1.0] * 3 + [0.22] * 3
+links = [functools.reduce(operator.and_, (ck.pose(tip=tip, weights=weights) for tip in some)) for some in (feet, body)]
+tasks = ck.stack(feet=links[0], body=links[1])
+levels = ck.levels(["feet"], ["body"], damping=(0.02, 0.05))
+law = ck.Law(g1, tasks, alpha=2 * fps, inverse=levels, limits=ck.bounded(rate=2 * fps))
+paths = ck.hold_at(g1, tasks, q[0], **{name: ck.references(**{tip: path(tip) for tip in some}) for name, some in
+                                       (("feet", feet), ("body", body))})  # fmt: skip
+run = ck.solve(law, paths, q[0], Ts=0.5 / fps, N=2 * len(t) - 2, method="EE")
 
 # %%
 # How far the links are off their true places, and how much room joints have.
-found, order = np.asarray(run.q)[::2], [problem.law.chain.joint_names.index(name) for name in g1.joint_names]
-moved = places(found[:, order])
+found = np.asarray(run.q)[::2]
+moved = places(found)
 off = {tip: 1e3 * np.linalg.norm(moved[tip].position - seen[tip].position, axis=1) for tip in feet + body}
-room = np.minimum(found - np.array(problem.law.chain.lower), np.array(problem.law.chain.upper) - found).min()
+room = np.minimum(found - np.array(g1.lower), np.array(g1.upper) - found).min()
 figure, axes = plt.subplots(figsize=(7, 3.5))
 axes.plot(t, np.mean([off[tip] for tip in feet], 0), label="feet")
 axes.plot(t, np.mean([off[tip] for tip in body], 0), label="other links")

@@ -231,7 +231,7 @@ def mink_run(truth, seen, damping=DAMPING):
     tasks = {tip: mink.FrameTask(tip, "body", position_cost=place(tip), orientation_cost=turn(tip)) for tip in TIPS}
     speeds = dict(zip(G1.joint_names[BASE:], G1.velocity_limit[BASE:], strict=True))
     limits = [mink.ConfigurationLimit(model, gain=1.0), mink.VelocityLimit(model, speeds)]
-    start = ck.to_mujoco_q(G1, model, begun(truth[0], seen[None])[0])
+    start = ck.to_model_q(G1, model, begun(truth[0], seen[None])[0])
 
     def run():
         configuration, found = mink.Configuration(model, q=start), []
@@ -242,7 +242,7 @@ def mink_run(truth, seen, damping=DAMPING):
                 how = {"damping": damping[1] ** 2, "limits": limits}
                 configuration.integrate_inplace(mink.solve_ik(configuration, [*tasks.values()], TS, "daqp", **how), TS)
             found.append(configuration.q.copy())
-        return ck.from_mujoco_q(G1, model, np.array(found))
+        return ck.from_model_q(G1, model, np.array(found))
 
     return run
 

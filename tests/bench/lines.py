@@ -4,8 +4,9 @@ import dataclasses
 import itertools
 
 from cnclik import errors
-from cnclik.problem.words import METHODS, STAGES
+from cnclik.integrate.method import METHODS
 
+STAGES = ("picard", "chord", "newton")
 ROBOTS = ("planar2", "planar5", "panda", "ur5", "chain30")  # `cases` says what they are; it needs JAX
 AXES = {  # None: the usual one
     "robot": ROBOTS,

@@ -11,10 +11,10 @@ import argparse
 import time
 
 import numpy as np
+from cnclik.reaching.seeds import spans
 
 import cnclik as ck
 from cnclik.reaching.result import count as counts
-from cnclik.reaching.seeds import spans
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from tests.oracles import robots

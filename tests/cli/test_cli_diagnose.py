@@ -34,16 +34,16 @@ def recorded(tmp_path):
 def test_a_sentence_with_the_gain_that_would_end_it(log, tmp_path, capsys):
     main(["diagnose", log, "--alpha", "150", "--out", str(tmp_path / "out")])
     said = capsys.readouterr().out
-    assert said.startswith("ringing: period ") and "z = 0.3 and 4 samples (8 ms) of dead time. Reduce alpha to " in said
-    assert "recommended" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
+    assert said.startswith("ringing: period 18.8") and "as with 4 samples (8 ms) of dead time. Use an alpha of " in said
+    assert "\nConfidence: 0.95.\n" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
 
 
 def test_numbers_as_json(log, capsys):
     main(["diagnose", log, "--Ts", "0.002", "--columns", "q2", "--json"])
     said = json.loads(capsys.readouterr().out)
     assert said["kind"] == "ringing" and said["rings"] and said["delay"] == 4 and abs(said["z"] - 0.3) < 0.003
-    assert said["period_seconds"] == pytest.approx(TS * said["period"]) and said["recommended_alpha"] is None
-    assert len(said["amplitude"]) == 1
+    assert said["drive"]["delay"] == pytest.approx(4, abs=0.01) and said["drive"]["lag"] is None
+    assert 20 < said["recommended_alpha"] < 41 and said["confidence"] == 0.8 and len(said["amplitude"]) == 1
 
 
 def test_a_drive_to_paste(recorded, tmp_path, capsys):
@@ -66,7 +66,6 @@ def test_a_drive_to_paste(recorded, tmp_path, capsys):
         (["--step", "--alpha", "3"], "Option `--alpha` must be left out with --step, but is given."),
         (["--kind", "lag"], "Option `--kind` must come with --step, but comes without."),
         (["--alpha", "-1"], "Option `--alpha` must be positive, but is -1."),
-        (["--longest-period", "0"], "Option `--longest-period` must be positive, but is 0."),
         (["--out", __file__], "Option `--out` must be a folder that can be written into"),
     ],
 )
@@ -107,12 +106,12 @@ def test_what_is_wrong_with_a_recording_is_named_as_the_user_calls_it(tmp_path, 
 
 
 def test_a_recording_without_times_needs_Ts(tmp_path, capsys):
-    file = write(tmp_path / "bare.csv", ["q"], loop(1.5, 0, 50))
+    file = write(tmp_path / "bare.csv", ["q"], loop(1.8, 0, 60))
     with pytest.raises(SystemExit):
         main(["diagnose", file])
     assert "Option `--Ts` must be given where no column is called t, time or stamp" in capsys.readouterr().err
     main(["diagnose", file, "--Ts", "0.01"])
-    assert "every second sample" in capsys.readouterr().out
+    assert "ringing: period 2 samples" in capsys.readouterr().out
     (tmp_path / "empty.csv").write_text("q\n")
     with pytest.raises(SystemExit):
         main(["diagnose", str(tmp_path / "empty.csv"), "--Ts", "0.01"])
@@ -123,14 +122,14 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     """Nanoseconds, status and text as recorders write them; what is left out is no joint."""
     main(["diagnose", log, "--Ts", "0.001", "--json"])
     said = json.loads(capsys.readouterr().out)
-    assert said["Ts"] == 0.001 and said["Ts_from"] == "--Ts, though time has 2 ms"
+    assert said["Ts"] == 0.001 and said["Ts_from"] == "--Ts, though the stamps are 2 ms apart"
     rows = pathlib.Path(log).read_text().splitlines(keepends=True)
     (tmp_path / "gap.csv").write_text("".join(rows[:60] + rows[63:]))
     main(["diagnose", str(tmp_path / "gap.csv"), "--Ts", "2ms"])
-    assert "(--Ts, though of time row 60 comes 0.008 s after the one before)" in capsys.readouterr().out
+    assert "(--Ts, though of the stamps row 60 comes 0.008 s after the one before)" in capsys.readouterr().out
     (tmp_path / "back.csv").write_text("".join([rows[0], *reversed(rows[1:])]))
     main(["diagnose", str(tmp_path / "back.csv"), "--Ts", "2ms"])
-    assert "(--Ts, though of time the median step is -0.002 s)" in capsys.readouterr().out
+    assert "(--Ts, though of the stamps the median step is -0.002 s)" in capsys.readouterr().out
     (tmp_path / "semicolons.csv").write_text("".join(rows).replace(",", ";"))
     with pytest.raises(SystemExit):
         main(["diagnose", str(tmp_path / "semicolons.csv"), "--Ts", "2ms"])
@@ -151,7 +150,7 @@ def test_causes_that_no_gain_ends(tmp_path, capsys):
     grows = 0.1 * 1.01 ** np.arange(300)
     main(["diagnose", write(tmp_path / "sign.csv", ["e_x", "e_y"], grows, 0 * grows + 1), "--Ts", "0.01"])
     said = capsys.readouterr().out
-    assert said.startswith("growth without oscillation") and "Growing: e_x\n" in said
+    assert said.startswith("growth without oscillation") and "Growing: e_x.\n" in said
     spiral = 0.1 * (1 - 0.05j) ** np.arange(300)
     main(
         ["diagnose", write(tmp_path / "turned.csv", ["e_x", "e_y"], spiral.real, spiral.imag), "--Ts", "0.01", "--json"]
@@ -170,8 +169,8 @@ def test_what_solve_writes_can_be_read(tmp_path, capsys):
         capsys.readouterr()
         main(["diagnose", log, "--alpha", "30", "--columns", *columns, "--json"])
         found = json.loads(capsys.readouterr().out)
-        assert found["delay"] == 17 and abs(found["z"] - 0.06) < 0.003, columns
-        assert 9 < found["recommended_alpha"] < 11
+        assert found["rings"] and abs(found["z"] - 0.06) < 0.01, columns
+        assert 7 < found["recommended_alpha"] < 11
 
 
 @pytest.mark.parametrize(
@@ -195,10 +194,3 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, capsys
     found = json.loads(capsys.readouterr().out)
     assert found["lag"] == pytest.approx(0.02, rel=0.05) and found["explained"] > 0.999
     np.testing.assert_allclose(found["gain"], [1, 1], atol=0.01)
-
-
-def test_a_gain_that_is_not_the_recordings_z_is_not_called_so(log, capsys):
-    main(["diagnose", log, "--Ts", "2ms", "--alpha", "150"])
-    assert "z = alpha·Ts is now 0.3." in capsys.readouterr().out
-    main(["diagnose", log, "--Ts", "2ms", "--alpha", "140"])
-    assert "\nalpha·Ts is 0.28, and the recording's z is 0.3. With 4 samples" in capsys.readouterr().out

@@ -43,8 +43,6 @@ def test_answers_in_every_kind_of_file(targets, tmp_path, capsys):
             assert errors_of(q, x) < 1e-6
             np.testing.assert_allclose([float(rows[k]["q1"]), float(rows[k]["q2"])], q, rtol=0, atol=1e-13)
         assert abs(arrays["position_error"][2] - 2.2) < 1e-4
-    main(["reach", ARM, str(tmp_path / "out.npz"), "--task", "xy"])  # what it wrote it also reads
-    assert "2  within the tolerance" in capsys.readouterr().out
 
 
 def test_a_zero_of_a_table_has_no_sign(tmp_path):
@@ -97,29 +95,25 @@ def test_one_target_as_solve_takes_it(capsys):
     said = capsys.readouterr().out
     assert "1 target in" in said and "SOLVED" in said and "q1 " in said
     main(["reach", ARM, "--task", "position", "--target", "700", "300", "0"])
-    said = capsys.readouterr()
-    assert "OUT_OF_REACH" in said.out and "Millimetres are written with their unit" in said.err
+    assert "OUT_OF_REACH" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("argv", "told"),
     [
-        (
-            [],
-            "One of TARGETS, --target X Y Z, --random N and --stack FILE must be given, but there is none",
-        ),
+        ([], "One of TARGETS, --target X Y Z and --random N must be given, but there is none"),
         (["t.csv", "--random", "3"], "are TARGETS and --random"),
         (["--target", "1"], "`--target` must hold 2 numbers, x y [m], or 3 numbers, x y z [m], but holds 1"),
         (["--target", "0.4", "nan"], "`--target` must be finite, but is nan"),
         (["none.csv"], "name a CSV file that can be read"),
-        (["none.npz"], "name a file of targets that can be read"),
-        (["none.txt"], "`TARGETS` must end with .csv, .npy, .npz, but is 'none.txt'"),
+        (["none.npy"], "name a file that can be read, but none.npy: No such file"),
+        (["none.txt"], "`TARGETS` must end with .csv, .npy, but is 'none.txt'"),
         (["--random", "3", "--seed", "-4"], "`--seed` must be a whole number"),
         (["--random", "0"], "`--random` must be at least 1"),
         (["--random", "3", "--out", "x.txt"], "`--out` must end with .npz, .nc, .csv"),
         (["--random", "3", "--out", "nowhere/x.csv"], "`--out` must name a file in a folder that is there"),
         (["--random", "3", "--path", "--near", "0", "0"], "`--near` must be left out"),
-        (["--random", "3", "--near", "0"], "`--near` must have shape"),
+        (["--random", "3", "--near", "0"], "`--near` must have 2"),
         (["--random", "3", "--tolerance", "0", "1"], "`--tolerance` must hold positive"),
     ],
 )

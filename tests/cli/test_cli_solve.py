@@ -1,9 +1,8 @@
-"""`cnclik solve`, `robots` and `trouble` as a user meets them: files, figures, summary, and one line for bad input."""
+"""`cnclik solve` as a user meets it: files, figures, what was asked, summary and verdict; a problem in a file."""
 
 import csv
-import errno
-import itertools
 import json
+import re
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,15 +10,31 @@ import pytest
 import xarray as xr
 
 import cnclik as ck
-from cnclik import writing
+from cnclik import errors, writing
 from cnclik.cli import main
+from cnclik.quantities import aloud
 from cnclik.show import run as pictures
+from tests.problem.test_file import TWO
+
+ARM = ["solve", "planar:1,1", "--method", "EE", "--N", "30"]
+JAWED = """<robot name="hand"><link name="base"/><link name="arm"/><link name="wrist"/><link name="{jaw}"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+  <limit lower="-2" upper="2" velocity="3"/></joint>
+<joint name="j2" type="revolute"><parent link="arm"/><child link="wrist"/><origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>
+  <limit lower="-2" upper="2" velocity="3"/></joint>
+<joint name="{joint}" type="revolute"><parent link="wrist"/><child link="{jaw}"/><origin xyz="0.3 0 0"/>
+  <axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="3"/></joint></robot>"""
+
+
+def shown(capsys, *argv):
+    main(list(map(str, argv)))
+    return " ".join(capsys.readouterr().out.split())
 
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory):
     out = tmp_path_factory.mktemp("solved")
-    main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--csv", "--out", str(out)])
+    main([*ARM, "--alpha", "0", "--csv", "--out", str(out)])
     return out
 
 
@@ -28,50 +43,74 @@ def test_files_hold_the_run(solved):
     assert {p.name for p in solved.iterdir()} == {writing.LIST, *names}
     with xr.open_dataset(solved / "trajectory.nc") as data, (solved / "trajectory.csv").open() as file:
         rows = list(csv.DictReader(file))
-        assert len(rows) == 31
+        assert len(rows) == 31 and json.loads(data.attrs["config"])["robot"] == "planar:1,1"
         np.testing.assert_array_equal([float(r["q_q2"]) for r in rows], data.q.values[:, 1])
         assert rows[-1]["status"] == "" and rows[0]["status"] == "0"
 
 
 def test_a_run_without_csv_and_figures_leaves_none_of_an_earlier_one(tmp_path, capsys, monkeypatch):
     """They would be of another result; a file of others in the way is named before the loop is run."""
-    again = ["solve", "planar:1,1", "--method", "EE", "--N", "30", "--no-figures", "--out", str(tmp_path)]
+    again = [*ARM, "--no-figures", "--out", str(tmp_path)]
     main([*again, "--csv"])
     (tmp_path / "notes.txt").write_text("theirs")
     main(again)
     assert {p.name for p in tmp_path.iterdir()} == {writing.LIST, "trajectory.nc", "notes.txt"}
     (tmp_path / "trajectory.csv").write_text("theirs, too")
-    main(again)
-    assert (tmp_path / "trajectory.csv").read_text() == "theirs, too"
     monkeypatch.setattr("cnclik.cli.solve._march", None)
     with pytest.raises(SystemExit) as stopped:
         main([*again, "--csv"])
     assert stopped.value.code == 2 and "trajectory.csv there is not cnclik's own" in capsys.readouterr().err
 
 
-def test_summary_tells_of_a_gain_that_corrects_nothing(tmp_path, capsys):
-    main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--no-figures", "--out", str(tmp_path)])
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "planar:1,1, tip end of the last link, task x y, N = 30 steps" in shown
-    assert "Held back: the gain is 0; over the last quarter" in shown
+def test_what_nobody_gave_is_called_default(tmp_path, capsys):
+    run = [*ARM[:4], "--N", "5", "--no-figures", "--out", tmp_path]
+    said = shown(capsys, *run)
+    assert "planar:1,1, tip end of the last link, task x y, N = 5 steps of Ts = 10 ms" in said
+    assert "EE, pseudoinverse, alpha = 5 1/s (default), z = alpha·Ts = 0.05, no dead time given" in said
+    assert "Start: q0 = [-1.0576, 1.5654] rad (default)." in said
+    assert "Target x y = -0.20756 1.1731 m (default)." in said  # every joint by 0.3 rad towards 0
+    given = ["--Ts", "4ms", "--q0", "0.5", "1", "--target", "0.3", "1.2", "--alpha", "4", "--delay", "8"]
+    said = shown(capsys, *run, *given)
+    assert "8 samples (32 ms)" in said and "default" not in said
+    assert "q0 = [0.5, 1] rad." in said and "Target x y = 0.3 1.2 m." in said
 
 
-def test_remedies_are_options(tmp_path, capsys):
-    """What --json prints is what the sentence says, and taken as options it mends."""
-    loop = ["solve", "planar:1,1", "--task", "xy", "--target", "0.5", "1.2", "--Ts", "0.1", "--method", "EE"]
-    loop += ["--no-figures", "--json", "--out", str(tmp_path)]
+def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, capsys):
+    way = tmp_path / "way.csv"
+    way.write_text("time,x,y\n0,0.8,0.9\n2,0.5,1.1\n")
+    run = [*ARM[:4], "--reference", way, "--N", "3", "--no-figures", "--out", tmp_path / "out", "--q0", "0.3", "0.9"]
+    here = np.array(ck.forward(ck.planar_arm([1.0, 1.0]), np.array([0.3, 0.9])).position)[:2]
+    jump = np.linalg.norm(here - [0.8, 0.9])
+    assert f"from x y = 0.8 0.9 m; the start is {aloud(jump, 'm')} away from it." in shown(capsys, *run)
+    said = shown(capsys, *run, "--begin", "on-path")
+    assert "rad (on the path)." in said and "away from it" not in said
 
-    def told(*options):
-        main([*loop, *options])
-        return json.loads(capsys.readouterr().out)["verdict"]
 
-    shakes = told("--alpha", "26", "--N", "40")
-    assert shakes["kind"] in ("swinging", "growing") and shakes["change"] == {"alpha": pytest.approx(2.5)}
-    assert "Use an alpha of at most 2.5 1/s." in shakes["sentence"]
-    assert told("--alpha", "2.5", "--N", "60")["kind"] == "settled"
-    short = told("--alpha", "0.2", "--N", "10")
-    assert short["kind"] == "too short to tell" and f"Run {short['change']['N']} steps." in short["sentence"]
-    assert told("--alpha", "0.2", "--N", str(short["change"]["N"]))["kind"] == "settled"
+def test_what_a_loop_did_and_what_to_change(tmp_path, capsys):
+    """The exit code is that of a command that did its work; what --json prints mends the loop."""
+    assert "the gain is 0" in shown(capsys, *ARM, "--alpha", "0", "--no-figures", "--out", tmp_path)
+    loop = ["solve", "planar:1,1", "--task", "xy", "--target", "0.5", "1.2", "--Ts", "0.1", "--method", "EE", "--N", 40]
+    loop += ["--no-figures", "--json", "--out", tmp_path]
+    swings = json.loads(shown(capsys, *loop, "--alpha", "26"))["verdict"]
+    assert swings["kind"] in ("swinging", "growing")
+    (name, value), *_ = swings["change"].items()
+    assert name == "alpha" and f"{value:.4g} 1/s" in swings["sentence"]
+    assert json.loads(shown(capsys, *loop, "--alpha", value))["verdict"]["kind"] == "settled"
+
+
+def test_a_problem_in_a_file(tmp_path, capsys):
+    (tmp_path / "cell.py").write_text(TWO)
+    run = ["solve", tmp_path / "cell.py", "--N", "20", "--Ts", "4ms", "--csv", "--out", tmp_path / "out"]
+    said = shown(capsys, *run, "--alpha", "3")
+    assert said.startswith("cell, tasks hand, rest, N = 20 steps of Ts = 4 ms")
+    assert "hand: x y of tip, level 1 of 2 (Damped, λ = 0.001); alpha = 3 1/s, z = alpha·Ts = 0.012." in said
+    assert "hand position error RMS zero" in said and "rest steps OK 20" in said
+    assert "status_rest" in (tmp_path / "out" / "trajectory.csv").read_text().splitlines()[0]
+    assert "hand: 3 1/s (z = 0.012), within" in shown(
+        capsys, "stability", tmp_path / "cell.py", "--Ts", "4ms", "--delay", "2", "--alpha", "3"
+    )
+    said = shown(capsys, "export", tmp_path / "cell.py", "--method", "EE", "--out", tmp_path / "step")
+    assert "to targets that are arguments" in said and "hand_position" in (tmp_path / "step/clik_step.h").read_text()
 
 
 def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, capsys):
@@ -80,39 +119,31 @@ def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, caps
 
     monkeypatch.setattr(pictures, "error", broken)
     with pytest.raises(SystemExit) as left:
-        main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--out", str(tmp_path)])
+        main([*ARM, "--alpha", "0", "--out", str(tmp_path)])
     said = capsys.readouterr().err.strip().splitlines()
     assert left.value.code == 1 and "no ink" in said[-1]
     assert {"trajectory.nc", "joints.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
-def test_a_disk_that_is_full_at_any_write_loses_no_file_before_it(solved, tmp_path, monkeypatch, capsys):
+def test_a_disk_that_is_full_at_any_write_loses_no_file_before_it(tmp_path, monkeypatch, capsys):
     """Every write of the command fails once: each file that was finished is in the folder, and the answer is given."""
-    names, check = {p.name for p in solved.iterdir()}, writing.check_target
-    for failing in itertools.count():
-        calls, out = itertools.count(), tmp_path / f"out{failing}"
+    move, count = writing.os.replace, 0
+    for failing in range(2):
+        calls, out = iter(range(9)), tmp_path / f"out{failing}"
 
-        def checked(target, overwrite, calls=calls, failing=failing):
-            if target.parent.exists() and next(calls) == failing:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            check(target, overwrite=overwrite)
+        def moved(*paths, calls=calls, failing=failing):
+            if next(calls) == failing:
+                raise OSError(28, "No space left on device")
+            move(*paths)
 
-        monkeypatch.setattr(writing, "check_target", checked)
-        try:
-            main(["solve", "planar:1,1", "--method", "EE", "--N", "30", "--alpha", "0", "--csv", "--out", str(out)])
-        except SystemExit as left:
-            shown = capsys.readouterr()
-            said = shown.err.strip().splitlines()
-            assert left.code == 2 and "No space left on device" in said[-1]
-            assert ("another --out" in said[-1]) == (failing < 2) and "joint velocity" in shown.out
-            assert "Held back: the gain is 0" in shown.out, shown.out
-            found = {p.name for p in out.glob("*.*")} - {writing.LIST}
-            assert found < names and len(found) == failing
-        else:
-            break
+        monkeypatch.setattr(writing.os, "replace", moved)
+        with pytest.raises(SystemExit) as left:
+            main([*ARM, "--csv", "--no-figures", "--out", str(out)])
+        monkeypatch.setattr(writing.os, "replace", move)
+        said = capsys.readouterr()
+        assert left.value.code == 2 and "No space left on device" in said.err and "another --out" in said.err
+        assert "joint velocity" in said.out and len(list(out.glob("trajectory*"))) == count + failing
         assert not list(tmp_path.rglob(".partial-*"))
-    assert failing == 7  # two files of data and five figures: each failed once
-    assert {p.name for p in out.iterdir()} == names
 
 
 def test_a_joint_at_rest_is_drawn_at_rest(solved):
@@ -126,21 +157,28 @@ def test_a_joint_at_rest_is_drawn_at_rest(solved):
     assert high - low > 0.01
 
 
-@pytest.mark.parametrize(
-    "argv, told",
-    [
-        (["robots", "nowhere.urdf"], "No such file"),
-        (["solve", "nowhere.urdf"], "No such file"),
-        (["solve", "panda", "--q0", "0", "nan", "0", "0", "0", "0", "0"], "must be finite"),
-        (["solve", "panda", "--q0", "1"], "must have shape (7,)"),
-        (["solve", "panda", "--alpha", "-1"], "at least 0"),
-        (["solve", "panda", "--near-singular", "x"], "must be a number"),
-    ],
-)
-def test_bad_input_is_one_line_and_2(argv, told, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as left:
-        main(argv)
-    shown = capsys.readouterr()
-    assert left.value.code == 2 and told in shown.err and shown.out == ""
-    assert shown.err.count("\n") == 1 and not any(tmp_path.iterdir())
+def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
+    """ "1.67e+05 % of a joint's limit, up to 1.67e+03 times it; 0 µs a step; 0.00918 µm"."""
+    file, run = tmp_path / "hand.urdf", ["--task", "xy", "--no-figures", "--out", tmp_path / "out"]
+    file.write_text(JAWED.format(joint="j3", jaw="flange").replace('velocity="3"', 'velocity="0.01"'))
+    said = shown(capsys, "solve", file, "--q0", 0.5, 0.9, 0.2, "--alpha", 20, "--target", 0.3, 0.2, *run)
+    assert re.search(r"up to [\d.]+ rad/s \(j2\), \d{1,3},\d{3} times its limit ", said), said
+    assert re.search(r"exceed a joint's velocity limit, by up to \d{1,3},\d{3} %", said), said
+    said = shown(capsys, "solve", file, "--q0", 0.5, 0.9, 0.2, "--reference", "circle", "--radius", "0.05", *run)
+    assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
+
+
+def test_a_tip_that_is_a_jaw_is_remarked_on_once(tmp_path, capsys):
+    file = tmp_path / "hand.urdf"
+    file.write_text(JAWED.format(joint="j3", jaw="left_finger"))
+    with pytest.warns(
+        errors.Remark, match="tip is 'left_finger', a gripper's jaw that joint 'j3' moves. The tip 'wris"
+    ):
+        ck.load_urdf(file)
+    main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
+    said = capsys.readouterr()
+    assert said.err.count("gripper's jaw") == 1 and '"remarks": ["The tip is' in said.out
+    file.write_text(JAWED.format(joint="j3", jaw="flange"))
+    main(["reach", str(file), "--random", "2", "--task", "xy"])
+    said = capsys.readouterr()
+    assert not said.err and "hand, tip flange, task x y" in said.out

@@ -81,11 +81,9 @@ def test_a_loop_too_slow_to_settle_is_not_said_to_settle(capsys):
         ([], None, {}),
         (["--delay", "34ms", "--Ts", "4ms", "--method", "EE"], {"delay": 8.5}, {"Ts": 0.004, "method": "EE"}),
         (["--delay", "2", "--method", "CN", "--M", "2"], {"delay": 2.0}, {"method": "CN", "M": 2}),
-        (["--delay", "2", "--method", "CN", "--stage", "chord"], {"delay": 2.0}, {"method": "CN"}),
         (["--lag", "10", "50", "ms"], {"lag": [0.01, 0.05]}, {}),
         (["--natural-frequency", "5Hz", "--damping-ratio", "0.4", "--command", "position"],
          {"natural_frequency": 10 * np.pi, "damping_ratio": 0.4, "command": "position"}, {}),
-        (["--measurement-delay", "3", "--filter", "0.5"], {"measurement_delay": 3, "smoothing": 0.5}, {}),
         (["--delay", "1", "--cutoff", "20Hz", "--smoothed", "command"],
          {"delay": 1.0, "cutoff": 20.0, "smoothed": "command"}, {}),
     ],
@@ -109,26 +107,18 @@ def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
         r"ur5 at the default posture: 0\.25 m/s in .* needs [\d.]+ % of joint \w+'s velocity limit\. ", robot
     )
     assert robot.replace(line[0], "") == alone  # the gains have no robot in them
-    held = (
-        "--posture",
-        0.1,
-        -1,
-        1,
-        0,
-        1,
-        0,
-        "--posture-rate",
-        60,
-        "--limits",
-        "bounded",
-        "--limit-rate",
-        12,
-        "--damping",
-        0.05,
+    held = ("--posture", 0.1, -1, 1, 0, 1, 0, "--limits", "bounded", "--damping", 0.05, "--task", "position")
+    said = answer(capsys, "ur5", *drive, *held)["robot"]
+    assert "posture: 1 1/s (z = 0.01), within what is recommended." in said
+    assert (
+        "joint limits: 10 1/s (z = 0.1), overshoots with one more sample of dead time: recommended up to 8.192 1/s."
+        in said
     )
-    said = answer(capsys, "ur5", *drive, *held, "--task", "position")["robot"]
-    assert "posture: 60 1/s (z = 0.6), UNSTABLE where J# gives all that it asks for: stable up to 58.89 1/s." in said
-    assert "joint limits: 12 1/s (z = 0.12), overshoots: without overshoot up to 10.55 1/s." in said
+
+
+def test_a_table_by_explicit_euler_has_no_column_beside_it(capsys):
+    assert "by explicit Euler ┃" in shown(capsys, "--delay", 2)
+    assert "by explicit Euler ┃" not in shown(capsys, "--delay", 2, "--method", "EE")
 
 
 @pytest.mark.parametrize(
@@ -136,17 +126,12 @@ def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
     [
         (["--method", "EULER"], "EXP-RK4, but is 'EULER' (did you mean 'EE'?)."),
         (["--Ts", "0"], "`--Ts` must be positive, but is 0."),
-        (["--filter", "1.2"], "must be below 1, the share of the old value that is kept"),
-        (["--damping-ratio", "0.4"], "`--damping-ratio` must come with `--natural-frequency`, but comes without."),
-        (["--map", "--cells", "1"], "Option `--cells` must be at least 2, but is 1."),
-        (["--cells", "8"], "Option `--cells` must come with --map, which it is for, but comes without."),
-        (["--Ts-range", "1ms", "9ms"], "must come with --map or --chart, which it is for, but comes without"),
-        (["--out", "mine"], "must come with --chart, --plane or --map, which write into it, but comes without."),
-        (["--json", "--map"], "Option `--json` must be left out with --map, --chart and --plane, but is given."),
-        (["--plane", "--delay", "3"], "Option `--delay` must be left out with --plane, which is of methods alone"),
-        (["--N", "3"], "Option `--N` must be at least 4, but is 3."),
-        (["panda", "--map", "--Ts-range", "0.1", "0.01"], "Option `--Ts-range` must increase, but is 0.1 to 0.01."),
-        (["--gains", "a", "b"], "names, but is '--gains'"),
+        (["--cutoff", "-1"], "`--cutoff` must be positive, but is -1."),
+        (["--damping-ratio", "0.4"], "Option `--damping-ratio` must come with a natural_frequency, but comes without."),
+        (["--json", "--draw", "map"], "Option `--json` must be left out with --draw, but is given."),
+        (["--draw", "chart"], "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
+        (["--N", "3", "--draw", "map"], "Option `--N` must be at least 4, but is 3."),
+        (["--gains", "a", "b"], "Unknown option --gains; "),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line_and_exit_code_2(arguments, line, capsys):
@@ -165,19 +150,20 @@ def opened(folder, name):
 
 
 def test_chart_has_the_recommended_gains(tmp_path, capsys):
-    main(["stability", "--Ts", "10ms", "--delay", "2", "--lag", "50ms", "--chart", "--out", str(tmp_path)])
-    assert {p.name for p in tmp_path.iterdir()} == {"gains.nc", "gains.png"}
+    main(["stability", "--Ts", "10ms", "--delay", "2", "--lag", "50ms", "--draw", "gains", "--out", str(tmp_path)])
+    assert {p.name for p in tmp_path.iterdir()} == {LIST, "gains.nc", "gains.png"}
     data = opened(tmp_path, "gains.nc")
     cell = data.isel(Ts=3, dead_time=-1)
     drive = ck.Drive(delay=float(cell.dead_time / cell.Ts), lag=0.05)
     assert float(cell.recommended) == pytest.approx(ck.gains(Ts=float(cell.Ts), drive=drive).recommended)
-    assert data.Ts.min() < 0.01 < data.Ts.max() and '"lag": [0.05]' in data.attrs["config"]
+    assert data.Ts.min() < 0.01 < data.Ts.max() and '"lag": 0.05' in data.attrs["config"]
 
 
-def test_map_of_loops_through_drives_agrees_with_the_limit(tmp_path, capsys):
+def test_map_of_loops_through_drives_agrees_with_the_limit(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("cnclik.cli.stability.CELLS", 10)
     drive = ["--Ts", "0.01", "--delay", "3", "--lag", "0.05", "--N", "300"]
-    main(["stability", "planar:1,1", "--method", "EE", "--map", *drive, "--cells", "10", "--out", str(tmp_path)])
-    assert {p.name for p in tmp_path.iterdir()} == {"map.nc", "map.png"}
+    main(["stability", "planar:1,1", "--method", "EE", "--draw", "map", *drive, "--out", str(tmp_path)])
+    assert {p.name for p in tmp_path.iterdir()} == {LIST, "map.nc", "map.png"}
     data = opened(tmp_path, "map.nc")
     assert data.ending.attrs["flag_meanings"].split()[3] == "DIVERGED"
     beyond = data.alpha / data.limit
@@ -186,22 +172,25 @@ def test_map_of_loops_through_drives_agrees_with_the_limit(tmp_path, capsys):
 
 
 def test_map_of_an_implicit_method_has_a_strip_over_its_passes(tmp_path, capsys, monkeypatch):
-    loops = ["stability", "planar:1,1", "--method", "IE", "--map", "--cells", "8", "--passes", "2", "--Ts", "0.1"]
+    monkeypatch.setattr("cnclik.cli.stability.CELLS", 8)
+    monkeypatch.setattr("cnclik.cli.stability.PASSES", (0, 1, 2))
+    loops = ["stability", "planar:1,1", "--method", "IE", "--draw", "map", "--Ts", "0.1"]
     main([*loops, "--out", str(tmp_path)])
-    assert {p.name for p in tmp_path.iterdir()} == {"map.nc", "map.png", "passes.nc", "passes.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {LIST, "map.nc", "map.png", "passes.nc", "passes.png"}
     data = opened(tmp_path, "map.nc")
     np.testing.assert_allclose(data.limit, 1 / data.Ts, rtol=1e-6)  # picard(5)
     assert '"robot": "planar:1,1"' in data.attrs["config"]
     np.testing.assert_allclose(0.1 * opened(tmp_path, "passes.nc").limit, [2, 1, 1.35321], rtol=1e-5)
     monkeypatch.setattr("cnclik.stability.maps.stability_map", None)
-    (tmp_path / "passes.png").write_text("mine")
+    (tmp_path / "passes.png").write_text("theirs")
     with pytest.raises(SystemExit):  # said before the work
         main([*loops, "--out", str(tmp_path)])
     assert "passes.png there is not cnclik's own" in capsys.readouterr().err
 
 
-def test_plane_has_the_limits_of_every_M(tmp_path, capsys):
-    main(["stability", "--plane", "--methods", "EE", "IE", "--passes", "2", "--out", str(tmp_path)])
+def test_plane_has_the_limits_of_every_M(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("cnclik.cli.stability.METHODS", ("EE", "IE"))
+    main(["stability", "--draw", "plane", "--out", str(tmp_path)])
     assert {p.name for p in tmp_path.iterdir()} == {LIST, "plane.md", "plane.nc", "plane.png"}
     rows = (tmp_path / "plane.md").read_text(encoding="utf-8")
     assert "| IE | picard(2) | 1.3532 | 1.0000 |" in rows and "| IE | exact | none | none |" in rows

@@ -90,7 +90,7 @@ def test_a_log_on_the_command_line(tmp_path, capsys):
     np.savetxt(log, table, delimiter=",", header="time,j1_cmd,j1_pos,j1_velocity", comments="", fmt="%.6f")
     limits.write_text("joint,velocity\n1,50\n")
     for options, code, words in (
-        ([], 0, "No limit is broken"),
+        ([], 0, "No limits are given."),
         (["--limits", str(limits)], 1, "Broken limits: 2. The worst: velocity of j1_cmd at 0.5 s."),
         (["--columns", "j1_pos", "--limits", str(limits)], 1, "Broken limits: 1. The worst: velocity of j1_pos"),
     ):

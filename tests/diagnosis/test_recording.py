@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cnclik.diagnosis.recording import clock, no_motion, sampling_time
+from cnclik.cli.log import clock, no_motion
+from cnclik.diagnosis.recording import sampling_time
 from cnclik.errors import ArgumentError
 
 TS = 0.002
@@ -69,14 +70,10 @@ def test_status_and_counts_are_no_motion():
     ("name", "factor"),
     [("t", 1), ("__time", 1), ("/header/stamp", 1), ("time_ms", 1e-3), ("stampNs", 1e-9), ("sec", 1), ("t [ms]", 1e-3)],
 )
-def test_names_of_times_are_those_of_tables_of_waypoints(name, factor):
-    """One reader: what a log calls its times a path may call them."""
-    from cnclik.problem.columns import meanings
-
+def test_names_of_times(name, factor):
     ticks = np.arange(5.0)[:, None]
     found, places, _ = clock((name,), 0.01 / factor * ticks)
     assert places == [0] and found == pytest.approx(0.01 * ticks[:, 0])
-    assert meanings("reference", "way.csv", (name, "x", "y"))[0] == ("time", pytest.approx(factor))
 
 
 @pytest.mark.parametrize("name", ["x", "q_t", "translation", "timer_state", "ms"])

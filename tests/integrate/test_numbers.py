@@ -90,7 +90,7 @@ def test_arrays_are_those_of_the_joint_values(engine):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"q": [0.3, 0.4]}, r"`q` must have shape \(3,\)"),
+        ({"q": [0.3, 0.4]}, r"`q` must have 3 joint values"),
         ({"q": [0.3, np.nan, 0.5]}, "`q` must be finite, but is nan at index"),
         ({"q": ["0.3", 0.4, 0.5]}, "`q` must be an array of real numbers"),
         ({"t": np.inf}, "`t` must be finite"),

@@ -185,8 +185,8 @@ def test_float32_derivatives():
 
 solve = functools.partial(ck.solve, LAW, HOLD)
 BAD = [
-    (lambda: solve(Q[:2], 0.1, 3), r"`q0` must have shape \(3,\), but has shape \(2,\)\."),
-    (lambda: solve(0.0, 0.1, 3), r"`q0` must have shape \(3,\), but has shape \(\)\."),
+    (lambda: solve(Q[:2], 0.1, 3), r"`q0` must have 3 joint values, but has 2\."),
+    (lambda: solve(0.0, 0.1, 3), r"`q0` must have 3 joint values, but is a single number\."),
     (lambda: solve([0, np.nan, 0], 0.1, 3), r"`q0` must be finite, but is nan at index \(1,\)\."),
     (lambda: solve(["a", 0, 0], 0.1, 3), "`q0` must be an array of real numbers"),
     (lambda: solve(None, 0.1, 3), "`q0` must be an array of real numbers, but is None"),
@@ -205,9 +205,9 @@ BAD = [
     (lambda: ck.solve(ARM, HOLD, Q, 0.1, 3), "`law` must be a Law, but is Chain"),
     (lambda: ck.solve(LAW, [1, 2], Q, 0.1, 3), r"`reference` must be a Reference such as hold\(...\), .* but is list"),
     (lambda: ck.solve(LAW, ck.hold([1]), Q, 0.1, 3), "`reference` must give positions of 2 coordinates"),
-    (lambda: ck.step(LAW, HOLD, Q[:1], 0, 0.1), r"`q` must have shape \(3,\), but has shape \(1,\)"),
+    (lambda: ck.step(LAW, HOLD, Q[:1], 0, 0.1), r"`q` must have 3 joint values, but has 1"),
     (lambda: ck.step(LAW, HOLD, Q, None, 0.1), "`t` must be a number, but is None"),
-    (lambda: jax.jit(lambda q: solve(q, 0.1, 3).q)(Q[:2]), r"`q0` must have shape \(3,\), but has shape \(2,\)\."),
+    (lambda: jax.jit(lambda q: solve(q, 0.1, 3).q)(Q[:2]), r"`q0` must have 3 joint values, but has 2\."),
 ]
 
 

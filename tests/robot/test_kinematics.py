@@ -1,4 +1,4 @@
-"""Pose, Jacobian and manipulability against Pinocchio on random chains."""
+"""Pose and Jacobian against Pinocchio on random chains."""
 
 import functools
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import cnclik as ck
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, assemble
 from cnclik.robot.fixed import Offset
-from tests.oracles import close, pinocchio_pose_and_jacobian, planar_jacobian, transform
+from tests.oracles import close, pinocchio_pose_and_jacobian, transform
 
 KINDS = ["R", "P", "RPRRPRR", "PRRPRRR", "RRRRRRR"]
 
@@ -116,25 +116,3 @@ def test_float32_on_a_long_chain():
     wanted, jacobian = pinocchio_pose_and_jacobian(joints, tip, q.astype(np.float32).astype(float))
     close(ck.forward(chain, q.astype(np.float32)).position, wanted[:3, 3], atol=3e-6)
     close(ck.jacobian(chain, q.astype(np.float32)), jacobian, atol=5e-6)
-
-
-# --- manipulability -----------------------------------------------------------------------------------
-
-
-def test_manipulability():
-    chain = mixed()
-    for q in np.random.default_rng(7).uniform(-3, 3, (3, 7)):
-        j = np.asarray(ck.jacobian(chain, q))
-        assert ck.manipulability(chain, q) == pytest.approx(np.prod(np.linalg.svd(j, compute_uv=False)), rel=1e-9)
-    arm, q = ck.planar_arm([0.5, 0.8]), np.array([0.3, 1.1])
-    wanted = abs(np.linalg.det(planar_jacobian(np.array([0.5, 0.8]), q)))  # l₁ l₂ |sin θ₂|
-    assert wanted == pytest.approx(0.4 * np.sin(1.1))
-    assert ck.manipulability(arm, q, ck.position("xy")) == pytest.approx(wanted, rel=1e-13)
-
-
-def test_manipulability_at_a_singularity():
-    measure = functools.partial(ck.manipulability, ck.planar_arm([1.0, 1.0]), task=ck.position("xy"))
-    assert measure(np.zeros(2)) == 0
-    assert np.all(np.isfinite(jax.grad(measure)(jnp.zeros(2))))
-    slope = jax.grad(measure)(jnp.array([0.3, 0.5]))
-    close(slope, [0, np.cos(0.5)], atol=1e-14)

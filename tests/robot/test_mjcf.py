@@ -127,14 +127,17 @@ def humanoid(text=HUMANOID):
 
 
 def test_a_joint_that_follows_is_where_the_model_holds_it():
-    """MuJoCo has it as a joint of its own, and does not move it where only kinematics are computed."""
+    """MuJoCo has it as a joint of its own, and does not move it where only kinematics are computed.
+
+    One that is held at a constant is no joint of the robot, and neutral.
+    """
     model, robot = mujoco.MjModel.from_xml_string(MIXED), ck.load_mjcf(MIXED, tip="hand", base="base")
     assert robot.joint_names == ("turn", "lift", "roll", "left")
-    q, v = ck.to_mujoco_q(robot, model, [[0.1, 0.2, 0.3, 0.03]], [0.0, 0.0, 0.0, 2.0])
+    q, v = ck.to_model_q(robot, model, [[0.1, 0.2, 0.3, 0.03]], [0.0, 0.0, 0.0, 2.0])
     of = {name: model.joint(name) for name in ("right", "stuck")}
     at, speed = ({name: x[0, getattr(joint, adr)[0]] for name, joint in of.items()} for x, adr in
                  ((q, "qposadr"), (v, "dofadr")))  # fmt: skip
-    np.testing.assert_allclose([at["right"], at["stuck"]], [0.01 + 0.002 + 0.8 * 0.03, np.deg2rad(5) + 0.3])
+    np.testing.assert_allclose([at["right"], at["stuck"]], [0.01 + 0.002 + 0.8 * 0.03, 0.0])
     assert speed == {"right": 1.6, "stuck": 0.0}
 
 
@@ -215,9 +218,9 @@ def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
         (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
         (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
         (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),
-        (lambda: ck.from_mujoco_q(*humanoid(), np.zeros(13)), "`q` must hold a quaternion for each free"),
-        (lambda: ck.to_mujoco_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),
-        (lambda: ck.to_mujoco_q(*humanoid(), np.zeros(8), np.zeros(4)), "`qdot` must have shape .8,., but"),
+        (lambda: ck.from_model_q(*humanoid(), np.zeros(13)), "`q` must hold a quaternion for each free"),
+        (lambda: ck.to_model_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),
+        (lambda: ck.to_model_q(*humanoid(), np.zeros(8), np.zeros(4)), "`qdot` must have shape .8,., but"),
         (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
         (lambda: ck.load("panda", tip="hand"), "`tip` must be 'flange' for the robot 'panda', but is 'hand'"),
     ],

@@ -48,8 +48,6 @@ DOORS = {
     "line": lambda x: at_rest(ck.line(x, [0.0, 0.0, 0.0], duration=1.0)),
     "reach": lambda x: rows(read(x, pose())),
     "base of reach": lambda x: inverted(read(np.eye(4), pose(), x)),
-    "base": lambda x: tip_of(ck.from_dh([0.0], [0.0], [0.0], base=x)),
-    "tool": lambda x: tip_of(ck.from_dh([0.0], [0.0], [0.0], tool=x)),
     "with_tool": lambda x: tip_of(ck.with_tool(STRAIGHT, x)),
     "with_base": lambda x: tip_of(ck.with_base(STRAIGHT, x)),
     "home": lambda x: tip_of(ck.from_screws([[0, 0, 0]], [[0, 0, 1]], x)),

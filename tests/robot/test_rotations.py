@@ -42,41 +42,33 @@ NEAR_ZERO = [0.0, 1e-300, 1e-20, 1e-12, 1e-8, 1e-5, 1e-3, 0.0099999, 0.0100001, 
 BETWEEN = [0.3, 1.0, np.pi / 2, 2.0, 2 * np.pi / 3, 3.0]
 NEAR_PI = [np.pi - 1e-2, np.pi - 1e-4, np.pi - 1e-7, np.pi - 1e-10]
 AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1), (0.6, -0.8, 0), (-1, 1, 1), (0.2, -0.3, 0.9)]
-VECTORS = [
-    pytest.param(angle * np.array(axis) / np.linalg.norm(axis), id=f"{angle:.8g}-{axis}")
-    for angle in NEAR_ZERO + BETWEEN + NEAR_PI
-    for axis in AXES
-]
+UNIT = [np.array(axis) / np.linalg.norm(axis) for axis in AXES]
+ANGLES = NEAR_ZERO + BETWEEN + NEAR_PI
 
 
-@pytest.mark.parametrize("w", VECTORS)
-def test_exp_and_log_values(w):
-    r = exp(w)
-    close(r, Rotation.from_rotvec(w).as_matrix(), atol=1e-15)
-    close(r, jaxlie.SO3.exp(jnp.asarray(w)).as_matrix(), atol=1e-12)
-    exact = Rotation.from_rotvec(w).as_matrix()
-    # Near π a rounding of R turns the vector by about as much, and never more.
-    close(log(exact), w, atol=2e-15, rtol=2e-15)
-    if 1e-3 < np.linalg.norm(w) < 3.1:
-        close(log(exact), jaxlie.SO3.from_matrix(jnp.asarray(exact)).log(), atol=1e-12)
+@pytest.mark.parametrize("angle", ANGLES)
+def test_exp_and_log_values(angle):
+    for w in (angle * axis for axis in UNIT):
+        exact = Rotation.from_rotvec(w).as_matrix()
+        close(exp(w), exact, atol=1e-15)
+        close(exp(w), jaxlie.SO3.exp(jnp.asarray(w)).as_matrix(), atol=1e-12)
+        # Near π a rounding of R turns the vector by about as much, and never more.
+        close(log(exact), w, atol=2e-15, rtol=2e-15)
+        if 1e-3 < angle < 3.1:
+            close(log(exact), jaxlie.SO3.from_matrix(jnp.asarray(exact)).log(), atol=1e-12)
 
 
-@pytest.mark.parametrize("w", VECTORS)
-def test_derivative_of_exp(w):
-    for direction in np.eye(3):
-        _, slope = derivative_of_exp(exp, (jnp.asarray(w),), (jnp.asarray(direction),))
-        exact = scipy.linalg.expm_frechet(hat(w), hat(direction), compute_expm=False)
-        close(slope, exact, atol=2e-14)
-
-
-@pytest.mark.parametrize("w", VECTORS)
-def test_log_undoes_exp_to_second_order(w):
+@pytest.mark.parametrize("angle", ANGLES)
+def test_derivatives(angle):
     """log(exp(w)) = w for angles under π: so the derivative is I, and the second one 0."""
-    close(slope_there_and_back(w), np.eye(3), atol=1e-12)
-    close(slope_there_and_back_reverse(w), np.eye(3), atol=1e-12)
-    if np.linalg.norm(w) <= 0.0199996 or np.linalg.norm(w) > 0.05:
+    for w in (angle * axis for axis in UNIT):
+        for direction in np.eye(3):
+            _, slope = derivative_of_exp(exp, (jnp.asarray(w),), (jnp.asarray(direction),))
+            exact = scipy.linalg.expm_frechet(hat(w), hat(direction), compute_expm=False)
+            close(slope, exact, atol=2e-14)
+        close(slope_there_and_back(w), np.eye(3), atol=1e-12)
+        close(slope_there_and_back_reverse(w), np.eye(3), atol=1e-12)
         close(curvature_there_and_back(w), 0, atol=1e-9)
-    assert np.all(np.isfinite(curvature_there_and_back(w)))
 
 
 turn_slope = jax.jit(jax.jacfwd(lambda s, r, axis: log(r @ exp(s * axis))))
@@ -117,29 +109,14 @@ def test_exp_of_log_is_the_same_rotation(w):
     close(exp(again), r, atol=5e-15)
 
 
-def test_exp_is_a_rotation_for_large_vectors():
-    for w in 20 * np.random.default_rng(0).normal(size=(50, 3)):
-        r = np.asarray(exp(w))
-        close(r @ r.T, np.eye(3), atol=1e-14)
-        assert np.linalg.det(r) == pytest.approx(1)
-        close(r, Rotation.from_rotvec(w).as_matrix(), atol=2e-14)
-
-
-@pytest.mark.parametrize("w", VECTORS[::3])
-def test_quaternions(w):
-    r = Rotation.from_rotvec(w)
-    wanted = r.as_quat(canonical=True, scalar_first=True)
-    found = np.asarray(quaternion(r.as_matrix()))
-    close(found * np.sign(found @ wanted), wanted, atol=1e-15)
-    assert found[0] >= 0
-    back = jnp.array(rot.rotation_from_quaternion(found))
-    close(back, r.as_matrix(), atol=2e-15)
-
-
-def test_quaternion_half_turns_have_finite_derivatives():
-    for axis in (*np.eye(3), np.array([1, 1, 0]) / np.sqrt(2), np.ones(3) / np.sqrt(3)):
-        r = 2 * np.outer(axis, axis) - np.eye(3)
-        assert np.all(np.isfinite(quaternion_slope(r)))
+def test_quaternions():
+    for w in (angle * axis for angle in ANGLES[::3] for axis in UNIT):
+        r = Rotation.from_rotvec(w)
+        wanted = r.as_quat(canonical=True, scalar_first=True)
+        found = np.asarray(quaternion(r.as_matrix()))
+        close(found * np.sign(found @ wanted), wanted, atol=1e-15)
+        assert found[0] >= 0
+        close(jnp.array(rot.rotation_from_quaternion(found)), r.as_matrix(), atol=2e-15)
 
 
 @pytest.mark.parametrize("w", [[np.pi / 2, 0, 0], [0, -np.pi / 2, 0], 2 * np.pi / 3 * np.ones(3) / np.sqrt(3)])
@@ -151,15 +128,13 @@ def test_quaternion_slopes_where_entries_are_equally_large(w):
     close(found, np.vstack([-q[1:], q[0] * np.eye(3) - hat(q[1:])]) / 2, atol=1e-15)
 
 
-def test_rotation_about_literal_axis_is_rodrigues():
-    for axis in AXES:
-        axis = np.array(axis) / np.linalg.norm(axis)
+def test_a_fixed_turn_is_rodrigues():
+    for axis in UNIT:
         for angle in (0.0, 0.4, -2.5, 9.0):
-            sine, cosine = np.sin(angle), np.cos(angle)
             wanted = scipy.linalg.expm(hat(axis) * angle)
-            literal = fixed.rotation_about(tuple(float(a) for a in axis), jnp.asarray(sine), jnp.asarray(cosine))
-            traced = fixed.rotation_about(tuple(jnp.asarray(axis)), jnp.asarray(sine), jnp.asarray(cosine))
-            close(np.array(literal, float), wanted, atol=1e-13)
+            literal = fixed.turn(tuple(axis.tolist()), angle)
+            traced = fixed.turn(tuple(jnp.asarray(axis)), jnp.asarray(angle))
+            close(literal, wanted, atol=1e-13)
             close(np.array(traced, float), wanted, atol=1e-13)
 
 
@@ -167,10 +142,10 @@ def test_literals_fold():
     """Products with a literal 0 or 1 vanish: what compiled-in geometry is for."""
     x = jnp.asarray(2.0)
     assert fixed.mul(0.0, x) == 0.0 and isinstance(fixed.mul(0.0, x), float)
-    assert fixed.mul(1.0, x) is x and fixed.add(x, 0.0) is x
+    assert fixed.mul(1.0, x) is x and fixed.add(x, 0.0) is x and fixed.dot((0.0, 1.0), (x, x)) is x
     assert fixed.mul(x, -1.0) == -2
-    moved = fixed.rotation_about((0.0, 0.0, 1.0), x, x)
-    assert [[isinstance(v, float) for v in row] for row in moved] == [[False, False, True]] * 2 + [[True] * 3]
+    turned = fixed.turn((0.0, 0.0, 1.0), x)
+    assert [[isinstance(v, float) for v in row] for row in turned] == [[False, False, True]] * 2 + [[True] * 3]
     # An array that happens to be 0 does not fold: its lane may move.
     assert not isinstance(fixed.mul(jnp.asarray(0.0), x), float)
 

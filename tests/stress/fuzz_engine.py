@@ -4,7 +4,7 @@ Programs are chains of operations, branches, loops, loops of a batch, stacks and
 have few bits, so that nothing is rounded and results are equal to the bit. Functions that round are compared one by
 one, by ulps, on special numbers and on all scales.
 
-    python -m tests.stress.fuzz_engine                        # 2,000 programs and 100,000 values, or what --seconds allow
+    python -m tests.stress.fuzz_engine                        # 2,000 programs and 100,000 values, or --seconds
     python -m tests.stress.fuzz_engine --seed 3 --number 17   # one program again, with its operations
 
 Exit code 1, and the command that repeats it, for every difference.
@@ -41,26 +41,82 @@ SIMPLE = {
     "fff": [
         *(jnp.maximum, jnp.minimum, lambda a, b: few_bits(a + b), lambda a, b: few_bits(a - b), jnp.fmod),
         *(lambda a, b: few_bits(a * b), lambda a, b: few_bits(a / jnp.where(b > 0, 2.0, -4.0).astype(a.dtype))),
-        *(lambda a, b: a * 0 - b, lambda a, b: -(a - b), lambda a, b: 2 * a + b * 0.5, jnp.copysign, lambda a, b: 0 - b),
+        *(
+            lambda a, b: a * 0 - b,
+            lambda a, b: -(a - b),
+            lambda a, b: 2 * a + b * 0.5,
+            jnp.copysign,
+            lambda a, b: 0 - b,
+        ),
     ],
-    "ff": [jnp.negative, jnp.abs, jnp.floor, jnp.ceil, jnp.round, jnp.sign, jnp.square, lambda a: few_bits(a**3),
-           lambda a: a - 0.0, lambda a: a / 4, jnp.trunc, lambda a: lax.clamp(a.dtype.type(-1), a, a.dtype.type(2)),
-           lambda a: lax.bitcast_convert_type(lax.bitcast_convert_type(a, f"uint{8 * a.dtype.itemsize}"), a.dtype)],
-    "iii": [jnp.add, jnp.subtract, jnp.multiply, lax.div, lax.rem, jnp.maximum, jnp.minimum, lax.bitwise_and, lax.bitwise_or,
-            lax.bitwise_xor, lax.shift_left, lax.shift_right_logical, lax.shift_right_arithmetic, jnp.floor_divide, jnp.mod],
-    "ii": [jnp.negative, jnp.sign, jnp.invert, lambda a: a**3, lambda a: a + 1, lambda a: a * 109 + 89, lambda a: a << 3,
-           lambda a: a // 3, lambda a: a % 5, lambda a: jnp.where(a + 1 > a, a, 0), lambda a: a >> 1],
+    "ff": [
+        jnp.negative,
+        jnp.abs,
+        jnp.floor,
+        jnp.ceil,
+        jnp.round,
+        jnp.sign,
+        jnp.square,
+        lambda a: few_bits(a**3),
+        lambda a: a - 0.0,
+        lambda a: a / 4,
+        jnp.trunc,
+        lambda a: lax.clamp(a.dtype.type(-1), a, a.dtype.type(2)),
+        lambda a: lax.bitcast_convert_type(lax.bitcast_convert_type(a, f"uint{8 * a.dtype.itemsize}"), a.dtype),
+    ],
+    "iii": [
+        jnp.add,
+        jnp.subtract,
+        jnp.multiply,
+        lax.div,
+        lax.rem,
+        jnp.maximum,
+        jnp.minimum,
+        lax.bitwise_and,
+        lax.bitwise_or,
+        lax.bitwise_xor,
+        lax.shift_left,
+        lax.shift_right_logical,
+        lax.shift_right_arithmetic,
+        jnp.floor_divide,
+        jnp.mod,
+    ],
+    "ii": [
+        jnp.negative,
+        jnp.sign,
+        jnp.invert,
+        lambda a: a**3,
+        lambda a: a + 1,
+        lambda a: a * 109 + 89,
+        lambda a: a << 3,
+        lambda a: a // 3,
+        lambda a: a % 5,
+        lambda a: jnp.where(a + 1 > a, a, 0),
+        lambda a: a >> 1,
+    ],
     "ffb": [jnp.less, jnp.less_equal, jnp.equal, jnp.not_equal, jnp.greater],
     "iib": [jnp.less, jnp.less_equal, jnp.equal, jnp.not_equal, jnp.greater_equal],
     "bbb": [jnp.logical_and, jnp.logical_or, jnp.logical_xor],
     "bb": [jnp.logical_not],
     "fb": [jnp.isnan, jnp.isfinite, lambda a: a == a],
-}  # fmt: skip
+}
 OVER = [  # of a whole array, with as many entries as before
-    *(jnp.flip, jnp.sort, lambda a: jnp.roll(a, 1), lambda a: a.at[0].set(a[-1]), lambda a: jnp.broadcast_to(a.max(), a.shape)),
-    *(lambda a: a[::-1] * 1, lambda a: jnp.concatenate([a[1:], a[:1]]), lambda a: jnp.where(jnp.arange(len(a)) > 0, a, a[0])),
-    lambda a: a.at[jnp.argmax(a)].set(0), lambda a: lax.cummax(a), lambda a: jnp.tile(a, 2)[: len(a)],
-]  # fmt: skip
+    *(
+        jnp.flip,
+        jnp.sort,
+        lambda a: jnp.roll(a, 1),
+        lambda a: a.at[0].set(a[-1]),
+        lambda a: jnp.broadcast_to(a.max(), a.shape),
+    ),
+    *(
+        lambda a: a[::-1] * 1,
+        lambda a: jnp.concatenate([a[1:], a[:1]]),
+        lambda a: jnp.where(jnp.arange(len(a)) > 0, a, a[0]),
+    ),
+    lambda a: a.at[jnp.argmax(a)].set(0),
+    lambda a: lax.cummax(a),
+    lambda a: jnp.tile(a, 2)[: len(a)],
+]
 
 
 class Maker:
@@ -144,8 +200,11 @@ class Maker:
 
         def each(s):  # as many rounds for each entry as it asks for
             def one(*s):
-                return lax.while_loop(lambda c: (c[1] < (s[1].astype("int32") & 3)) & (c[0][0] < 40),
-                                      lambda c: (alone(c[0]), c[1] + 1), (s, 0))[0]  # fmt: skip
+                return lax.while_loop(
+                    lambda c: (c[1] < (s[1].astype("int32") & 3)) & (c[0][0] < 40),
+                    lambda c: (alone(c[0]), c[1] + 1),
+                    (s, 0),
+                )[0]
 
             return jax.vmap(one)(*s) if s[0].ndim else one(*s)
 
@@ -157,8 +216,9 @@ class Maker:
             if kind == 2:
                 return lax.fori_loop(0, count(s), lambda _, s: inner(s), s)
             if kind == 3:
-                return lax.while_loop(lambda c: (c[1] < count(s)) & ~jnp.any(c[0][0] > 60),
-                                      lambda c: (inner(c[0]), c[1] + 1), (s, 0))[0]  # fmt: skip
+                return lax.while_loop(
+                    lambda c: (c[1] < count(s)) & ~jnp.any(c[0][0] > 60), lambda c: (inner(c[0]), c[1] + 1), (s, 0)
+                )[0]
             return over(s) if kind == 4 else each(s)
 
         return run
@@ -223,8 +283,31 @@ def tried(seed, numbers) -> tuple[list, int]:
     return bad, count
 
 
-ONE = "exp log sin cos tan sqrt tanh log1p expm1 asin acos atan sinh cosh cbrt erf exp2 logistic rsqrt floor round sign".split()
-TWO = "add sub mul div atan2 pow rem max min nextafter".split()
+ONE = [
+    "exp",
+    "log",
+    "sin",
+    "cos",
+    "tan",
+    "sqrt",
+    "tanh",
+    "log1p",
+    "expm1",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "cbrt",
+    "erf",
+    "exp2",
+    "logistic",
+    "rsqrt",
+    "floor",
+    "round",
+    "sign",
+]
+TWO = ["add", "sub", "mul", "div", "atan2", "pow", "rem", "max", "min", "nextafter"]
 
 
 def values(seed, count) -> tuple[list, int]:

@@ -48,7 +48,7 @@ def test_an_axis_z_must_be_alpha_Ts():
 @pytest.mark.parametrize(
     ("fixed", "axes", "drop"),
     [
-        ({"inverse": "damped", "damping": 0.1}, {}, []),
+        ({"damping": 0.1}, {}, []),
         ({}, {"damping": [0.01, 0.1]}, []),
         ({"alpha": [5.0, 10.0]}, {}, ["alpha"]),
     ],

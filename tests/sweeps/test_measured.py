@@ -89,7 +89,7 @@ def test_what_is_not_asked_for_changes_nothing():
         ({"feedback": "measure"}, {}, "did you mean 'measured'"),
         ({"noise": -1e-3}, {}, "`noise` must be at least 0, but is -0.001"),
         ({}, {"noise": [0.0, -1e-3]}, "`axes.noise` must hold values that are at least 0, but holds -0.001"),
-        ({"noise": [1e-3] * 3}, {}, r"`noise` must have shape \(\) or \(1,\) or \(2,\), but has shape \(3,\)"),
+        ({"noise": [1e-3] * 3}, {}, "`noise` must have 1 or 2 numbers, but has 3"),
         ({"nois": 1e-3}, {}, r"holds 'nois' \(did you mean 'noise'\?\)"),
         ({"delay": "round(limit)"}, {}, "`delay` must not depend on itself"),
     ],

@@ -138,27 +138,6 @@ def test_a_folder_with_something_else_is_left_alone(path, tmp_path):
         store.run(files.read(path), tmp_path / "file")
 
 
-@pytest.mark.parametrize("fresh", [False, True])
-@pytest.mark.parametrize("name", ["config.json", "summary.csv"])
-@pytest.mark.parametrize("text", ['{"mine": 1}', "5", "[{}]", "[" * 200_000, "no JSON", "\xff"], ids=range(6))
-def test_a_file_of_someone_elses_is_not_written_over(path, tmp_path, name, text, fresh):
-    (tmp_path / name).write_text(text, "latin-1")
-    with pytest.raises(ArgumentError, match=f"`out` must be a new folder, or one of a sweep, but {name} in"):
-        store.run(files.read(path), tmp_path, fresh=fresh)
-    assert [p.name for p in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text("latin-1") == text
-    (tmp_path / name).unlink()
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(ArgumentError, match="`out` must be a new folder, or one of a sweep"):
-        store.run(files.read(path), tmp_path, fresh=fresh)
-
-
-def test_results_without_their_data_are_made_anew(path, tmp_path):
-    """As those of a repository, which has no room for the data."""
-    (tmp_path / "config.json").write_text('{"cnclik": "0.1.0", "spec": {}}')
-    (tmp_path / "summary.csv").write_text("old")
-    assert store.prepare(files.read(path), tmp_path) is None
-
-
 def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
     names = ("data.zarr", "data.zarr.old", "data.zarr.new")
     for name in names:

@@ -7,7 +7,8 @@ import pytest
 import cnclik as ck
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
-from cnclik.task.task import coordinates, rows
+from cnclik.task.shapes import Distance
+from cnclik.task.task import Task, coordinates, rows
 from tests.oracles import close, robot_file
 from tests.robot.test_trees import ARMS, G1, postures
 from tests.robot.test_urdf import Pinocchio, oracle
@@ -86,7 +87,7 @@ def test_distances_of_almost_parallel_capsules(dtype):
     def found(angle):
         end = np.array([0.2, 0.1, 0.02]) - 0.15 * angle * np.array([0.0, 1.0, 0.0])
         one, other = ck.capsule(None, 0.01, (0, 0, 0), (0.3, 0, 0)), ck.capsule(None, 0.01, (0.05, 0.1, 0.02), end)
-        task, q = ck.distance(one, other).on(FRANKA), np.zeros(FRANKA.n, dtype)
+        task, q = Task(parts=(Distance(one=one, other=other),)), np.zeros(FRANKA.n, dtype)
         return coordinates(task, At(modelled(FRANKA), q))[0]
 
     for angle in (3e-2, 1e-3, 9e-4, 1e-4, 1e-6, 3e-8, 1e-9, 0.0):
@@ -121,8 +122,8 @@ def test_a_distance_is_controlled():
         (lambda: ck.capsule("hand", 0.1, (0, 0, 0), (0, 0, 0)), "`end` must be another point"),
         (lambda: ck.distance(ck.half_space((0, 0, 1)), ck.sphere("hand", 0.1)), r"`one` must be ck.sphere"),
         (lambda: ck.distance(ck.sphere("hand", 0.1), ck.half_space((0, 0, 1))).on(FRANKA), "`tip` must"),
-        (lambda: ck.wall(ck.distance(*[ck.sphere("a", 0.1)] * 2), above=0), "`task` must be of shapes on two links"),
-        (lambda: ck.wall(ck.distance(ck.sphere(None, 1), ck.half_space((0, 0, 1))), above=0), "`task` must be of sha"),
+        (lambda: ck.distance(*[ck.sphere("a", 0.1)] * 2), "`one` must be on another link than `other`, but is on a, t"),
+        (lambda: ck.distance(ck.sphere(None, 1), ck.half_space((0, 0, 1))), "`one` must be on another .* the base, t"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, says):

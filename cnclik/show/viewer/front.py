@@ -129,6 +129,9 @@ def read_run(path) -> tuple:
         del config["verb"]
     except Exception as error:  # damaged files raise all kinds of errors in HDF5 and xarray
         raise errors.fail("FILE", "be a run of `cnclik solve`", f"{path.name} is not: {error}") from None
+    if str(config["robot"]).endswith(".py"):
+        again = f"view {config['robot']}"
+        raise errors.fail("FILE", f"be played by `cnclik {again}`, whose robot is defined there", f"is {path.name!r}")
     made = problem_from(**config)
     if data.sizes.get("joint") != made.law.chain.n:
         raise errors.fail("FILE", f"hold joint values of {made.name}'s joints", f"holds {data.sizes.get('joint')}")

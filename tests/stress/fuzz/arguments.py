@@ -12,8 +12,8 @@ import jax
 import numpy as np
 
 from cnclik.cli import VERBS, main
-from cnclik.problem import words
-from cnclik.problem.options import SWEPT
+from cnclik.problem.options import NAME, OPTIONS
+from cnclik.problem.words import TASKS
 from tests.specs import reaching
 from tests.stress.fuzz import stores
 from tests.stress.fuzz.judge import one_line
@@ -28,55 +28,26 @@ FILES = ("arm.urdf", "way.csv", "targets.npy", "a.toml", "whole", ".", "/dev/zer
          "", "a/b/c", "x" * 300, "pipe", "a\nb", "[/]", "é.csv", "arm.urdf/x", "\ud800")  # fmt: skip
 ROBOTS = ("panda", "ur5", "planar:1,1", "planar:1,1,1", "planar-clockwise:1,1", "arm.urdf", "planar", "planar:",
           "planar:nan", "planar:1e308,1e308", "planar:-1", "planar:1" + ",1" * 40, "pandda", "way.csv")  # fmt: skip
-OUT = (
-    "out",
-    ".",
-    "own",
-    "whole",
-    "out/a/b",
-    "way.csv",
-    "/dev/null",
-    "/dev/full/x",
-    "x" * 300,
-    "",
-    "out.npz",
-    "out.csv",
-    "out.nc",
-    "[/]",
-    "arm.urdf",
-)
+OUT = ("out", ".", "own", "whole", "out/a/b", "way.csv", "/dev/null", "/dev/full/x", "x" * 300, "", "out.npz",
+       "out.csv", "out.nc", "[/]", "arm.urdf")  # fmt: skip
 CHOICES = {
-    **{
-        "robot": ROBOTS,
-        "task": (*words.TASKS, "xy", "xyrz", "z"),
-        "inverse": tuple(words.INVERSES),
-        "stage": tuple(words.STAGES),
-    },
-    **{
-        "method": words.METHODS,
-        "methods": words.METHODS,
-        "reference": (*words.REFERENCES, "way.csv"),
-        "limits": tuple(words.LIMITS),
-    },
-    **{
-        "future": words.FUTURES,
-        "command": words.COMMANDS,
-        "feedback": words.FEEDBACKS,
-        "out": OUT,
-        "over": ("alpha", "damping", "links", "tool", "Ts", "feedforward"),
-    },
-    **{
-        "loss": ("tracking", "jerk=1e-4", "worst=2", "settling"),
-        "tip": ("l1", "tip"),
-        "base": ("l0",),
-        "spec": ("a.toml",),
-    },
-    **{
-        "set": ("alpha=5", "axes.M=[1,2]", "N=3", "alpha=9**9**9", "method=CN"),
-        "shape": ("scalar", "per-axis"),
-    },
-    "name": ("clik_step", "example", "NULL", "int", "a/b"),
-    "near": ("0", "-90", "1e9", "90deg", "nan", "3.2", "previous"),
+    "robot": (*ROBOTS, "cell.py"),
+    "task": (*TASKS, "xy", "xyrz", "z"),
+    "method": ("EE", "CN", "EXP-MIDPOINT", "RK4"),
+    "reference": ("hold", "line", "circle", "lissajous", "way.csv"),
+    "limits": ("velocity_scaling", "bounded"),
+    "begin": ("q0", "on-path"),
+    "command": ("velocity", "position"),
+    "feedback": ("measured", "commanded", "rebased"),
+    "smoothed": ("error", "command", "target"),
+    "out": OUT,
+    "over": ("alpha", "damping", "links", "tool", "Ts", "feedforward"),
+    "loss": ("tracking", "jerk=1e-4", "worst=2", "settling"),
+    "tip": ("l1", "tip"),
+    "base": ("l0",),
+    "spec": ("a.toml",),
+    "set": ("alpha=5", "axes.M=[1,2]", "N=3", "alpha=9**9**9", "method=CN"),
+    "near": ("0", "-90", "1e9", "90deg", "nan", "3.2"),
     "reading": ("on-path/once/consistent", "printed/twice/printed"),
 }
 
@@ -118,6 +89,11 @@ ARM = b"""<robot name="r"><link name="l0"/><link name="l1"/><joint name="j" type
 <axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 
+CELL = """import cnclik as ck
+def problem(alpha=5.0): return ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=alpha), None, [0.3, 0.5]
+"""
+
+
 def _args(verb):
     return importlib.import_module(f"cnclik.cli.{verb}").Args
 
@@ -151,7 +127,7 @@ def _word(rng, name, hint, odd):
     if given and chance(rng, 1 - odd / 3):
         word = any_of(rng, given)
         return slipped(rng, word) if chance(rng, odd / 3) else word
-    if kinds & {int, float} or SWEPT.get(name, SWEPT["robot"]).kind in ("number", "numbers", "integer"):
+    if kinds & {int, float} or (name in OPTIONS and OPTIONS[name].kind != NAME):
         return any_of(rng, NUMERIC if chance(rng, odd) else NUMERIC[:6])
     return any_of(rng, TEXTS if chance(rng, odd / 3) else FILES if chance(rng, odd) else FILES[:5]).replace("\x00", "")
 
@@ -184,6 +160,7 @@ def _furnish(folder, data):
     (folder / "way.csv").write_text("0,0.5,1,0\n1,1,0.5,0\n2,0.5,0.5,0\n")
     np.save(folder / "targets.npy", np.ones((2, 3)))
     (folder / "a.toml").write_text(reaching(["final_error"], alpha="[1.0, 2.0]"))
+    (folder / "cell.py").write_text(CELL)
     os.mkfifo(folder / "pipe")
     (folder / "own").mkdir()
     (folder / "own" / "README.md").write_text("mine")

@@ -1,6 +1,5 @@
-"""Stacks of tasks of a robot with two arms: as dicts, files, specs, command lines, and put together from records."""
+"""Stacks of tasks of a robot with two arms, put together from records."""
 
-import copy
 import functools
 import operator
 
@@ -9,10 +8,6 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.law.law import check_loop
-from cnclik.problem.build import problem_from
-from cnclik.problem.options import OF_SHAPE, OF_TASK, OF_WALL, SWEPT
-from tests.specs import reaching
-from tests.stress.fuzz import arguments, toml
 from tests.stress.fuzz.nasty import TEXTS, VALUES, any_of, chance
 
 _JOINT = """<link name="{0}"/><joint name="j_{0}" type="{2}"><parent link="{1}"/><child link="{0}"/>
@@ -22,82 +17,17 @@ _LINKS = ["trunk base prismatic 0,0,0.2 0,0,1", *(one.format(tip) for tip in ("l
 _JOINTS = "".join(_JOINT.format(*one.replace(",", "|").split()) for one in _LINKS).replace("|", " ")
 URDF = f'<robot name="two"><link name="base"/>{_JOINTS}</robot>'.encode()
 
-BASES = (
-    {
-        "hands": {"task": "position", "tip": ["left", "right"], "alpha": 10.0, "level": 1, "damping": 1e-3},
-        "rest": {"task": "joints", "level": 2, "damping": 0.1},
-    },
-    {
-        "hand": {"tip": "left", "task": "xy", "reference": "circle", "radius": "20 mm", "period": 2.0},
-        "rest": {"joints": ["j_right1", "j_right2"], "target": [0.1, "20 deg"], "alpha": [1.0, 2.0]},
-    },
-    {"apart": {"task": "position", "tip": "left", "relative_to": "right", "weights": [1.0, 1.0, 0.1]}},
-    {"a": {"task": "xz", "tip": "right", "reference": "line", "to": [0.5, 0.1], "alpha": 3}, "b": {"tip": "left"}},
-    {"look": {"task": "orientation", "tip": "left", "target": [1.0, 0.0, 0.0, 0.0]}, "rest": {"task": "joints"}},
-)
-WALLS = (
-    {},
-    {"a": {"task": "z", "tip": "left", "above": "-1 m", "margin": 0.1}, "b": {"joints": "j_left1", "below": "100 deg"}},
-    {"apart": {"distance": [{"tip": "left", "radius": 0.1}, {"tip": "right", "from": [0, 0, 0], "to": "0 0 50 mm"}]}},
-    {"floor": {"distance": [{"tip": "trunk"}, {"normal": [0, 0, 1], "offset": -0.5}], "above": 0.1, "rate": 5}},
-    {"soles": {"corners": "-50 -50 50 -50 0 80 mm", "relative_to": "left", "margin": 0.01}},
-)
-OPTIONS = (
-    {"damping": 0.05},
-    {"damping": 0.05, "limits": "bounded", "limit_rate": 4.0},
-    {"limits": "bounded"},
-    {"damping": 0.05, "inverse": "singular-damped", "threshold": 0.1},
-    {"delay": 2, "lag": 0.02},
-    {},
-)
-NAMES = (*OF_TASK, *OF_WALL, *OF_SHAPE, *SWEPT, "tasks", "walls")
 TIPS = ("left", "right", "trunk", "base", None)
 NUMERIC = (1.0, 5, 0.0, -1.0, 1e-3, 1e-320, 1e308, float("nan"), True, None, "0.1", [1.0, 2.0], [[1.0]], {})
-DOORS = ("dict", "dict", "file", "spec", "command", "records", "records")
-
-
-def draw(rng):
-    """(the door, what is handed in there)."""
-    door = any_of(rng, DOORS)
-    if door == "records":
-        return door, _records(rng)
-    if chance(rng, 0.02):  # many
-        count = int(10 ** rng.uniform(1, 2.5))
-        return door, {"tasks": {f"t{k}": {"tip": "left", "task": "x"} for k in range(count)}, "fixed": {"damping": 0.1}}
-    walls = copy.deepcopy(any_of(rng, WALLS)) if chance(rng, 0.3) else {}
-    written = {"tasks": copy.deepcopy(any_of(rng, BASES)), "walls": walls, "fixed": dict(any_of(rng, OPTIONS))}
-    for _ in range(int(rng.integers(4))):
-        toml.mutate(rng, written, NAMES, ("tasks", "walls", "fixed"))
-    try:
-        repr(written)
-    except RecursionError:  # so deep that only TOML can say it
-        door = "spec"
-    return door, written
 
 
 def attempt(made, folder) -> None:
-    """What happens to a stack before anything is traced; the loop that it makes is finite."""
-    door, written = made
-    if door == "records":
-        _looked_at(*_loop(**written))
-        return
-    tables, options = {name: written[name] for name in ("tasks", "walls") if name in written}, written.get("fixed", {})
-    file = folder / "stack.toml"
-    file.write_text(toml.as_toml(tables), errors="surrogatepass")
-    if door == "spec":
-        (folder / "arm.urdf").write_bytes(URDF)
-        own = reaching(["final_error"], alpha="[1.0, 2.0]").partition("[fixed]")[0]
-        spec = {"fixed": {"robot": "arm.urdf", "N": 5} | (options if isinstance(options, dict) else {"alpha": options})}
-        toml.attempt(((own + toml.as_toml(written | spec | {"axes": {"alpha": [1.0, 2.0]}})).encode(), ()), folder)
-    elif door == "command":
-        given = options.items() if isinstance(options, dict) else ()
-        words = [w for name, value in given for w in (f"--{name.replace('_', '-')}", str(value)) if "\0" not in w]
-        arguments.attempt((["solve", "arm.urdf", "--stack", "stack.toml", *words], URDF), folder)
-    else:
-        by = {"tasks": {}} | tables if door == "dict" else {"stack": str(file)}
-        options = options if isinstance(options, dict) else {}
-        p = problem_from(_two(), **({"N": 5} | {k: v for k, v in options.items() if k != "robot"} | by))
-        _looked_at(p.law, p.reference, p.q0)
+    """Build the loop; it is finite."""
+    law, reference, q0 = _loop(**made)
+    check_loop(law, reference)
+    assert repr(law) and law.task.names and [law.task.alone(name) for name, _ in law.task.tasks]
+    for leaf in jax.tree.leaves((law, reference, q0)):
+        assert not np.isnan(np.asarray(leaf, float)).any(), f"NaN in {law}"
 
 
 @functools.cache
@@ -105,18 +35,8 @@ def _two():
     return ck.load_urdf(URDF.decode(), tips=["left", "right"])
 
 
-def _looked_at(law, reference, q0):
-    check_loop(law, reference)
-    assert repr(law) and law.task.names and [law.task.alone(name) for name, _ in law.task.tasks]
-    for leaf in jax.tree.leaves((law, reference, q0)):
-        assert not np.isnan(np.asarray(leaf, float)).any(), f"NaN in {law}"
-
-
-# --- from records -------------------------------------------------------------------------------------
-
-
-def _records(rng):
-    """What `_loop` builds: mostly what fits."""
+def draw(rng):
+    """Arguments of `_loop`, mostly ones that fit."""
     odd = any_of(rng, (0.0, 0.05, 0.2))
     names = tuple(any_of(rng, (("hands", "rest"), ("a",), ("a", "b", "c"))))
 

@@ -11,7 +11,7 @@ import tomllib
 import jax
 import numpy as np
 
-from cnclik.problem.options import SWEPT
+from cnclik.problem.options import OPTIONS
 from cnclik.sweeps import files, labels
 from tests.specs import reaching
 from tests.stress.fuzz.expressions import draw as expression
@@ -31,7 +31,7 @@ BASES = tuple(map(tomllib.loads, (
     + '[[figure]]\nkind = "slices"\nx = "delay"\nvalue = "max_error"\n',
     reaching(["mean_error"], radius="[0.1, 0.2]").replace('"hold"\ntarget = [1, 0]', '"circle"\nperiod = "N*Ts"'),
 )))  # fmt: skip
-NAMES = (*SWEPT, "z", "w", "limit", "pi", "case", "progress", "question", "metrics", "time", "step", "joint", "lanes")
+NAMES = (*OPTIONS, "z", "w", "limit", "pi", "case", "progress", "question", "metrics", "time", "step", "joint", "lanes")
 ROOMS = ("fixed", "axes", "cases", "bundles", "units", "figure")
 
 

@@ -1,0 +1,64 @@
+"""`python -m tests.bench.calls`: what a first `ck.solve` of a Panda enters of cnclik: its files and Python calls.
+
+Imports of modules are left out. `--by file` or `--by function` lists where the calls are.
+"""
+
+import argparse
+import collections
+import pathlib
+import sys
+import tempfile
+
+import numpy as np
+
+import cnclik as ck
+
+PACKAGE = str(pathlib.Path(ck.__file__).parent)
+
+
+def counted(fn) -> collections.Counter:
+    """Return {(file, function): calls} of the package's own frames while fn() runs."""
+    calls = collections.Counter()
+
+    def note(frame, event, _):
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(PACKAGE) and code.co_name != "<module>":
+            calls[code.co_filename.removeprefix(PACKAGE + "/"), code.co_qualname] += 1
+
+    sys.setprofile(note)
+    try:
+        fn()
+    finally:
+        sys.setprofile(None)
+    return calls
+
+
+def first_solve():
+    """Run the first loop of a process: robot, law, reference, 50 steps."""
+    q0 = np.array([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8])
+    robot = ck.panda()
+    law = ck.Law(robot, ck.pose(), alpha=5.0, inverse=ck.damped(1e-3))
+    goal = ck.forward(robot, q0 + 0.1)
+    return ck.solve(law, ck.hold(goal.position, goal.rotation), q0, 0.01, 50)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--by", choices=("room", "file", "function"), default="room")
+    parser.add_argument("--most", type=int, default=60, help="lines that are shown")
+    args = parser.parse_args()
+    by = args.by
+    with tempfile.TemporaryDirectory() as folder:
+        ck.use_cache(folder)
+        calls = counted(first_solve)
+    keys = {"room": lambda file, _: file.split("/")[0], "file": lambda file, _: file, "function": " ".join}
+    groups = collections.Counter()
+    for (file, name), count in calls.items():
+        groups[keys[by]((file, name)) if by == "function" else keys[by](file, name)] += count
+    for name, count in groups.most_common(args.most):
+        print(f"{count:7,} {name}")
+    print(f"{calls.total():7,} calls in {len({file for file, _ in calls})} files")
+
+
+if __name__ == "__main__":
+    main()

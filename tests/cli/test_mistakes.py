@@ -1,0 +1,84 @@
+"""The mistakes that a new user made, each with the line that answers it: on stderr, alone, with exit code 2."""
+
+import pytest
+
+from cnclik.cli import main
+
+SIX = ["--q0", "0", "-1", "1", "0", "1", "0"]
+FILES = {
+    "two.urdf": """<robot name="two"><link name="base"/><link name="left"/><link name="right"/>
+    <joint name="a" type="continuous"><parent link="base"/><child link="left"/></joint>
+    <joint name="b" type="prismatic"><parent link="base"/><child link="right"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="1" velocity="1"/></joint></robot>""",
+    "way.csv": "time,x,y,zz\n0,0.3,0,0.4\n1,0.3,0.1,0.4\n",
+    "untimed.csv": "x,y,z\n0.3,0,0.4\n0.3,0.1,0.4\n",
+    "semicolons.csv": "0;0.3;0;0.4\n1;0.3;0.1;0.4\n",
+    "text.txt": "no robot",
+    "cell.py": "import cnclik as ck\ndef problem():\n    return ck.Law(ck.panda(), ck.pose(), gain=5)\n",
+    "empty.py": "law = 1\n",
+    "study.toml": 'question = "?"\nexpectation = "."\n[fixed]\nrobot = "planar:1,1"\n[axes]\nalpa = [1, 2]\n',
+    "log.csv": "t,q1\n0,0\n0.01,1\n0.02,2\n",
+}
+MISTAKES = [
+    ("sovle panda", "Argument `verb` must be one of", "(did you mean 'solve'?)."),
+    ("solve", "Argument `ROBOT` must be given, but is not: A URDF or MJCF file; panda; ur5"),
+    ("solve nowhere.urdf", "must name a URDF file that can be read, but nowhere.urdf: No such file"),
+    ("solve pandda", "must be a URDF or MJCF file, panda, ur5, planar:1,1,1", "(did you mean 'panda'?)."),
+    ("solve text.txt", "must name a URDF file, but text.txt is not well-formed XML"),
+    ("robots nowhere.urdf", "No such file"),
+    ("solve two.urdf", "Option `--tip` must be given for two.urdf, but is not, and the candidates are left, right."),
+    ("solve two.urdf --tip lefft", "Option `--tip` must be", "(did you mean 'left'?)."),
+    ("solve panda --tip hand", "Option `--tip` must be 'flange' for the robot 'panda', but is 'hand'."),
+    ("solve panda --alpa 5", "Unknown option --alpa; did you mean --alpha?"),
+    ("solve panda --gain 5", "Unknown option --gain; did you mean --alpha?"),
+    ("solve panda --dt 0.01", "Unknown option --dt; did you mean --Ts?"),
+    ("solve panda --alpha", "Option `--alpha` must be given numbers, but has no value."),
+    ("solve panda --alpha -5", "Option `--alpha` must not be negative, but is -5."),
+    ("solve panda --Ts 250Hz", "Option `--Ts` must be a number", "A rate of 250 Hz is --Ts 4ms."),
+    ("solve panda --Ts 0", "Option `--Ts` must be positive, but is 0."),
+    ("solve panda --Ts 0,01", "but is '0,01': write 0.01."),
+    ("solve panda --N 1.5", "Option `--N` must be an integer, but is '1.5'."),
+    ("solve panda --q0 0 0 0", "Option `--q0` must have 7 joint values, but has 3."),
+    (["solve", "panda", *SIX, "nan"], "Option `--q0` must be finite, but is nan at index (6,)."),
+    ("solve ur5 --q0 0 -90 90deg 0 0 0", "write a unit behind each number, or once at the end, apart"),
+    ("solve two.urdf --tip right --task x --q0 90 deg", "joint 'b' is in m, and rad is given"),
+    ("solve panda --target 0.3 0.1", "Option `--target` must have 3 or 7 numbers (x y z [m]", "but has 2."),
+    ("solve panda --target 0.3 0 0.4 0 0 0 0", "Option `--target` must hold a unit quaternion w x y z"),
+    ("solve panda --target 300 0 400 --begin on-path", "millimetres are written with their unit."),
+    ("solve panda --task xyzz", "Option `--task` must be pose, position, orientation, or coordinates such as xy"),
+    ("solve planar:1,1 --task pose", "Option `--task` must be coordinates that 2 joints can move", "such as xy"),
+    ("solve panda --reference cirle", "Option `--reference` must be one of hold", "(did you mean 'circle'?)."),
+    ("solve panda --radius 0.1", "Option `--radius` must be left out for the reference 'hold', but is 0.1."),
+    ("solve panda --reference way.csv", "must have columns time x y z qw qx qy qz, but way.csv has 'zz'"),
+    ("solve panda --reference untimed.csv", "or a --speed, but untimed.csv lacks time."),
+    ("solve panda --reference semicolons.csv", "columns are separated by commas"),
+    ("solve panda --method EULER", "Option `--method` must be one of EE", "(did you mean 'EE'?)."),
+    ("solve panda --limits box", "Option `--limits` must be one of velocity_scaling, bounded, but is 'box'."),
+    ("solve panda --delay 150 --lag 20ms", "Option `--delay` must be at most 101 samples"),
+    ("stability --damping-ratio 0.7", "Option `--damping-ratio` must come with a natural_frequency"),
+    ("solve cell.py", "cell.py, line 3: Law has no argument `gain` (did you mean 'alpha'?)."),
+    ("solve empty.py", "must name a Python file with a function problem(), but empty.py has none."),
+    ("solve panda --out log.csv", "Option `--out` must be a folder that can be written into, but is 'log.csv'"),
+    ("reach panda", "One of TARGETS, --target X Y Z and --random N must be given, but there is none"),
+    ("reach panda nowhere.csv", "must name a CSV file that can be read, but nowhere.csv: No such file"),
+    ("sweep study.toml", "'alpa' (did you mean 'alpha'?)."),
+    ("sweep nowhere.toml", "must name a TOML file that can be read, but nowhere.toml: No such file"),
+    ("tune panda --over gian", "must be one of alpha"),
+    ("export panda", "Option `--out` must be given, but is not."),
+    ("diagnose log.csv --alhpa 1", "Unknown option --alhpa; did you mean --alpha?"),
+    ("check nowhere.csv", "must name a CSV file that can be read, but nowhere.csv: No such file"),
+]
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda m: m[0] if isinstance(m[0], str) else " ".join(m[0]))
+def test_a_mistake_gets_one_helpful_line(mistake, tmp_path, monkeypatch, capsys):
+    argv, *words = mistake
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(argv.split() if isinstance(argv, str) else argv)
+    said = capsys.readouterr()
+    assert left.value.code == 2 and said.out == "" and said.err.count("\n") == 1, said.err
+    assert said.err.startswith("cnclik: ") and all(word in said.err for word in words), said.err
+    assert {path.name for path in tmp_path.iterdir()} == set(FILES)  # nothing was begun
