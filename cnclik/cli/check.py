@@ -7,6 +7,7 @@ import sys
 from cnclik import errors
 from cnclik.cli.arguments import option
 from cnclik.cli.log import LogOptions, read
+from cnclik.cli.remarks import print_json
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -48,8 +49,6 @@ def run(args: Args) -> None:
             names=[log.names[i] for i in (*places, *sent)],
         )  # fmt: skip
     if args.json:
-        from cnclik.cli.remarks import print_json
-
         print_json({"findings": found.findings, "broken": len(found.broken), "Ts": found.Ts, "rows": found.rows})
     else:
         print(found)
