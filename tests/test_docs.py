@@ -63,8 +63,8 @@ Ts = [0.05, 0.1]
 robot = "planar-clockwise:1,1"
 q0 = [0, "pi/2"]
 reference = "line"
-from = [1, 1]
-to = [0, 1]
+start = [1, 1]
+target = [0, 1]
 """
 
 

@@ -16,7 +16,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
+from cnclik.record import Array, Float, Number, leaf, record, replace
 
 
 class Factored(NamedTuple):
@@ -24,8 +24,8 @@ class Factored(NamedTuple):
 
     apply: Callable
     least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
-    shift: ArrayLike | None = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
-    even: tuple[ArrayLike, ArrayLike] | None = None  # factors λ/λᵢ of the rows, with the least λ, and λ²
+    shift: Any = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
+    even: Any = None  # (factors λ/λᵢ of the rows, with the least λ; and λ²)
 
 
 # Smallest shift over the trace of J Jᵀ, in roundings, that keeps the pivots of a singular one positive: 1 suffices for
@@ -49,7 +49,7 @@ class ByShift:
     shift: Callable  # of the rows: λ², and an estimate of the least singular value if λ² depends on one
 
     def __call__(self, rows) -> Factored:
-        return _by_shift(rows, *self.shift(rows))
+        return by_shift(rows, *self.shift(rows))
 
 
 @record
@@ -60,7 +60,7 @@ class Pseudoinverse(ByShift):
         return tiny_shift(rows, NEARLY_NONE), None
 
     def __call__(self, rows) -> Factored:
-        factored = _by_shift(rows, *self.shift(rows))
+        factored = super().__call__(rows)
 
         def apply(t):
             qdot = factored.apply(t)
@@ -138,33 +138,28 @@ class Levels:
             one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
             shift = jnp.asarray(one.shift(rows[own])[0], rows.dtype)
             shifts.append(jnp.maximum(shift, floors[i]) if self.floor else shift)
-        return _by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
-
-
-def _by_shift(rows, shift, least=None) -> Factored:
-    """Jᵀ (J Jᵀ + D)⁻¹, see `damped_apply`."""
-    apply, factor, made, even = damped_apply(rows, shift)
-    return Factored(apply, _least(factor, made) if least is None else least, made, even)
+        return by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
 
 
 def least_of(rows):
-    """Estimate of the least singular value of some rows: from below, and within √m."""
+    """Return an estimate of the least singular value of some rows: from below, and within √m."""
     wide = dense.wide_side(rows)
     shift = tiny_shift(wide)
     return _least(dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift)
 
 
-def damped_apply(rows, shift):
-    """The function that applies Jᵀ (J Jᵀ + D)⁻¹, its factors, D: shift·I, or diag(shift) with one per row, and `even`.
+def by_shift(rows, shift, sigma=None) -> Factored:
+    """Factor Jᵀ (J Jᵀ + D)⁻¹, D = shift·I, or diag(shift) with one per row; a shift is at least what rounding needs.
 
-    A shift is at least what rounding needs.
+    Args: sigma: an estimate of the least singular value, where one is known.
     """
     m, n = rows.shape
     if m > n and jnp.ndim(shift):  # rows of equal damping: λ J/λᵢ, with the least λ
         least = jnp.min(shift)
         alike = jnp.sqrt(least / shift)
-        apply, factor, made, _ = damped_apply(alike[:, None] * rows, least)
-        return lambda t: apply(alike * t), factor, shift * (made / least), (alike, made)
+        inner = by_shift(alike[:, None] * rows, least, sigma)
+        shift = shift * (inner.shift / least)
+        return Factored(lambda t: inner.apply(alike * t), inner.least, shift, (alike, inner.shift))
     wide = rows if m <= n else rows.T[::-1]  # the last joints first: a tree then causes no fill-in
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
@@ -175,11 +170,10 @@ def damped_apply(rows, shift):
     def solve(t):
         return dense.factored_solve(factor, lambda x: wide @ (x @ wide) + shift * x, t)
 
+    sigma = _least(factor, shift) if sigma is None else sigma
     if wide is rows:
-        return lambda t: solve(t) @ rows, factor, shift, even
-
-    # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: solve(wide @ t)[::-1], factor, shift, even
+        return Factored(lambda t: solve(t) @ rows, sigma, shift, even)
+    return Factored(lambda t: solve(wide @ t)[::-1], sigma, shift, even)  # of two equal forms the smaller
 
 
 def tiny_shift(rows, share=ROUNDED):

@@ -214,7 +214,7 @@ def apart_from(walls, chain, q):
     def one(q):
         return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
 
-    return _of_each(one, q)
+    return jnp.vectorize(one, signature="(n)->(k)")(q)
 
 
 @one_off
@@ -228,11 +228,4 @@ def _bent(walls, chain, q, qdot):
 
         return jax.jvp(along, (0.0,), (1.0,))[1]
 
-    return _of_each(one, q, qdot)
-
-
-def _of_each(one, *of):
-    """Apply a function of single vectors over all leading axes."""
-    for _ in range(np.ndim(of[0]) - 1):
-        one = jax.vmap(one)
-    return one(*of)
+    return jnp.vectorize(one, signature="(n),(n)->(k)")(q, qdot)

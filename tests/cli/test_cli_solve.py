@@ -12,6 +12,7 @@ import xarray as xr
 import cnclik as ck
 from cnclik import errors, writing
 from cnclik.cli import main
+from cnclik.quantities import aloud
 from cnclik.show import run as pictures
 from tests.problem.test_file import TWO
 
@@ -79,8 +80,8 @@ def test_a_path_may_begin_where_the_arm_is_not_or_the_arm_on_the_path(tmp_path, 
     way.write_text("time,x,y\n0,0.8,0.9\n2,0.5,1.1\n")
     run = [*ARM[:4], "--reference", way, "--N", "3", "--no-figures", "--out", tmp_path / "out", "--q0", "0.3", "0.9"]
     here = np.array(ck.forward(ck.planar_arm([1.0, 1.0]), np.array([0.3, 0.9])).position)[:2]
-    jump = 1e3 * np.linalg.norm(here - [0.8, 0.9])
-    assert f"from x y = 0.8 0.9 m; the start is {jump:.3g} mm away from it." in shown(capsys, *run)
+    jump = np.linalg.norm(here - [0.8, 0.9])
+    assert f"from x y = 0.8 0.9 m; the start is {aloud(jump, 'm')} away from it." in shown(capsys, *run)
     said = shown(capsys, *run, "--begin", "on-path")
     assert "rad (on the path)." in said and "away from it" not in said
 
