@@ -8,7 +8,6 @@ from cnclik import errors
 from cnclik.cli.arguments import option
 from cnclik.cli.common import print_json
 from cnclik.cli.log import LogOptions, read
-from cnclik.cli.remarks import print_json
 
 
 @dataclasses.dataclass(kw_only=True)
