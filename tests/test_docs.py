@@ -59,12 +59,12 @@ N = 8
 method = ["EE", "CN"]
 alpha = [2.0, 5.0]
 Ts = [0.05, 0.1]
-[cases.track2]
+[axes.case.track2]
 robot = "planar-clockwise:1,1"
 q0 = [0, "pi/2"]
 reference = "line"
-from = [1, 1]
-to = [0, 1]
+start = [1, 1]
+target = [0, 1]
 """
 
 
@@ -151,7 +151,11 @@ def read_aloud(page, folder, less):
         if text in before and argv[0] in NO_FILES and "--out" not in argv:
             continue
         argv = fewer(argv) if less else argv
-        if argv[0] in ELSEWHERE or any(word.partition(".")[0].isupper() and word[0].isalpha() for word in argv[:2]) or argv in done:
+        if (
+            argv[0] in ELSEWHERE
+            or any(word.partition(".")[0].isupper() and word[0].isalpha() for word in argv[:2])
+            or argv in done
+        ):
             continue
         done.append(argv)
         if argv[0] == "view" and not has_viser():

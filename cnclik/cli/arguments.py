@@ -43,7 +43,7 @@ class _Option(typing.NamedTuple):
     field: str
     base: type  # of each value
     choices: tuple
-    count: int | None  # of values; None: any; 0: a switch
+    number: int | None  # of values; None: any; 0: a switch
     several: bool  # whether they are a tuple
     repeated: bool  # whether it may be given several times
     default: typing.Any
@@ -55,9 +55,9 @@ class _Option(typing.NamedTuple):
 
     def value(self, words):
         """Return the value of some words. Raises: ArgumentError where they don't fit."""
-        if self.count == 0:
+        if self.number == 0:
             return words == ["on"]
-        if self.count not in (None, len(words)) or not all(map(self._takes, words)):
+        if self.number not in (None, len(words)) or not all(map(self._takes, words)):
             raise self.error(f"is {' '.join(words)!r}")
         made = [self.base(word) for word in words]
         return tuple(made) if self.several else made[0]
@@ -76,7 +76,7 @@ class _Option(typing.NamedTuple):
             words = f"{'some' if self.several else 'one'} of {', '.join(self.choices)}"
         elif self.several:
             words = {int: "integers", float: "numbers"}.get(self.base, "values")
-            words = f"{self.count} {words}" if self.count else words
+            words = f"{self.number} {words}" if self.number else words
         return errors.ArgumentError(f"Option `{self.name}` must {must} {words}, but {found}.")
 
 
@@ -132,7 +132,7 @@ def options_of(Args) -> list:
         marks, lazy, hint = field.metadata, field.default_factory, hints[field.name]
         repeated = typing.get_origin(hint) is list
         hint = typing.get_args(hint)[0] if repeated else hint
-        if isinstance(hint, types.UnionType):  # such as `float | None`
+        if typing.get_origin(hint) in (types.UnionType, typing.Union):  # such as `float | None`
             hint = typing.get_args(hint)[0]
         several = typing.get_origin(hint) is tuple
         inner = typing.get_args(hint) if several else (hint,)
@@ -171,7 +171,7 @@ def _split(named, argv, prog):
 
     Raises: ArgumentError for an unknown option, or one without a value.
     """
-    switches = {f"--no-{name[2:]}": one for name, one in named.items() if one.count == 0}
+    switches = {f"--no-{name[2:]}": one for name, one in named.items() if one.number == 0}
     loose, given, queue = [], [], list(argv)
     while queue:
         token = queue.pop(0)
@@ -181,9 +181,9 @@ def _split(named, argv, prog):
         typed, equals, value = token.partition("=")
         name = "--" + typed.lstrip("-").replace("_", "-")
         one = (named | switches).get(name)
-        if one is None or not typed.startswith("--") or (equals and one.count == 0):
+        if one is None or not typed.startswith("--") or (equals and one.number == 0):
             raise _unknown(named, token if one else typed, value if equals else "".join(queue[:1]), prog)
-        if one.count == 0:
+        if one.number == 0:
             given.append((one, ["off" if name in switches else "on"]))
             continue
         words = [value] if equals else _words(one, queue)
@@ -196,7 +196,7 @@ def _split(named, argv, prog):
 
 def _words(one, queue) -> list:
     """The words of an option at the head of a queue; a separate unit counts as one of them."""
-    words, most = list(itertools.takewhile(lambda t: not _is_option(t), queue)), one.count
+    words, most = list(itertools.takewhile(lambda t: not _is_option(t), queue)), one.number
     if most is not None and words[most : most + 1] and words[most] in quantities.units(one.unit):
         most += 1
     return words[:most]

@@ -6,6 +6,7 @@ import itertools
 from cnclik import errors
 from cnclik.integrate.method import METHODS
 
+STAGES = ("picard", "chord", "newton")
 ROBOTS = ("planar2", "planar5", "panda", "ur5", "chain30")  # `cases` says what they are; it needs JAX
 AXES = {  # None: the usual one
     "robot": ROBOTS,
@@ -41,7 +42,7 @@ class Line:
     def __post_init__(self):
         errors.one_of("robot", self.robot, ROBOTS)
         errors.one_of("method", self.method, METHODS)
-        errors.one_of("stage", self.stage, ("picard", "chord", "newton"))
+        errors.one_of("stage", self.stage, STAGES)
         errors.one_of("dtype", self.dtype, AXES["dtype"])
         errors.integer("M", self.M, at_least=0)
         errors.integer("batch", self.batch, at_least=1)

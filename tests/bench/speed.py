@@ -21,9 +21,9 @@ class Args:
     robot: tuple[Literal[lines.ROBOTS], ...] = ()
     """planar2 and planar5 are the paper's arms (position, J#); panda, ur5 and chain30 have a whole pose to reach
     (damped least squares)."""
-    method: tuple[Literal[lines.METHODS], ...] = ()
+    method: tuple[Literal[tuple(lines.METHODS)], ...] = ()
     """Method of the step."""
-    stage: tuple[Literal[tuple(lines.STAGES)], ...] = ()
+    stage: tuple[Literal[lines.STAGES], ...] = ()
     """How implicit stages are solved; explicit methods don't use it."""
     M: tuple[int, ...] = ()
     """Passes of the implicit stage."""
