@@ -30,8 +30,8 @@ sides, parts = ("left", "right"), ("hip_roll", "knee", "shoulder_yaw", "elbow", 
 feet = [f"{side}_ankle_roll_link" for side in sides]
 body = ["pelvis", "torso_link", *(f"{side}_{part}_link" for side in sides for part in parts)]
 g1 = ck.load_urdf(file, tips=feet + body, base="free")
-BONES = [["pelvis", "torso_link"], *([f"{side}_{part}" for part in limb] for side in sides for limb in (
-    ("hip_roll_link", "knee_link", "ankle_roll_link"), ("shoulder_yaw_link", "elbow_link", "wrist_yaw_link")))]  # fmt: skip
+legs, arms = ("hip_roll_link", "knee_link", "ankle_roll_link"), ("shoulder_yaw_link", "elbow_link", "wrist_yaw_link")
+BONES = [["pelvis", "torso_link"], *([f"{side}_{part}" for part in limb] for side in sides for limb in (legs, arms))]
 fps, t = 30.0, np.arange(300) / 30.0  # 10 s
 
 # %%
