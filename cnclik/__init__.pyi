@@ -27,9 +27,8 @@ from .law.inverse import (
     damped as damped, error_damped as error_damped, levels as levels, pseudoinverse as pseudoinverse,
     singular_damped as singular_damped,
 )
-from .law.law import Law as Law
+from .law.law import Law as Law, posture as posture
 from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
-from .law.null import posture as posture
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
     lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,

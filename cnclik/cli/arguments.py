@@ -132,7 +132,7 @@ def options_of(Args) -> list:
         marks, lazy, hint = field.metadata, field.default_factory, hints[field.name]
         repeated = typing.get_origin(hint) is list
         hint = typing.get_args(hint)[0] if repeated else hint
-        if isinstance(hint, types.UnionType):  # such as `float | None`
+        if typing.get_origin(hint) in (types.UnionType, typing.Union):  # such as `float | None`
             hint = typing.get_args(hint)[0]
         several = typing.get_origin(hint) is tuple
         inner = typing.get_args(hint) if several else (hint,)

@@ -38,7 +38,7 @@ TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which th
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
 STEADY = 0.1  # unrest of a sustained oscillation, at most; noise gives 0.5
-UNREST, DOUBLE = 0.25, 2.0  # of an oscillation that grows as a mode does: its unrest beyond that, its size below it
+UNREST, DOUBLE = 0.2, 2.0  # of an oscillation that grows as a mode does: its unrest beyond that, its size below it
 FASTEST = np.log(1e3)  # growth in a period; with more it is a polynomial
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
@@ -125,7 +125,7 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     Ts = float(errors.number("Ts", Ts, positive=True))
     if alpha is not None:
         alpha = float(errors.number("alpha", alpha, positive=True))
-    y = columns("signal", signal)
+    y = columns("signal", signal, "diagnose")
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     size = np.abs(y - y[0]).max() or 1.0
@@ -161,8 +161,8 @@ def _swing(rows, found, Ts, alpha) -> dict:
     if change > FASTEST:
         return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
     excited = change < -np.log(HELD) and larger > LASTS
-    if change > 0 and not held:  # what grows must do so as its mode does
-        wave = np.exp(found.mode * np.arange(len(rows)) - found.mode.real * len(rows)).real[:, None]
+    if change > 0 or held:  # what grows, or does not, must do so as its mode does
+        wave = np.exp(found.mode * np.arange(len(rows)) - max(found.mode.real, 0.0) * len(rows)).real[:, None]
         _, grows, rises = cause.swept(wave, found.period)
         excited = unrest > rises + UNREST or larger < grows / DOUBLE
     same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
@@ -175,8 +175,8 @@ def _swing(rows, found, Ts, alpha) -> dict:
         return {"kind": Kind.CALM, "recommended_alpha": None, "note": note}
     needed = EVIDENCE_KNOWN if alpha is not None and drives.off < NEAR else EVIDENCE
     if alpha is None and (excited or held):
-        needed = EVIDENCE_EXCITED if held or turns > MANY else np.inf
-    short = turns < (PERIODS if held else 2.0 if abs(change) < np.log(2) else 1.2)
+        needed = EVIDENCE_EXCITED if not excited or turns > MANY else np.inf
+    short = turns < (PERIODS if held else 2.0 if change > -np.log(2) else 1.2)
     if short or found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS):
         return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
     limited = turns < PERIODS and abs(change) < np.log(1.5)

@@ -321,5 +321,5 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Found:
     drives = [Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places]
     mean, least = np.sum(odds * gain) / np.sum(odds), np.exp(np.min(np.abs(off)))
     order = np.argsort(gain)
-    most = gain[order[min(np.searchsorted(np.cumsum(odds[order]), (1 - TAIL) * np.sum(odds)), len(order) - 1)]]
+    most = np.interp((1 - TAIL) * np.sum(odds), np.cumsum(odds[order]), gain[order])
     return Found(drives[0], float(mean), float(most), float(least), tuple(drives[1:]))

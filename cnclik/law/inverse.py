@@ -16,7 +16,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
+from cnclik.record import Array, Float, Number, leaf, record, replace
 
 
 class Factored(NamedTuple):
@@ -24,8 +24,8 @@ class Factored(NamedTuple):
 
     apply: Callable
     least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
-    shift: ArrayLike | None = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
-    even: tuple[ArrayLike, ArrayLike] | None = None  # factors λ/λᵢ of the rows, with the least λ, and λ²
+    shift: Any = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
+    even: Any = None  # (factors λ/λᵢ of the rows, with the least λ; and λ²)
 
 
 # Smallest shift over the trace of J Jᵀ, in roundings, that keeps the pivots of a singular one positive: 1 suffices for
@@ -38,7 +38,7 @@ _OF_NONE = 1e-6  # [m², 1] trace that stands for a J Jᵀ of zeros: that of a j
 
 
 def through(apply, rows, velocity, null):
-    """J# v + (I − J# J) q̇₀, with one application of J#; q̇₀ may be None."""
+    """Return J# v + (I − J# J) q̇₀, with one application of J#; q̇₀ may be None."""
     return apply(velocity) if null is None else apply(velocity - rows @ null) + null
 
 
@@ -49,7 +49,7 @@ class ByShift:
     shift: Callable  # of the rows: λ², and an estimate of the least singular value if λ² depends on one
 
     def __call__(self, rows) -> Factored:
-        return _by_shift(rows, *self.shift(rows))
+        return by_shift(rows, *self.shift(rows))
 
 
 @record
@@ -60,7 +60,7 @@ class Pseudoinverse(ByShift):
         return tiny_shift(rows, NEARLY_NONE), None
 
     def __call__(self, rows) -> Factored:
-        factored = _by_shift(rows, *self.shift(rows))
+        factored = super().__call__(rows)
 
         def apply(t):
             qdot = factored.apply(t)
@@ -121,7 +121,7 @@ class Levels:
         return any(isinstance(one, ErrorDamped) for one in self.damping)
 
     def on(self, task) -> Levels:
-        """The levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
+        """Return the levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
         every = [name for names in self.names for name in names]
         task.require_each("inverse", "have each task of the law in one level", every)
         level = {name: i for i, names in enumerate(self.names) for name in names}
@@ -138,33 +138,28 @@ class Levels:
             one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
             shift = jnp.asarray(one.shift(rows[own])[0], rows.dtype)
             shifts.append(jnp.maximum(shift, floors[i]) if self.floor else shift)
-        return _by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
-
-
-def _by_shift(rows, shift, least=None) -> Factored:
-    """Jᵀ (J Jᵀ + D)⁻¹, see `damped_apply`."""
-    apply, factor, made, even = damped_apply(rows, shift)
-    return Factored(apply, _least(factor, made) if least is None else least, made, even)
+        return by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
 
 
 def least_of(rows):
-    """Estimate of the least singular value of some rows: from below, and within √m."""
+    """Return an estimate of the least singular value of some rows: from below, and within √m."""
     wide = dense.wide_side(rows)
     shift = tiny_shift(wide)
     return _least(dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift)
 
 
-def damped_apply(rows, shift):
-    """The function that applies Jᵀ (J Jᵀ + D)⁻¹, its factors, D: shift·I, or diag(shift) with one per row, and `even`.
+def by_shift(rows, shift, sigma=None) -> Factored:
+    """Factor Jᵀ (J Jᵀ + D)⁻¹, D = shift·I, or diag(shift) with one per row; a shift is at least what rounding needs.
 
-    A shift is at least what rounding needs.
+    Args: sigma: an estimate of the least singular value, where one is known.
     """
     m, n = rows.shape
     if m > n and jnp.ndim(shift):  # rows of equal damping: λ J/λᵢ, with the least λ
         least = jnp.min(shift)
         alike = jnp.sqrt(least / shift)
-        apply, factor, made, _ = damped_apply(alike[:, None] * rows, least)
-        return lambda t: apply(alike * t), factor, shift * (made / least), (alike, made)
+        inner = by_shift(alike[:, None] * rows, least, sigma)
+        shift = shift * (inner.shift / least)
+        return Factored(lambda t: inner.apply(alike * t), inner.least, shift, (alike, inner.shift))
     wide = rows if m <= n else rows.T[::-1]  # the last joints first: a tree then causes no fill-in
     gram = wide @ wide.T
     trace = lax.stop_gradient(jnp.trace(gram))
@@ -175,11 +170,10 @@ def damped_apply(rows, shift):
     def solve(t):
         return dense.factored_solve(factor, lambda x: wide @ (x @ wide) + shift * x, t)
 
+    sigma = _least(factor, shift) if sigma is None else sigma
     if wide is rows:
-        return lambda t: solve(t) @ rows, factor, shift, even
-
-    # The smaller of the two equal forms: (JᵀJ + λ²I)⁻¹ Jᵀ.
-    return lambda t: solve(wide @ t)[::-1], factor, shift, even
+        return Factored(lambda t: solve(t) @ rows, sigma, shift, even)
+    return Factored(lambda t: solve(wide @ t)[::-1], sigma, shift, even)  # of two equal forms the smaller
 
 
 def tiny_shift(rows, share=ROUNDED):
@@ -194,7 +188,7 @@ def least_squared(rows):
 
 
 def _least(factor, shift):
-    """Lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
+    """Return a lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
     squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - jnp.max(shift))
     return jnp.sqrt(jnp.maximum(squared, 0.0))
 
@@ -211,20 +205,21 @@ def pseudoinverse() -> Pseudoinverse:
 
 
 def damped(damping: Number | dict[str, Number]) -> Damped | Levels:
-    """Damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
+    """Return damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
     Args:
       damping: λ (not λ²), in the unit of J's singular values; positive. Of a stack also one for each task, by name.
     """
     if isinstance(damping, dict):
         each = {name: Damped(damping=positive("damping", one)) for name, one in damping.items()}
-        order = by_damping(each)
+        known = all(errors.concrete(one.damping) for one in each.values())
+        order = sorted(each, key=lambda name: float(each[name].damping)) if known else list(each)
         return Levels(names=tuple((name,) for name in order), damping=tuple(each[name] for name in order))
     return Damped(damping=positive("damping", damping))
 
 
 def error_damped(damping: Number) -> ErrorDamped:
-    """Damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the weights of the task (Sugihara 2011, eq. 17).
+    """Return a damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the task's weights (Sugihara 2011, eq. 17).
 
     A distant or unreachable target then moves the joints slowly, and near the target the damping is small.
 
@@ -235,7 +230,7 @@ def error_damped(damping: Number) -> ErrorDamped:
 
 
 def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
-    """Priority levels: each task of a stack is on one level, and the first level comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
+    """Put each task of a stack on a priority level, of which the first comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
 
     D holds λ² of each row's level. This equals the recursion of Siciliano & Slotine (1991) with damped inverses and the
     matching projectors, as the block LDLᵀ factorization of J Jᵀ + D. A conflict disturbs level 1 by a share of about
@@ -257,40 +252,19 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
     kinds = (Damped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
-    if wrong := not_growing(each):
-        raise errors.fail(f"damping[{wrong.level}]", wrong.must, wrong.found)
-    return Levels(names=tuple(tuple(some) for some in names), damping=each)
-
-
-class NotGrowing(NamedTuple):
-    """A level whose damping is not larger than that of the level before."""
-
-    level: int  # from 0
-    must: str
-    found: str
-
-
-def not_growing(each: Sequence[Any]) -> NotGrowing | None:
-    """The first level, of damped inverses for each level, that does not give way to the level before it; or None."""
-    if not all(errors.concrete(one.damping) for one in each):
-        return None
     for level, (before, one) in enumerate(itertools.pairwise(each), 1):
+        if not (errors.concrete(before.damping) and errors.concrete(one.damping)):
+            continue
         was, now = float(before.damping), float(one.damping) * one.always
         if now <= was:
             must = f"be larger than that of the level before, {was:g}, which has priority by its smaller damping"
-            return NotGrowing(level, must, f"is {now:g}" if one.always else "is 0 away from singularities")
-    return None
-
-
-def by_damping(each: dict[Any, Any]) -> list:
-    """The names of damped inverses by their damping away from singularities, the least first; as given if traced."""
-    if not all(errors.concrete(one.damping) for one in each.values()):
-        return list(each)
-    return sorted(each, key=lambda name: (each[name].always, float(each[name].damping)))
+            found = f"is {now:g}" if one.always else "is 0 away from singularities"
+            raise errors.fail(f"damping[{level}]", must, found)
+    return Levels(names=tuple(tuple(some) for some in names), damping=each)
 
 
 def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
-    """Damped only where the least singular value σ_m of J is below a threshold.
+    """Damp only where the least singular value σ_m of J is below a threshold.
 
     λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m
     comes from powers of (J Jᵀ)⁻¹, without a decomposition that would have to be differentiated: exact where it is
@@ -304,5 +278,5 @@ def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
 
 
 def positive(name, value):
-    """A positive number as a field of a record."""
+    """Return a positive number as a field of a record."""
     return leaf(errors.number(name, value, positive=True))

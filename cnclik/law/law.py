@@ -20,17 +20,35 @@ from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import Bounded, undamped
-from cnclik.law.inverse import Factored, Levels, Pseudoinverse, damped_apply, least_of, through
+from cnclik.law.inverse import Factored, Levels, Pseudoinverse, by_shift, least_of, through
 from cnclik.law.limits import Limited, Scaled
-from cnclik.law.null import Posture
 from cnclik.precision import precise
-from cnclik.record import Array, Bool, Float, Number, brief, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, error, rows, velocity
+
+
+@record
+class Posture:
+    """See `posture`."""
+
+    rest: Float[ArrayLike, " n"]
+    rate: Number
+
+
+def posture(rest: Float[ArrayLike, " n"], rate: Number = 1.0) -> Posture:
+    """Move the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q) (Liégeois 1977).
+
+    Args:
+      rest: (n,) joint values [rad, m], such as the middle of the limits.
+      rate: [1/s].
+    """
+    rate = leaf(errors.number("rate", rate, positive=True))
+    return Posture(rest=errors.array("rest", rest, (None,)), rate=rate)
 
 
 @record(kw_only=False)
@@ -132,8 +150,6 @@ class Evaluation(NamedTuple):
     """One evaluation of f(q, t) and its ingredients."""
 
     qdot: Float[Array, " n"]  # joint velocities
-    e: Float[Array, " m"]  # task errors
-    x: Callable  # x(): the task coordinates of the tip (m,)
     rows: Float[Array, "m n"]  # of the task Jacobian, weighted
     apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
     least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
@@ -169,8 +185,6 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         factored = moved.factored
     return Evaluation(
         qdot=moved.qdot,
-        e=at.e,
-        x=at.x,
         rows=rows,
         apply=factored.apply,
         least=least_of_tasks(task, at.rows) if task.tasks else factored.least,
@@ -249,7 +263,7 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
     plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
     if plain and (exact or factored.shift is not None):
         t = 1.0 / (1.0 + h * law.alpha)
-        apply = factored.apply if exact else damped_apply(rows, t * factored.shift)[0]
+        apply = factored.apply if exact else by_shift(rows, t * factored.shift).apply
         return apply(t * velocity + (1.0 - t) * (rows @ k))
     rate = 0.0 if posture is None else posture.rate
     s = 1.0 + h * rate

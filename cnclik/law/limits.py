@@ -91,7 +91,7 @@ def exponential_rate(alpha: Number, Ts: Number) -> Number:
 
 
 def within(law, q, qdot, Ts):
-    """(q after a step, its velocity) of a law with limits: the requested step, but across no limit.
+    """Return (q after a step, its velocity) of a law with limits: the requested step, but across no limit.
 
     Each evaluation of the law respects the limits, but a combination of several, or too long a step, may not. All
     velocities are scaled by the same factor. A joint that would cross a position limit stops on it, and one that is
@@ -108,11 +108,7 @@ def within(law, q, qdot, Ts):
 
 
 def inside(law, q, after):
-    """Joint values after a step from q, within the law's position limits, or as far outside as q."""
-    if not _keeps_positions(law):
+    """Return joint values after a step from q, within the law's position limits, or as far outside as q."""
+    if law.limits is None or not law.limits.positions or not law.chain.bounded:
         return after
     return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))
-
-
-def _keeps_positions(law):
-    return law.limits is not None and law.limits.positions and law.chain.bounded

@@ -17,9 +17,8 @@ from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.bounded import bounded
 from cnclik.law.inverse import damped, pseudoinverse, singular_damped
-from cnclik.law.law import Law
+from cnclik.law.law import Law, posture
 from cnclik.law.limits import velocity_scaling
-from cnclik.law.null import posture
 from cnclik.law.paths import causal
 from cnclik.law.reference import Reference, References
 from cnclik.problem import names

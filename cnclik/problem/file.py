@@ -61,7 +61,7 @@ def _fields(path, made) -> dict:
 
 
 def _problem(name, made, options) -> Problem:
-    law, given = made["law"], frozenset(made) | set(options)
+    law, given = made["law"], frozenset(made) | set(options) | {"alpha"}
     q0 = start_from(law.chain, law.task, made.get("q0"))
     reference = made.get("reference")
     if reference is None:

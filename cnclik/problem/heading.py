@@ -7,6 +7,7 @@ from cnclik.law.paths import hold_at
 from cnclik.law.reference import aims_of
 from cnclik.problem.names import near_singular_start
 from cnclik.problem.reference import OPTIONS
+from cnclik.quantities import aloud
 from cnclik.record import in_words
 from cnclik.robot.poses import quaternions
 
@@ -75,7 +76,7 @@ def _first_point(made) -> str:
         said.append(f"{names} = {' '.join(f'{v:.5g}' for v in values)}{unit}")
         jump = float(np.linalg.norm(values - own)) if units == "m" else 0.0
         if jump > 1e-3:
-            away = f"; the start is {1e3 * jump:.3g} mm away from it"
+            away = f"; the start is {aloud(jump, 'm')} away from it"
     default = "" if {"reference", *OPTIONS} & made.given else " (default)"
     if made.reference.still:
         return f"Target {', '.join(said)}{default}"

@@ -15,7 +15,7 @@ from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, evaluate
+from cnclik.law.law import Law, check_loop, evaluate, observe
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64_if_known
 from cnclik.record import ArrayLike, Float, Number, cast, replace
@@ -109,4 +109,4 @@ def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
 
 @one_off
 def _error_of_numbers(law, reference, q):
-    return evaluate(modelled(law), reference, jnp.zeros_like(q[0]), q).e
+    return observe(modelled(law), reference, jnp.zeros_like(q[0]), q).e

@@ -182,7 +182,7 @@ def test_map_of_an_implicit_method_has_a_strip_over_its_passes(tmp_path, capsys,
     assert '"robot": "planar:1,1"' in data.attrs["config"]
     np.testing.assert_allclose(0.1 * opened(tmp_path, "passes.nc").limit, [2, 1, 1.35321], rtol=1e-5)
     monkeypatch.setattr("cnclik.stability.maps.stability_map", None)
-    (tmp_path / LIST).write_text("map.nc\nmap.png\npasses.nc\n")
+    (tmp_path / "passes.png").write_text("theirs")
     with pytest.raises(SystemExit):  # said before the work
         main([*loops, "--out", str(tmp_path)])
     assert "passes.png there is not cnclik's own" in capsys.readouterr().err

@@ -1,10 +1,13 @@
-"""Logs of 15 arms in MuJoCo with inertia, servos, friction, encoders and torque limits, whose loops shake or do not.
+"""`python -m tests.diagnosis.arms 44 29`: logs of 15 arms in MuJoCo whose loops shake or do not, and what is said.
 
-A servo on each joint has its own bandwidth; the controller sees encoders, and its commands arrive late. A push moves
-the target by up to 2 cm; a run that strays by 4 cm is stopped, as by a safety system. What is right is found by
-running: the largest gain with which the tip overshoots by less than 5 %.
+The arms have inertia, servos, friction, encoders and torque limits. Each joint has its own bandwidth; the controller
+sees encoders, and its commands arrive late. A push moves the target by up to 2 cm; a run that strays by 4 cm is
+stopped, as by a safety system. What is right is found by running: the largest gain with which the tip overshoots by
+less than 5 %.
 """
 
+import argparse
+import collections
 import functools
 import importlib.metadata
 import pathlib
@@ -302,3 +305,29 @@ def logs(seed, count=44, calm=29):
         yield log(seed + i // len(names), names[i % len(names)], "shakes")
     for i in range(calm):
         yield log(seed + i // len(names), names[i % len(names)], ("calm", "rest", "path")[i % 3])
+
+
+def main() -> None:
+    """Print what `diagnose` says of the errors of each log, with alpha and without."""
+    parser = argparse.ArgumentParser(prog="python -m tests.diagnosis.arms")
+    parser.add_argument("shake", type=int, nargs="?", default=44)
+    parser.add_argument("calm", type=int, nargs="?", default=29)
+    parser.add_argument("--seed", type=int, default=0)
+    args, told, sure = parser.parse_args(), collections.defaultdict(collections.Counter), []
+    for log in logs(args.seed, args.shake, args.calm):
+        for alpha in (log.alpha, None):
+            found = ck.diagnose(log.e, log.setup.Ts, alpha=alpha)
+            gain = None if found.factor is None else found.factor * log.alpha
+            said = "no gain" if gain is None else verdict(log, gain)
+            said = "false cause" if gain is None and found.cause else said
+            told["shakes" if log.shakes else "calm", "alpha" if alpha else "no alpha"][said] += 1
+            sure += [said == "right"] if (found.confidence or 0.0) >= 0.9 else []
+            if said not in ("right", "no gain"):
+                print(log.about, log.setup.robot, log.setup.servo, alpha, said, log.best, found, flush=True)
+    for row, each in told.items():
+        print(*row, dict(each))
+    print(f"Of what is said with 0.9 or more {sum(sure)} of {len(sure)} are right.")
+
+
+if __name__ == "__main__":
+    main()

@@ -298,7 +298,7 @@ BAD = [
     (lambda: ck.hold([0.0, 0, 0], 2 * TURN), "`rotation` must hold a rotation, .* scaled by 2"),
     (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must hold a rotation, .* mirrored one"),
     (lambda: ck.hold([0.0, 0, 0], [1, 1, 0, 0]), "`rotation` must hold a unit quaternion .* norm 1.41421"),
-    (lambda: ck.hold([0.0, 0, 0], [1, 0, 0]), r"`rotation` must have shape \(3, 3\) or \(4,\), but has shape \(3,\)"),
+    (lambda: ck.hold([0.0, 0, 0], [1, 0, 0]), r"`rotation` must have 4 numbers or shape \(3, 3\), but has 3"),
     (lambda: ck.line([0, 0], [1, 1], duration=0), "`duration` must be positive, but is 0"),
     (lambda: ck.line([0, 0], [1, 1, 1], duration=1), r"`end` must have the shape of `start`, but has shape \(3,\)"),
     (lambda: ck.line([0, 0], None, duration=1), "`end` must have the shape of `start`"),
