@@ -59,7 +59,7 @@ N = 8
 method = ["EE", "CN"]
 alpha = [2.0, 5.0]
 Ts = [0.05, 0.1]
-[cases.track2]
+[axes.case.track2]
 robot = "planar-clockwise:1,1"
 q0 = [0, "pi/2"]
 reference = "line"

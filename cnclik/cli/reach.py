@@ -45,10 +45,8 @@ class Args(ComputeOptions, RobotOptions):
     """Largest distance of each joint from --near or from the previous answer [rad, m]."""
     solutions: int = 1
     """Number of different answers for each target."""
-    seeds: int | None = None
-    """Largest number of start postures for each target; default: 512."""
-    budget: int = 25_000
-    """Largest number of evaluations for a target that has no answer yet."""
+    seeds: int = 512
+    """Largest number of tries for each target."""
     limits: bool = True
     """Keep joint values within their limits."""
     json: bool = False
@@ -96,25 +94,21 @@ def _check(args):
 def _answers(args, wanted, asked):
     from cnclik.measure.answers import ENDINGS, answers, save
     from cnclik.reaching.public import reach
-    from cnclik.reaching.result import fields
+    from cnclik.reaching.result import with_axis
     from cnclik.reaching.targets import read, transforms
-    from cnclik.record import replace
 
     chain, task, targets = wanted.chain, wanted.task, wanted.targets
     pose, _ = read(targets, task)
     if args.out is not None:
         checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
-    names = ("accept", "jump", "solutions", "tolerance", "budget", "limits", "seed")
+    names = ("tolerance", "accept", "jump", "solutions", "seeds", "limits", "seed")
     options = {name: getattr(args, name) for name in names} | {"near": "previous" if args.path else args.near}
-    if args.seeds is not None:
-        options["seeds"] = args.seeds
     with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
         begun = time.perf_counter()
         with progress.bar("targets", len(pose)) as report:
             made = reach(chain, targets, task=task, **options, progress=report)
         first = time.perf_counter() - begun
-        if made.q.ndim == 1:
-            made = replace(made, **{name: v[None] for name, v in fields(made).items()})
+        made = with_axis(made)
         if folder is not None:
             folder.write(args.out.name, functools.partial(save, answers(made, transforms(pose))))
     again = first
@@ -126,7 +120,7 @@ def _answers(args, wanted, asked):
     if args.json:
         print_json({"asked": asked} | summary)
     else:
-        _tell(made, summary, first)
+        _tell(made, summary, first, args.path)
         if args.out is not None:
             print(f"Wrote {args.out}.")
 
@@ -148,12 +142,12 @@ def _summary(made, first, again):
     }
 
 
-def _tell(made, summary, seconds):
+def _tell(made, summary, seconds, path):
     """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
     from cnclik.reaching.result import ReachStatus
-    from cnclik.reaching.targets import aims
+    from cnclik.task.aims import aims
 
     count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
     evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"
@@ -169,6 +163,8 @@ def _tell(made, summary, seconds):
         print(f"  error {missed}; least singular value {least:.3g}")
         for aim, own in zip(aims(made.task), made.each, strict=True) if made.targets is not None else ():
             print(f"    {aim.label}: {_error(own, aim.linear, aim.angular)}")
+    if path and np.isfinite(made.strays).any():
+        print(f"  half-way between rows the tip strays by up to {aloud(float(np.nanmax(made.strays)), 'm')}")
     held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
     if len(held):
         often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
@@ -187,7 +183,7 @@ _MEANING = {
     "AT_LIMIT": "reachable only beyond the joint limits; the nearest pose within them is given",
     "OUT_OF_REACH": "not reachable, even without joint limits; the nearest pose is given",
     "JUMP": "reachable only by a jump; no joint values are given",
-    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds or a larger --budget",
+    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds",
     "NON_FINITE": "the target, or --near, is not finite",
     "NO_OTHER": "fewer solutions than requested",
 }

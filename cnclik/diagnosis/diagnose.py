@@ -125,7 +125,7 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     Ts = float(errors.number("Ts", Ts, positive=True))
     if alpha is not None:
         alpha = float(errors.number("alpha", alpha, positive=True))
-    y = columns("signal", signal)
+    y = columns("signal", signal, "diagnose")
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     size = np.abs(y - y[0]).max() or 1.0

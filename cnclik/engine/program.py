@@ -7,6 +7,7 @@ import math
 import pathlib
 import tempfile
 import time
+from array import array
 
 import jax
 import numpy as np
@@ -70,26 +71,53 @@ class Program:
 
         Args: leaves: arrays (size, ...), or (...) for what all lanes share.
         """
-        leaves = [np.asarray(x, a.dtype, order="C") for x, a in zip(leaves, self.avals, strict=True)]
-        strides = [a.size if x.ndim > len(a.shape) else 0 for x, a in zip(leaves, self.avals, strict=True)]
         made = [_empty((size, *s.shape), s.dtype) for s in self.shapes]
         rounds = ctypes.c_int32(self.rounds)
-        ins = (ctypes.c_void_p * (len(leaves) + 1))(*[x.ctypes.data for x in leaves], ctypes.addressof(rounds))
-        stride = (ctypes.c_int64 * len(leaves))(*strides)
-        out = (ctypes.c_void_p * len(made))(*[x.ctypes.data for x in made])
-
-        def part(start, end):
-            memory = np.empty(self.work, np.uint8)
-            self.library.run(start, end, ins, stride, out, memory.ctypes.data)
-
+        given = Bound(self, ()), leaves, made, size, [ctypes.addressof(rounds)]
         if cores == 1 or size <= FEW_TILES * self.lanes:
-            part(0, size)
+            Bound.run(*given)
             return made
-        step = -(-size // (CALLS * cores * self.lanes)) * self.lanes
         with side_by_side(cores) as pool:
-            for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
-                pass
+            Bound.run(*given, pool, cores)
         return made
+
+
+class Bound:
+    """A program with first arguments that stay, shared by all lanes of all calls: each call is some 20 µs quicker."""
+
+    def __init__(self, program, kept):
+        self.program, avals = program, program.avals
+        self.kept = [np.asarray(x, a.dtype, order="C") for x, a in zip(kept, avals, strict=False)]
+        self.given = [(a.dtype, len(a.shape), a.size) for a in avals[len(kept) :]]
+        self.places, self.zeros = [x.ctypes.data for x in self.kept], [0] * len(kept)
+
+    def __call__(self, leaves, size, pool=None, cores=1) -> list:
+        """Return the results of a batch, as `Program` does, without their alignment. Args: leaves: the others."""
+        made = [np.empty((size, *s.shape), s.dtype) for s in self.program.shapes]
+        self.run(leaves, made, size, (0,), pool, cores)
+        return made
+
+    def run(self, leaves, made, size, more, pool=None, cores=1):
+        """Fill the results, on the threads of a pool. Args: more: the address of what else the C has."""
+        program, given = self.program, self.given
+        leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, given, strict=True)]
+        strides = [size_ if x.ndim > rank else 0 for x, (_, rank, size_) in zip(leaves, given, strict=True)]
+        ins = array("Q", [*self.places, *[x.ctypes.data for x in leaves], *more])  # quicker than arrays of ctypes
+        strides, out = array("q", self.zeros + strides), array("Q", [x.ctypes.data for x in made])
+        places = [v.buffer_info()[0] for v in (ins, strides, out)]
+
+        held = leaves, made, ins, strides, out  # for as long as threads work, also after an exception
+
+        def part(start, end, held=held):
+            memory = np.empty(program.work, np.uint8)
+            program.library.run(start, end, *places, memory.ctypes.data)
+
+        if pool is None:
+            part(0, size)
+            return
+        step = -(-size // (CALLS * cores * program.lanes)) * program.lanes
+        for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
+            pass
 
 
 def _empty(shape, dtype):

@@ -61,9 +61,20 @@ def places_needed(graph, needed) -> set:
                 for a in item.args:
                     if item.op == "joined" or is_operation(a):
                         placed(a)
-            elif item.op == "take":
+            elif item.op == "take" and not in_argument(item.args[0]):
                 placed(item.args[0])
     return found
+
+
+def in_argument(row) -> bool:
+    """Whether a row lies in an argument, as numbers that can be read at any place."""
+    return row.op == "column" and row.args[0].op == "input" and row.dtype.kind != "b"
+
+
+def place_in(column, k) -> str:
+    """The place of a column's entry k in its whole array."""
+    inner = column.args[0].shape[1:]
+    return f"({k}) * {int(np.prod(inner))} + {int(np.ravel_multi_index(column.params, inner)) if inner else 0}"
 
 
 def cells_of(out) -> list:
@@ -136,10 +147,7 @@ class RowTexts:
         if c.op == "iota":
             return self.splat(c.dtype, f"({scalar(c.dtype)})({k})")
         if c.op == "column":
-            (whole,) = c.args
-            size = int(np.prod(whole.shape[1:]))
-            at = int(np.ravel_multi_index(c.params, whole.shape[1:])) if whole.shape[1:] else 0
-            return self._named(c, self.load(whole, f"({k}) * {size} + {at}"))
+            return self._named(c, self.load(c.args[0], place_in(c, k)))
         if c.op == "within":
             return self.where[c.args[0].number](k, c.params)
         if c.op == "slid":

@@ -68,8 +68,15 @@ def _written(graph, given, outs, shapes, sizes, main, head):
 
 
 def lane(dtype, data, stride):
-    """A function that writes loads of entries of lanes from `first` on; lanes are `stride` numbers apart."""
-    return lambda at: f"load_{vector(dtype)}({data} + first * {stride} + ({at}), {stride}, n)"
+    """A function that writes loads of entries of lanes from `first` on, or of lane i alone; lanes are `stride` numbers
+    apart."""
+
+    def load(at, alone=False):
+        if alone:
+            return f"({data})[(first + (i < n ? i : n - 1)) * {stride} + ({at})]"
+        return f"load_{vector(dtype)}({data} + first * {stride} + ({at}), {stride}, n)"
+
+    return load
 
 
 def entry(dtype, data, size):

@@ -11,7 +11,15 @@ from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation, number, scalar, text, vector
 from cnclik.engine.pieces import in_pieces, read_for
 from cnclik.engine.rounds import RoundsError, beyond
-from cnclik.engine.row_texts import RowTexts, cells_of, needed_rows, places_needed, whole_results
+from cnclik.engine.row_texts import (
+    RowTexts,
+    cells_of,
+    in_argument,
+    needed_rows,
+    place_in,
+    places_needed,
+    whole_results,
+)
 from cnclik.engine.stacks import Rows
 
 HEAVY = 60  # operations, at least, of a branch that is skipped if no lane needs it
@@ -197,8 +205,12 @@ class Writer(RowTexts):
         row, index = n.args
         name = self.names[n.number] = self.new()
         self.line(f"{self.type(n)} {name};")
-        at = self.row(row, f"{self.of(index)}[i]", {})
-        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at}[i];")
+        which = f"{self.of(index)}[i]"
+        if in_argument(row):
+            at = self.reads[self.given.index(row.args[0])](place_in(row, f"(int64_t){which}"), alone=True)
+        else:
+            at = f"{self.row(row, which, {})}[i]"
+        self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at};")
 
     # --- regions --------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from cnclik import errors
 from cnclik.measure.dataset import about
 from cnclik.measure.files import save_csv, save_netcdf
 from cnclik.reaching.result import Reached, ReachStatus
-from cnclik.reaching.targets import aims
+from cnclik.task.aims import aims
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,12 +13,13 @@ from cnclik.problem.heading import robot_and_task
 from cnclik.problem.names import robot_and_tip, robot_name, task_from
 from cnclik.problem.options import check_units
 from cnclik.problem.tables import read_points
-from cnclik.reaching.seeds import spans
-from cnclik.reaching.targets import aims, by_name
+from cnclik.reaching.starts import spans
+from cnclik.reaching.targets import by_name
 from cnclik.reading import read_bytes
 from cnclik.record import replace
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
+from cnclik.task.aims import aims
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 

@@ -1,49 +1,42 @@
-"""The arguments of a call of `reach`, shared by all its targets, and the status of an answer."""
+"""The arguments of a call of `reach`, shared by all its targets, and the status of a target without an answer."""
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.cache import LRU
 from cnclik.precision import as_numbers
-from cnclik.reaching.result import Reached, ReachStatus
-from cnclik.reaching.seeds import periods, turned
-from cnclik.reaching.step import STATIONARY
-from cnclik.reaching.strategy import LONGER, SURE
-from cnclik.reaching.targets import WIDTH, aims, task_of
-from cnclik.reaching.units import in_units, of_joints
+from cnclik.reaching.descent import Terms
+from cnclik.reaching.result import ReachStatus, Row, row_of
+from cnclik.reaching.targets import task_of
+from cnclik.reaching.units import unit_of
 from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
+from cnclik.task.aims import WIDTH, aims
 from cnclik.task.task import Task
 
-TOUCHING = 1e-9  # [rad, m] distance from a limit that counts as being at it
-MOST_SEEDS = ((1 << 31) - 1) // max(LONGER)  # the numbers of all tries must fit int32
+MOST_SEEDS = ((1 << 31) - 1) // 16  # the numbers of all tries must fit int32
+SURE = 256  # tries, at least, before it is said that there is no answer
+STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
 FEW, DOUBT = 3, 1e-2  # with more joints, a target missed by less than DOUBT [rad, units] may still have an answer
 MISSED = 3.0  # a larger error, in tolerances, can be attributed to limits or to `jump`
 CLEAR = 100.0  # a larger error, in tolerances, is known to be the smallest possible
-FOLD = 1e-7  # [units, rad] next to a singularity a search may stop with such an error although an answer is near
+FOLD = 1e-7  # [units, rad] next to a singularity a descent may end with such an error although an answer is near
 
 
 @record
 class Asked:
     """The arguments of `cnclik.reach` that all targets share."""
 
-    chain: Chain  # its lengths, and all others here, in `unit`
-    unit: float  # [m], see `units`
+    chain: Chain
     task: Task
-    tolerance: Float[AnyArray, " 2"]  # [units], [rad]
-    accept: Float[AnyArray, " 2"] | None
-    jump: Number | Float[AnyArray, " n"] | None  # [rad, units]
-    seeds: Number  # largest number of start postures
-    budget: Number  # largest number of evaluations
-    seed: Number  # seed of the start postures
+    tolerance: Float[AnyArray, " 2"]  # [m], chord of an angle [rad]
+    accept: Float[AnyArray, " 2"] | None  # [m], [rad]
+    jump: Number | None  # [rad, m]
+    seeds: Number  # largest number of tries
+    seed: Number
     limits: bool
     explain: bool  # whether to find the reason where there is no answer
-
-    def limited(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper limits (n,); infinite without limits."""
-        lower, upper = np.array(self.chain.lower, float), np.array(self.chain.upper, float)
-        return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))
 
     @property
     def downhill(self) -> bool:
@@ -51,91 +44,93 @@ class Asked:
         return self.explain or self.accept is not None
 
     @property
-    def periods(self):
-        """See `seeds.periods`."""
-        return periods(self.chain)
+    def scale(self) -> np.ndarray:
+        """The units of both errors (2,)."""
+        return np.array([unit_of(self.chain), 1.0])
 
-    def turns(self):
-        """The periods (n,) of joints that can take a posture in several turns, 0 of others."""
-        lower, upper = self.limited()
-        return np.where(upper - lower >= self.periods, self.periods, 0.0)
+    def limited(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower and upper limits (n,); infinite without limits."""
+        lower, upper = np.array(self.chain.lower, float), np.array(self.chain.upper, float)
+        return (lower, upper) if self.limits else (np.full_like(lower, -np.inf), np.full_like(upper, np.inf))
+
+    def terms(self, *, jump=True, limits=True, weights=False, xp=np) -> Terms:
+        """Return the terms of descents. Args: jump, limits: whether they hold. weights: whether errors have them."""
+        lower, upper = self.limited() if limits else np.full((2, self.chain.n), [[-np.inf], [np.inf]])
+        most = self.jump if jump and limits and self.jump is not None else np.inf
+        roots = self.task.weights if weights and self.task.weights is not None else np.ones(self.task.m)
+        numbers = lower, upper, most, self.tolerance / self.scale, xp.sqrt(xp.asarray(roots, float))
+        return Terms(*(xp.asarray(v, float) for v in numbers))
 
     def finite(self, pose, near, xp=np):
-        """Which targets (..., t) are finite, with the joint values in `near`."""
+        """Return which targets (..., t) are finite, with the joint values in `near`."""
         return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
-    def sure(self, looks):
-        """Whether a search of `looks` evaluations (...,) was long enough to conclude that there is no answer."""
-        return (self.seeds >= SURE) & (looks < self.budget)
-
-    def within(self, squares, times, xp=np):
-        """Whether errors, given as squares (..., 2), are within `times` tolerances, or below FOLD."""
-        return (squares <= xp.maximum(times * self.tolerance, FOLD) ** 2).all(axis=-1)
-
-    def meaning(self, status, found, squares, xp=np):
-        """The meaning of a search without limits or jump: `status` where it found an answer, else 0.
-
-        OUT_OF_BUDGET where it came too near to exclude one.
-        """
-        unsure = xp.where(self.within(squares, CLEAR, xp), int(ReachStatus.OUT_OF_BUDGET), 0)
-        return xp.where(found, status, unsure)
-
     def too_far(self, pose, xp=np):
-        """Which targets (..., t) are farther from the first joint than the stretched arm is long."""
+        """Return which targets (..., t) are farther from the first joint than the stretched arm is long."""
         far = xp.zeros(pose.shape[:-1], bool)
         for k, aim in enumerate(aims(self.task)):
             if aim.linear and aim.to is None:
-                at, number = pose[..., WIDTH * k + np.array(aim.linear)], self.chain.tip_number(aim.tip)
-                far = far | (beyond_arm(self.chain, at, aim.linear, xp, number) > self.tolerance[0])
+                where, number = pose[..., WIDTH * k + np.array(aim.linear)], self.chain.tip_number(aim.tip)
+                far = far | (beyond_arm(self.chain, where, aim.linear, xp, number) > self.tolerance[0])
         return far
 
-    def reached(self, pose, near, q, squares, steep, looks, found, sure, why, xp=np) -> Reached:
-        """The record of answers: for one target, or for (B,) along the first axis.
+    def squares(self, row: Row, xp=np):
+        """Return the squared errors (...,) of positions [units] and orientations (chords) together."""
+        return (row.position_error / self.scale[0]) ** 2 + (2 * xp.sin(row.orientation_error / 2)) ** 2
 
-        Args: why: the result of `meaning`.
+    def within(self, row: Row, times, xp=np):
+        """Return whether errors are within `times` tolerances, or below FOLD."""
+        most = xp.maximum(times * self.tolerance, FOLD * self.scale)
+        return (row.position_error <= most[0]) & (2 * xp.sin(row.orientation_error / 2) <= most[1])
+
+    def meaning(self, status, row: Row, xp=np):
+        """Return the meaning of a search beyond limits or jump: `status` where it found an answer, else 0.
+
+        OUT_OF_BUDGET where it came too near to exclude one.
         """
-        position, turn = xp.sqrt(squares[..., 0]), xp.sqrt(squares[..., 1])
-        turn = 2.0 * xp.arcsin(xp.minimum(turn / 2.0, 1.0))
-        # Next to a singularity an error this small is stationary, too.
-        clear, missed = (~self.within(squares, times, xp) for times in (CLEAR, MISSED))
-        lower, upper = self.limited()
-        around = xp.zeros_like(q) if near is None else near
-        q = xp.clip(turned(q, around, self.turns(), lower, upper, xp), lower, upper)
-        at_limit = (q <= lower + TOUCHING) | (q >= upper - TOUCHING)
-        rests = (steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | self.too_far(pose, xp)
-        status = xp.where(rests, int(ReachStatus.OUT_OF_REACH), int(ReachStatus.OUT_OF_BUDGET))
-        certain = (self.chain.n <= FEW) | (self.seeds < SURE) | (squares.sum(axis=-1) >= DOUBT**2)
-        explained = (why == ReachStatus.JUMP) | (why == ReachStatus.AT_LIMIT) & at_limit.any(axis=-1) & certain
-        status = xp.where(explained & sure & missed, why, status)
+        unsure = xp.where(self.within(row, CLEAR, xp), int(ReachStatus.OUT_OF_BUDGET), 0)
+        return xp.where(row.status == ReachStatus.SOLVED, status, unsure)
+
+    def concluded(self, rows, finite, sure, why, far, xp=np):
+        """Return rows (..., width) with the status of their targets, and NaN where there are no joint values.
+
+        Args: finite, far: results of the methods. sure: whether enough was tried. why: the result of `meaning`.
+        """
+        row, status = row_of(rows, self.chain.n), ReachStatus
+        missed, clear = (~self.within(row, times, xp) for times in (MISSED, CLEAR))
+        rests = (row.steep <= STATIONARY**2) & clear & sure & (why == 0) & self.explain | far
+        made = xp.where(rests, int(status.OUT_OF_REACH), int(status.OUT_OF_BUDGET))
+        certain = (self.chain.n <= FEW) | (self.seeds < SURE) | (self.squares(row, xp) >= DOUBT**2)
+        held = (why == status.AT_LIMIT) & (row.at_limit > 0).any(axis=-1) & certain
+        made = xp.where(((why == status.JUMP) | held) & sure & missed, why, made)
         if self.accept is not None:
-            near_enough = (position <= self.accept[0]) & (turn <= self.accept[1])
-            status = xp.where(near_enough, int(ReachStatus.ACCEPTED), status)
-        status = xp.where(found, int(ReachStatus.SOLVED), status)
-        if self.jump is not None:  # where `near` is outside the limits
-            away = (xp.abs(q - near) > self.jump * (1 + 1e-9)).any(axis=-1)
-            status = xp.where((status <= ReachStatus.ACCEPTED) & away, int(ReachStatus.JUMP), status)
-        status = xp.where(self.finite(pose, near, xp), status, int(ReachStatus.NON_FINITE))
-        none = (status == ReachStatus.JUMP) | (status == ReachStatus.NON_FINITE) | ~xp.isfinite(squares).all(axis=-1)
-        if not self.explain:
-            none = none | (status > ReachStatus.ACCEPTED)
-        q, position, turn = (
-            xp.where(gone, xp.nan, v) for gone, v in ((none[..., None], q), (none, position), (none, turn))
-        )
-        return Reached(
-            q=q,
-            status=status,
-            position_error=position,
-            orientation_error=turn,
-            evaluations=looks.astype(int),
-            at_limit=at_limit & ~none[..., None],
-            distance=xp.full_like(position, xp.nan) if near is None else xp.max(xp.abs(q - near), axis=-1),
-            chain=self.chain,
-            task=self.task,
-        )
+            enough = (row.position_error <= self.accept[0]) & (row.orientation_error <= self.accept[1])
+            made = xp.where(enough, int(status.ACCEPTED), made)
+        made = xp.where(row.status == status.SOLVED, int(status.SOLVED), made)
+        made = xp.where((made <= status.ACCEPTED) & self.away(row), int(status.JUMP), made)
+        made = xp.where(finite, made, int(status.NON_FINITE))
+        none = (made == status.JUMP) | (made == status.NON_FINITE) | ~xp.isfinite(row.position_error)
+        none = (none | (made > status.ACCEPTED) & (not self.explain))[..., None]
+        gone, n = xp.where(none, xp.nan, 0.0), self.chain.n
+        numbers = xp.stack([row.position_error, row.orientation_error], -1) + gone
+        parts = row.q + gone, xp.where(none, 0.0, row.at_limit), made[..., None], numbers, rows[..., 2 * n + 3 :]
+        return xp.concatenate(parts, -1)
+
+    def farther(self, rows, moved, xp=np):
+        """Return rows (B, ..., width) of targets that were searched for nearer by so much (B,) [m], see `units`."""
+        row, moved = row_of(rows, self.chain.n), moved.reshape(-1, *(1,) * (rows.ndim - 2))
+        claims = (row.status <= ReachStatus.AT_LIMIT) | (row.status == ReachStatus.JUMP)  # of a target that was nearer
+        status = xp.where((moved > 0) & claims, int(ReachStatus.OUT_OF_BUDGET), row.status)
+        numbers, n = xp.stack([status, row.position_error + moved], -1), 2 * self.chain.n
+        return xp.concatenate([rows[..., :n], numbers, rows[..., n + 2 :]], -1)
+
+    def away(self, row: Row):
+        """Return whether answers jump all the same, as where `near` is outside the limits."""
+        return False if self.jump is None else row.distance > self.jump * (1 + 1e-9)
 
 
 def asked_of(chain, *rest) -> Asked:
-    """The arguments as a record. It is cached with the chain, because a control loop repeats the same call at 1 kHz.
+    """Return the arguments as a record. It is kept with the chain: a control loop repeats the same call at 1 kHz.
 
     Args: the fields of `Asked`. Raises: ArgumentError for unusable values.
     """
@@ -143,40 +138,32 @@ def asked_of(chain, *rest) -> Asked:
     key = rest, tuple(map(type, rest))  # types too: 1.0 equals 1 but is no valid number of seeds
     try:
         hash(key)
-        lasting = all(map(errors.concrete, rest))
     except TypeError:  # lists, arrays
-        lasting = False
-    if not lasting:
+        return _asked(chain, *rest)
+    if not all(map(errors.concrete, rest)):
         return _asked(chain, *rest)
     return memoized(chain, "_asked", lambda _: LRU()).made(key, lambda _: _asked(chain, *rest))
 
 
-def _asked(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain) -> Asked:
+def _asked(chain, task, tolerance, accept, jump, seeds, seed, limits, explain) -> Asked:
     if chain.balls:
         what = f"turns about any axis by {chain.joint_names[chain.balls[0][1]]}"
         raise errors.fail("chain", "have no free base and no ball joint, to be asked for joint values", what)
     if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
-    numbers = {"seeds": (seeds, MOST_SEEDS), "budget": (budget, (1 << 30) - 1)}
-    others = {"tolerance": tolerance, "accept": accept, "seed": seed, "limits": limits, "explain": explain}
-    as_numbers("reach", *numbers.items(), *others.items())
+    others = {"tolerance": tolerance, "accept": accept, "seeds": seeds, "seed": seed}
+    as_numbers("reach", *others.items(), ("limits", limits), ("explain", explain))
     if jump is not None:
         errors.number("jump", jump, positive=True)
-    for name, (value, most) in numbers.items():
-        errors.integer(name, value, at_least=1, at_most=most)
-    tolerance, (own, unit), task = _pair("tolerance", tolerance), in_units(chain), task_of(task).on(chain)
+    tolerance, task = _pair("tolerance", tolerance), task_of(task).on(chain)
     aims(task)
-    if jump is not None and unit != 1.0 and "m" in chain.units:
-        jump = jump / np.array(of_joints(chain, unit))
     return Asked(
-        chain=own,
-        unit=unit,
+        chain=chain,
         task=task,
-        tolerance=np.array([tolerance[0] / unit, 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # a chord
-        accept=None if accept is None else _pair("accept", accept) / np.array([unit, 1.0]),
+        tolerance=np.array([tolerance[0], 2 * np.sin(min(tolerance[1], np.pi) / 2)]),  # a chord
+        accept=None if accept is None else _pair("accept", accept),
         jump=leaf(jump),
-        seeds=np.int32(seeds),
-        budget=np.int32(budget),
+        seeds=np.int32(errors.integer("seeds", seeds, at_least=1, at_most=MOST_SEEDS)),
         seed=np.int32(errors.seed(seed)),
         limits=errors.truth("limits", limits),
         explain=errors.truth("explain", explain),

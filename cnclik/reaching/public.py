@@ -12,15 +12,20 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.many import many, path, several
-from cnclik.reaching.result import Reached, fields
-from cnclik.reaching.single import traced
-from cnclik.reaching.targets import aims, read
-from cnclik.reaching.units import inward, outward
-from cnclik.record import ArrayLike, Float, replace
+from cnclik.reaching.path import path
+from cnclik.reaching.result import Reached, from_rows
+from cnclik.reaching.search import search_of
+from cnclik.reaching.several import several
+from cnclik.reaching.targets import read
+from cnclik.reaching.traced import traced
+from cnclik.reaching.units import nearer
+from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
+from cnclik.task.aims import aims
 from cnclik.task.task import Task
+
+POOL, REPORTED = 1 << 17, 1 << 13  # targets of one search, as it needs memory, and with progress
 
 
 @np.errstate(over="ignore", invalid="ignore")  # by targets far beyond any robot, whose status reports it
@@ -31,11 +36,10 @@ def reach(
     task: str | Task = "pose",
     tolerance: ArrayLike = (1e-6, 1e-6),
     accept: ArrayLike | None = None,
-    near: Float[ArrayLike, "*B n"] | None = None,
+    near: Float[ArrayLike, "*B n"] | str | None = None,
     jump: float | None = None,
     solutions: int = 1,
     seeds: int = 512,
-    budget: int = 25_000,
     limits: bool = True,
     explain: bool = True,
     base: Float[ArrayLike, "*B 4 4"] | None = None,
@@ -70,7 +74,6 @@ def reach(
         400 times.
       seeds: largest number of start postures for each target. Few are needed where there is an answer. Where none is
         found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is reported; with fewer it is OUT_OF_BUDGET.
-      budget: largest number of evaluations for a target that has no answer yet.
       limits: whether to keep the chain's joint limits. A joint that can turn more than once is given in the turn that
         is nearest to `near` or 0.
       explain: whether to find the reason and the nearest pose where there is no answer, which is most of the work for
@@ -83,38 +86,39 @@ def reach(
     Returns: `Reached`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    asked = asked_of(chain, task, tolerance, accept, jump, seeds, budget, seed, limits, explain)
+    asked = asked_of(chain, task, tolerance, accept, jump, seeds, seed, limits, explain)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
     errors.progress(progress)
-    if jump is not None and near is None:
-        raise errors.fail("near", "be given with `jump`", "is not")
     pose, alone = read(targets, asked.task, base)
-    known = all(map(errors.concrete, jax.tree.leaves((chain, pose, near, jump))))
+    known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
     previous = isinstance(near, str)
     if previous:
         errors.one_of("near", near, ("previous",))
-    elif near is not None:
-        near = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
-        near = np.asarray(near) if known else near
-        near = near + (np if known else jnp).zeros((len(pose), chain.n))  # quicker than broadcast_to
-        near = near.astype(pose.dtype, copy=False)
+    elif near is None and jump is not None:
+        raise errors.fail("near", "be given with `jump`", "is not")
+    begin = None
+    if near is not None and not previous:
+        begin = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
+        begin = (np if known else jnp).broadcast_to(begin, (len(pose), chain.n)).astype(pose.dtype)
     if not known and (solutions > 1 or previous):
         name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
         raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
-    xp, around = np if known else jnp, None if previous else near
-    several_tips = {"targets": pose} if len(aims(asked.task)) > 1 else {}
-    pose, inner, moved = inward(asked, pose, around, xp)
-    if not known:
-        made = traced(asked, pose, inner)
-    elif previous and solutions > 1:
+    if previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
+    given = {} if len(aims(asked.task)) < 2 else {"targets": pose[0] if alone else pose}
+    pose, moved = nearer(chain, asked.task, pose, np if known else jnp)
+    if not known:
+        rows = traced(asked, pose, begin)
     elif previous:
-        made = path(asked, pose, progress)
-    elif solutions > 1:
-        made = several(asked, pose, inner, solutions, progress)
+        rows = path(search_of(asked), pose, progress)
     else:
-        made = many(asked, pose, inner, progress)
-    made, each = outward(asked, made, chain, around, moved, xp), several_tips
-    if alone:
-        each = {name: v[0] for name, v in (fields(made) | each).items()}
-    return replace(made, **each) if each else made
+        rows, size = [], POOL if progress is None else REPORTED
+        for i in range(0, len(pose), size):
+            part = pose[i : i + size], None if begin is None else begin[i : i + size]
+            search = search_of(asked)
+            rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
+            if progress is not None:
+                progress(min(i + size, len(pose)), len(pose))
+        rows = rows[0] if len(rows) == 1 else np.concatenate(rows)
+    rows = rows if moved is None else asked.farther(rows, moved, np if known else jnp)
+    return from_rows(chain, asked.task, rows[0] if alone else rows, solutions=solutions, **given)

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.reaching.targets import WIDTH, aims
-from cnclik.record import AnyArray, Bool, Float, Int, record
+from cnclik.record import AnyArray, Bool, Float, Int, record, replace
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import task_jacobians
+from cnclik.task.aims import WIDTH, aims
 from cnclik.task.parts import At
 from cnclik.task.task import Task
 
@@ -31,7 +31,7 @@ class ReachStatus(enum.IntEnum):
     NO_OTHER = 7  # fewer different solutions were found than asked for; q is NaN
 
 
-PER_TARGET = ("q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance")
+_PER_TARGET = "q", "status", "position_error", "orientation_error", "evaluations", "at_limit", "distance"
 
 
 class Missed(NamedTuple):
@@ -104,6 +104,20 @@ class Reached:
             found.append(_missed(aim, own, at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)))
         return found
 
+    @property
+    def strays(self) -> Float[np.ndarray, " B-1"]:
+        """(B − 1,) by how much a tip leaves the straight line half-way between each row and the next [m].
+
+        While all joints move evenly from one answer to the next; NaN where one of both is missing. Of several tips the
+        one that strays most.
+        """
+        q, chain = np.where(self.solved[:, None], self.q, np.nan), modelled(self.chain)
+        tips = dict.fromkeys((aim.tip, aim.to) for aim in aims(self.task))
+        there, between = At(chain, q), At(chain, (q[1:] + q[:-1]) / 2)
+        ends = [there.position(*tip) for tip in tips]
+        away = [between.position(*tip) - (p[1:] + p[:-1]) / 2 for tip, p in zip(tips, ends, strict=True)]
+        return np.max([np.linalg.norm(v, axis=1) for v in away], axis=0)
+
     def __str__(self):
         status = np.atleast_1d(np.asarray(self.status))
         parts = ", ".join(f"{number:,} {name}" for name, number in count(status).items())
@@ -115,43 +129,64 @@ class Reached:
 def _missed(aim, target, position, rotation) -> Missed:
     """Errors of positions (..., 3) and rotations (..., 3, 3) of a tip."""
     away, turn = target[..., :3] - position, target[..., 3:].reshape(*target.shape[:-1], 3, 3)
-    away = away[..., np.array(aim.linear, int)]
-    chord = 2 * np.linalg.norm(poses.quaternions(turn @ rotation.mT)[..., 1:][..., np.array(aim.angular, int)], axis=-1)
-    return Missed(np.hypot.reduce(away, axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1)))
+    chord = 2 * np.linalg.norm(poses.quaternions(turn @ rotation.mT)[..., 1:][..., list(aim.angular)], axis=-1)
+    return Missed(
+        np.hypot.reduce(away[..., list(aim.linear)], axis=-1, initial=0.0), 2 * np.arcsin(np.minimum(chord / 2, 1))
+    )
+
+
+# --- rows -------------------------------------------------------------------------------------------------
+
+
+class Row(NamedTuple):
+    """What a descent, or a search, comes to: views of the rows (..., 2 n + 7) of targets."""
+
+    q: Float[AnyArray, "*B n"]
+    at_limit: Float[AnyArray, "*B n"]  # 1 or 0
+    status: Float[AnyArray, " *B"]
+    position_error: Float[AnyArray, " *B"]  # [m]
+    orientation_error: Float[AnyArray, " *B"]  # [rad]
+    evaluations: Float[AnyArray, " *B"]
+    distance: Float[AnyArray, " *B"]  # from `near`; NaN without it
+    cost: Float[AnyArray, " *B"]  # squared error in the chain's unit, weighted where it is that of the nearest pose
+    steep: Float[AnyArray, " *B"]  # its gradient there, see `descent.State`
 
 
 def width(n: int) -> int:
-    """Numbers of a target's row: q, status, both errors, evaluations, at_limit, distance, as PER_TARGET has them."""
-    return 2 * n + 5
+    """Return the numbers of a row."""
+    return 2 * n + len(Row._fields) - 2
 
 
-def from_rows(chain, task, rows) -> Reached:
-    """The record of targets from their rows (B, width), which become its own."""
-    n, rows.flags.writeable = chain.n, False
+def row_of(rows, n: int) -> Row:
+    """Return views of rows (..., width)."""
+    return Row(rows[..., :n], rows[..., n : 2 * n], *[rows[..., i] for i in range(2 * n, 2 * n + 7)])
+
+
+def from_rows(chain, task, rows, **others) -> Reached:
+    """Return the record of targets, or of solutions of each, from their rows (..., width)."""
+    if isinstance(rows, np.ndarray):
+        rows.flags.writeable = False
+    row = row_of(rows, chain.n)
     return Reached(
-        q=rows[:, :n],
-        status=rows[:, n].astype(int),
-        position_error=rows[:, n + 1],
-        orientation_error=rows[:, n + 2],
-        evaluations=rows[:, n + 3].astype(int),
-        at_limit=rows[:, n + 4 : -1] != 0,
-        distance=rows[:, -1],
+        q=row.q,
+        status=row.status.astype(int),
+        position_error=row.position_error,
+        orientation_error=row.orientation_error,
+        evaluations=row.evaluations.astype(int),
+        at_limit=row.at_limit > 0,
+        distance=row.distance,
         chain=chain,
         task=task,
+        **others,
     )
 
 
-def fields(made: Reached) -> dict:
-    """The fields of the record that have a value per target, by name."""
-    return {name: getattr(made, name) for name in PER_TARGET}
-
-
-def as_rows(of: dict, xp=np):
-    """The rows of some targets' `fields`, or of one target's."""
-    single = xp.ndim(of["status"])
-    return xp.concatenate(
-        [v if xp.ndim(v) > single else v[..., None] for v in (of[name] for name in PER_TARGET)], axis=-1
-    )
+def with_axis(made: Reached) -> Reached:
+    """Return the record of one target as that of a batch of one."""
+    if np.ndim(made.status) > (made.solutions > 1):
+        return made
+    values = {name: np.asarray(value)[None] for name, value in vars(made).items() if name in _PER_TARGET}
+    return replace(made, **values)
 
 
 def count(status) -> dict:

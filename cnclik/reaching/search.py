@@ -1,222 +1,287 @@
-"""The search for one target as a pure function, for jit, vmap and grad, and for systems without a compiler.
+"""Search: tries for the targets that are still open, in rounds, around one compiled program.
 
-A try is a state, `Try`, and a step, `advance`. Several tries step side by side. The result is the same as one after the
-other: the answer is the first try, in their order, that arrives. c/search.c is the same search, with the
-same numbers, one try after the other in each lane of a vector.
+The first sixteen tries begin at postures whose tips are near the target. The first that arrives is the answer; with
+`near` it is the one nearest to that. Later rounds hold tries of four kinds, see `starts.origins`; the best of a round
+go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
+import copy
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from cnclik import errors
-from cnclik.reaching import strategy
-from cnclik.reaching.asked import Asked
-from cnclik.reaching.seeds import SETS, STRETCHES, nearest, periods, spans, starts, turned
-from cnclik.reaching.step import Search, begin, iterate
-from cnclik.reaching.strategy import Phase, SoFar, narrowed, phases, wanted
-from cnclik.reaching.targets import aims, owners
-from cnclik.record import AnyArray, Array, Bool, Float, Int, replace
+from cnclik.engine.plan import in_c
+from cnclik.reaching.asked import SURE, Asked
+from cnclik.reaching.descent import CAREFUL, CLOSE, DOWNHILL, FREE, PLAIN, Terms, attempts
+from cnclik.reaching.result import ReachStatus, row_of, width
+from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins, turned
+from cnclik.record import AnyArray, Float, memoized
+from cnclik.threads import side_by_side
 
-SIDE_BY_SIDE = 8  # tries side by side
-SCATTER = np.uint32(0x7F4A7C15)  # by which a try's number becomes that of any seed; its upper bits are even (Knuth)
+ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
+MANY = 512  # tries at once, at least, if there are as many
+AT_ONCE = 1 << 15  # tries at once, at most
+CLOSER, LONGER = (0.3, 2e-2), (4, 16)  # [rad, units] a target missed by less gets so many times the tries
+ANEW = 512  # tries after which the islands are left for others
+FREELY, NEAREST = 128, 64  # tries without limits, and descents to the nearest pose
+
+
+class Stage(NamedTuple):
+    """Some tries of a search, and the targets that they are for."""
+
+    terms: Terms
+    first: int  # number of the first try
+    last: int  # and one more than that of the last one
+    less: float = np.inf  # for targets missed by less
+    status: int = 0  # what an answer means, of a search beyond `jump` or the limits
+    sure: bool = True  # for those alone of which enough was tried
+    far: bool = False  # also for those farther off than the arm is long
+    downhill: bool = False  # whether the tries go to the nearest pose, the first ones from the best postures so far
+
+
+def stages(asked: Asked, xp=np) -> list:
+    """Return the stages of a search, in order."""
+    seeds, own = int(asked.seeds), asked.terms(xp=xp)
+    four, sixteen = (times * seeds for times in LONGER)
+    made = [Stage(own, 0, min(ROUND, seeds), sure=False, far=asked.downhill), Stage(own, ROUND, seeds, sure=False)]
+    nearest = Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, sure=False, far=True, downhill=True)
+    made += [nearest] * asked.downhill
+    if not asked.explain:
+        return made
+    made += [Stage(own, seeds, four, CLOSER[0]), Stage(own, four, sixteen, CLOSER[1])]
+    made.append(nearest._replace(last=ISLANDS, less=CLOSER[0], sure=True, far=False))
+    wide = [(ReachStatus.JUMP, asked.terms(jump=False, xp=xp), four)] * (asked.jump is not None)
+    bounded = bool(np.isfinite(asked.limited()).any())
+    for status, terms, last in wide + [(ReachStatus.AT_LIMIT, asked.terms(limits=False, xp=xp), FREELY)] * bounded:
+        made.append(Stage(terms, 0, last, status=int(status)))
+        if last > FREELY:
+            made.append(Stage(terms, four, sixteen, CLOSER[1], int(status)))
+        made.append(Stage(terms, 0, ISLANDS, CLOSER[0], int(status), downhill=True))
+    return made
 
 
 class Found(NamedTuple):
-    """The result of a search for one target; several targets add an axis."""
+    """What the tries for targets came to so far."""
 
-    q: Float[AnyArray, "*B n"]  # the best posture found
-    squares: Float[AnyArray, "*B 2"]  # squared position and orientation error there
-    cost: Float[AnyArray, " *B"]  # and their sum, weighted where the search goes downhill
-    steep: Float[AnyArray, " *B"]  # gradient there, see `step.Search`; NaN where it was not looked at
-    looks: Float[AnyArray, " *B"]
-    found: Float[AnyArray, " *B"]  # 1 where it is an answer
-    places: Float[AnyArray, "*B PLACES n"]  # the best places of tries that did not arrive
-    costs: Float[AnyArray, "*B PLACES"]  # and what they cost
+    rows: Float[AnyArray, "*B width"]  # answers; of targets without one the nearest pose, once that was looked for
+    places: Float[AnyArray, "*B ISLANDS n"]  # the best postures of tries that did not arrive
+    costs: Float[AnyArray, "*B ISLANDS"]
 
 
-def nothing(shape, n, dtype=float, xp=np):
-    """`Found`: nothing yet, for targets of that shape."""
-
-    def full(value, *own):
-        return xp.full((*shape, *own), value, dtype)
-
-    one = full(0.0, n), full(np.inf, 2), full(np.inf), full(np.nan), full(0.0), full(0.0)
-    return Found(*one, full(0.0, strategy.PLACES, n), full(np.inf, strategy.PLACES))
+def nothing(shape, n, xp=np, dtype=float) -> Found:
+    """Return what no try came to, for targets of that shape."""
+    rows = xp.zeros((*shape, width(n)), dtype) + xp.asarray(blank(n), dtype)
+    return Found(rows, xp.zeros((*shape, ISLANDS, n), dtype), xp.full((*shape, ISLANDS), np.inf, dtype))
 
 
-def choose(which, one, other):
-    return jax.tree.map(lambda one, other: jnp.where(which, one, other), one, other)
+def blank(n) -> np.ndarray:
+    """Return the row of a try that was not made."""
+    return np.append(np.zeros(2 * n), [int(ReachStatus.OUT_OF_BUDGET), np.inf, np.inf, 0.0, np.nan, np.inf, np.inf])
 
 
-class Given(NamedTuple):
-    """Data shared by all targets."""
+def winners(block, n, near, first, xp=np) -> tuple:
+    """Return the winning rows (..., width) of tries (..., W, width), with the looks they took, and which are answers.
 
-    asked: Asked  # its tolerance in the targets' dtype
-    advance: Callable  # `advance` of its chain and task
-    postures: Float[Array, "K n"]  # to start from
-    nearest: Callable  # of a target and the number of a try: indices of the posture that is nearest by each aim
-
-
-def given(asked, postures, to, dtype, by=None) -> Given:
-    """What is asked, for targets in a dtype.
-
-    Args: to: what the postures are to the task; None where that is unknown. by: what runs steps, `native` or `scalars`
-      of the engine; None: the source as it is.
+    Args:
+      near: whether the nearest answer wins, and not the first one.
+      first: whether the first of them is the search's first, which then wins at once where it is CLOSE.
     """
-    tolerance = jnp.maximum(jnp.asarray(asked.tolerance, dtype), 64 * float(jnp.finfo(dtype).eps))
-    made = functools.partial(advance, asked.chain, asked.task)
-    if by is not None and all(map(errors.concrete, jax.tree.leaves((asked.chain, asked.task)))):
-        made = by(made)
-
-    def nearest_to(pose, number):
-        if to is None:
-            return jnp.full(len(aims(asked.task)), number % len(postures))
-        return nearest(to, pose, number % SETS)
-
-    return Given(replace(asked, tolerance=tolerance), made, jnp.asarray(postures, dtype), nearest_to)
+    row = row_of(block, n)
+    solved, looks = row.status == ReachStatus.SOLVED, xp.cumsum(row.evaluations, axis=-1)
+    found = at_once = solved.any(axis=-1)
+    won = xp.argmax(solved, axis=-1)
+    if near:
+        at_once = first & solved[..., 0] & (row.distance[..., 0] <= CLOSE)
+        won = xp.where(at_once, 0, xp.argmin(xp.where(solved, row.distance, np.inf), axis=-1))
+    counted = xp.where(at_once, of_each(looks, won, xp), looks[..., -1])
+    return with_looks(of_each(block, won, xp), n, counted, xp), found
 
 
-class Try(NamedTuple):
-    at: Search
-    step: Int[Array, ""]
-    most: Int[Array, ""]  # steps
-    careful: Bool[Array, ""]
-    free: Bool[Array, ""]  # of all bounds: where it arrives, it begins again within them
-    over: Bool[Array, ""]
-    found: Bool[Array, ""]
+def of_each(values, index, xp=np):
+    """Return an entry of each target's values: of (B, W, ...) and indices (B,), or while traced of (W, ...) and one."""
+    return values[np.arange(len(values)), index] if xp is np else values[index]
 
 
-def advance(chain, task, pose, near, bounds, tolerance, roots, own: Try) -> Try:
-    """One iteration, and whether the try has ended; a try that has ended does not change."""
-    low, high = bounds
-    within_bounds = jnp.where(own.free, -np.inf, low), jnp.where(own.free, np.inf, high)
-    at = iterate(chain, task, own.at, pose, within_bounds, tolerance, own.careful, roots)
-    step, short = own.step + 1, own.most <= strategy.CAREFUL
-    within, close = ((at.squares <= most**2).all() for most in (tolerance, strategy.COARSE))
-    ends = at.arrived | (short & (at.steep <= strategy.STUCK)) | (step >= own.most)
-    on = ends & ~within & ~at.arrived & short & close  # some more steps
-    most = jnp.where(on, own.most + strategy.SLOW, own.most)
-    inward = ends & within & own.free
-    q = jnp.clip(turned(at.best, 0.0 if near is None else near, periods(chain), low, high, jnp), low, high)
-    again = begin(q.astype(at.q.dtype), 0.0 * at.trust)._replace(looks=at.looks)
-    new = Try(at, step, most, own.careful | on, own.free, ends & ~on, ends & within)
-    new = choose(inward, Try(again, 0 * step, 0 * step + strategy.CAREFUL, own.careful, ~inward, ~inward, ~inward), new)
-    return choose(own.over, own, new)
+def with_looks(rows, n, looks, xp=np):
+    """Return the rows, in NumPy the same ones, with another number of evaluations."""
+    if xp is not np:
+        return rows.at[..., 2 * n + 3].set(looks)
+    rows[..., 2 * n + 3] = looks
+    return rows
 
 
-def start(of: Given, phase: Phase, made: Found, pose, near, bounds, k):
-    """The posture that try k begins at, whether it is free of all bounds, and whether there is such a try."""
-    asked, postures = of.asked, of.postures
-    ends, number, (low, high) = spans(asked.chain), asked.seed + k, bounds
-    middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
-    scattered = number.astype(np.uint32) * SCATTER
-    own, count = owners(asked.task, asked.chain), len(aims(asked.task))
-    which = jnp.where(k < SETS, of.nearest(pose, number), (scattered >> 20) % len(postures))
-    seed = postures[which[own], np.arange(len(own))]
-    stretch = jnp.where(k < SETS, 1.0, jnp.asarray(STRETCHES)[number % len(STRETCHES)]).astype(pose.dtype)
-    q = starts(seed, near, asked.periods, ends, low, high, stretch)
-    some = (scattered >> 16) % strategy.PLACES
-    by = (k >= SETS) & (number % strategy.SELDOM <= (count > 1)) & jnp.isfinite(made.costs[some])
-    if count > 1:  # of several tips one begins elsewhere
-        q = jnp.where(by & (own != number // strategy.SELDOM % count), made.places[some], q)
-    else:
-        q = jnp.where(by, made.places[some] + seed - middle, q)
-    if near is not None:
-        away = postures[number % len(postures)] - middle
-        shift = strategy.AROUND * k.astype(pose.dtype) / strategy.PLAIN * 2 * away / width
-        q = jnp.where(k < strategy.PLAIN, turned(near + shift, near, asked.periods, low, high, jnp), q)
-    place = jnp.minimum(k, strategy.PLACES - 1)
-    q = jnp.where(phase.downhill > 0, made.places[place], q)
-    there = (phase.downhill == 0) | jnp.isfinite(made.costs[place])
-    outer = (phase.downhill == 0) & (k >= SETS) & (jnp.isfinite(low) | jnp.isfinite(high)).any()
-    there = there & ~(outer & (number % (2 * strategy.OUTER) == 2 * strategy.OUTER - 1)) & (k < phase.tries)
-    return jnp.clip(q, low, high).astype(pose.dtype), outer & (number % strategy.OUTER == 2), there
+def wanted(asked, stage: Stage, found: Found, beyond: Found, far, sure, why, xp=np):
+    """Return which targets (...,) need a stage of a search."""
+    row = row_of(found.rows, asked.chain.n)
+    missed = xp.where(stage.status, xp.min(beyond.costs, axis=-1), asked.squares(row, xp))
+    unsolved = (row.status != ReachStatus.SOLVED) & (why == 0) & (sure | xp.logical_not(stage.sure))
+    return unsolved & (xp.isinf(stage.less) | (missed < stage.less**2)) & (~far | stage.far)
 
 
-def tries(of: Given, phase: Phase, made: Found, pose, near, k, together) -> Found:
-    """What so many tries come to, from number k on.
+def advanced(stage: Stage, found: Found, k, inside, tried, block=None, xp=np) -> Found:
+    """Return what was found, after tries k (W,) of a stage, and the careful ones that follow.
 
-    Args: pose: the target. near: (n,) or None.
+    Args: inside: `near` within the limits, or None. tried: makes tries, see `Search.tried`. block: those already made.
     """
-    bounds = narrowed(phase.low, phase.high, phase.jump, near, jnp)
-    number, downhill = k + jnp.arange(together, dtype=jnp.int32), phase.downhill > 0
-    q, free, there = jax.vmap(lambda k: start(of, phase, made, pose, near, bounds, k))(number)
-    plain = (number < strategy.PLAIN) & jnp.logical_not(downhill)
-    most = jnp.where(downhill, phase.downhill, jnp.where(plain, strategy.STEPS, strategy.CAREFUL))
-    at = jax.vmap(lambda q: begin(q, q[0] * 0.0))(q)
-    own = Try(at, jnp.zeros_like(number), most, ~plain, free, ~there, jnp.zeros_like(there))
-    roots, order = None if of.asked.task.weights is None else phase.roots, jnp.arange(together)
-
-    alike = pose, near, bounds, of.asked.tolerance, roots
-    shared = jax.tree.map(lambda v: jnp.broadcast_to(v, (together, *jnp.shape(v))), alike)
-
-    def first(own):
-        return jnp.min(jnp.where(own.found, order, together))
-
-    def once(own):
-        return jax.vmap(of.advance)(*shared, own)
-
-    own = lax.while_loop(lambda own: (~own.over & (order < first(own))).any(), once, own)
-    at, won, counted = own.at, first(own), order <= first(own)
-    cost = jnp.where(there & counted & ~own.free & jnp.isfinite(at.cost), at.cost, jnp.inf)
-    best = jnp.where(won < together, won, jnp.argmin(cost))
-    taken = (won < together) | downhill & (cost[best] < made.cost)
-    newest = (jnp.where(taken, v[best], old) for v, old in zip((at.best, *at[2:5]), made[:4], strict=True))
-    posture, squares, least, steep = newest
-    looks = made.looks + jnp.sum(jnp.where(counted & there, at.looks, 0.0))
-    costs = jnp.concatenate([made.costs, jnp.where(own.found | downhill, jnp.inf, cost)])
-    kept = jnp.argsort(costs)[: strategy.PLACES]
-    places = jnp.concatenate([made.places, at.best])[kept]
-    return Found(posture, squares, least, steep, looks, (won < together) * 1.0, places, costs[kept])
+    n, island, first = found.places.shape[-1], island_of(k), (k[0] == 0) & xp.logical_not(stage.downhill)
+    if block is None:
+        number, given, away = origins(k, stage.downhill, inside, found.places, found.costs, xp)
+        block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(stage.downhill, DOWNHILL, PLAIN))
+    row = row_of(block, n)
+    none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & xp.logical_not(stage.downhill)
+    better = xp.isfinite(row.cost) & ((k % 2 == 1) | (row.cost < found.costs[..., island]))
+    careful = none & (better | (row.status == FREE))
+    again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(careful, CAREFUL, 0))
+    both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
+    rows, solved = winners(both, n, inside is not None, first, xp)
+    row = row_of(both, n)
+    nearest = of_each(both, xp.argmin(row.cost, axis=-1), xp)
+    nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
+    looks = row_of(found.rows, n).evaluations + row_of(rows, n).evaluations
+    rows = xp.where(solved[..., None], rows, xp.where(nearer[..., None], nearest, found.rows))
+    mine = np.arange(ISLANDS)[:, None] == xp.concatenate([np.arange(ISLANDS), island])
+    costs = xp.concatenate([found.costs, row.cost], axis=-1)
+    best = xp.argmin(xp.where(mine, costs[..., None, :], np.inf), axis=-1)
+    places = xp.take_along_axis(xp.concatenate([found.places, row.q], axis=-2), best[..., None], -2)
+    return Found(with_looks(rows, n, looks, xp), places, xp.take_along_axis(costs, best, -1))
 
 
-def search(of: Given, phase: Phase, made: Found, pose, near, wanted) -> Found:
-    """The tries of a phase, until one arrives or seeds or budget are used up; none where it is not `wanted`."""
-    fresh = wanted & (phase.done == 0)
-    made = made._replace(cost=jnp.where(fresh, jnp.inf, made.cost))
-    made = choose(fresh & (phase.downhill == 0), nothing((), len(made.q), pose.dtype, jnp), made)
-
-    def goes_on(carry):
-        k, made = carry
-        return wanted & (made.found == 0) & (k < phase.tries) & ((k < strategy.PLAIN) | (made.looks < phase.budget))
-
-    def once(carry):
-        k, made = carry
-        return k + SIDE_BY_SIDE, tries(of, phase, made, pose, near, k, SIDE_BY_SIDE)
-
-    return lax.while_loop(goes_on, once, (phase.done, made))[1]
+def begins_anew(k):
+    """Return whether the islands are left for others before try k."""
+    return (k >= ANEW) & (k % ANEW < WIDEST)
 
 
-def concluded(of: Given, pose, near, made: Found, done) -> SoFar:
-    """The result of all phases for a target, after its first tries."""
-    asked, dtype = of.asked, pose.dtype
-    table = phases(asked, jnp)
-    table[0] = table[0]._replace(done=done)
-    table = jax.tree.map(lambda *rows: jnp.stack(jnp.broadcast_arrays(*map(jnp.asarray, rows))), *table)
-    table = jax.tree.map(lambda v: v.astype({"f": dtype, "i": np.int32, "b": bool}[v.dtype.kind]), table)
-    known, far = asked.finite(pose, near, jnp), asked.too_far(pose, jnp)
-    count = len(table.done)
+class Targets(NamedTuple):
+    """Targets of one search, in NumPy's float64."""
 
-    def once(carry):
-        p, so_far = carry
-        phase = jax.tree.map(lambda v: v[p], table)
-        beyond = phase.status > 0
-        which = wanted(phase, so_far, known, far, jnp)
-        found = search(of, phase, choose(beyond, so_far.beyond, so_far.made), pose, near, which)
-        made, there = choose(beyond, so_far.made, found), choose(beyond, found, so_far.beyond)
-        sure = jnp.where(p == 1, asked.sure(made.looks) & ~far, so_far.sure)
-        said = asked.meaning(phase.status, there.found != 0, there.squares, jnp)
-        return p + 1, SoFar(made, there, sure, jnp.where(beyond & which, said, so_far.why).astype(np.int32))
+    pose: Float[np.ndarray, "B t"]
+    near: Float[np.ndarray, "B n"] | None
+    inside: Float[np.ndarray, "B n"] | None  # `near`, turned into the limits
 
-    def goes_on(carry):
-        p, so_far = carry
-        return (p < count) & (so_far.made.found == 0) & (so_far.why == 0) & known
+    def some(self, ids):
+        """Return some of them, or each several times."""
+        return Targets(*(None if v is None else v[ids] for v in self))
 
-    start = SoFar(made, made, jnp.zeros((), bool), jnp.int32(0))
-    return lax.while_loop(goes_on, once, (jnp.int32(0), start))[1]
+
+class Search:
+    """The search for a chain's targets, with all that they share; made once for an `Asked`."""
+
+    pool = None  # threads, of a copy that is searching
+
+    def __init__(self, asked: Asked):
+        self.asked, self.attempts = asked, attempts(asked.chain, asked.task)
+        self.n, self.stages, self.wide = asked.chain.n, stages(asked), asked.terms(limits=False)
+
+    def targets(self, pose, near) -> Targets:
+        """Return targets (B, t), near (B, n) or None, as the search takes them."""
+        turn = np.array(self.asked.chain.periodic), *self.asked.limited()
+        return Targets(pose, near, None if near is None else turned(near, near, *turn))
+
+    def rows(self, pose, near) -> np.ndarray:
+        """Return the rows (B, width) of targets (B, t), near (B, n) or None."""
+        if len(pose) * ROUND <= MANY:
+            return self.found(self.targets(pose, near))
+        with side_by_side() as pool:
+            own = copy.copy(self)
+            own.pool = pool
+            return own.found(self.targets(pose, near))
+
+    def found(self, of: Targets) -> np.ndarray:
+        """Return the rows of targets, with the threads that the search has."""
+        asked, finite = self.asked, self.asked.finite(*of[:2])
+        usable = finite if asked.downhill else finite & ~asked.too_far(of.pose)  # nothing is tried for the others
+        if not usable.all():
+            rows = asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), finite, False, 0, True)
+            if usable.any():
+                rows[usable] = self.found(of.some(usable))
+            return rows
+        rows, block, left = self.first(of)
+        if len(left):
+            rows[left] = self.rest(of.some(left), block)
+        if asked.jump is not None:  # of answers at once: where `near` is outside the limits
+            row = row_of(rows, self.n)
+            gone = (row.status <= ReachStatus.ACCEPTED) & asked.away(row)
+            rows[gone] = asked.concluded(rows[gone], True, False, 0, False)
+        return rows
+
+    def first(self, of: Targets) -> tuple:
+        """Make the plain tries of the first round, of many targets one after the other.
+
+        Returns: rows (B, width); the tries (K, W, width) of targets that have no answer; the indices of these.
+        """
+        n, count, near, ids = self.n, min(ROUND, int(self.asked.seeds)), of.near is not None, np.arange(len(of.pose))
+        rows, block, k = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n))), 0
+        while len(ids) and k < count:
+            one, of_ = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
+            order = np.arange(k, k + 1 if one else count)
+            _, given, away = origins(order, False, of_.inside, *nothing((), n)[1:]) if near else (0, None, 0.0 * order)
+            tries = self.tried(of_, self.stages[0].terms, given, away, order, PLAIN)
+            block, k = tries if k == 0 else np.concatenate([block, tries], axis=1), order[-1] + 1
+            if one:
+                made, row = tries[:, 0], row_of(tries[:, 0], n)
+                solved = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE if near else True)
+                made = with_looks(made[solved], n, row_of(block[solved], n).evaluations.sum(axis=1))
+            else:
+                made, solved = winners(block, n, near, first=True)
+                made = made[solved]
+            rows[ids[solved]] = made
+            ids, block = ids[~solved], block[~solved]
+        return rows, block, ids
+
+    def rest(self, of: Targets, block) -> np.ndarray:
+        """Return the rows of targets whose first tries (K, W, width) have not arrived."""
+        asked, n, K = self.asked, self.n, len(of.pose)
+        far, order = asked.too_far(of.pose), np.arange(block.shape[1])
+        tried = functools.partial(self.tried, of)
+        found = beyond = advanced(self.stages[0], nothing((K,), n), order, of.inside, tried, block)
+        sure, why = np.zeros(K, bool), np.zeros(K, int)
+        for i, stage in enumerate(self.stages[1:]):
+            if stage.status and not (stage.first or stage.downhill):
+                beyond = nothing((K,), n)
+            ids = np.flatnonzero(wanted(asked, stage, found, beyond, far, sure, why))
+            self.stage(stage, beyond if stage.status else found, ids, of)
+            if i == 0:
+                sure = (asked.seeds >= SURE) & ~far
+            if stage.status:
+                why[ids] = asked.meaning(stage.status, row_of(beyond.rows[ids], n))
+        return asked.concluded(found.rows, True, sure, why, far)
+
+    def stage(self, stage: Stage, found: Found, ids, of: Targets) -> None:
+        """Put what comes of a stage's tries for some targets into what was found."""
+        k = stage.first
+        while len(ids) and k < stage.last:
+            count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
+            if not stage.downhill and begins_anew(k):
+                found.costs[ids] = np.inf
+            for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
+                own, before = of.some(some), Found(*(v[some] for v in found))
+                tried = functools.partial(self.tried, own)
+                made = advanced(stage, before, k + np.arange(count), own.inside, tried)
+                for whole, part in zip(found, made, strict=True):
+                    whole[some] = part
+            ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
+
+    def tried(self, of: Targets, terms, given, away, k, most) -> np.ndarray:
+        """Return the rows (B, W, width) of tries k (W,), see `descent.attempt`; blank ones where `most` is 0."""
+        shape = len(of.pose), len(k)
+        if shape[0] == 1 and np.ndim(most) == 0:  # as a control loop asks for one target: quicker
+            near = None if of.near is None else of.near[0]
+            given = given if given is None else given.reshape(-1, self.n)
+            return self.attempts(terms, of.pose[0], near, given, away, k, most, self.asked.seed)[None]
+        most = np.broadcast_to(most, shape)
+        ids, which = np.nonzero(most)
+        given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
+        targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
+        numbers = away[which], k[which], most[ids, which]
+        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=self.pool)
+        if len(ids) == shape[0] * shape[1]:
+            return made.reshape(*shape, made.shape[-1])
+        rows = np.tile(blank(self.n), (*shape, 1))
+        rows[ids, which] = made
+        return rows
+
+
+def search_of(asked: Asked) -> Search:
+    """Return the search, made once for what is asked and for the engine that is chosen."""
+    return memoized(asked, f"_search_{in_c()}", Search)

@@ -1,7 +1,6 @@
 """Targets: the accepted forms of a target, read into 12 numbers for each tip."""
 
 import functools
-import itertools
 from collections.abc import Mapping
 
 import jax
@@ -9,12 +8,11 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law.reference import Reference, References, aims_of
-from cnclik.record import memoized, record
 from cnclik.robot import poses
-from cnclik.robot.chain import Chain
+from cnclik.task.aims import WIDTH, aims, of_tips
 from cnclik.task.build import orientation, pose, position
 from cnclik.task.parts import places
-from cnclik.task.task import Part, Task
+from cnclik.task.task import Task
 
 TASKS = {"pose": pose, "position": position, "orientation": orientation}
 _FORMS = {
@@ -162,7 +160,7 @@ def _parts(name, targets, aim):
         where = None if where is None and not aim.linear else _positions(name, where, aim)
         turn = None if turn is None and not aim.angular else poses.rotations(name, turn, finite=False)
         return where, turn
-    four = not aim.linear and poses.shape_of(targets) == (4, 4) and _are_quaternions(name, targets)
+    four = not aim.linear and poses.shape_of(targets) == (4, 4) and _are_quaternions(targets)
     found = None if four else poses.whole(name, targets, finite=False)
     if found is not None:
         return found
@@ -175,13 +173,23 @@ def _parts(name, targets, aim):
     if shape[-1:] == (3,) and len(shape) in (1, 2):
         must = f"be {_FORMS['pose']}, one or an array of them"
         raise errors.fail(name, must, "holds positions alone, which are for task position (--task position)")
+    if len(shape) in (1, 2):
+        count = "7 numbers, x y z [m] and a quaternion w x y z" if aim.angular else "3 numbers, x y z [m]"
+        alone = f"{len(aim.linear)} numbers, {' '.join('xyz'[i] for i in aim.linear)} [m], or "
+        alone *= not aim.angular and len(aim.linear) < 3
+        raise errors.fail(name, f"hold {alone}{count}", f"holds {shape[-1]}")
     kind = "pose" if aim.angular else "position"
     raise errors.fail(name, f"be {_FORMS[kind]}, one or an array of them", f"has shape {shape}")
 
 
+def _are_quaternions(found) -> bool:
+    """Whether a 4×4 array for an orientation is four quaternions: its last row is not that of a transform."""
+    return errors.concrete(found) and not np.array_equal(np.asarray(found, float)[3], [0, 0, 0, 1])
+
+
 def _positions(name, value, aim):
     """Positions (..., 3), of which the task's coordinates may stand alone; the others are arbitrary."""
-    some = {3, len(aim.linear)} - {0}
+    some = {3, len(aim.linear)}
     value = errors.array(name, value, *((size,) for size in some), *((None, size) for size in some), finite=False)
     value = np.asarray(value, float) if errors.concrete(value) else value
     if value.shape[-1] == 3:
@@ -189,94 +197,3 @@ def _positions(name, value, aim):
     xp = poses.library(value)
     each = dict(zip(aim.linear, xp.moveaxis(value, -1, 0), strict=True))
     return xp.stack([each.get(axis, xp.zeros(value.shape[:-1])) for axis in range(3)], -1)
-
-
-def _are_quaternions(name, found) -> bool:
-    """Whether a 4×4 array is four unit quaternions and no transform. Raises ArgumentError where it could be both."""
-    if not all(map(errors.concrete, jax.tree.leaves(found))):
-        return False
-    found = np.asarray(errors.array(name, found, finite=False), float)
-    with np.errstate(all="ignore"):
-        off = np.abs(np.sqrt((found * found).sum(axis=1)) - 1).max()
-    if not np.array_equal(found[3], [0, 0, 0, 1]):
-        return off <= poses.NORM
-    if off <= poses.ROUGH:  # such as the identity
-        must = "say whether it is a transform, T[None], or four quaternions, (None, quaternions)"
-        raise errors.fail(name, must, "could be both")
-    return False
-
-
-# --- the pose that a task asks of each tip ------------------------------------------------------------
-
-
-WIDTH = 12  # of an aim's target: a position [m], and the rows of a rotation
-
-
-@record
-class Aim:
-    """Position, orientation or both of one tip."""
-
-    path: tuple[str, ...]  # its name: the task of a stack, and the tip where there are several
-    parts: tuple[Part, ...]  # of the task: the coordinates that count
-    tip: str | None
-    to: str | None  # the tip from which it is seen; None: the base
-    linear: tuple[int, ...]  # axes of the position
-    angular: tuple[int, ...]
-
-    @property
-    def label(self) -> str:
-        """Its name as a text, such as "hands.left", or "right in left" of a tip as seen from another."""
-        return ".".join(self.path) + (f" in {self.to}" if self.to else "")
-
-    def way(self, chain: Chain) -> list[int]:
-        """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
-        own, other = (chain.way(chain.tip_number(tip)) for tip in (self.tip, self.to or self.tip))
-        return own if self.to is None else sorted(set(own) ^ set(other))
-
-
-def aims(task: Task) -> tuple[Aim, ...]:
-    """The aims of a task. Raises: ArgumentError for coordinates that are no tip's, and for a tip that has two aims."""
-    return memoized(task, "_aims", _aims)
-
-
-def _aims(task):
-    found = []
-    for path, own in task.targets:
-        if not all(hasattr(part, "axes") for part in own.parts):
-            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(own.names)}")
-        if path in [aim.path for aim in found]:
-            raise errors.fail("task", "have what it wants of a tip in one place", f"has {path[-1]} in two")
-        tip, to = own.parts[0].tip, own.parts[0].to
-        axes = [[i for part in own.parts if part.turns == turns for i in places(part.axes)] for turns in (False, True)]
-        linear, angular = (tuple(map(int, of)) for of in axes)
-        if len({*linear, *(3 + i for i in angular)}) < len(linear + angular):
-            raise errors.fail("task", "have each axis of a tip once", f"has {', '.join(own.names)}")
-        found.append(Aim(path=path, parts=own.parts, tip=tip, to=to, linear=linear, angular=angular))
-    return tuple(found)
-
-
-def of_tips(task: Task) -> Task:
-    """The parts of a task that are poses of tips. Raises: ArgumentError where there are none."""
-    kept = [hasattr(part, "axes") for part in task.parts]
-    if all(kept):
-        return task
-    if not any(kept):
-        raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(task.names)}")
-    parts, weights, tasks, left = tuple(itertools.compress(task.parts, kept)), task.weights, [], iter(kept)
-    if weights is not None:
-        weights = np.concatenate([np.arange(task.m)[at] for at in itertools.compress(task.slices, kept)])
-        weights = task.weights[weights]  # type: ignore[index]
-    for name, count in task.tasks:
-        tasks += [(name, of)] if (of := sum(itertools.islice(left, count))) else []
-    return Task(parts=parts, weights=weights, tasks=tuple(tasks))
-
-
-def told_apart(task: Task) -> str:
-    """A text that differs for tasks with different aims."""
-    return str([aim.parts for aim in aims(task)])
-
-
-def owners(task: Task, chain: Chain) -> np.ndarray:
-    """(n,) the number of the aim whose tip each joint moves; the first one of several."""
-    ways = [{chain.joints[i].coordinate for i in aim.way(chain)} for aim in aims(task)]
-    return np.array([next((k for k, way in enumerate(ways) if i in way), 0) for i in range(chain.n)], np.int32)

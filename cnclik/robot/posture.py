@@ -50,7 +50,9 @@ def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
     origin = way[0].origin.position
     away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
     size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # keeps squares finite
-    longest = (1 + 64 * float(np.finfo(away.dtype).eps)) * arm_length(chain, number=number)  # with room for rounding
+    longest = (1 + 64 * float(np.finfo(away.dtype).eps)) * arm_length(
+        chain, least=0.0, number=number
+    )  # with room for rounding
     return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - longest
 
 

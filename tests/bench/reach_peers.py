@@ -1,16 +1,6 @@
-"""Robots, targets and checks by Pinocchio's kinematics for `tests.bench.reach`, and its peers.
-
-Peers are Pinocchio in C++ (`pinocchio_reach.cpp`), and the C++ Levenberg-Marquardt of Robotics Toolbox for Python,
-which lives in an environment of its own: RTB_PYTHON names its interpreter.
-"""
+"""Robots, targets and checks by Pinocchio's kinematics for `tests.bench.reach`; Pinocchio's search in C++."""
 
 import ctypes
-import json
-import os
-import pathlib
-import statistics
-import subprocess
-import sys
 import time
 from typing import NamedTuple
 
@@ -26,28 +16,6 @@ from tests.integrate.test_real_robots import ROBOTS, folder
 TOLERANCE = 1e-6  # [m], [rad]
 SLACK = 1e-9  # [m, rad] between two forward kinematics
 LEAF = "link_eef"  # xArm7's only leaf
-
-
-def seconds_of(call, clock=time.perf_counter):
-    """(seconds, what the call returns)."""
-    begun = clock()
-    made = call()
-    return clock() - begun, made
-
-
-def warm(call, rounds=5, clock=time.perf_counter):
-    """Median seconds of some calls after the first."""
-    return statistics.median(seconds_of(call, clock)[0] for _ in range(rounds))
-
-
-def micro(seconds, count=1):
-    """Microseconds each."""
-    return round(1e6 * seconds / count, 2)
-
-
-def share(of):
-    """A share, as a float with digits enough for one of ten thousand."""
-    return round(float(sum(of) / len(of)), 6)
 
 
 class Robot:
@@ -94,27 +62,14 @@ class Robot:
             out[k, :3, :3], out[k, :3, 3] = m.rotation, m.translation
         return out
 
-    def right(self, q, targets, tolerance=(TOLERANCE, TOLERANCE), turn=True):
+    def right(self, q, targets, tolerance=(TOLERANCE, TOLERANCE)):
         """Which of (B, n) answers put the tip at their targets (B, 4, 4) and keep the limits."""
         at = self.pose(np.where(np.isfinite(q), q, 0.0))
         away = np.linalg.norm(at[:, :3, 3] - targets[:, :3, 3], axis=1)
         chord = np.linalg.norm((at - targets)[:, :3, :3], axis=(1, 2)) / np.sqrt(8)
-        there = (away <= tolerance[0] + SLACK) & (
-            ~np.bool_(turn) | (2 * np.arcsin(np.minimum(chord, 1)) <= tolerance[1] + SLACK)
-        )
+        there = (away <= tolerance[0] + SLACK) & (2 * np.arcsin(np.minimum(chord, 1)) <= tolerance[1] + SLACK)
         kept = ((q >= self.lower - SLACK) & (q <= self.upper + SLACK)).all(axis=1)
         return there & kept & np.isfinite(q).all(axis=1)
-
-    def position(self, q):
-        """Position (3,) of the tip and its Jacobian (3, n) at q (n,), seen from the base."""
-        pin.computeJointJacobians(self.model, self._data, self._full(q))
-        m = pin.updateFramePlacement(self.model, self._data, self._tip)
-        j = pin.getFrameJacobian(self.model, self._data, self._tip, pin.LOCAL_WORLD_ALIGNED)
-        j = j[:3, [joint.idx_v for joint in self._joints]]
-        if self._root is None:
-            return m.translation.copy(), j
-        base = pin.updateFramePlacement(self.model, self._data, self._root)
-        return base.actInv(m.translation), base.rotation.T @ j
 
     def _full(self, q):
         full = pin.neutral(self.model)
@@ -181,83 +136,3 @@ class PinocchioReach:
             tried.append((found.mean(), time.perf_counter() - begun, options))
         most = max(share for share, *_ in tried)
         return min((seconds, options) for share, seconds, options in tried if share >= most - 0.005)[1]
-
-
-# --- peers in processes of their own ------------------------------------------------------------------
-
-TOOLBOX = """
-import sys, time, json, numpy as np, roboticstoolbox as rtb
-from spatialmath import SE3
-given = np.load(sys.argv[1])
-joints = []
-for origin in given["origins"]:
-    joints += [rtb.ET.SE3(SE3(origin, check=False)), rtb.ET.Rz()]
-arm = rtb.ETS(joints + [rtb.ET.SE3(SE3(given["tip"], check=False))])
-arm.qlim = np.stack([given["lower"], given["upper"]])
-targets = [np.ascontiguousarray(T) for T in given["targets"]]
-def run(targets, k, ilimit):
-    begun = time.perf_counter()
-    made = [arm.ik_LM(T, ilimit=ilimit, slimit=100, tol=0.5e-12, k=k, method="chan") for T in targets]
-    return time.perf_counter() - begun, np.array([m.q for m in made]), np.array([m.success for m in made], bool)
-tried = [(*run(targets[:200], k, ilimit), k, ilimit) for k in (1.0, 0.1, 0.01, 0.001) for ilimit in (15, 30)]
-most = max(t[2].mean() for t in tried)
-_, k, ilimit = min((t[0], t[3], t[4]) for t in tried if t[2].mean() >= most - 0.005)
-print(json.dumps({"version": rtb.__version__, "k": k, "ilimit": ilimit}), flush=True)
-for _ in sys.stdin:
-    seconds, q, found = run(targets, k, ilimit)
-    np.savez(sys.argv[2], q=q, found=found)
-    print(seconds, flush=True)
-"""
-
-CNCLIK = """
-import sys, time, json, numpy as np, cnclik as ck
-from tests.bench.reach_peers import Robot
-given = np.load(sys.argv[1])
-chain, targets = Robot(str(given["name"])).chain, given["targets"]
-ck.reach(chain, targets)
-print(json.dumps({}), flush=True)
-for _ in sys.stdin:
-    begun = time.perf_counter()
-    made = ck.reach(chain, targets)
-    seconds = time.perf_counter() - begun
-    np.savez(sys.argv[2], q=made.q, found=np.asarray(made.solved))
-    print(seconds, flush=True)
-"""
-
-
-class Worker:
-    """A process that reads targets, and solves them each time it is asked to."""
-
-    def __init__(self, robot, targets, text, scratch, python=sys.executable, environment=None):
-        origins, tip = robot.about_z()
-        low, high = robot.range()
-        given, self._out = pathlib.Path(scratch) / "given.npz", pathlib.Path(scratch) / "found.npz"
-        given = given.with_stem(f"given{id(self)}")
-        self._out = self._out.with_stem(f"found{id(self)}")
-        np.savez(given, origins=origins, tip=tip, lower=low, upper=high, targets=targets, name=robot.name)
-        pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        command = [python, "-c", text, str(given), str(self._out)]
-        self._process = subprocess.Popen(command, env=os.environ | (environment or {}), **pipes)
-        self.about = json.loads(self._process.stdout.readline() or "null")
-
-    def run(self):
-        """(seconds, q, found) of one round."""
-        self._process.stdin.write("\n")
-        self._process.stdin.flush()
-        seconds = float(self._process.stdout.readline())
-        made = np.load(self._out)
-        return seconds, made["q"], made["found"]
-
-    def close(self):
-        """End the process."""
-        self._process.stdin.close()
-        self._process.wait()
-
-
-def toolbox(robot, targets, scratch):
-    """Robotics Toolbox's worker, or None where it is not installed."""
-    python = os.environ.get("RTB_PYTHON")
-    if not python:
-        return None
-    worker = Worker(robot, targets, TOOLBOX, scratch, python, {"PYTHONPATH": ""})
-    return worker if worker.about else None

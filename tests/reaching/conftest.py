@@ -1,17 +1,14 @@
-"""Tests of a dozen targets are of batches; in use so few are searched for one by one.
+"""Searches run as C where there is a compiler; tests marked `without_c` run them as programs of XLA."""
 
-Searches are native, but where a test says otherwise: `jax_alone` are those of machines without a compiler.
-"""
+import contextlib
 
 import pytest
 
-from cnclik.reaching import many, native, single
+import cnclik as ck
 
 
 @pytest.fixture(autouse=True)
-def way(request, monkeypatch):
-    """How targets are searched for."""
-    monkeypatch.setattr(single, "ONE_BY_ONE", (8, 8))
-    monkeypatch.setattr(native, "AT_ONCE", 1000)
-    if getattr(request, "param", "native") == "jax":
-        monkeypatch.setattr(many, "native_for", lambda *_: None)
+def way(request):
+    """The engine of a search: "c" or "xla"."""
+    with ck.use_engine("xla") if getattr(request, "param", "c") == "xla" else contextlib.nullcontext():
+        yield

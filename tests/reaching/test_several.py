@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.engine.compiler import can_build
-from cnclik.reaching.seeds import spans
-from cnclik.reaching.targets import owners
+from cnclik.reaching.starts import spans
 from cnclik.robot.model import modelled
 from cnclik.robot.poses import quaternions
+from cnclik.task.aims import owners
 from cnclik.task.parts import At
 from tests.oracles import close
 from tests.reaching.test_reach import both_ways
@@ -114,21 +113,6 @@ def test_tasks_joined_and_tasks_of_several_tips():
 
 
 @both_ways
-def test_the_same_coordinates_in_one_task_or_in_two():
-    """On one robot: a pose has one target, a position and an orientation by their names have two."""
-    q = drawn(TWO, 12, seed=12)
-    left = where(TWO, q, LEFT)
-    whole = ck.reach(TWO, left, task=ck.pose(tip=LEFT))
-    task = ck.stack(place=ck.position(tip=LEFT), turn=ck.orientation(tip=LEFT))
-    apart = ck.reach(TWO, {"place": left[0], "turn": left[1]}, task=task)
-    for made in (whole, apart):
-        assert made.solved.all()
-        close(where(TWO, made.q, LEFT)[0], left[0], atol=1e-6)
-        close(where(TWO, made.q, LEFT)[1], left[1], atol=3e-6)
-    assert not apart["place"].orientation_error.any() and apart["turn"].orientation_error.any()
-
-
-@both_ways
 def test_one_tip_seen_from_the_other():
     """As Pinocchio has it; alone, and while the other goes somewhere."""
     q, other = drawn(TWO, 12, seed=3), Pinocchio(BAXTER, oracle(BAXTER)[0])
@@ -170,22 +154,6 @@ def test_near_with_jump_solutions_and_paths():
     along = {"left": where(TWO, line, LEFT), "right": where(TWO, line, RIGHT)}
     path = ck.reach(TWO, along, task=TASK, near="previous", jump=0.2)
     assert path.solved.all() and np.abs(np.diff(path.q, axis=0)).max() <= 0.2 + 1e-9
-
-
-@pytest.mark.skipif(not can_build(), reason="there is no C compiler")
-def test_c_and_jax_make_the_same_tries():
-    """Also those that keep one arm where it is; of the hardest postures, and to rounding."""
-    q = drawn(TWO, 40, seed=10)
-    at_limit = np.random.default_rng(11).random(q.shape) < 0.6
-    q = np.where(at_limit, np.where(q > 0, TWO.upper, TWO.lower), q)
-    due = {"left": where(TWO, q, LEFT), "right": where(TWO, q, RIGHT)}
-    one = ck.reach(TWO, due, task=TASK)
-    with ck.use_engine("xla"):
-        other = ck.reach(ck.replace(TWO), due, task=TASK)
-    assert one.solved.all() and other.solved.all() and (one.evaluations > 16 * 20).sum() > 5
-    assert (one.evaluations == other.evaluations).mean() > 0.6
-    gap = one.evaluations / other.evaluations
-    assert ((gap > 0.95) & (gap < 1.05)).mean() > 0.8
 
 
 # --- no answer ----------------------------------------------------------------------------------------

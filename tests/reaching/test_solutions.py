@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik import ReachStatus
-from tests.reaching.test_reach import both_ways, by_jax, tips
+from tests.reaching.test_reach import both_ways, by_xla, tips
 
 # Modified Denavit-Hartenberg parameters of an arm whose wrist is spherical.
 A, ALPHA = (0.0, 0.16, 0.78, 0.15, 0.0, 0.0), (0.0, -np.pi / 2, 0.0, -np.pi / 2, np.pi / 2, -np.pi / 2)
@@ -69,10 +69,10 @@ def complete(chain, targets, made):
     return np.array(done)
 
 
-@pytest.mark.parametrize("way", ["native", by_jax], indirect=True)
+@pytest.mark.parametrize("way", ["c", by_xla], indirect=True)
 @pytest.mark.parametrize("limit", [np.pi, 2.5])
 def test_all_that_the_closed_form_knows(limit, request):
-    count = 60 if request.node.callspec.params["way"] == "jax" else 150
+    count = 60 if request.node.callspec.params["way"] == "xla" else 150
     _all_of(limit, count, at_least=count - 1)
 
 

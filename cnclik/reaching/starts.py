@@ -1,0 +1,165 @@
+"""Starts: postures that fill the joint space, in bins of where they put the tip; a try starts from its target's bin.
+
+A start near the target helps most: of a Panda's first tries from the bins of 131,072 postures 72 % arrive, from even
+postures 20 %. Of several tips each joint starts where it has that tip near which it moves, see `targets.owners`.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from cnclik.robot.chain import Chain
+from cnclik.robot.posture import evenly
+from cnclik.task.aims import WIDTH, aims, owners
+
+COUNT = 1 << 17  # postures
+PER_BIN, TURNS = 5, 3  # about so many of them in a bin; bins along a coordinate of a turn
+BINNED = 16  # tries from the target's bin, at most; others start anywhere
+STRETCHES = np.array([1.0, 4.0, 8.0, 4.0])  # of those: some have most joints, or all, at limits
+ABOUT = 8  # tries about `near`; the last ones begin anywhere in the ranges of the joints
+ISLANDS = 8  # of the tries of a target
+SCATTERED = 0.3, 0.1  # ranges of the joints about a posture found
+
+
+class Starts(NamedTuple):
+    """Postures, ordered for each joint by the bins of the tip that it moves."""
+
+    postures: np.ndarray  # (COUNT, n) float32
+    first: np.ndarray  # (bins,) int32: of each bin its first posture, aim by aim
+    lines: np.ndarray  # (aims, 2, 3) where the bins of places begin [m], and how many there are in a metre
+
+
+def spans(chain: Chain):
+    """Return lower and upper ends (n,) of where starts are: the limits, of which at most one turn about the middle."""
+    lower, upper = np.array(chain.lower, float), np.array(chain.upper, float)
+    turn = 2 * math.pi
+    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - turn, -math.pi))
+    high = np.where(np.isfinite(upper), upper, low + turn)
+    middle = np.clip(0.0, np.minimum(low + math.pi, (low + high) / 2), np.maximum(high - math.pi, (low + high) / 2))
+    wide = (high - low > turn) & np.array(chain.periodic)
+    return np.where(wide, middle - math.pi, low), np.where(wide, middle + math.pi, high)
+
+
+def turned(q, about, periodic, low, high, xp=np):
+    """Return joint values (..., n), `periodic` joints by whole turns as near to `about` as the bounds allow."""
+    about, turn = xp.clip(about, low, high), 2 * math.pi
+    near = q + turn * xp.round((about - q) / turn)
+    near = xp.where((near > high) & (near - turn >= low), near - turn, near)
+    return xp.where(periodic, xp.where((near < low) & (near + turn <= high), near + turn, near), q)
+
+
+def empty(chain, task) -> Starts:
+    """Return starts without bins: those of a try depend on its number alone."""
+    low, high = spans(chain)
+    postures = (low + (high - low) * evenly(COUNT, chain.n)).astype(np.float32)
+    bins = sum(math.prod(_shape(aim)) for aim in aims(task))
+    return Starts(postures, np.zeros(bins, np.int32), np.zeros((len(aims(task)), 2, 3)))
+
+
+def binned(chain, task, tips) -> Starts:
+    """Return the starts of a chain. Args: tips: of postures (K, n) the poses (K, t) of the task's aims."""
+    postures, _, lines = empty(chain, task)
+    poses, own, first, ordered = tips(postures.astype(float)), owners(task, chain), [], np.empty_like(postures)
+    few = COUNT // 500
+    for k, aim in enumerate(aims(task)):
+        pose, axes = poses[:, WIDTH * k : WIDTH * (k + 1)], list(aim.linear)
+        ends = np.partition(pose[:, axes], [few, COUNT - few], axis=0)[[few, COUNT - few]]
+        lines[k, :, : len(axes)] = ends[0], _shape(aim)[: len(axes)] / np.maximum(ends[1] - ends[0], 1e-12)
+        bins = _bin(aim, pose, lines[k], np)
+        order = np.argsort(bins, kind="stable")
+        first.append(np.searchsorted(bins[order], np.arange(math.prod(_shape(aim)))))
+        ordered[:, own == k] = postures[order][:, own == k]
+    return Starts(ordered, np.concatenate(first).astype(np.int32), lines)
+
+
+def _shape(aim) -> list:
+    """Return the number of bins along each coordinate of an aim: as many for each length, and TURNS of a turn's three.
+
+    In all there is about one for PER_BIN postures, and half as many again, as a third of them is beyond reach.
+    """
+    turns = [4] + 3 * [TURNS] if len(aim.angular) == 3 else []
+    most, lengths = 3 * COUNT / PER_BIN / math.prod(turns), len(aim.linear)
+    return [max(1, round(most ** (1 / max(lengths, 1))))] * lengths + turns
+
+
+def _bin(aim, pose, lines, xp=jnp):
+    """Return the number of the bin (...) of poses (..., 12) of an aim.
+
+    A turn has the ratios of its quaternion's components to the largest one as coordinates, and which one that is.
+    """
+    number, shape = xp.zeros(pose.shape[:-1], np.int32), _shape(aim)
+
+    def put(number, place, count):
+        return number * count + xp.clip(place, 0, count - 1).astype(np.int32)
+
+    for i, axis in enumerate(aim.linear):
+        number = put(number, (pose[..., axis] - lines[0, i]) * lines[1, i], shape[i])
+    if len(aim.angular) < 3:
+        return number
+    m = [pose[..., 3 + i] for i in range(9)]  # of the quaternion's products, the row of its largest component
+    a, b, c, d, e, f = m[7] - m[5], m[2] - m[6], m[3] - m[1], m[1] + m[3], m[2] + m[6], m[5] + m[7]
+    most, chart, rest = 1 + m[0] + m[4] + m[8], 0 * number, (a, b, c)
+    squares = 1 + m[0] - m[4] - m[8], 1 - m[0] + m[4] - m[8], 1 - m[0] - m[4] + m[8]
+    for k, (square, row) in enumerate(zip(squares, ((a, d, e), (b, d, f), (c, e, f)), strict=True), 1):
+        larger = square > most
+        most, chart = xp.where(larger, square, most), xp.where(larger, k, chart)
+        rest = [xp.where(larger, new, old) for new, old in zip(row, rest, strict=True)]
+    number, most = number * 4 + chart, (TURNS / 2) / most
+    for v in rest:
+        number = put(number, v * most + TURNS / 2, TURNS)
+    return number
+
+
+def start(chain, task, starts: Starts, target, given, away, low, high, k, seed):
+    """Return the posture (n,) that try `k` (int32) of a target (t,) begins at.
+
+    Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. Else of a joint that would
+    begin beyond its bounds, its place in the range of the starts becomes its place between them: all that is between
+    them is tried, and not their corners alone. An answer with several joints at limits has few postures about it from
+    which a descent arrives, and most of them have joints there, too: so some starts are stretched about the middle.
+    """
+    ends, own, base, where = spans(chain), owners(task, chain), 0, []
+    number, there = (k + seed).astype(np.uint32), ~jnp.isnan(given[0])
+    anywhere = number * np.uint32(2654435761) >> 15  # even (Knuth)
+    for a, aim in enumerate(aims(task)):
+        first = starts.first[base + _bin(aim, target[WIDTH * a : WIDTH * (a + 1)], starts.lines[a])]
+        binned = jnp.minimum(first.astype(np.uint32) + number % BINNED, COUNT - 1)
+        where.append(jnp.where((k < BINNED) & ~there, binned, anywhere))
+        base += math.prod(_shape(aim))
+    drawn = jnp.stack([starts.postures[where[own[j]], j] for j in range(chain.n)]).astype(target.dtype)
+    middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
+    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES)[(k.astype(np.uint32) // 4) % 4], 1.0)
+    bounded, stretch = jnp.isfinite(high - low), stretch.astype(target.dtype)
+    beyond = ((drawn < low) | (drawn > high) | (stretch > 1)) & bounded
+    between = low + jnp.where(bounded, high - low, 0.0) * (0.5 + stretch * (drawn - middle) * (1 / width))
+    q = jnp.where(there, given + away * (drawn - middle), jnp.where(beyond, between, drawn))
+    return jnp.clip(q, low, high)
+
+
+def is_free(k):
+    """Return whether a try is free of all bounds, and then begins again within them from where it arrives."""
+    return (k >= BINNED) & (k % 4 == 1)
+
+
+def island_of(k):
+    """Return the number of the island of a try: each keeps its best posture, about which its own later tries begin."""
+    return (k // ISLANDS + k) % ISLANDS
+
+
+def origins(k, downhill, near, places, costs, xp=np) -> tuple:
+    """Return where tries k (W,) begin: their numbers (W,), `given` (..., W, n) and `away` (W,) of `start`.
+
+    The first ABOUT tries begin about `near` (..., n) or None, each one farther off than the one before; others of the
+    first BINNED in the target's bin. Of later ones every second begins about the best posture of its island so far, of
+    `places` (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as
+    tries from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, the first begin
+    at the best postures, the others anywhere, every second stretched.
+    """
+    island = island_of(k)
+    by = xp.isfinite(costs[..., island]) & xp.where(downhill, k < ISLANDS, (k >= BINNED) & (k % 2 == 0))
+    given, about = xp.where(by[..., None], places[..., island, :], xp.nan), xp.logical_not(downhill) & (k < ABOUT)
+    given = given if near is None else xp.where(about[:, None], near[..., None, :], given)
+    away = xp.where(about, k / ABOUT, xp.where(downhill, 0.0, xp.where(k // 16 % 2 == 0, *SCATTERED)))
+    return xp.where(downhill, BINNED + k // 2 * 4 + k % 2 * 3, k), given, away
