@@ -115,7 +115,7 @@ def _checksum_of_files(path, files) -> int:
 
 def _mark(path) -> None:
     """Write the checksum of description and coordinates, which never change: the store is then complete."""
-    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if f.is_file())
+    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
     (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum_of_files(path, files)}))
 
 
