@@ -236,8 +236,9 @@ def _parts(y, found, rings) -> dict:
     path, t = loop.path_basis(len(rows), period), np.arange(len(rows))
     wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
     both = np.hstack([path, np.stack([wave.real, wave.imag], 1)]) if rings else path
-    weights = np.linalg.lstsq(both, rows, rcond=1e-12)[0]
-    modes = both[:, path.shape[1] :] @ weights[path.shape[1] :]
-    slow = path @ weights[: path.shape[1]]
+    square, n = loop.product(both.T, both), path.shape[1]
+    square += 1e-12 * np.trace(square) * np.eye(len(square))
+    weights = np.linalg.solve(square, loop.product(both.T, rows))
+    slow, modes = (loop.combined(both[:, part], weights[part]) for part in (slice(n), slice(n, None)))
     left = np.std(rows - slow - modes, axis=0)
     return {"first": found.first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}

@@ -11,7 +11,7 @@ APART = 0.02  # difference between a given Ts and that of the stamps that needs 
 
 
 def columns(name, values, door):
-    """A log (N,) or (N, k) as columns (N, k). Raises: ArgumentError for values not finite, beyond LARGEST, or traced."""
+    """A log (N,) or (N, k) as columns (N, k). Raises: ArgumentError for values not finite, too large or traced."""
     values = errors.array(name, values, (None,), (None, None), most=LARGEST)
     if not errors.concrete(values):
         raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
