@@ -103,7 +103,8 @@ def _step(args, log, Ts, _) -> tuple:
         raise errors.fail("columns", "name commands, then motions", f"is left out, and LOG has {', '.join(log.names)}")
     both = log.columns([*sent, *moved])
     command, motion = both[:, : len(sent)], both[:, len(sent) :]
-    fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
+    with errors.called("command", "LOG"):  # which is no option here
+        fit = fit_drive(None, command, motion, Ts, kind=args.kind, command_kind=args.command)
 
     def figure():
         from cnclik.show.diagnosis import drive

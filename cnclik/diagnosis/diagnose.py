@@ -32,6 +32,7 @@ EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a l
 EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # and that of the mode by less than this factor,
 EVIDENCE_EXCITED, MANY = 90.0, 12.0  # or it does not decay as its mode does: then over so many periods
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
+UNKNOWN = 0.8  # confidence without alpha, at most
 SURELY = 0.9  # share of the probability that loops which swing must have
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
@@ -132,6 +133,8 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     scaled, moving = loop.prepared((y - y[0]) / size)
     found = loop.read(scaled) if len(moving) else None
     made = _seen(scaled, found, (y - y[0]) / size, Ts, alpha)
+    if alpha is None and "confidence" in made:
+        made["confidence"] = min(made["confidence"], UNKNOWN)
     return Diagnosis(Ts=Ts, alpha=alpha, **made, **_parts(y, found, "period" in made))
 
 
@@ -204,7 +207,7 @@ def _swing(rows, found, Ts, alpha) -> dict:
         "z": drives.alpha * Ts,
         "recommended_alpha": best,
         "factor": best / present,
-        "confidence": 0.8 if alpha is None else 0.7 if limited or drives.off > NEAR else 0.95,
+        "confidence": 0.7 if alpha is not None and (limited or drives.off > NEAR) else 0.95,
         "note": " ".join(notes),
     }
 
@@ -236,8 +239,9 @@ def _parts(y, found, rings) -> dict:
     path, t = loop.path_basis(len(rows), period), np.arange(len(rows))
     wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
     both = np.hstack([path, np.stack([wave.real, wave.imag], 1)]) if rings else path
-    weights = np.linalg.lstsq(both, rows, rcond=1e-12)[0]
-    modes = both[:, path.shape[1] :] @ weights[path.shape[1] :]
-    slow = path @ weights[: path.shape[1]]
+    square, n = loop.product(both.T, both), path.shape[1]
+    square += 1e-12 * np.trace(square) * np.eye(len(square))
+    weights = np.linalg.solve(square, loop.product(both.T, rows))
+    slow, modes = (loop.combined(both[:, part], weights[part]) for part in (slice(n), slice(n, None)))
     left = np.std(rows - slow - modes, axis=0)
     return {"first": found.first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}

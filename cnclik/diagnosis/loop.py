@@ -20,6 +20,7 @@ ROWS = 2000  # rows that are read, those that move most: more change no digit of
 PER_PERIOD, DEAD = 24, 16  # rows of a period that are kept, and of dead time, which is below a quarter of it
 LAGS = (0.0, 1.0, 2.5, 6.0, 15.0)  # of these rows; the phase at the limit changes by 20° from one to the next
 COLOURS = (0.8, 1.0)  # θ of C = 1 − θB, besides 0: of noise of the motion and of its measurement together
+PIECE = 512  # rows: 512 × 18 numbers
 PATHS = (0, 1, 2, 4, 8, 12, 16)  # columns of a path's basis: offset, drift, bends, slow sines
 UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
@@ -119,10 +120,34 @@ def averaged(y, m):
     return y[: len(y) // m * m].reshape(-1, m, y.shape[1]).mean(1)
 
 
+def pieces(N):
+    """Slices of N rows, so short that OpenBLAS gives no part of a product to its threads, which wait for each other."""
+    return [slice(i, i + PIECE) for i in range(0, N, PIECE)]
+
+
+def product(a, b):
+    """a (m, N) times b (N, c)."""
+    return sum((a[:, piece] @ b[piece] for piece in pieces(len(b))), np.zeros(()))
+
+
+def combined(basis, weights):
+    """basis (N, m) times weights (m, c)."""
+    return np.concatenate([basis[piece] @ weights for piece in pieces(len(basis))])
+
+
+def orthonormal(basis):
+    """Orthonormal columns that span a basis (N, c), by Cholesky's factor."""
+    for _ in range(2):  # the second time is for rounding
+        square = product(basis.T, basis)
+        factor = np.linalg.inv(np.linalg.cholesky(square + 1e-14 * np.trace(square) * np.eye(len(square)))).T
+        basis = combined(basis, factor)
+    return basis
+
+
 def free(basis, a):
     """Columns a (N, c) without what a basis (N, t) explains."""
-    q = np.linalg.qr(basis)[0]
-    return a - q @ (q.T @ a)
+    q = orthonormal(basis)
+    return a - combined(q, product(q.T, a))
 
 
 def path_basis(N, period=np.inf):
@@ -130,7 +155,7 @@ def path_basis(N, period=np.inf):
     t = np.linspace(-1, 1, N)
     many = min(int(2 * N / (2.5 * period)), 6) if 4 * period < N else 0
     sines = [f(np.pi * i * (t + 1) / 2) for i in range(1, many + 1) for f in (np.cos, np.sin)]
-    return np.linalg.qr(np.stack([*(t**i for i in range(4)), *sines], 1)[:, : max(N // 3, 2)])[0]
+    return orthonormal(np.stack([*(t**i for i in range(4)), *sines], 1)[:, : max(N // 3, 2)])
 
 
 def periods_of(y) -> list:
@@ -139,7 +164,7 @@ def periods_of(y) -> list:
     still = free(np.linspace(-1, 1, N)[:, None] ** np.arange(2), y)
     shared = np.fft.irfft(np.sum(np.abs(np.fft.rfft(still, 2 * N, axis=0)) ** 2, 1))[:N]
     size = min(N // 2, N - 8)
-    every = max(1, size // 150)
+    every = max(1, -(-size // 120))
     shared = shared[1:size:every]
     still = free(path_basis(N), y)
     power = np.sum(np.abs(np.fft.rfft(still, 4 * N, axis=0)) ** 2, 1) * np.arange(2 * N + 1)
@@ -204,16 +229,16 @@ def fits(y, period):
             for C, before, coloured in noises(A, b):
                 basis = path
                 if before:
-                    basis = np.linalg.qr(np.hstack([np.power.outer(before, np.arange(rows)).T, path]))[0]
+                    basis = orthonormal(np.hstack([np.power.outer(before, np.arange(rows)).T, path]))
                 sizes = np.array([q for q in PATHS if q <= path.shape[1]]) + len(before)
                 left, acts = filtered(A, C, y)[first:].T, filtered(b, C, y)
-                on = left @ basis
+                on = product(left, basis)
                 v0 = np.maximum((np.sum(left**2, 1)[:, None] - _sums(on**2, sizes)) / rows, 0.0) + floor
                 both, own = (np.empty((most + 1, k, len(sizes))) for _ in range(2))
                 for c in range(k):
                     late = np.lib.stride_tricks.sliding_window_view(acts[first - 1 - most : N - 1, c], rows)[::-1]
-                    across = late @ basis
-                    both[:, c] = ((late @ left[c])[:, None] - _sums(across * on[c], sizes)) / rows
+                    across = product(late, basis)
+                    both[:, c] = (product(late, left[c][:, None]) - _sums(across * on[c], sizes)) / rows
                     own[:, c] = (np.einsum("di,di->d", late, late)[:, None] - _sums(across**2, sizes)) / rows
                 own, v = np.maximum(own, 1e-300), v0
                 for _ in range(3):  # columns weigh by what is left of them

@@ -1,4 +1,4 @@
-"""Recordings for `diagnose`: loops that ring, steps of drives, noise, and what logs are full of."""
+"""Logs for `diagnose` and `check`: loops that ring, steps of drives, noise, and what logs are full of."""
 
 import contextlib
 import io
@@ -74,7 +74,7 @@ def attempt(made, folder) -> None:
     file.write_bytes(data)
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         try:
-            main(["diagnose", str(file), *options])
+            main(["check" if len(data) % 5 == 0 and not options else "diagnose", str(file), *options])
         except SystemExit as leaving:
             code = leaving.code
     one_line(code, said.getvalue())
