@@ -9,10 +9,10 @@ import numpy as np
 from cnclik import errors
 from cnclik.diagnosis import cause, loop
 from cnclik.diagnosis.recording import LEAST, columns
-from cnclik.integrate.drive import Drive
+from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record, replace
-from cnclik.stability.gain import drive_in_words, gains
+from cnclik.stability.gain import gains
 
 
 class Kind(enum.StrEnum):

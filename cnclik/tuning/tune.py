@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive, check_drive
+from cnclik.integrate.drive import Drive, check_drive, drive_in_words
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage, picard
@@ -24,7 +24,7 @@ from cnclik.law.reference import Reference, References
 from cnclik.precision import in_float64
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words, record, replace, stack
 from cnclik.stability.advice import Advice, advise
-from cnclik.stability.gain import drive_in_words, gains
+from cnclik.stability.gain import gains
 from cnclik.tuning.descent import KEPT, Bounds, descend, evaluate
 from cnclik.tuning.losses import terms
 from cnclik.tuning.parameters import Parameter, chosen, postures, put, split

@@ -1,0 +1,296 @@
+"""`python tests/lint.py`: what ruff and mypy don't know of this house. pre-commit and `.ci/run` call it, without JAX.
+
+Imports run one way and touch no private name; helpers that must agree stand once; who takes any exception says why;
+fields say what they are; pages, docstrings and messages are short sentences in the field's words. Exit code 1 with a
+line for each fault. Long files and functions are hints: printed with --hints, no fault.
+"""
+
+import ast
+import collections
+import functools
+import graphlib
+import itertools
+import pathlib
+import re
+import sys
+
+ROOT = pathlib.Path(__file__).parents[1]
+PACKAGE = ROOT / "cnclik"
+GROUND = ("errors", "record", "cache", "precision", "threads", "reading", "writing", "version", "quantities")
+BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone
+ROOMS = (
+    *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),
+)
+ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
+LONG_FILE, LONG_FUNCTION, LONG_PAGE, LONG_SENTENCE = 400, 60, 280, 40  # lines, lines, lines, words
+ONCE = {  # what may stand in one place only, and where
+    r"cpu_count\(": "threads.py",
+    r"\.to_netcdf\(": "measure/files.py",
+    r"\.savefig\(": "show/style.py",
+    r"\bProgress\(|rich\.track": "cli/progress.py",
+    r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/rotations.py",
+    r"np\.array2string\(": "record.py",
+    r"\"\| ---|\| --- \|": "measure/files.py",
+}
+PRIVATE = {  # words with a meaning of their own in earlier texts, and the field's word for each
+    r"bears?": "tolerates",
+    r"(takes?|taken|took) back": "removes",
+    r"(is|are|was|were) told": "knows, is given, reports",
+    r"tells": "shows, reports",
+    r"fore(tells?|told)": "predicts",
+    r"unless (said|told)": "unless stated otherwise, by default",
+    r"it is said": "cnclik reports",
+    r"says": "shows, states",
+    r"(comes?|is|are|samples?) late": "is delayed by",
+    r"late error": "delayed error",
+    r"by nothing": "zero",
+    r"one's": "your",
+    r"were the \w+ (a|one) sample": "even with one more sample",
+}
+
+
+@functools.cache
+def text(path):
+    return path.read_text(encoding="utf-8")
+
+
+@functools.cache
+def nodes(path):
+    """Every node of a file's syntax tree."""
+    return list(ast.walk(ast.parse(text(path))))
+
+
+@functools.cache
+def files(folder=PACKAGE):
+    return sorted(folder.rglob("*.py"))
+
+
+def room(path):
+    """The room a file belongs to; the package's own front door and `python -m cnclik` belong to none."""
+    name = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return None if name in ("__init__", "__main__") else name
+
+
+def target_room(source, name):
+    """The room that `from source import name` is from."""
+    return [*source.split("."), name][1]
+
+
+def imports(path):
+    """(line, module, name) of everything a file imports from the package, at its top or inside a function."""
+    for node in nodes(path):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "cnclik":
+            yield from ((node.lineno, node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((node.lineno, a.name, "") for a in node.names if a.name.split(".")[0] == "cnclik")
+
+
+def module(name):
+    """The file of `cnclik.x.y`, or None where that is a room or a name."""
+    path = PACKAGE.joinpath(*name.split(".")[1:]).with_suffix(".py")
+    return path if path.exists() else None
+
+
+@functools.cache
+def defined(path):
+    """Names that a file defines; what is in annotations alone is passed on by `record`."""
+    names = {node.name for node in nodes(path) if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    names |= {node.id for node in nodes(path) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    if path.name == "record.py":
+        names |= {node.asname for node in nodes(path) if isinstance(node, ast.alias) and node.asname}
+    return names
+
+
+# --- code: each yields (path, line, what is wrong) -----------------------------------------------------
+
+
+def order():
+    """Each file has its room, imports run one way, and none is of a private name."""
+    for path in files():
+        own = room(path)
+        if own and own not in ORDER:
+            yield path, 1, f"{own} has no place in the order of rooms"
+        for line, source, name in imports(path) if own in ORDER else ():
+            other = target_room(source, name)
+            if other not in ORDER:
+                yield path, line, "imports the package's front door"
+            elif ORDER[other] > ORDER[own]:
+                yield path, line, f"imports {other}, which stands on {own}"
+
+
+def circles():
+    """Those inside functions counted."""
+    graph = {}
+    for path in files():
+        targets = [module(f"{source}.{name}") or module(source) for _, source, name in imports(path)]
+        graph[path] = {target for target in targets if target}
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        yield error.args[1][0], 1, " imports ".join(path.stem for path in error.args[1])
+
+
+def private():
+    """Neither imported, nor as an attribute, of another room; by tests of none."""
+    for path in (*files(), *files(ROOT / "tests")):
+        own = room(path) if path.is_relative_to(PACKAGE) else ""
+        modules = {}
+        for line, source, name in imports(path):
+            other = target_room(source, name)
+            if re.match("_[a-zA-Z]", name) and other != own:
+                yield path, line, f"imports the private {other}.{name}"
+            if target := module(f"{source}.{name}"):
+                modules[name] = other, target
+        local = {n.arg for n in nodes(path) if isinstance(n, ast.arg)} | defined(path)
+        for node in nodes(path):
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) in set(modules) - local:
+                other, target = modules[node.value.id]
+                if re.match("_[a-zA-Z]", node.attr) and other != own:
+                    yield path, node.lineno, f"uses the private {other}.{node.attr}"
+                elif own and node.attr not in defined(target):
+                    yield path, node.lineno, f"{ast.unparse(node)} is not defined there"
+
+
+def homes():
+    """Names are imported from where they are defined, or from the front door of a room."""
+    for path in (*files(), *files(ROOT / "tests")):
+        for line, source, name in imports(path):
+            if name and (at := module(source)) and name not in defined(at):
+                yield path, line, f"{name} is not defined in {source}"
+
+
+def inside():
+    """A room imports its own modules at the top; inside a function only with the reason on the line."""
+    for path in files():
+        lines, top = text(path).splitlines(), {n.lineno for n in nodes(path) if getattr(n, "col_offset", 1) == 0}
+        for line, source, name in imports(path):
+            if target_room(source, name) == room(path) and line not in top and "  # " not in lines[line - 1]:
+                yield path, line, "imports its own room inside a function"
+
+
+def once():
+    for pattern, place in ONCE.items():
+        for path in files():
+            if re.search(pattern, text(path)) and path != PACKAGE / place:
+                yield path, 1, f"{pattern} stands in {place}"
+
+
+def broad():
+    """Who takes any exception says why on the same line, but where it is raised again."""
+    anything = ("Exception", "BaseException")
+    for path in files():
+        for node in nodes(path):
+            if isinstance(node, ast.ExceptHandler):
+                taken = node.type is None or ast.unparse(node.type) in anything
+                taken &= ast.unparse(node.body[-1]) != "raise"
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("suppress"):
+                taken = any(ast.unparse(kind) in anything for kind in node.args)
+            else:
+                continue
+            if taken and "  # " not in text(path).splitlines()[node.lineno - 1]:
+                yield path, node.lineno, "takes any exception without a reason"
+
+
+def lines():
+    """What a pattern finds."""
+    for path in files():
+        for number, line in enumerate(text(path).splitlines(), 1):
+            if re.search(r"\.(exists|is_file|is_dir)\(\)", line):
+                yield path, number, "pathlib raises where a name is too long: os.path answers False"
+            if "noqa: E731" in line:
+                yield path, number, "switches a rule off by hand"
+        for node in nodes(path):
+            if isinstance(node, ast.AnnAssign) and "object" in ast.unparse(node.annotation).split():
+                yield path, node.lineno, "a field is just an object"
+
+
+# --- words --------------------------------------------------------------------------------------------
+
+
+def prose(page):
+    """Paragraphs, items and cells, without code, formulas and tables that a program writes."""
+    page = re.sub(r"\A---\n.*?^---\n", "", page, flags=re.M | re.S)
+    page = re.sub(r"^ *```.*?^ *```", "", page, flags=re.M | re.S)
+    page = re.sub(r"^\$\$.*?^\$\$", "", page, flags=re.M | re.S)
+    page = re.sub(r"^    .*$", "", page, flags=re.M)
+    for block in re.split(r"\n\s*\n", page):
+        if block.startswith("|"):
+            yield from block.replace("\n", "|").split("|")
+        else:
+            yield from re.split(r"\n(?=\s*(?:[-*]|\d+\.) )", block)
+
+
+def sentences(page):
+    for part in prose(page):
+        part = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", part.replace("\n", " "))
+        yield from re.split(r"(?<=[.!?:;])(?:\*\*)?\s+(?=[A-ZÀ-Ž0-9*`J\[(])", re.sub(r"`[^`]*`", "CODE", part))
+
+
+def faults(page, *, lengths=True, words=True):
+    """What is wrong with a text."""
+    for sentence in sentences(page):
+        if lengths and len(re.findall(r"[^\W\d_]{2,}", sentence)) > LONG_SENTENCE:
+            yield f"more than {LONG_SENTENCE} words: {sentence.strip()[:100]}"
+        for word, plain in PRIVATE.items() if words else ():
+            if re.search(rf"\b{word}\b", sentence):
+                yield f"{plain}, not {word}: {sentence.strip()[:100]}"
+
+
+def pages():
+    """Pages of the site, and of results."""
+    made = ("results", "gallery-pages")  # by a build
+    outside = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "sweeps/README.md")]
+    docs = [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.relative_to(ROOT / "docs").parts[0] not in made]
+    for path in (*outside, *docs, *sorted((ROOT / "results").rglob("*.md"))):
+        for fault in faults(text(path), words=not path.is_relative_to(ROOT / "results")):
+            yield path, 1, fault
+
+
+def strings():
+    """Docstrings, help texts and messages of the package; a name in an f-string stands for one word."""
+    for path in files():
+        for node in nodes(path):
+            if isinstance(node, ast.JoinedStr):
+                value = "".join(p.value if isinstance(p, ast.Constant) else "NAME" for p in node.values)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                value = node.value
+            else:
+                continue
+            listed = isinstance(node, ast.Constant) and (node.lineno == 1 or "{" in value)
+            yield from ((path, node.lineno, fault) for fault in faults(value, lengths=not listed))
+
+
+def hints():
+    """Long files, functions and pages: to be looked at, not to be cut for a number."""
+    for path in files():
+        if (count := text(path).count("\n")) > LONG_FILE:
+            yield path, 1, f"{count} lines"
+        for node in nodes(path):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                first = node.body[0]
+                told = first.end_lineno - first.lineno + 1 if ast.get_docstring(node, clean=False) is not None else 0
+                if (count := node.end_lineno - node.lineno + 1 - told) > LONG_FUNCTION:
+                    yield path, node.lineno, f"{node.name} has {count} lines"
+    for path in (ROOT / "docs").glob("*.md"):
+        if (count := text(path).count("\n")) > LONG_PAGE:
+            yield path, 1, f"{count} lines"
+
+
+CHECKS = (order, circles, private, homes, inside, once, broad, lines, pages, strings)
+
+
+def main():
+    """Print every fault, and how many of each check."""
+    found = collections.Counter()
+    for check, shown in itertools.chain(((c, True) for c in CHECKS), [(hints, "--hints" in sys.argv)]):
+        for path, line, what in check():
+            found[check.__name__] += 1
+            if shown:
+                print(f"{path.relative_to(ROOT)}:{line}: {what} ({check.__name__})")
+    long = found.pop("hints", 0)
+    print(f"{found.total()} faults; {long} long files, functions and pages (--hints lists them).")
+    sys.exit(found.total() > 0)
+
+
+if __name__ == "__main__":
+    main()
