@@ -65,9 +65,10 @@ def docs(session):
 
 @nox.session(default=False)
 def bench(session):
-    """Beside the peers; needs g++."""
-    session.install("-e", ".[test,bench]")
-    session.run("python", "-m", "tests.bench", *session.posargs)
+    """Beside the peers (`nox -s bench -- engine`, see tests/bench/README.md); needs g++."""
+    session.install("-e", ".[test,bench,peers]")
+    name, *arguments = session.posargs or ["engine"]
+    session.run("python", "-m", f"tests.bench.{name}", *arguments)
 
 
 @nox.session(default=False)

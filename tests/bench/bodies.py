@@ -2,32 +2,24 @@
 
 A clip is 600 frames at 30 Hz of walking and waving, whose truth is known. What is seen of it, the poses of 14 frames
 with 5 mm and 1° of noise, is followed by two steps a frame: feet before the rest, within position and velocity limits
-of the joints. All get the same targets, weights, damping and limits. By CPU time, medians, into results/retarget. mink
-and daqp are needed, and example-robot-data. Two minutes; --quick only prints, and leaves out what is compiled.
+of the joints. All get the same targets, weights, damping and limits. By CPU time, medians; results/retarget has the
+tables. mink and daqp are needed, and example-robot-data. Two minutes; --quick leaves out what is compiled.
 """
 
 import argparse
 import functools
-import importlib.metadata
 import operator
-import os
-import pathlib
-import resource
 import statistics
-import time
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.measure.files import markdown
-from cnclik.show import style
-from cnclik.show.output import draw
-from tests.bench import document
+from tests.bench import timing
 from tests.bench.users import without_meshes
 from tests.oracles import robot_file
 
@@ -40,7 +32,6 @@ BODY = ["pelvis", "torso_link", *(f"{side}_{part}_link" for side in SIDES for pa
 TIPS = [*FEET, *BODY]
 WEIGHTS = (1.0, 0.05**0.5)  # of positions [1/m] and orientations [1/rad]
 DAMPING, STRICT = (0.02, 0.05), (1e-3, 0.05)  # of the feet and the rest
-RESULTS = pathlib.Path(__file__).parents[2] / "results" / "retarget"
 PIECES, RUN_IN = 8, 15  # of one clip in lanes
 G1 = ck.load_urdf(robot_file("g1"), tips=TIPS, base="free")
 LEGS = ck.load_urdf(robot_file("g1"), tips=FEET)
@@ -201,21 +192,10 @@ def quality(q, clip):
 # --- what is measured ---------------------------------------------------------------------------------
 
 
-def spent():
-    """CPU seconds of this process and of those that it ran, such as a compiler."""
-    return time.process_time() + resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-
-
-def cpu(call, rounds=5):
+def cpu(call, rounds=3):
     """(CPU seconds of a call, the median of some; of the first one with its compiler; its answer)"""
-    start = spent()
-    found = jax.block_until_ready(call())
-    first, each = spent() - start, []
-    for _ in range(rounds):
-        start = time.process_time()
-        jax.block_until_ready(call())
-        each.append(time.process_time() - start)
-    return statistics.median(each), first, found
+    first = timing.first(call)
+    return statistics.median(timing.cpu(call) for _ in range(rounds)), first, call()
 
 
 def mink_run(truth, seen, damping=DAMPING):
@@ -265,7 +245,7 @@ def speeds(clips, quick):
     calls["mink, daqp"] = mink_run(truth, seen), 1, np.asarray
     rows = []
     for name, (call, count, answer) in calls.items():
-        seconds, first, found = cpu(call, 3)
+        seconds, first, found = cpu(call)
         rows.append((name, count * FRAMES / seconds, first, answer(found)))
         print(f"{name}: {rows[-1][1]:,.0f} frames/s, first call {first:.1f} s", flush=True)
     return rows
@@ -292,27 +272,6 @@ def feet(clip):
     return found
 
 
-def picture(found, clip):
-    """The left foot's height, and how fast it is."""
-    figure, panels = plt.subplots(2, 1, figsize=(style.PAGE, 3.6), sharex=True, height_ratios=(1, 2))
-    t, foot = np.arange(FRAMES) / FPS, FEET[0]
-    panels[0].plot(t, 1e3 * np.asarray(poses(clip.truth))[:, 0, 2, 3], color="0.3")
-    panels[0].set_ylabel("height [mm]")
-    for (name, answers), color in zip(found.items(), (style.ORANGE, style.BLUE, style.GREEN), strict=True):
-        for who, q in answers.items():
-            speed = 1e3 * FPS * np.linalg.norm(np.diff(np.asarray(poses(q))[:, 0, :, 3], axis=0), axis=-1)
-            how = dict(color=color, label=name) if who == "cnclik" else dict(color="k", ls=":", lw=0.8)
-            panels[1].semilogy(t[1:], np.maximum(speed, 1e-1), **how)
-    panels[1].plot([], [], "k:", lw=0.8, label="mink")
-    for panel in panels:
-        panel.fill_between(
-            t, 0, 1, where=clip.still[:, 0], transform=panel.get_xaxis_transform(), color="0.92", zorder=0
-        )
-    panels[1].set(xlabel="time [s]", ylabel=f"speed of {foot.split('_')[0]} foot [mm/s]", xlim=(4, 9))
-    figure.legend(*panels[1].get_legend_handles_labels(), ncols=4, loc="outside upper center")
-    return figure
-
-
 def tables(rows, found, clip):
     """(speeds, feet) as Markdown."""
     slow = rows[-1][1]
@@ -336,51 +295,15 @@ def tables(rows, found, clip):
 
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one clip without a compiler, and mink; nothing is kept")
+    parser.add_argument("--quick", action="store_true", help="one clip without a compiler, and mink")
     jax.config.update("jax_enable_x64", True)
     quick = parser.parse_args(argv).quick
     clips = [clip(seed) for seed in range(1 if quick else CLIPS)]
     rows, found = speeds(clips, quick), feet(clips[0])
     first, second = tables(rows, found, clips[0])
     print(first, second, sep="\n")
-    if quick:
-        return
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    draw({"feet.png": (lambda: picture(found, clips[0]), {"Title": "speed of a foot"})}, RESULTS)
-    on = "{processor}, {vectors}, one of {cores} cores, load {load}, JAX {jax}".format(**document.machine())
-    on += ", " + ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("mink", "daqp", "mujoco"))
-    page = PAGE.format(on=on, speeds=first, feet=second)
-    (RESULTS / "README.md").write_text(page, encoding="utf-8")
-
-
-PAGE = """# A motion clip on G1, beside mink
-
-`python -m tests.bench.bodies` on {on}:
-
-14 frames on a free base, 35 coordinates and 84 rows; 600 frames at 30 Hz of walking along a curve and waving; two steps
-a frame. Both get the same weights, damping, position and velocity limits, and the same noise of 5 mm and 1°. Times are
-CPU times of one core, float64.
-
-{speeds}
-The first call includes tracing and the C compiler. `ck.use_cache()` keeps it.
-
-## Do the feet slide?
-
-Sliding is the RMS speed of a foot while it truly stands. Errors are RMS distances from the true motion.
-
-{feet}
-- As seen, a foot follows the noise: 5 mm from frame to frame at 30 Hz.
-- A standing foot held at the mean of what is seen of it slides as far as the rest of the body pulls at it.
-- With a damping of 0.001 for the feet, against 0.05 for the rest, the feet come strictly first (mink: weight 50).
-
-No answer leaves a limit of position or velocity. The answers of mink are the same to the digits shown or nearly so.
-
-![Height and speed of the left foot](feet.png)
-
-Grey: the foot truly stands.
-"""
 
 
 if __name__ == "__main__":
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX counts the cores
+    timing.one_core()
     main()

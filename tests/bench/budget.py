@@ -98,7 +98,7 @@ def table() -> str:
     rows = []
     for robot, cpu, option in itertools.product(("panda", "ur5"), CPUS, ("-Os", "-O2")):
         with tempfile.TemporaryDirectory() as folder:
-            own, whole, stack, most = measure(cases.ROBOTS[robot]().law, cpu, option, pathlib.Path(folder) / "step")
+            own, whole, stack, most = measure(cases.case(robot).law, cpu, option, pathlib.Path(folder) / "step")
         counted = (f"{most:,}", f"{1e6 * most / CLOCK:.0f}") if cpu == "Cortex-M4" else ("", "")
         rows.append((robot, cpu, option, f"{own:,}", f"{whole:,}", stack, *counted))
     head = ("arm", "core", "", "step [bytes]", "with libm [bytes]", "stack [bytes]", "cycles, at most")

@@ -47,14 +47,12 @@ def main():
     parser.add_argument("--by", choices=("room", "file", "function"), default="room")
     parser.add_argument("--most", type=int, default=60, help="lines that are shown")
     args = parser.parse_args()
-    by = args.by
     with tempfile.TemporaryDirectory() as folder:
         ck.use_cache(folder)
         calls = counted(first_solve)
-    keys = {"room": lambda file, _: file.split("/")[0], "file": lambda file, _: file, "function": " ".join}
     groups = collections.Counter()
     for (file, name), count in calls.items():
-        groups[keys[by]((file, name)) if by == "function" else keys[by](file, name)] += count
+        groups[{"room": file.split("/")[0], "file": file, "function": f"{file} {name}"}[args.by]] += count
     for name, count in groups.most_common(args.most):
         print(f"{count:7,} {name}")
     print(f"{calls.total():7,} calls in {len({file for file, _ in calls})} files")

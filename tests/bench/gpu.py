@@ -12,7 +12,6 @@ import itertools
 import json
 import os
 import pathlib
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -24,7 +23,7 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.integrate.method import evaluations_per_step
-from tests.bench import cases
+from tests.bench import cases, timing
 from tests.bench.engine import OF_GRADIENT, STEPS, case, forward, value
 
 LANES, MANY = 1 << 16, (10_000, 100_000, 1_000_000, 10_000_000)
@@ -46,15 +45,13 @@ class Row:
 
 def end(name, method="EE", stage=None, batch=LANES, dtype="float32", **changes):
     """A row of the Panda's pose loop, of which the end alone is kept."""
-    stage = stage or ck.picard(5)
-    arm, method = case(**changes), ck.METHODS[method]
-    inputs = functools.partial(cases.inputs, arm)
-    each = STEPS * evaluations_per_step(method, stage, 7)
+    arm, stage = case(**changes), stage or ck.picard(5)
+    each = STEPS * evaluations_per_step(ck.METHODS[method], stage, 7)
 
     def one(q0, position, rotation):
-        return ck.solve(arm.law, ck.hold(position, rotation), q0, cases.TS, STEPS, method, stage).q[-1]
+        return cases.end(arm.law, ck.hold(position, rotation), q0, cases.TS, STEPS, method, stage)[0]
 
-    return Row(name, one, inputs, each, batch, dtype)
+    return Row(name, one, functools.partial(cases.inputs, arm), each, batch, dtype)
 
 
 def two_arms(name):
@@ -142,13 +139,8 @@ def measured(row, way) -> dict:
         call = ck.lanes(row.fn) if way == "lanes" else jax.jit(jax.vmap(row.fn))
         begun = time.perf_counter()
         found = jax.block_until_ready(call(*given))
-        first, times = time.perf_counter() - begun, []
-        until = time.perf_counter() + SECONDS
-        while len(times) < 3 or time.perf_counter() < until:
-            begun = time.perf_counter()
-            jax.block_until_ready(call(*given))
-            times.append(time.perf_counter() - begun)
-    run = statistics.median(times)
+        first = time.perf_counter() - begun
+        run = timing.cpu(lambda: call(*given), SECONDS, clock=time.perf_counter)
     values = [np.asarray(leaf[:FEW]).tolist() for leaf in jax.tree.leaves(found)]
     return {"first_s": first, "run_s": run, "per_s": row.batch * row.evaluations / run, "values": values}
 

@@ -5,7 +5,7 @@ forward gradients are in one direction, reverse ones by all seven joint values a
 first; then CPU times of one core in turn, medians, float64. frax and jaxlie are needed. Three minutes.
 """
 
-import os
+import functools
 import statistics
 
 import jax
@@ -13,18 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
-from tests.bench import cases, textbook
-from tests.bench.peers import panda
-from tests.bench.stacks import cpu
+from tests.bench import cases, textbook, timing
+from tests.bench.cases import panda_matrices
 
 BATCH, STEPS, ROUNDS = 4096, 20, 5
 
 
 def ours():
-    law = cases.ROBOTS["panda"]().law
+    law = cases.case().law
 
     def loss(q, position, rotation):
-        e = cases.end(law, ck.hold(position, rotation), q, cases.TS, STEPS, ck.METHODS["EE"], ck.picard(1))[1]
+        e = cases.end(law, ck.hold(position, rotation), q, cases.TS, STEPS)[1]
         return e @ e
 
     return loss
@@ -33,9 +32,8 @@ def ours():
 def with_jax(pose_and_jacobian):
     def loss(q, position, rotation):
         def step(q, _):
-            at, rows = pose_and_jacobian(q)
-            asked = cases.ALPHA * textbook.error(at, position, rotation)
-            return q + cases.TS * textbook.damped(rows, asked, cases.DAMPING), None
+            how = dict(alpha=cases.ALPHA, damping=cases.DAMPING, Ts=cases.TS)
+            return textbook.step(pose_and_jacobian, q, position, rotation, **how), None
 
         q = jax.lax.scan(step, q, None, length=STEPS)[0]
         e = textbook.error(pose_and_jacobian(q)[0], position, rotation)
@@ -48,14 +46,14 @@ def of_frax():
     from frax.assets import FRANKA_ASSETS_DIR
     from frax.core.manipulator import Manipulator
 
-    robot = Manipulator(FRANKA_ASSETS_DIR / "panda.urdf", ee_offset=panda()[1])
+    robot = Manipulator(FRANKA_ASSETS_DIR / "panda.urdf", ee_offset=panda_matrices()[1])
     return lambda q: robot.velocity_control_matrices(q)[::-1]
 
 
 def of_jaxlie():
     import jaxlie
 
-    origins, tip = panda()
+    origins, tip = panda_matrices()
     before, after = [jaxlie.SE3.from_matrix(origin) for origin in origins], jaxlie.SE3.from_matrix(tip)
 
     def at(q):
@@ -71,12 +69,12 @@ def of_jaxlie():
 
 def main():
     jax.config.update("jax_enable_x64", True)
-    given = tuple(cases.inputs(cases.ROBOTS["panda"](), BATCH, "float64").values())
+    given = tuple(cases.inputs(cases.case(), BATCH, "float64").values())
     losses = {
         "cnclik": ours(),
         "frax": with_jax(of_frax()),
         "jaxlie": with_jax(of_jaxlie()),
-        "textbook": with_jax(textbook.panda(*panda())),
+        "textbook": with_jax(textbook.panda(*panda_matrices())),
     }
     kinds = {
         "value": lambda fn: fn,
@@ -84,22 +82,21 @@ def main():
         "reverse": lambda fn: jax.value_and_grad(fn, (0, 1)),
     }
     for kind, derived in kinds.items():
-        calls, seconds = {}, {}
+        calls = {}
         for name, loss in losses.items():
             fn = derived(loss)
             calls[name] = ck.lanes(fn, cores=1) if name == "cnclik" else jax.jit(jax.vmap(fn))
         wanted, *others = (jax.tree.map(np.asarray, call(*given)) for call in calls.values())
         off = jax.tree.map(lambda *x: max(np.abs(x[0] - one).max() for one in x[1:]), wanted, *others)
         assert max(jax.tree.leaves(off)) < 1e-6, off
-        for _ in range(ROUNDS):
-            for name, call in calls.items():
-                took = cpu(lambda call=call: jax.block_until_ready(call(*given)))
-                seconds.setdefault(name, []).append(took / BATCH)
+        runs = {name: functools.partial(call, *given) for name, call in calls.items()}
+        seconds = timing.in_turn(runs, ROUNDS, least=0.2)
         for name, each in seconds.items():
-            ratio = statistics.median(a / b for a, b in zip(each, seconds["cnclik"], strict=True))
-            print(f"{kind:<10}{name:<10}{1e6 * statistics.median(each):8.2f} µs a loss {ratio:7.1f} times cnclik's")
+            ratio = timing.ratio(each, seconds["cnclik"])
+            micro = 1e6 * statistics.median(each) / BATCH
+            print(f"{kind:<10}{name:<10}{micro:8.2f} µs a loss {ratio:7.1f} times cnclik's")
 
 
 if __name__ == "__main__":
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX counts the cores
+    timing.one_core()
     main()

@@ -7,8 +7,6 @@ turn; passes are counted lane by lane.
 """
 
 import functools
-import statistics
-import time
 
 import jax
 import numpy as np
@@ -17,6 +15,7 @@ import cnclik as ck
 from cnclik.law.bounded import Problem, descent
 from cnclik.law.law import resolve, rows_at
 from cnclik.robot.model import modelled
+from tests.bench import timing
 from tests.law.test_bounded import capped, draws, robot_and_task
 
 COUNT, ROUNDS, SHORTEST = 60_000, 9, 0.2  # [1, 1, s]
@@ -57,15 +56,6 @@ def evaluation(name, limits, dtype):
     return functools.partial(ck.lanes(one, cores=1), drawn.q.astype(dtype), asked.astype(dtype))
 
 
-def seconds(call):
-    """CPU time of a call."""
-    begun, calls = time.process_time(), 0
-    while (spent := time.process_time() - begun) < SHORTEST:
-        call()
-        calls += 1
-    return spent / calls
-
-
 def main():
     """Print both tables."""
     print("| robot | λ | passes, mean | 99.9 % | most | not settled | at a bound |\n| --- " + "| ---: " * 6 + "|")
@@ -82,9 +72,9 @@ def main():
                 calls = {limits: evaluation(name, limits, dtype) for limits in every}
                 for call in calls.values():
                     call()
-                rounds = [{k: seconds(call) / COUNT * 1e9 for k, call in calls.items()} for _ in range(ROUNDS)]
+                times = {k: 1e9 * np.array(v) / COUNT for k, v in timing.in_turn(calls, ROUNDS, SHORTEST).items()}
                 for limits in every:
-                    own, more = (statistics.median(r[limits] - r["none"] * sub for r in rounds) for sub in (0, 1))
+                    own, more = (np.median(times[limits] - sub * times["none"]) for sub in (0, 1))
                     print(f"| {name} | {dtype} | {limits} | {own:.0f} | {more:.0f} |", flush=True)
 
 

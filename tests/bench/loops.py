@@ -1,11 +1,9 @@
 """`python -m tests.bench.loops`: loops as they run in pink, mink and MuJoCo, against what cnclik says of them.
 
-Largest gains of pink's and mink's own loops; in MuJoCo three arms with position and velocity servos, control at 100 to
-500 Hz, 0 to 17 samples of delay: largest stable gain, fastest without overshoot and lag behind a ramp, measured, and as
-models of growing detail predict them. What the advice is worth on four arms with friction, encoders and the like
-(`--only advice`), and each line of settings for another tool in that tool (`--only tools`; Placo where it is there).
-Into results/loops (20 minutes on one core); what is there already is kept unless --fresh, so a run that was stopped
-goes on. Needs the extra `peers`.
+Largest gains of pink's and mink's own loops; each line of settings for another tool in that tool (`--only tools`; Placo
+where it is there); what the advice is worth on four arms in MuJoCo with servos, friction, encoders and the like
+(`--only advice`). Into results/loops (10 minutes on one core); what is there already is kept unless --fresh, so a run
+that was stopped goes on. Needs the extra `peers`.
 """
 
 import argparse
@@ -17,165 +15,151 @@ import sys
 import time
 
 import jax
-import mujoco
 import numpy as np
 
-import cnclik as ck
-from cnclik.record import replace
-from tests.bench import document, loops_advice, loops_models, loops_mujoco, loops_page, loops_peers, loops_tools
-from tests.bench.loops_arms import POSTURES, SERVOS, Arm
-from tests.bench.loops_mujoco import SHIFT, Setup
+from cnclik.measure.files import markdown, plain
+from tests.bench import loops_advice, timing
+from tests.bench.loops_advice import ANY, MUCH, figures
+from tests.bench.loops_mujoco import POSTURES, Arm
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "loops"
-RATES = (500, 200, 100)  # [Hz]
-DELAYS = (0, 1, 2, 5)
-LONG = {"UR5": (17,)}  # further delays of an arm
-FIT_AT = (0, 1)  # samples of delay with which steps are recorded; longer ones are as the last
-FINE = 1e-4  # of the physics [s], where its own step is looked at
-PREDICTED = ("UR5", "Panda", "Kinova")  # of which the models' predictions are looked at
-RAMP_DELAYS = np.array([0, 2, 5])
-
-
-def scale(delays, Ts):
-    """The largest gains of a loop with dead time alone, from which on is looked."""
-    return 2 * np.sin(np.pi / (2 * (2 * delays + 1))) / Ts
-
-
-def group(arm, inertia, servo, rate) -> list:
-    """The cells of an arm, a servo and a rate."""
-    setup = Setup(arm, SERVOS[servo], 1.0 / rate)
-    delays = np.array(DELAYS + LONG.get(arm.name, ()))
-    around = scale(delays, setup.Ts)
-    largest, calm = loops_mujoco.limits(setup, delays, around)
-    best = "lag" if setup.servo.command == "velocity" else "second order"
-    own = loops_models.drives(setup, 0, inertia)[best]
-    linear = {
-        "drive": loops_models.of_drive(own, setup.Ts, arm.n),
-        "equations": loops_models.of_equations(setup, inertia, stepped=True),
-    }
-    in_time = {
-        name: loops_mujoco.limits(setup, delays, around, loops_models.linear_run(model))
-        for name, model in linear.items()
-    }
-    cells, fits = [], fitted(setup, delays.tolist())
-    for i, delay in enumerate(delays.tolist()):
-        cell = {"robot": arm.name, "servo": servo, "rate": rate, "delay": delay}
-        cell |= {"largest": float(largest[i]), "calm": float(calm[i])}
-        cell["in_time"] = {name: [float(v[i]) for v in found] for name, found in in_time.items()}
-        cell["fits"] = {name: {k: np.round(v, 6).tolist() for k, v in fit.items()} for name, fit in fits[delay].items()}
-        cell["predicted"] = {
-            name: loops_models.predicted(setup, drive)
-            for name, drive in loops_models.drives(setup, delay, inertia, fits[delay]).items()
-        }
-        cells.append(cell)
-    return cells
-
-
-def fitted(setup, delays) -> dict:
-    """{delay: {model: keyword arguments of a Drive}} from recorded steps."""
-    made = {delay: {} for delay in delays}
-    for name, together in (("fitted", False), ("together", True)):
-        records = {at: loops_models.fitted(setup, at, together) for at in FIT_AT}
-        for delay in delays:
-            at = max(d for d in FIT_AT if d <= delay)
-            made[delay][name] = records[at] | {"delay": records[at]["delay"] + delay - at}
-    return made
-
-
-def feedbacks(arm, inertia, servo, rate) -> list:
-    """Largest gain and lag behind a ramp for each feedback, measured and as the joints' own drives predict them."""
-    rows = []
-    for feedback in ("measured", "commanded", "rebased"):
-        setup = Setup(arm, SERVOS[servo], 1.0 / rate, feedback)
-        if feedback == "rebased" and setup.servo.command == "velocity":
-            continue  # is "measured"
-        best = "lag" if setup.servo.command == "velocity" else "second order"
-        top = scale(RAMP_DELAYS, setup.Ts) if feedback == "measured" else np.full(3, 2.0 / setup.Ts)
-        top = top * 10 if feedback == "rebased" else top  # their step goes to a servo that has hardly moved
-        largest, _ = loops_mujoco.limits(setup, RAMP_DELAYS, top, calm=False)
-        own = loops_models.drives(setup, 0, inertia)[best]
-        gains = np.where(np.isfinite(largest) & (largest > 0), 0.3 * largest, 0.3 * top)
-        gains = gains if feedback == "rebased" else np.minimum(gains, 20.0)
-        linear = loops_models.linear_run(loops_models.of_drive(own, setup.Ts, arm.n))
-        lags = loops_mujoco.ramp_lag(setup, gains, RAMP_DELAYS)
-        told = loops_mujoco.ramp_lag(setup, gains, RAMP_DELAYS, linear)
-        for i, delay in enumerate(RAMP_DELAYS.tolist()):
-            drive = loops_models.drives(setup, delay, inertia)[best]
-            row = {"robot": arm.name, "servo": servo, "rate": rate, "delay": delay, "feedback": feedback}
-            row |= {"largest": float(largest[i]), "predicted": loops_models.predicted(setup, drive)[0]}
-            row |= {"alpha": float(gains[i]), "lag": float(lags[i]), "lag_predicted": float(told[i])}
-            rows.append(row | {"late": float(np.max(drive.late_by(setup.Ts)))})
-    return rows
-
-
-def fine(arm, inertia) -> list:
-    """Velocity servos where MuJoCo's own steps are shorter: is it these that a continuous drive leaves out?"""
-    rows, delays = [], np.array([0, 1, 2])
-    for servo in ("velocity, kv 400", "velocity, kv 40"):
-        setup = Setup(arm, SERVOS[servo], 0.002, step=FINE)
-        largest, _ = loops_mujoco.limits(setup, delays, scale(delays, setup.Ts), calm=False)
-        for i, delay in enumerate(delays.tolist()):
-            made = loops_models.drives(setup, delay, inertia)
-            row = {"robot": arm.name, "servo": servo, "delay": delay, "largest": float(largest[i])}
-            rows.append(row | {name: loops_models.predicted(setup, made[name])[0] for name in ("lag", "modes")})
-    return rows
-
-
-def checks(arm, inertia) -> list:
-    """cnclik's own loop in time, on both sides of the largest gain."""
-    rows = []
-    for servo in ("position", "velocity, kv 400"):
-        setup = Setup(arm, SERVOS[servo], 0.002)
-        for name, drive in loops_models.drives(setup, 2, inertia).items():
-            if name in ("lag", "second order"):
-                largest, row = (
-                    loops_models.predicted(setup, drive)[0],
-                    {"robot": arm.name, "servo": servo, "model": name},
-                )
-                rows.append(row | {"around": [around(setup, drive, share * largest) for share in (0.95, 1.05)]})
-    return rows
-
-
-def around(setup, drive, alpha) -> float:
-    """Growth of the error in cnclik's own loop through the drive."""
-    arm = setup.arm
-    at = ck.forward(arm.chain, arm.q)
-    law = replace(arm.law, alpha=alpha)
-    path = ck.hold(np.asarray(at.position) + SHIFT[:3], loops_mujoco.rotation_of(SHIFT[3:]) @ np.asarray(at.rotation))
-    made = ck.solve(law, path, arm.q, setup.Ts, 8000, "EE", ck.picard(5), drive=drive)
-    return float(loops_mujoco.growth(np.asarray(made.e)[:, None])[0])
-
-
-def save(found, folder) -> None:
-    """The data, whole or not at all."""
-    kept = folder / "loops.json.part"
-    kept.write_text(loops_page.text(found), encoding="utf-8")
-    kept.replace(folder / "loops.json")
+ZERO = 5e-6  # share below which is said none
 
 
 def parts(names):
     """(name of a part, what measures it)."""
+    from tests.bench import loops_peers, loops_tools  # the page is written without what these run
+
     yield "peers", loops_peers.measure
     yield "tools", loops_tools.measure
     if importlib.util.find_spec("placo"):  # brings a Pinocchio of its own: an environment of its own
         yield "Placo, tools", lambda: loops_tools.measure(("Placo",))
     for name in names:
-        arm = Arm(name)
-        cells = [cell for cell in loops_advice.cells(POSTURES) if cell[0] == name]
-        yield f"{name}, advice", lambda a=arm, c=cells: [loops_advice.measure(a, *one[1:]) for one in c]
-        if name in loops_advice.REBASED:
-            yield f"{name}, rebased", lambda a=arm: loops_advice.rebased(a)
-        if name not in PREDICTED:
+        cells = [cell[1:] for cell in loops_advice.cells(POSTURES) if cell[0] == name]
+        yield f"{name}, advice", lambda a=Arm(name), c=cells: [loops_advice.measure(a, *one) for one in c]
+
+
+# --- the page -----------------------------------------------------------------------------------------
+
+
+def text(found) -> str:
+    """The JSON, a row a line; what is not finite is null."""
+    lines = []
+    for name, part in plain(found).items():
+        if "rows" in part:
+            rows = ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in part["rows"])
+            lines.append(f'{json.dumps(name)}: {{"seconds": {part["seconds"]}, "rows": [\n  {rows}]}}')
+        else:
+            lines.append(f"{json.dumps(name)}: {json.dumps(part)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def peers(rows) -> str:
+    """Largest gains of pink and mink."""
+    lines = []
+    for r in rows:
+        lines.append(
+            [r["robot"], r["library"], r["delay"], f"{r['predicted']:.4f}", f"{r['measured']:.4f}"]
+            + [f"{r['predicted'] / r['measured']:.3f}", f"{r['recommended']:.4f}"]
+            + ["none" if r[k] < ZERO else f"{r[k]:.1e}" for k in ("rise", "back")]
+            + [f"{100 * r['back_near']:.0f} %"]
+        )
+    head = ["robot", "library", "delay", "largest z, cnclik", "measured", "ratio", "recommended z"]
+    return markdown([*head, "error rises", "a joint goes back", "the same at 0.9 of the largest"], lines, left=2)
+
+
+def tools(rows) -> str:
+    """Settings as they were run."""
+    lines = []
+    for r in rows:
+        ends = ["ran away"] + [""] * 2 if r["overshoot"] is None else [
+            f"{100 * r['overshoot']:.1f} %",
+            "no" if r["settled"] is None else f"{r['settled']:.3g}",
+            "" if r["tool"] not in ("pink", "mink", "Placo") else f"{100 * r['posture']:.2g} %",
+        ]  # fmt: skip
+        promised = "" if r["promised"] is None else f"{r['promised']:.3g}"
+        lines.append([r["tool"], r["case"], r["way"], f"{r['set']:.4g}", promised, *ends])
+    head = ["tool", "drives", "set", "gain", "2 % promised [s]", "overshoot", "2 % after [s]", "left to the posture"]
+    return markdown(head, lines, left=3)
+
+
+def advice(rows) -> str:
+    """What was recommended and what it did, cell by cell."""
+    lines = []
+    for r in rows:
+        named = [r["robot"], r["servo"], r["rate"], r["delay"], r["world"] or "–", r["feedback"]]
+        if "not fitted" in r:
+            lines.append([*named, "not fitted", *[""] * 4])
             continue
-        inertia = arm.inertia()
-        for servo in SERVOS:
-            for rate in RATES:
-                yield f"{name}, {servo}, {rate} Hz", lambda a=arm, m=inertia, s=servo, r=rate: group(a, m, s, r)
-        for servo in SERVOS:
-            yield f"{name}, {servo}, feedback", lambda a=arm, m=inertia, s=servo: feedbacks(a, m, s, 100)
-        if arm.n == 6:
-            yield f"{name}, fine", lambda a=arm, m=inertia: fine(a, m)
-            yield f"{name}, checks", lambda a=arm, m=inertia: checks(a, m)
+        cells = [cell for name in ("recommended", "unknown") for cell in _lane(r.get(name))]
+        share = f"{r['recommended']['alpha'] / r['best']:.2f}" if r.get("best") else ""
+        lines.append([*named, *cells, share])
+    head = ["robot", "servo", "rate [Hz]", "delay", "besides", "feedback", "recommended", "beyond", "nothing said"]
+    return markdown([*head, "beyond", "of best"], lines, left=2)
+
+
+def _lane(lane) -> list:
+    if lane is None:
+        return ["none", ""]
+    over = np.inf if lane["over"] is None else lane["over"]
+    return [f"{lane['alpha']:.3g}", "unstable" if lane["unstable"] else f"{100 * max(over, 0.0):.1f} %"]
+
+
+PAGE = """# Do recommended gains hold in pink, mink and on simulated robots?
+
+`python -m tests.bench.loops` (extra `peers`; {minutes:.0f} minutes of one core); loops.json holds all. \
+MuJoCo {mujoco}, mink {mink}, pink {pin-pink}, Pinocchio {pin}, JAX {jax}.
+
+## pink and mink
+
+They have the limit that cnclik names: within {off:.2g} % with 0 to 5 samples of delay. The recommended gain is quiet \
+(no rise of the error, no joint that goes back) in {quiet} of {loops} loops.
+
+{peers}
+## Settings for other tools
+
+`python -m tests.bench.loops --only tools` applies each of `Gains.elsewhere` to a Panda whose joints follow
+through the drive of the case. pink, mink and Placo run themselves, with a posture task 0.2 rad away along the null
+space. Isaac Lab's differential IK, MoveIt Servo's pose tracking and a loop around servoj are copies after their
+sources and manuals. Placo brings its own Pinocchio: its rows need an environment in which it was installed last.
+"Nothing said": the robot has the assumed drives. Isaac Lab has no row if there is no gain for it, as with dead time
+alone. A posture task with its default gain of 1 diverges, and a servoj loop that begins at the measured joints does
+not arrive.
+
+{tools}
+## What the advice is worth on simulated robots
+
+`python -m tests.bench.loops --only advice` runs four arms in MuJoCo. Servos are "position 5, 10, 50" with that
+k_p/k_v [1/s] (5 and 10 as the UR5e and Panda of the menagerie), servos of ζ = 0.4, and velocity servos with k_v of
+400 and 40 and with integral parts. Some cells add dry friction of 1 and 0.2 N m and viscous friction; encoders of 15
+bits; torque of at most 80 and 15 N m; motion that is 0.95 or 1.08 of its command; or several of these. Each cell
+records a step of all joints (1.2 s, at most 200 rows), fits the drive, and runs a step of 3 cm and 60 mrad for 3 s.
+*Beyond*: the overshoot of the tip as a share of the step. *Of best*: the recommended gain over the largest with at
+most 1 % overshoot. *Nothing said*: the gain that is recommended for unknown drives. With rebased feedback no gain is
+given then, and none if the motion differs from its command (a gain other than 1), because the difference adds up from
+step to step.
+
+- **Recommended from a recorded step of all joints**: of {cells} cells {recommended named} have a gain; \
+{recommended unstable} of these are unstable, {recommended over 5 %} go beyond the target by more than {much:.0f} %; \
+the gain is {median of best:.2f} of the best one without overshoot in the median.
+- In the other {silent} cells, all with rebased feedback, no gain is named. In {calm where none is named} of these one \
+of {any} gains up to alpha·Ts = 1 was stable, arrived and did not overshoot.
+- **With nothing said of the drives**: {unknown named} of {cells} cells have a gain (rebased feedback has none); \
+{unknown unstable} unstable, {unknown over 5 %} beyond by more than {much:.0f} %.
+
+{advice}"""
+
+
+def page(found) -> str:
+    """The README of what was measured."""
+    rows = {kind: [r for n, part in found.items() if n.endswith(kind) for r in part["rows"]]
+            for kind in ("peers", "tools", "advice")}  # fmt: skip
+    numbers = figures(rows["advice"]) | found["machine"] | {"much": 100 * MUCH, "any": len(ANY)}
+    numbers["silent"] = numbers["cells"] - numbers["recommended named"]
+    numbers["minutes"] = sum(part.get("seconds", 0) for part in found.values()) / 60
+    numbers["off"] = 100 * max(abs(r["predicted"] / r["measured"] - 1) for r in rows["peers"])
+    numbers |= {"quiet": sum(r["quiet"] for r in rows["peers"]), "loops": len(rows["peers"])}
+    return PAGE.format_map(numbers | {kind: globals()[kind](plain(some)) for kind, some in rows.items()})
 
 
 def main() -> None:
@@ -188,19 +172,22 @@ def main() -> None:
     args = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     args.out.mkdir(parents=True, exist_ok=True)
-    there = args.out / "loops.json"
-    found = json.loads(there.read_text()) if there.exists() and not args.fresh else {}
+    file = args.out / "loops.json"
+    found = json.loads(file.read_text()) if file.exists() else {}
     for name, measure in () if args.page else parts(args.robots):
-        if name in found or not name.endswith(args.only):
+        if (name in found and not args.fresh) or not name.endswith(args.only):
             continue
         begun = time.process_time()
         rows = measure()
         found[name] = {"seconds": round(time.process_time() - begun, 1), "rows": rows}
-        found["machine"] = document.machine() | {"mujoco": mujoco.__version__}
-        found["machine"] |= {name: importlib.metadata.version(name) for name in ("mink", "pin-pink", "pin")}
+        found["machine"] = timing.machine()
+        for library in ("mujoco", "mink", "pin-pink", "pin"):
+            found["machine"][library] = importlib.metadata.version(library)
         print(f"{name}: {found[name]['seconds']} s", file=sys.stderr, flush=True)
-        save(found, args.out)
-    loops_page.write(found, args.out)
+        kept = file.with_suffix(".part")
+        kept.write_text(text(found), encoding="utf-8")
+        kept.replace(file)
+    (args.out / "README.md").write_text(page(found), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -12,8 +12,7 @@ from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.record import replace
 from cnclik.stability.gain import gains
-from tests.bench.loops_arms import Servo, World
-from tests.bench.loops_mujoco import SHIFT, Setup, growth, run, step_responses
+from tests.bench.loops_mujoco import SHIFT, Servo, Setup, World, growth, run, step_response
 
 SERVOS = {
     "position 5": Servo("position", (2000.0, 500.0), (400.0, 100.0)),  # k_p/k_v, as the UR5e of the MuJoCo menagerie
@@ -37,8 +36,6 @@ WORLDS = {
 FEEDBACKS = ("measured", "measured", "commanded", "measured", "measured", "rebased", "measured")
 RATES, DELAYS = (100, 250, 500, 1000), (0, 1, 3, 5, 8)
 EACH = 15  # cells of an arm
-LATE = (3, 4, 5, 6, 7, 8)  # samples of delay, with rebased feedback and underdamped servos, of the arms
-REBASED = ("UR5", "xArm7")
 STEP = 60 * SHIFT  # of the target: 3 cm and 60 mrad
 STEPPED = {"position": 0.03, "velocity": 0.2}  # [rad, rad/s] of the recorded step
 LEAD = 10  # rows before it
@@ -62,17 +59,11 @@ def cells(robots):
             yield robot, servo, RATES[(i + r + i // 8) % 4], DELAYS[(2 * i + r) % 5], world, feedback
 
 
-def rebased(arm) -> list:
-    """Cells of an arm with underdamped servos at 100 Hz whose commands begin at the measured joints: which of them
-    have a gain, and which are stable with one."""
-    return [measure(arm, "position ζ 0.4", 100, delay, "", "rebased") for delay in LATE]
-
-
 def recorded(setup, delay):
     """Commands and motions (N, n) of a step of all joints at once, as a robot's log would have them."""
     N = int(min(RECORDED / setup.Ts, ROWS))
     size = STEPPED[setup.servo.command]
-    motions = step_responses(setup, size, N, together=True)
+    motions = step_response(setup, size, N)
     if resolution := setup.world.resolution:
         q = motions + setup.arm.q
         motions = np.round(q / resolution) * resolution - setup.arm.q
@@ -143,7 +134,7 @@ def measure(arm, servo, rate, delay, world, feedback) -> dict:
     around = alphas["recommended"] * GRID if "recommended" in alphas else ANY / Ts
     lanes = np.concatenate([list(alphas.values()), around])
     N = int((SECONDS if "recommended" in alphas else LONG) / Ts)
-    made = run(setup, lanes, np.full(len(lanes), delay), N, STEP).e
+    made = run(setup, lanes, delay, N, STEP)
     over, grows = beyond(made), unstable(made)
     for i, (name, alpha) in enumerate(alphas.items()):
         row[name] = {"alpha": float(alpha), "over": float(over[i]), "unstable": bool(grows[i])}

@@ -1,15 +1,118 @@
-"""The loop of `tests.bench.loops` in MuJoCo: many gains and delays side by side, and what is measured of them.
+"""Arms of `tests.bench.loops` in MuJoCo: their URDF without shapes, servos on their joints, and loops side by side.
 
-A lane is a gain and a number of samples of delay. It starts at rest in the posture, its target 0.5 mm and 1 mrad away.
-Python runs at the controller's rate, C at the physics'.
+A lane is a gain. It starts at rest in the posture, its target 0.5 mm and 1 mrad away, and its commands wait for so many
+samples. Python runs at the controller's rate, C at the physics'.
 """
 
+import pathlib
+import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from tests.bench.loops_arms import STEP, World
+import cnclik as ck
+from tests.integrate.test_real_robots import ROBOTS, folder
+
+STEP = 1e-3  # of the physics [s]
+ARMATURE = 0.1  # [kg m²] of each joint's motor, seen behind its gears
+TIPS = {"xArm7": "link7"}  # where a file has one tip alone
+POSTURES = {
+    "UR5": (0.4, -1.2, 1.5, -1.9, -1.3, 0.3),
+    "Panda": (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4),
+    "Kinova": (4.8, 2.91, 1.0, 4.2, 1.44, 1.32),
+    "xArm7": (0.2, -0.4, 0.3, 1.2, -0.2, 1.5, 0.1),
+}
+
+
+class Servo(NamedTuple):
+    """A servo on every joint: its command, and gains of the first three joints and of the others."""
+
+    command: str
+    kp: tuple
+    kv: tuple
+    ki: float = 0.0  # of a velocity servo: integral gain [1/s] times k_v
+
+
+class World(NamedTuple):
+    """What a robot has besides its servos, of the first three joints and of the others where there are two numbers."""
+
+    dry: tuple = (0.0, 0.0)  # friction [N m]
+    viscous: tuple = (0.0, 0.0)  # [N m s/rad]
+    effort: tuple = (np.inf, np.inf)  # largest torque [N m]
+    resolution: float = 0.0  # of the encoders [rad]
+    gain: float = 1.0  # of a command, from rest
+
+
+def _each(pair, n):
+    """Gains (n,): those of the first three joints, and of the others."""
+    return np.where(np.arange(n) < 3, *pair)
+
+
+class Arm:
+    """An arm at rest in its posture; its loop holds the pose of its tip."""
+
+    def __init__(self, name):
+        file, tip, _ = ROBOTS[name]
+        self.tip = tip or TIPS[name]
+        self.name, self.path = name, folder() / file
+        self.q = np.array(POSTURES[name])
+        self.chain = ck.load_urdf(self.path, self.tip)
+        self.n = self.chain.n
+        assert self.n == len(self.q)
+        self.text = self._urdf()
+
+    def _urdf(self) -> str:
+        """Its URDF without shapes, grippers' joints fixed; MuJoCo is told to keep fixed links."""
+        robot = ET.parse(pathlib.Path(self.path)).getroot()
+        for link in robot.findall("link"):
+            for shape in (*link.findall("visual"), *link.findall("collision")):
+                link.remove(shape)
+        for joint in robot.findall("joint"):
+            if joint.get("type") != "fixed" and joint.get("name") not in self.chain.joint_names:
+                joint.set("type", "fixed")
+        for transmission in (*robot.findall("transmission"), *robot.findall("gazebo")):
+            robot.remove(transmission)
+        settings = {"fusestatic": "false", "balanceinertia": "true"}
+        ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", settings)
+        return ET.tostring(robot, encoding="unicode")
+
+    def model(self, servo: Servo, step=STEP, world=World()):
+        """MuJoCo's model: no weight or contact, a servo and ARMATURE on each joint, friction and efforts of the world.
+
+        The second half of the actuators, if any, are the integral parts.
+        """
+        spec = mujoco.MjSpec.from_string(self.text)
+        spec.option.timestep = step
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.gravity = np.zeros(3)
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        if not any(world.dry):  # dry friction is a constraint
+            spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        joints = [joint for body in spec.bodies for joint in body.joints]
+        assert [joint.name for joint in joints] == list(self.chain.joint_names)
+        for joint, kp, kv in zip(joints, _each(servo.kp, self.n), _each(servo.kv, self.n), strict=True):
+            joint.armature = ARMATURE
+            actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            if servo.command == "position":
+                actuator.set_to_position(kp, kv)
+            else:
+                actuator.set_to_velocity(kv)
+            actuator.ctrllimited = actuator.forcelimited = False
+        for joint, kv in zip(joints if servo.ki else (), _each(servo.kv, self.n), strict=False):
+            actuator = spec.add_actuator(
+                name=f"{joint.name} integral", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
+            actuator.set_to_intvelocity(kv * servo.ki)
+            actuator.ctrllimited = actuator.forcelimited = actuator.actlimited = False
+        model = spec.compile()
+        model.dof_damping[:], model.dof_frictionloss[:] = (_each(v, self.n) for v in (world.viscous, world.dry))
+        # The efforts of the URDF file are left out: at them a loop swings without growing.
+        model.jnt_actfrclimited[:] = np.isfinite(world.effort[0])
+        most = _each(np.minimum(world.effort, 1e9), self.n)
+        model.jnt_actfrcrange[:] = np.stack([-most, most], -1)
+        return model
+
 
 DIRECTION = np.array([0.6, -0.5, 0.62, 0.6, 0.5, -0.6])
 SHIFT = (
@@ -20,7 +123,6 @@ SHIFT = (
 LOST = 100.0  # times the first error, from which on a lane is given up
 GONE = 1e-6  # of the first error, below which it is rounding that goes up and down
 FLAT = 1e-3  # growth up to which an error stays as it is: what the commands alone don't see remains
-OVERSHOOT = 0.01
 
 
 class Setup(NamedTuple):
@@ -32,12 +134,6 @@ class Setup(NamedTuple):
     feedback: str = "measured"
     step: float = STEP  # of the physics [s]
     world: World = World()
-
-
-class Run(NamedTuple):
-    """Errors (N + 1, B, 6) of the true tip [m, rad]; NaN after a lane is given up."""
-
-    e: np.ndarray
 
 
 def turn_from(wanted, rotation):
@@ -58,11 +154,10 @@ def rotation_of(v):
     return out.reshape(3, 3)
 
 
-def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
-    """N steps of lanes with gains alphas (B,) and delays (B,).
+def run(setup: Setup, alphas, delay, N, shift=SHIFT):
+    """Errors (N + 1, B, 6) of the true tip [m, rad] of lanes with gains alphas (B,); NaN after a lane is given up.
 
-    Args:
-      shift: (6,) of the target from the posture's pose [m, rad]. velocity: (3,) with which it then moves [m/s].
+    Args: delay [samples]; shift: (6,) of the target from the posture's pose [m, rad].
     """
     arm, servo, Ts, feedback, physics, world = setup
     model = arm.model(servo, physics, world)
@@ -75,7 +170,7 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
         begin(data, arm.q, rest)
     qs, us = [d.qpos for d in datas], [d.ctrl for d in datas]
     j, at, rotation = np.zeros((B, 6, n)), np.zeros((B, 3)), np.zeros((B, 3, 3))
-    line = np.tile(rest, (max(delays) + 1, B, 1))  # commands of the last samples, those of before the start at rest
+    line = np.tile(rest, (delay + 1, B, 1))  # commands of the last samples, those of before the start at rest
     sent, size = np.tile(arm.q, (B, 1)), line.shape[0]
     look.qpos[:] = arm.q
     mujoco.mj_kinematics(model, look)
@@ -91,9 +186,8 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
             mujoco.mj_jacBody(model, look, j[b, :3], j[b, 3:], tip)
         at[b], rotation[b] = look.xpos[tip], look.xmat[tip].reshape(3, 3)
 
-    def error(k):
-        here = goal if velocity is None else goal + velocity * (k * Ts)
-        return np.concatenate([here - at, turn_from(wanted, rotation)], -1)
+    def error():
+        return np.concatenate([goal - at, turn_from(wanted, rotation)], -1)
 
     def measured(values):
         return np.round(values / world.resolution) * world.resolution if world.resolution else values
@@ -102,12 +196,12 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
     for k in range(N + 1):
         for b in alive:
             seen(qs[b], b, exact)
-        e[k, alive] = error(k)[alive]
+        e[k, alive] = error()[alive]
         told = e[k]
         if not exact:
             for b in alive:
                 seen(sent[b] if feedback == "commanded" else measured(qs[b]), b, True)
-            told = error(k)
+            told = error()
         big = np.abs(e[k]).max(-1) > max(LOST * np.abs(SHIFT).max(), 10 * np.abs(shift).max())
         if big.any():
             alive = [b for b in alive if not big[b]]
@@ -122,9 +216,9 @@ def run(setup: Setup, alphas, delays, N, shift=SHIFT, velocity=None) -> Run:
         sent = (measured(np.stack(qs)) if feedback == "rebased" else sent) + step
         line[k % size] = rest + world.gain * ((sent if position else step / Ts) - rest)
         for b in alive:
-            us[b].reshape(-1, n)[:] = line[(k - delays[b]) % size, b]
+            us[b].reshape(-1, n)[:] = line[(k - delay) % size, b]
             mujoco.mj_step(model, datas[b], sub)
-    return Run(e)
+    return e
 
 
 # --- what is measured ---------------------------------------------------------------------------------
@@ -143,91 +237,6 @@ def growth(e) -> np.ndarray:
     return np.where(np.isfinite(size[-1]), found, np.inf)
 
 
-def beyond(e) -> np.ndarray:
-    """How far the tip moved beyond its target along the step (B,), as a share of it; inf if given up."""
-    along = e[..., :3] @ SHIFT[:3] / (SHIFT[:3] @ SHIFT[:3])
-    return np.where(np.isfinite(e[-1, :, 0]), np.nanmax(-along, 0), np.inf)
-
-
-def first_crossing(values, delays, low, high, lanes=6, rounds=3):
-    """Smallest gain (K,) where values(alphas (B,), delays (B,), effort) -> (B,) is above 0, of a loop for each delay.
-
-    Each round looks at `lanes` gains in geometric steps between the last one below 0 and the first one above; in the
-    end a line is drawn between these two. inf where none is found up to `high`, 0 where `low` is above already.
-    """
-    K, delays = len(delays), np.asarray(delays)
-    low, high = np.broadcast_to(low, K).astype(float), np.broadcast_to(high, K).astype(float)
-    below, above = np.full(K, -np.inf), np.full(K, np.inf)
-    found = np.full(K, np.nan)
-    for turn in range(rounds):
-        share = (np.arange(lanes) / (lanes - 1) if turn == 0 else np.arange(1, lanes + 1) / (lanes + 1))[:, None]
-        effort = 2.0 ** (turn - 1)
-        if turn:  # a round looks longer than the one before, and so may find less to be stable
-            low, below = 0.8 * low, np.full(K, -np.inf)
-        alphas = low * (high / low) ** share
-        open_ = np.flatnonzero(np.isnan(found))
-        seen = np.full((lanes, K), np.nan)
-        looked = alphas[:, open_]
-        seen[:, open_] = values(looked.ravel(), np.tile(delays[open_], lanes), effort).reshape(looked.shape)
-        for i in open_:
-            over = np.flatnonzero(seen[:, i] > 0)
-            first = over[0] if len(over) else lanes
-            if turn == 0 and first in (0, lanes):
-                found[i] = 0.0 if first == 0 else np.inf
-                continue
-            if first < lanes:
-                high[i], above[i] = alphas[first, i], seen[first, i]
-            if first > 0:
-                low[i], below[i] = alphas[first - 1, i], seen[first - 1, i]
-    with np.errstate(invalid="ignore"):
-        share = np.where(np.isfinite(above), -below / (above - below), 0.5)
-    return np.where(
-        np.isnan(found), low * (high / low) ** np.where(np.isfinite(share), np.clip(share, 0, 1), 0.5), found
-    )
-
-
-def samples(setup, delay, least=300) -> int:
-    """How long a lane runs: a dozen periods of a loop with this delay, and of the servo's own."""
-    own = (6.0 if setup.servo.command == "position" else 1.0) / setup.Ts
-    return int(max(least, own, 80 * (delay + 1)))
-
-
-def limits(setup, delays, scale, runner=run, *, calm=True):
-    """Largest stable gain, and the fastest without overshoot, of a loop for each delay.
-
-    Args:
-      scale (K,): gains of about the right size: from 1/50 to 4 times these, and below, is looked.
-      runner: runner(setup, alphas, delays, N) -> Run. calm: whether the second is looked for.
-    """
-
-    def by_length(what):
-        def values(alphas, lags, effort):
-            out = np.empty(len(alphas))
-            for N in {samples(setup, d) for d in lags}:
-                mine = np.array([samples(setup, d) == N for d in lags])
-                steps = int(N * (effort if what is growth else 0.5))
-                out[mine] = what(runner(setup, alphas[mine], lags[mine], steps).e)
-            return out
-
-        return values
-
-    scale = np.asarray(scale, float)
-    largest = first_crossing(by_length(growth), delays, scale / 50, scale * 4)
-    if not calm:
-        return largest, None
-    top = np.where(np.isfinite(largest) & (largest > 0), largest, scale)
-    smooth = first_crossing(by_length(lambda e: beyond(e) - OVERSHOOT), delays, top / 1000, top)
-    return largest, smooth
-
-
-def ramp_lag(setup, alphas, delays, runner=run, seconds=8.0, speed=2e-3):
-    """How far behind a ramp the tip is in the end, as a time [s] (B,)."""
-    velocity = speed * SHIFT[:3] / np.linalg.norm(SHIFT[:3])
-    N = round(seconds / setup.Ts)
-    e = runner(setup, np.asarray(alphas), np.asarray(delays), N, SHIFT * 0.0, velocity).e
-    return e[-1, :, :3] @ velocity / speed**2
-
-
 def begin(data, q, command):
     """At rest at q, and commanded to be there, integral parts as well."""
     data.qpos[:] = q
@@ -235,17 +244,14 @@ def begin(data, q, command):
     data.act[:] = q[: len(data.act)]
 
 
-def step_responses(setup, size, N, together):
-    """Motions (N + 1, n) of the joints from rest, each after a step of its command: one by one, or all at once."""
+def step_response(setup, size, N):
+    """Motions (N + 1, n) of the joints from rest after a step of all their commands at once."""
     arm, servo, Ts, _, physics, world = setup
     model = arm.model(servo, physics, world)
-    rest = arm.q if servo.command == "position" else np.zeros(arm.n)
-    motions = np.zeros((N + 1, arm.n))
-    for stepped in [np.arange(arm.n)] if together else np.arange(arm.n)[:, None]:
-        data = mujoco.MjData(model)
-        begin(data, arm.q, rest)
-        data.ctrl.reshape(-1, arm.n)[:, stepped] += world.gain * size
-        for k in range(N):
-            mujoco.mj_step(model, data, round(Ts / physics))
-            motions[k + 1, stepped] = data.qpos[stepped] - arm.q[stepped]
+    data, motions = mujoco.MjData(model), np.zeros((N + 1, arm.n))
+    begin(data, arm.q, arm.q if servo.command == "position" else np.zeros(arm.n))
+    data.ctrl.reshape(-1, arm.n)[:] += world.gain * size
+    for k in range(N):
+        mujoco.mj_step(model, data, round(Ts / physics))
+        motions[k + 1] = data.qpos - arm.q
     return motions

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from cnclik.integrate.drive import Drive
 from cnclik.stability.gain import gains
-from tests.bench.loops_arms import Arm
+from tests.bench.loops_mujoco import Arm
 
 DT = 0.005  # [s]
 DELAYS = (0, 1, 2, 5)
@@ -25,26 +25,28 @@ SOLVER = "daqp"
 class WithPink:
     """pink's loop on an arm."""
 
-    def __init__(self, arm):
+    def __init__(self, arm, dt=DT):
+        self.dt = dt
         self.model = pin.buildModelFromXML(arm.text)
-        self.at, self.seen = (pink.Configuration(self.model, self.model.createData(), arm.q.copy()) for _ in range(2))
+        self.seen = pink.Configuration(self.model, self.model.createData(), arm.q.copy())
         self.task = pink.tasks.FrameTask(arm.tip, position_cost=1.0, orientation_cost=1.0)
-        start = self.at.get_transform_frame_to_world(arm.tip)
+        start = self.seen.get_transform_frame_to_world(arm.tip)
         self.task.set_target(pin.SE3(start.rotation @ pin.exp3(TURN), start.translation + SHIFT))
 
     def velocity(self, q):
         self.seen.update(q)
-        return pink.solve_ik(self.seen, [self.task], DT, solver=SOLVER, limits=[], damping=1e-12)
+        return pink.solve_ik(self.seen, [self.task], self.dt, solver=SOLVER, limits=[], damping=1e-12)
 
     def error(self, q):
         self.seen.update(q)
         return self.task.compute_error(self.seen)
 
 
-class WithMink:
+class WithMink(WithPink):
     """mink's."""
 
-    def __init__(self, arm):
+    def __init__(self, arm, dt=DT):
+        self.dt = dt
         self.seen = mink.Configuration(mujoco.MjModel.from_xml_string(arm.text), q=arm.q.copy())
         self.task = mink.FrameTask(arm.tip, "body", position_cost=1.0, orientation_cost=1.0)
         start = self.seen.get_transform_frame_to_world(arm.tip, "body")
@@ -53,11 +55,7 @@ class WithMink:
 
     def velocity(self, q):
         self.seen.update(q)
-        return mink.solve_ik(self.seen, [self.task], DT, SOLVER, limits=[], damping=1e-12)
-
-    def error(self, q):
-        self.seen.update(q)
-        return self.task.compute_error(self.seen)
+        return mink.solve_ik(self.seen, [self.task], self.dt, SOLVER, limits=[], damping=1e-12)
 
 
 LOOPS = {"pink": WithPink, "mink": WithMink}
@@ -72,7 +70,7 @@ def held(loop, q, z, delay, steps=STEPS):
         if np.linalg.norm(errors[-1]) > 20 * np.linalg.norm(errors[0]):
             break
         velocities.append(loop.velocity(late[-1 - delay]))
-        late = [*late, late[-1] + velocities[-1] * DT][-delay - 1 :]
+        late = [*late, late[-1] + velocities[-1] * loop.dt][-delay - 1 :]
     return np.array(errors), np.array(velocities)
 
 

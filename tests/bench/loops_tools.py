@@ -137,7 +137,7 @@ def with_pink(gain, posture_gain, Ts):
 
 def with_mink(gain, posture_gain, Ts):
     mink, mujoco = importlib.import_module("mink"), importlib.import_module("mujoco")
-    from tests.bench.loops_arms import Arm
+    from tests.bench.loops_mujoco import Arm
 
     model = mujoco.MjModel.from_xml_string(Arm("Panda").text)
     at = mink.Configuration(model, q=Q.copy())

@@ -4,7 +4,6 @@ docs/how-fast.md shows the table. On one core, by CPU time, in turn, the least o
 """
 
 import functools
-import os
 import time
 
 import jax
@@ -12,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import cnclik as ck
+from tests.bench import timing
 
 LANES, ROUNDS = 4096, 15
 LINKS = np.array([0.5, 0.4, 0.3], np.float32)
@@ -33,7 +33,7 @@ def chain(q, _):
     return jax.lax.scan(closer, q[:3], length=50)[0]
 
 
-def swing(state, lengths, solve=jnp.linalg.solve):
+def swing(state, lengths):
     """A double pendulum after half a second: 200 steps of the midpoint method. state: two angles, two velocities."""
 
     def slope(s):
@@ -41,18 +41,12 @@ def swing(state, lengths, solve=jnp.linalg.solve):
         c, d = jnp.cos(a - b), jnp.sin(a - b)
         mass = jnp.array([[2 * lengths[0], lengths[1] * c], [lengths[0] * c, lengths[1]]])
         force = d * jnp.array([-lengths[1] * v**2, lengths[0] * u**2]) - 9.81 * jnp.array([2, 1]) * jnp.sin(s[:2])
-        return jnp.concatenate([s[2:], solve(mass, force)])
+        return jnp.concatenate([s[2:], jnp.linalg.solve(mass, force)])
 
     def step(s, _):
         return s + 0.0025 * slope(s + 0.00125 * slope(s)), None
 
     return jax.lax.scan(step, state, length=200)[0]
-
-
-def by_hand(matrix, b):
-    """Solution of two equations."""
-    (p, q), (r, s) = matrix
-    return jnp.array([s * b[0] - q * b[1], p * b[1] - r * b[0]]) / (p * s - q * r)
 
 
 def height(fn):
@@ -73,9 +67,7 @@ def gradient(fn):
 PROGRAMS = {
     "chain × 50 steps": (value, chain),
     "value": (value, swing),
-    "value, `solve` by hand": (value, functools.partial(swing, solve=by_hand)),
     "gradient by the lengths": (gradient, swing),
-    "gradient, `solve` by hand": (gradient, functools.partial(swing, solve=by_hand)),
 }
 
 
@@ -93,13 +85,11 @@ def main():
             first.append(time.perf_counter() - begun)
         for _ in range(ROUNDS):
             for k, run in enumerate(runs):
-                begun = time.process_time()
-                jax.block_until_ready(run(states, lengths))
-                best[k] = min(best[k], time.process_time() - begun)
+                best[k] = min(best[k], timing.cpu(functools.partial(run, states, lengths)))
         a, b = (1e3 * t for t in best)
         print(f"| {name} | {a:.1f} | {b:.2f} | {a / b:.0f} | {first[0]:.1f}, {first[1]:.1f} |")
 
 
 if __name__ == "__main__":
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX counts the cores
+    timing.one_core()
     main()

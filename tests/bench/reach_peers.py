@@ -9,7 +9,7 @@ import pinocchio as pin
 
 import cnclik as ck
 from cnclik.robot.chain import REVOLUTE
-from tests.bench.peers import matrix
+from tests.bench.cases import matrix
 from tests.bench.pinocchio_cpp import HERE, compiled
 from tests.integrate.test_real_robots import ROBOTS, folder
 

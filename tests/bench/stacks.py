@@ -8,9 +8,8 @@ is left out. Ten minutes.
 
 import argparse
 import ctypes
-import os
+import functools
 import statistics
-import time
 from xml.etree import ElementTree
 
 import jax
@@ -23,8 +22,8 @@ from cnclik.measure.files import markdown
 from cnclik.robot.bases import BALL
 from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.model import modelled
-from tests.bench import users
-from tests.bench.bodies import FEET, TIPS, spent
+from tests.bench import timing, users
+from tests.bench.bodies import FEET, TIPS
 from tests.bench.cases import end
 from tests.bench.pinocchio_cpp import HERE, compiled
 from tests.oracles import robots
@@ -104,7 +103,7 @@ class Case:
 
         def run(q, targets):
             law = self.limited if limits else self.law
-            return end(law, self.reference(targets), q, TS, N, ck.METHODS["EE"], ck.picard(1))[0]
+            return end(law, self.reference(targets), q, TS, N)[0]
 
         return run
 
@@ -167,16 +166,6 @@ def _onto(axis, k):
     return made
 
 
-def cpu(call, least=0.2):
-    """CPU seconds of a call: the median of those in so many seconds."""
-    found, stop = [], time.perf_counter() + least
-    while not found or time.perf_counter() < stop:
-        start = time.process_time()
-        call()
-        found.append(time.process_time() - start)
-    return statistics.median(found)
-
-
 def compare(case, peer):
     """The largest difference of joint values from Pinocchio's after all steps, of some lanes."""
     some = slice(0, 64)
@@ -194,11 +183,10 @@ def measure(name):
     found, calls = {}, {}
     for dtype, limits in (("float64", False), ("float32", False), ("float64", True)):
         given = case.q.astype(dtype), case.targets.astype(dtype)
-        begun, made = spent(), ck.lanes(case.loop(STEPS, limits), cores=1)
-        made(*given)
+        call = functools.partial(ck.lanes(case.loop(STEPS, limits), cores=1), *given)
         row = f"{dtype}, limits" if limits else dtype
-        rows[f"first call of lanes, {row} [s]"] = spent() - begun
-        calls[f"cnclik in lanes, {row}"] = (lambda made=made, given=given: made(*given)), LANES * STEPS
+        rows[f"first call of lanes, {row} [s]"] = timing.first(call)
+        calls[f"cnclik in lanes, {row}"] = call, LANES * STEPS
     reference = case.reference(case.targets[0])
     whole = lambda: ck.solve(case.law, reference, case.q[0], TS, ALONE, "EE")  # noqa: E731
     with ck.use_engine("native"):
@@ -208,11 +196,10 @@ def measure(name):
         found.setdefault("Pinocchio C++", []).append(peer.run(case.q[:512], case.targets[:512], STEPS)[1] / 512 / STEPS)
         for row, (call, steps) in calls.items():
             with ck.use_engine("native"):
-                found.setdefault(row, []).append(cpu(call) / steps)
+                found.setdefault(row, []).append(timing.cpu(call, 0.2) / steps)
     base = found["Pinocchio C++"]
     for row, seconds in found.items():
-        ratio = statistics.median(b / s for b, s in zip(base, seconds, strict=True))
-        rows[row] = (1e6 * statistics.median(seconds), ratio)
+        rows[row] = (1e6 * statistics.median(seconds), timing.ratio(base, seconds))
     return case, off, rows
 
 
@@ -230,51 +217,12 @@ def beside(case, rounds) -> str:
     return markdown((*head, "with limits, off [mm]", "lines"), rows)
 
 
-def gradients(batch=2048, N=20):
-    """Rows (what, µs a loss, times the value) of a loss of 20 steps of G1's arms, and how many numbers are not finite.
-
-    Its derivatives are by both arms' target positions and all 17 joint values: forward in one direction of them all,
-    reverse by each. A quarter of the arms are straight.
-    """
-    robot = ck.load_urdf(robots() / G1, tips=HANDS)
-    task = ck.stack(left=ck.pose(tip=HANDS[0]), right=ck.pose(tip=HANDS[1]))
-    law = ck.Law(robot, task, alpha=ALPHA, inverse=ck.damped(DAMPING))
-    rng = np.random.default_rng(0)
-    q = 0.3 * rng.normal(size=(batch, robot.n))
-    q[: batch // 4] = 0.0
-    at = [ck.forward(robot, np.zeros(robot.n), tip=tip) for tip in HANDS]
-    targets = np.stack([np.asarray(one.position) for one in at]) + 0.05 * rng.normal(size=(batch, 2, 3))
-
-    def loss(q, targets):
-        holds = [ck.hold(x, np.asarray(one.rotation)) for x, one in zip(targets, at, strict=True)]
-        made, e = end(law, ck.references(left=holds[0], right=holds[1]), q, TS, N, ck.METHODS["EE"], ck.picard(1))
-        return e @ e + 1e-3 * made @ made
-
-    forward = lambda q, x: jax.jvp(loss, (q, x), (jnp.ones_like(q), jnp.ones_like(x)))  # noqa: E731
-    kinds = {"value": loss, "forward": forward, "reverse": jax.value_and_grad(loss, (0, 1))}
-    calls, found, wrong = {name: ck.lanes(fn, cores=1) for name, fn in kinds.items()}, {}, 0
-    for call in calls.values():
-        wrong += sum(int(np.sum(~np.isfinite(v))) for v in jax.tree.leaves(call(q, targets)))
-    for _ in range(ROUNDS):
-        for name, call in calls.items():
-            found.setdefault(name, []).append(cpu(lambda call=call: call(q, targets)) / batch)
-    ratios = {k: statistics.median(a / b for a, b in zip(v, found["value"], strict=True)) for k, v in found.items()}
-    return {name: (1e6 * statistics.median(v), ratios[name]) for name, v in found.items()}, wrong
-
-
 def main(argv=None):
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(prog="python -m tests.bench.stacks", description=__doc__)
     parser.add_argument("robots", nargs="*", help=", ".join(ROBOTS))
-    parser.add_argument("--gradients", action="store_true", help="of a loss of 20 steps of G1's arms, alone")
     parser.add_argument("--rounds", type=int, default=3, help="processes of each user's text, cold and again")
     args = parser.parse_args(argv)
-    if args.gradients:
-        rows, wrong = gradients()
-        for row, (seconds, ratio) in rows.items():
-            print(f"  {row:<10}{seconds:8.2f} µs {ratio:6.2f} times the value")
-        print(f"  {wrong} numbers are not finite")
-        return
     for name in args.robots or ROBOTS:
         case, off, rows = measure(name)
         print(f"{name}: {case.task.m} rows × {case.robot.n} joints; within {off:.1e} rad of Pinocchio")
@@ -287,5 +235,5 @@ def main(argv=None):
 
 
 if __name__ == "__main__":
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # before JAX counts the cores
+    timing.one_core()
     main()

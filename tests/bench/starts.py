@@ -4,16 +4,14 @@ Eight real robots (those of tests/integrate/test_real_robots.py, which their whe
 inverse with λ = 0.01. Starts and targets are drawn within the joint limits (within ±π where there are none), so every
 target can be reached; limits are not respected on the way. Ts = 0.1 s, N = 150; arrived is who ends within 1e-3 (norm
 of position [m] and turn [rad]). Exponential steps at z = 0.1 … 100 against explicit Euler at z = 0.1 … 1.9;
-EXP-MIDPOINT also with its error clamped to 0.1 m and 0.3 rad. Loops that don't arrive are near singular at the end
-(least singular value below 2λ), still on their way (their error fell by 1 % in the last 20 steps), or neither. Into
-results/methods_starts: shares.csv, and tables.md with what its README shows.
+EXP-MIDPOINT also with its error clamped to 0.1 m and 0.3 rad. Into results/methods_starts: tables.md, which its
+README shows.
 
     python -m tests.bench.starts                       # all: minutes
     python -m tests.bench.starts --robots Panda UR5    # some, to the terminal alone
 """
 
 import argparse
-import csv
 import pathlib
 
 import jax
@@ -43,8 +41,8 @@ def drawn(chain, rng):
     return low + (high - low) * rng.random((STARTS, chain.n))
 
 
-def arrivals(name, loops=LOOPS, progress=None) -> list:
-    """One row per loop and z of a robot: the share that arrives, and why others don't."""
+def arrivals(name, loops=LOOPS) -> list:
+    """One row per loop and z of a robot: the share that arrives."""
     file, tip, base = ROBOTS[name]
     chain = ck.load_urdf(folder() / file, tip, base)
     rng = np.random.default_rng(SEED)
@@ -52,30 +50,20 @@ def arrivals(name, loops=LOOPS, progress=None) -> list:
     with jax.enable_x64(True):
         at = jax.jit(jax.vmap(lambda q: ck.forward(chain, q)))(goals)
         position, rotation = np.asarray(at.position), np.asarray(at.rotation)
-        least = jax.jit(jax.vmap(lambda q: jnp.linalg.svd(ck.jacobian(chain, q), compute_uv=False)[-1]))
 
     def study(method, z, k):
         law = ck.Law(chain, ck.pose(), alpha=z / TS, inverse=ck.damped(DAMPING), error_clamp=clamp)
         path = ck.hold(jnp.asarray(position)[k], jnp.asarray(rotation)[k])
         run = ck.solve(law, path, jnp.asarray(starts)[k], TS, N, method)
-        size = jnp.linalg.norm(run.e[jnp.array([-21, -1])], axis=1)
-        return {"before": size[0], "final": size[1], "q": run.q[-1]}
+        return {"final": jnp.linalg.norm(run.e[-1])}
 
     made = []
     for loop in loops:
         method, gains, clamp = LOOPS[loop]
         found = sweep(study, method=[method], z=gains, k=np.arange(STARTS)).isel({"method": 0})
         for j, z in enumerate(gains):
-            before, final, q = (found[v].values[j] for v in ("before", "final", "q"))
-            arrived = final <= TOLERANCE
-            with jax.enable_x64(True):
-                singular = ~arrived & ~(np.asarray(least(np.nan_to_num(q))) > 2 * DAMPING)
-            slow = ~arrived & ~singular & (final < 0.99 * before)
-            shares = {"arrived": arrived, "singular": singular, "on_the_way": slow}
-            row = {"robot": name, "loop": loop, "z": z} | {k: round(float(v.mean()), 4) for k, v in shares.items()}
-            made.append(row | {"neither": round(1 - sum(row[k] for k in shares), 4)})
-        if progress is not None:
-            progress(loop)
+            share = float((found["final"].values[j] <= TOLERANCE).mean())
+            made.append({"robot": name, "loop": loop, "z": z, "arrived": share})
     return made
 
 
@@ -95,34 +83,17 @@ def table(made) -> str:
     return markdown(["robot", "loop", "EE, best", "EE, z = 1", *(f"z = {z:g}" for z in Z)], lines, left=2)
 
 
-def why(made) -> str:
-    """Where exponential Euler's loops at z = 10 end that don't arrive, and explicit Euler's at z = 1 [%]."""
-    kinds = ("singular", "on_the_way", "neither")
-    lines = [
-        [r["robot"], f"{r['loop']}, z = {r['z']:g}", *(f"{100 * r[k]:.1f}" for k in kinds)]
-        for r in made
-        if (r["loop"], r["z"]) in (("EE", 1.0), ("EXP-EE", 10.0))
-    ]
-    return markdown(["robot", "loop", "near singular", "on its way", "neither"], lines, left=2)
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", nargs="*", choices=list(ROBOTS), default=list(ROBOTS))
     asked = parser.parse_args()
     made = []
     for name in asked.robots:
-        rows = arrivals(name, progress=lambda loop, name=name: print(name, loop, flush=True))
-        print(table(rows), why(rows), sep="\n", flush=True)
-        made += rows
-    text = f"Share that arrives [%]\n\n{table(made)}\nShare that does not, by how it ends [%]\n\n{why(made)}"
+        made += arrivals(name)
+        print(table(made), flush=True)
     if asked.robots == list(ROBOTS):
         RESULTS.mkdir(parents=True, exist_ok=True)
-        (RESULTS / "tables.md").write_text(text, encoding="utf-8")
-        with (RESULTS / "shares.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(made[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(made)
+        (RESULTS / "tables.md").write_text(f"Share that arrives [%]\n\n{table(made)}", encoding="utf-8")
 
 
 if __name__ == "__main__":

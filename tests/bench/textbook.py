@@ -1,6 +1,5 @@
 """The loop as a textbook writes it in JAX: 4×4 matrices, arrays, `jnp.linalg`, one robot; `vmap` does the rest."""
 
-import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 
@@ -44,36 +43,10 @@ def damped(j, v, damping):
     return j.T @ cho_solve(cho_factor(gram), v)
 
 
-def pseudoinverse(j, v, damping):
-    """J# v by `jnp.linalg.pinv`."""
-    del damping
-    return jnp.linalg.pinv(j) @ v
-
-
-def loop(pose_and_jacobian, inverse, *, alpha, damping, Ts, M):
-    """A jitted, vmapped `run(q0, position, rotation, N)` -> (q, ‖e‖); M None is explicit Euler, else the paper's CN.
-
-    Args:
-      pose_and_jacobian: q -> ((4, 4), (6, n)); here of this module or of another library.
-    """
-
-    def field(q, position, rotation):
-        at, j = pose_and_jacobian(q)
-        return inverse(j, alpha * error(at, position, rotation), damping)
-
-    def step(q, position, rotation):
-        first = slope = field(q, position, rotation)
-        if M is None:
-            return q + Ts * first
-        for _ in range(M):
-            slope = field(q + Ts * slope, position, rotation)
-        return q + Ts * 0.5 * (first + slope)
-
-    def run(q0, position, rotation, N):
-        q = jax.lax.fori_loop(0, N, lambda _, q: step(q, position, rotation), q0)
-        return q, jnp.linalg.norm(error(pose_and_jacobian(q)[0], position, rotation))
-
-    return jax.jit(jax.vmap(run, in_axes=(0, 0, 0, None)))
+def step(pose_and_jacobian, q, position, rotation, *, alpha, damping, Ts):
+    """One step of explicit Euler; pose_and_jacobian: q -> ((4, 4), (6, n)), of this module or of another library."""
+    at, j = pose_and_jacobian(q)
+    return q + Ts * damped(j, alpha * error(at, position, rotation), damping)
 
 
 def panda(origins, tip):

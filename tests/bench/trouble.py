@@ -8,7 +8,6 @@ error, speed, chatter and status is one row. Into results/robots (half a minute 
 import argparse
 import functools
 import itertools
-import json
 import pathlib
 
 import jax
@@ -16,7 +15,7 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.cli.progress import bar
-from cnclik.measure.files import markdown, plain
+from cnclik.measure.files import markdown
 from cnclik.problem.names import start_from
 from cnclik.robot.posture import arm_length
 from tests.integrate import test_real_robots as real
@@ -108,37 +107,25 @@ def measured(report) -> list[dict]:
     return sorted(rows, key=lambda row: list(PATHS).index(row["path"]))
 
 
-ERRORS = {"position [m]": "position_rms", "orientation [rad]": "orientation_rms"}  # of both tables
-REST = {"past [rad]": "past_limit", "chatter [rad/s]": "chatter"}
-
-
-def line(start, row, speed, *counts) -> list:
-    """A line of either table."""
-    errors, rest = (f"{row[name]:.2e}" for name in ERRORS.values()), (f"{row[name]:.2g}" for name in REST.values())
-    return [*start, *errors, speed, *rest, *counts]
+SHORT = {"position [m]": "position_rms", "orientation [rad]": "orientation_rms", "speed/limit": "fastest_share",
+         "past [rad]": "past_limit", "chatter [rad/s]": "chatter", "not finite": "NON_FINITE"}  # fmt: skip
 
 
 def short(rows) -> str:
-    """One line per path and method, over all robots."""
+    """One line per path and method, over all robots: errors their median, counts their sum, the rest the worst."""
     lines, names = [], list(dict.fromkeys(row["method"] for row in rows))
     for path, method in itertools.product(PATHS, names):
         of = [row for row in rows if (row["path"], row["method"]) == (path, method)]
-        over = {name: (np.median if name.endswith("rms") else max)([row[name] for row in of]) for name in COLUMNS}
-        start, lost = (path if method == names[0] else "", method), sum(row["NON_FINITE"] for row in of)
-        lines.append(line(start, over, f"{over['fastest_share']:.3g}", lost))
-    return markdown(("path", "method", *ERRORS, "speed/limit", *REST, "not finite"), lines, left=2)
+        over = {name: np.median if name.endswith("rms") else sum if name.isupper() else max for name in COLUMNS}
+        cells = [f"{over[name]([row[name] for row in of]):.3g}" for name in SHORT.values()]
+        lines.append((path if method == names[0] else "", method, *cells))
+    return markdown(("path", "method", *SHORT), lines, left=2)
 
 
 def full(rows) -> str:
-    """One line per robot and method, of one path; a robot is named in its first one."""
-    lines = []
-    for row in rows:
-        start = row["robot"] if row["method"] == rows[0]["method"] else "", row["method"]
-        share = f" ({100 * row['fastest_share']:.0f} %)" if row["fastest_share"] > 0 else ""
-        counts = (row[name] for name in ("NEAR_SINGULAR", "AT_LIMIT", "NON_FINITE"))
-        lines.append(line(start, row, f"{row['fastest']:.3g}{share}", *counts))
-    header = ("robot", "method", *ERRORS, "speed [rad/s]", *REST, "singular", "limit", "not finite")
-    return markdown(header, lines, left=2)
+    """One line per robot and method, of one path."""
+    lines = [(row["robot"], row["method"], *(f"{row[name]:.3g}" for name in COLUMNS)) for row in rows]
+    return markdown(("robot", "method", *COLUMNS), lines, left=2)
 
 
 def page(rows) -> str:
@@ -149,13 +136,9 @@ def page(rows) -> str:
 Written by `python -m tests.bench.trouble`. Spatial pose tracking, explicit Euler, alpha = {ALPHA:g} 1/s, \
 Ts = {TS:g} s, {N} steps. λ (λ_max) = {LAMBDA:g} for every damped inverse; the singular-damped one is damped below \
 σ = {EPSILON:g}; *same* is the singular-damped one with a method for limits. All but the first two clamp the error at \
-{CLAMP[0]:g} m and {CLAMP[1]:g} rad.
-
-Errors are RMS over the run; *speed* is the largest joint velocity, and in brackets its share of that joint's limit; \
-*past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed that the next step \
-reverses, over the second half of the run. \
-Steps are counted by status: near singular (least singular value below 0.01; \
-all but the singular-damped ones know it from below only), at limit, not finite.
+{CLAMP[0]:g} m and {CLAMP[1]:g} rad. Errors are RMS over the run; *fastest* is the largest joint velocity [rad/s], \
+*share* that of its limit; *past* is how far a joint went beyond its position limit; *chatter* is the RMS joint speed \
+that the next step reverses, over the second half of the run. Capitals count steps with a status.
 
 ## In short
 
@@ -166,15 +149,13 @@ Errors: median over the robots; speed, past and chatter: the worst robot.
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.bench.trouble", description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=pathlib.Path, metavar="FILE", help="for the rows; trouble.json in the folder")
-    parser.add_argument("--out", type=pathlib.Path, metavar="FOLDER", default=RESULTS, help="for trouble.md and rows")
+    parser.add_argument("--out", type=pathlib.Path, metavar="FOLDER", default=RESULTS, help="for trouble.md")
     args = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     with bar("loops") as report:
         rows = measured(report)
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "trouble.md").write_text(page(rows), encoding="utf-8")
-    (args.json or args.out / "trouble.json").write_text(json.dumps(plain(rows), indent=1) + "\n", encoding="utf-8")
     print(short(rows))
 
 

@@ -16,7 +16,7 @@ import tempfile
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from tests.bench.cold import environment
+from tests.bench.first import environment
 
 PINK = """
 import numpy as np, pinocchio as pin, pink
