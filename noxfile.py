@@ -22,6 +22,7 @@ def lint(session):
     session.install("-e", ".[test]")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
+    session.run("python", "tests/lint.py")
     session.run("mypy")
 
 
@@ -50,10 +51,10 @@ def slow(session):
 
 @nox.session(default=False)
 def stress(session):
-    """Hostile inputs and faults of the system."""
+    """Hostile inputs, random programs, faults of the system, long runs; `-- mutants` puts faults into the package."""
     session.install("-e", ".[test]")
-    session.run("python", "-m", "tests.stress.fuzz", *session.posargs)
-    session.run("python", "-m", "tests.stress.faults")
+    mutants = session.posargs[:1] == ["mutants"]
+    session.run("python", "-m", "tests.stress" + ".mutants" * mutants, *session.posargs[mutants:])
 
 
 @nox.session(default=False)

@@ -1,19 +1,12 @@
-"""`python -m tests.stress.fuzz_engine`: programs drawn at random, as C against JAX's own: one lane and many.
+"""Programs drawn at random, as C against JAX's own: one lane and many.
 
 Programs are chains of operations, branches, loops, loops of a batch, stacks and places, on numbers that are special or
 have few bits, so that nothing is rounded and results are equal to the bit. Functions that round are compared one by
 one, by ulps, on special numbers and on all scales.
-
-    python -m tests.stress.fuzz_engine                        # 2,000 programs and 100,000 values, or --seconds
-    python -m tests.stress.fuzz_engine --seed 3 --number 17   # one program again, with its operations
-
-Exit code 1, and the command that repeats it, for every difference.
 """
 
-import argparse
 import os
-import sys
-import time
+import zlib
 
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 
@@ -50,49 +43,20 @@ SIMPLE = {
         ),
     ],
     "ff": [
-        jnp.negative,
-        jnp.abs,
-        jnp.floor,
-        jnp.ceil,
-        jnp.round,
-        jnp.sign,
-        jnp.square,
-        lambda a: few_bits(a**3),
-        lambda a: a - 0.0,
-        lambda a: a / 4,
-        jnp.trunc,
+        *(jnp.negative, jnp.abs, jnp.floor, jnp.ceil, jnp.round, jnp.sign, jnp.square, jnp.trunc),
+        *(lambda a: few_bits(a**3), lambda a: a - 0.0, lambda a: a / 4),
         lambda a: lax.clamp(a.dtype.type(-1), a, a.dtype.type(2)),
         lambda a: lax.bitcast_convert_type(lax.bitcast_convert_type(a, f"uint{8 * a.dtype.itemsize}"), a.dtype),
     ],
     "iii": [
-        jnp.add,
-        jnp.subtract,
-        jnp.multiply,
-        lax.div,
-        lax.rem,
-        jnp.maximum,
-        jnp.minimum,
-        lax.bitwise_and,
-        lax.bitwise_or,
-        lax.bitwise_xor,
-        lax.shift_left,
-        lax.shift_right_logical,
-        lax.shift_right_arithmetic,
-        jnp.floor_divide,
-        jnp.mod,
+        *(jnp.add, jnp.subtract, jnp.multiply, lax.div, lax.rem, jnp.maximum, jnp.minimum, jnp.floor_divide, jnp.mod),
+        *(lax.bitwise_and, lax.bitwise_or, lax.bitwise_xor),
+        *(lax.shift_left, lax.shift_right_logical, lax.shift_right_arithmetic),
     ],
     "ii": [
-        jnp.negative,
-        jnp.sign,
-        jnp.invert,
-        lambda a: a**3,
-        lambda a: a + 1,
-        lambda a: a * 109 + 89,
-        lambda a: a << 3,
-        lambda a: a // 3,
-        lambda a: a % 5,
+        *(jnp.negative, jnp.sign, jnp.invert, lambda a: a**3, lambda a: a + 1, lambda a: a * 109 + 89),
+        *(lambda a: a << 3, lambda a: a // 3, lambda a: a % 5, lambda a: a >> 1),
         lambda a: jnp.where(a + 1 > a, a, 0),
-        lambda a: a >> 1,
     ],
     "ffb": [jnp.less, jnp.less_equal, jnp.equal, jnp.not_equal, jnp.greater],
     "iib": [jnp.less, jnp.less_equal, jnp.equal, jnp.not_equal, jnp.greater_equal],
@@ -283,31 +247,11 @@ def tried(seed, numbers) -> tuple[list, int]:
     return bad, count
 
 
-ONE = [
-    "exp",
-    "log",
-    "sin",
-    "cos",
-    "tan",
-    "sqrt",
-    "tanh",
-    "log1p",
-    "expm1",
-    "asin",
-    "acos",
-    "atan",
-    "sinh",
-    "cosh",
-    "cbrt",
-    "erf",
-    "exp2",
-    "logistic",
-    "rsqrt",
-    "floor",
-    "round",
-    "sign",
-]
-TWO = ["add", "sub", "mul", "div", "atan2", "pow", "rem", "max", "min", "nextafter"]
+ONE = (
+    *("exp", "log", "sin", "cos", "tan", "sqrt", "tanh", "log1p", "expm1", "asin", "acos", "atan", "sinh", "cosh"),
+    *("cbrt", "erf", "exp2", "logistic", "rsqrt", "floor", "round", "sign"),
+)
+TWO = ("add", "sub", "mul", "div", "atan2", "pow", "rem", "max", "min", "nextafter")
 
 
 def values(seed, count) -> tuple[list, int]:
@@ -340,33 +284,17 @@ def values(seed, count) -> tuple[list, int]:
     return bad, done
 
 
-def main():
-    """Run all, and tell what differs."""
-    parser = argparse.ArgumentParser(prog="python -m tests.stress.fuzz_engine", description=__doc__.partition("\n")[0])
-    parser.add_argument("--programs", type=int, default=2000)
-    parser.add_argument("--values", type=int, default=100_000, help="of functions that round")
-    parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--number", type=int, help="one program again")
-    args = parser.parse_args()
-    if args.number is not None:
-        fn, n, real, whole = program(args.seed, args.number)
-        given = inputs(np.random.default_rng([args.seed, args.number, 1]), n, real, whole)
-        print(jax.make_jaxpr(fn)(jax.tree.map(lambda x: x[0], given)))
-        print("differs" if tried(args.seed, [args.number])[0] else "is the same")
-        return
-    begun, (bad, compared), programs = time.monotonic(), values(args.seed, args.values), 0
-    for start in range(0, args.programs, TOGETHER):
-        if time.monotonic() - begun > args.seconds:
-            break
-        numbers = range(start, min(start + TOGETHER, args.programs))
-        wrong, count = tried(args.seed, numbers)
-        bad += [f"python -m tests.stress.fuzz_engine --seed {args.seed} --number {k}" for k in wrong]
-        programs, compared = programs + len(numbers), compared + count
-    print("\n".join(bad))
-    print(f"{programs} programs, {compared} values, {len(bad)} differences, {time.monotonic() - begun:.0f} s.")
-    sys.exit(bool(bad))
+def trials(seed, folder):
+    """(number, what is wrong or nothing), without end."""
+    number = zlib.crc32(str(seed).encode())
+    yield "values", "; ".join(values(number, 20_000)[0])
+    for start in range(0, 10**9, TOGETHER):
+        wrong, _ = tried(number, range(start, start + TOGETHER))
+        yield from ((f"program {k}", shown(number, k) if k in wrong else "") for k in range(start, start + TOGETHER))
 
 
-if __name__ == "__main__":
-    main()
+def shown(seed, number):
+    """A program that differs, as its operations."""
+    fn, n, real, whole = program(seed, number)
+    given = inputs(np.random.default_rng([seed, number, 1]), n, real, whole)
+    return str(jax.make_jaxpr(fn)(jax.tree.map(lambda x: x[0], given)))
