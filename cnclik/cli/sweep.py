@@ -24,7 +24,7 @@ class Args(ComputeOptions):
     fresh: bool = False
     """Start again, even if the folder holds results."""
     check: bool = False
-    """Only check the spec and estimate size, memory and time from a first block that is run."""
+    """Only check the spec, and print what it would run."""
     figures: bool = True
     """Draw the figures at the end."""
     distributed: str | None = None
@@ -44,12 +44,13 @@ def run(args: Args) -> None:
 
         sweeps.check(spec)
     out = args.out or pathlib.Path(f"sweep-{spec.name}")
-    if args.check:
-        _check(spec)
-        return
     grid = spec.grid()
     question = f"{spec.question}\n" * bool(spec.question)
-    print(f"{question}{spec.name}: {grid.size:,} loops, {grid}; dead time {_dead_time(spec)}", flush=True)
+    programs = f"{(count := len(grid.programs)):,} program{'s' * (count > 1)}"
+    size = f"{grid.size:,} loops, {grid}, in {programs}"
+    print(f"{question}{spec.name}: {size}; dead time {_dead_time(spec)}", flush=True)
+    if args.check:
+        return
     begun = time.perf_counter()
     check_free("out", out, summary.FILES, overwrite=args.overwrite)
     with progress.bar("loops", quiet=place["process"] != 0) as report:
@@ -92,26 +93,6 @@ def _join(place) -> dict:
         return well
 
     return {"process": jax.process_index(), "processes": jax.process_count(), "meet": meet}
-
-
-def _check(spec) -> None:
-    """Print grid size, programs, memory and time."""
-    from cnclik.sweeps.sweep import estimate
-
-    found = estimate(spec)
-    rows = {
-        "question": spec.question,
-        "expectation": spec.expectation,
-        "grid": f"{spec.grid()} = {found.loops:,} loops",
-        "dead time": _dead_time(spec),
-        "programs": f"{found.programs}",
-        "blocks": f"{found.blocks} of {-(-found.loops // found.blocks):,} loops",
-        "memory": f"{found.memory / 2**20:,.0f} MiB",
-        "on disk": f"{found.disk / 2**20:,.1f} MiB before compression",
-        "time": f"{found.time:.0f} s" if found.time < 6000 else f"{found.time / 3600:.1f} h",
-    }
-    for name, text in rows.items():
-        print(f"{name:<11}  {text}")
 
 
 def _dead_time(spec) -> str:

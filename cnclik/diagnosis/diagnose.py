@@ -191,7 +191,7 @@ def _swing(rows, found, Ts, alpha) -> dict:
         )
     if not found.alone:
         ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
-        notes.append(f"Likely are drives between {ends}; a recorded step tells more (--step).")
+        notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
     notes.append(UNLESS)
     return {
         "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,

@@ -159,17 +159,16 @@ def cubic(times, values, closed, name):
         h = xp.diff(times)
         slope = xp.diff(values, axis=0) / h[:, None]
         rest = xp.zeros_like(values[:1])
-        if not closed:
-            v = _velocities(h, slope, rest, rest)
-        else:
+        v = _velocities(h, slope, rest, rest)
+        if closed:
             # After a full turn the quaternion has the other sign, which is the same rotation.
             sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
             if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
                 raise errors.fail(name, "end where it starts for a closed path", "does not")
-            # Velocities p at the start and sign·p at the end give v = still + p·moved; p makes acceleration continuous.
-            still, moved = _velocities(h, slope, rest, rest), _velocities(h, 0 * slope, rest + 1, rest + sign)
-            ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (still, moved)]
-            v = still + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
+            # Velocities p at the start and sign·p at the end add p·moved; p makes acceleration continuous.
+            moved = _velocities(h, 0 * slope, rest + 1, rest + sign)
+            ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (v, moved)]
+            v = v + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
         hh = h[:, None]
         second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
         third = (v[:-1] + v[1:] - 2 * slope) / hh**2

@@ -98,7 +98,7 @@ def circle(
     center = errors.array("center", center, (2,), (3,))
     radius = 1.0 * errors.number("radius", radius, at_least=0)
     phase = 1.0 * errors.number("phase", phase)
-    _check_period(period)
+    period = _period(period)
     if center.shape[0] == 2:
         if normal is not None:
             raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
@@ -118,7 +118,7 @@ def circle(
         first=radius * (c * u + s * v),
         second=radius * (c * v - s * u),
         rotation=rotation_matrix("rotation", rotation),
-        period=leaf(period),
+        period=period,
     )
     return Reference(curve=curve)
 
@@ -146,14 +146,13 @@ def lissajous(
     amplitude = errors.array("amplitude", amplitude, (d,))
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
-    _check_period(period)
     curve = Lissajous(
         center=center,
         amplitude=amplitude,
         frequency=frequency,
         phase=phase,
         rotation=rotation_matrix("rotation", rotation),
-        period=leaf(period),
+        period=_period(period),
     )
     return Reference(curve=curve)
 
@@ -253,10 +252,11 @@ def hold_at(
 # --- reading arguments --------------------------------------------------------------------------------
 
 
-def _check_period(period):
-    errors.number("period", period)
-    if errors.concrete(period) and float(period) == 0:
+def _period(period):
+    """Return a period, which is not 0, as a field of a record."""
+    if errors.concrete(errors.number("period", period)) and float(period) == 0:
         raise errors.fail("period", "not be 0", "is 0")
+    return leaf(period)
 
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:

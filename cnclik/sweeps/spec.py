@@ -149,7 +149,7 @@ class Spec:
     def file(self, text) -> pathlib.Path | None:
         """Return the file of a name, relative to the spec's folder, or None."""
         path = self.folder / str(text)
-        return path if os.path.isfile(path) else None  # unlike Path.is_file, it accepts names of any length
+        return path if os.path.isfile(path) else None  # unlike pathlib's, it accepts names of any length
 
 
 class Loop(dict):

@@ -1,9 +1,7 @@
-"""Sweep: a study over a labelled grid, or a spec's question, as an xarray.Dataset; and what it will take."""
+"""Sweep: a study over a labelled grid, or a spec's loops, as an xarray.Dataset."""
 
-import dataclasses
 import json
 import os
-import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +13,11 @@ from cnclik.precision import of_numbers
 from cnclik.sweeps import store
 from cnclik.sweeps.grid import grid
 from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of, environment
-from cnclik.sweeps.program import blocks_at_once, fit, run_blocks
+from cnclik.sweeps.program import fit, run_blocks
 from cnclik.sweeps.spec import Spec, read
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_REST = 2**28  # bytes of the interpreter, JAX and the store
 
 
 @of_numbers
@@ -86,19 +82,15 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None) -> "xr.Datas
     """
     errors.progress(progress)
     errors.kind("out", out, (str, os.PathLike, type(None)), "be a path")
-    spec = _spec(spec, set)
+    errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
+    if isinstance(set, str) or not np.iterable(set) or not all(isinstance(v, str) for v in set):
+        raise errors.fail("set", "be strings NAME=VALUE", f"is {set!r}")
+    spec = spec if isinstance(spec, Spec) else read(spec, set)
     if out is not None:
         store.run(spec, out, fresh=fresh, progress=progress)
         return store.read(out)
     of, outputs, arrays = _collect(spec.study, spec.grid(), progress)
     return _dataset(of, outputs, arrays, coordinates_of(spec, of), attributes(spec, of, outputs))
-
-
-def _spec(spec, changes) -> Spec:
-    errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
-    if isinstance(changes, str) or not np.iterable(changes) or not all(isinstance(v, str) for v in changes):
-        raise errors.fail("set", "be strings NAME=VALUE", f"is {changes!r}")
-    return spec if isinstance(spec, Spec) else read(spec, changes)
 
 
 def _collect(study, of, progress=None):
@@ -124,49 +116,3 @@ def _dataset(of, outputs, arrays, coords, attrs):
     floats = [o.dtype for o in outputs if jax.numpy.issubdtype(o.dtype, np.floating)]
     dtype = min(floats, key=lambda d: d.itemsize, default=np.dtype(float))
     return xarray.Dataset(data, coords, attrs=environment(dtype) | attrs)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """What a sweep will take.
-
-    Attributes:
-      loops: points of the grid. programs: compiled ones. blocks: pieces that are computed and written at once.
-      memory: while it runs [bytes]. disk: of the store, before compression [bytes].
-      time: all of it, compiling included [s].
-    """
-
-    loops: int
-    programs: int
-    blocks: int
-    memory: int
-    disk: int
-    time: float
-
-
-def estimate(spec, *, set=()) -> Estimate:
-    """Return size, memory and time of a sweep: its first program is compiled, and one block of it is run twice.
-
-    Args:
-      spec: a `Spec`, or the path of its TOML file.
-      set: strings "name=value" that replace values of the file.
-    """
-    spec = _spec(spec, set)
-    begun = time.perf_counter()
-    of, program = fit(spec.study, spec.grid())
-    compile_time = time.perf_counter() - begun
-    blocks, programs = of.blocks(), of.programs
-    for _ in range(2):
-        begun = time.perf_counter()
-        jax.block_until_ready(program.run(of.lane_values(blocks[0])))
-    block_time = time.perf_counter() - begun
-    costs = np.array([spec.evaluations(p) for p in programs])  # the cost of other programs, from that of the first
-    run_time = block_time * len(blocks) * float(np.mean(costs / costs[0])) / blocks_at_once()
-    return Estimate(
-        loops=of.size,
-        programs=len(programs),
-        blocks=len(blocks),
-        memory=program.memory * blocks_at_once() + _REST,
-        disk=of.size * sum(o.dtype.itemsize for o in program.outputs),
-        time=compile_time * len(programs) + run_time,
-    )

@@ -125,7 +125,7 @@ def _choose_axes(kind, roles, axes, drawn, dims):
 
 
 def _looks(table) -> dict:
-    """Return the look that a table asks for, checked."""
+    """Return the look of a table, checked."""
     for key in ("name", "title"):
         errors.kind(key, table.get(key, "-"), str, "be a text")
     name = table.get("name", "-")
