@@ -208,11 +208,15 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
 
 def _misshapen(name, shape, shapes, of):
     """The error for another shape: a list of another length has as many numbers, all else a shape."""
-    lengths = [str(*s or (1,)) for s in shapes if len(s) < 2]
-    if len(shape) < 2 and lengths and "None" not in lengths:
-        counts = f"{' or '.join(dict.fromkeys(lengths))} {of if lengths[-1] != '1' else of.removesuffix('s')}"
-        wanted = " or ".join([counts, *(f"shape {_show(s)}" for s in shapes if len(s) > 1)])
-        return fail(name, f"have {wanted}", f"has {shape[0]}" if shape else "is a single number")
+    lengths = dict.fromkeys(str(*s) for s in shapes if len(s) == 1)
+    if len(shape) < 2 and "None" not in lengths and any(len(s) < 2 for s in shapes):
+        wanted = ["be a single number"] * (() in shapes)
+        if wanted:
+            lengths.pop("1", None)
+        if lengths:
+            wanted.append(f"have {' or '.join(lengths)} {of if [*lengths] != ['1'] else of.removesuffix('s')}")
+        wanted += [f"have shape {_show(s)}" for s in shapes if len(s) > 1]
+        return fail(name, " or ".join(wanted), f"has {shape[0]}" if shape else "is a single number")
     wanted = " or ".join(_show(s) for s in shapes)
     return fail(name, f"have shape {wanted}", f"has shape {_show(shape)}")
 

@@ -12,7 +12,7 @@ def norms(rows):
 def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     """All scalar metrics; `tangent` holds the path's unit tangent at every instant (0 at rest)."""
     t, q, e, qdot = (np.asarray(getattr(run, n)) for n in ("t", "q", "e", "qdot"))
-    residual, contraction, status = (np.asarray(getattr(run, n)) for n in ("residual", "contraction", "status"))
+    residual, status = np.asarray(run.residual), np.asarray(run.status)
     position, rotation = e[:, : len(law.task.position)], e[:, len(law.task.position) :]
     parts = {"error": e, "position_error": position, "rotation_error": rotation}
     along = np.sum(position * tangent, axis=1)
@@ -30,15 +30,12 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     settled = outside[-1] + 1 if outside else 0
     out["settling_time"] = t[settled] - t[0] if settled < len(size) else np.inf
     out["converged"] = float(size[-1] <= tolerance)
-    out["overshoot"] = max(0.0, max(-(row @ e[0]) / (e[0] @ e[0]) for row in e)) if size[0] > 0 else 0.0
     last = inside[0] if inside else steps
     out["rate"] = np.nan if size[0] <= tolerance else (size[last] / size[0]) ** (1 / last)
     out["max_qdot"] = np.abs(qdot).max()
-    out["rms_qdot"] = np.sqrt(np.mean(norms(qdot) ** 2))
     out["rms_qddot"] = np.sqrt(np.mean(norms(np.diff(qdot, axis=0) / (t[1] - t[0])) ** 2))
     out["path_length"] = norms(np.diff(q, axis=0)).sum()
     out["velocity_ratio"] = (np.abs(qdot) / velocity_limit).max()
-    out["limit_distance"] = np.minimum(q - lower, upper - q).min()
     out["past_limit"] = max(0.0, *(q - upper).ravel(), *(lower - q).ravel())
     late = qdot[steps // 2 :]
     pairs = zip(late[:-1].T, late[1:].T, strict=True)
@@ -47,7 +44,7 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     rows = [*law.task.linear, *(3 + i for i in law.task.angular)]
     jacobians = np.stack([np.asarray(ck.jacobian(law.chain, one))[rows] for one in q])
     out["least_singular_value"] = np.linalg.svd(jacobians, compute_uv=False).min()
-    out["residual"], out["contraction"] = residual.max(), contraction.max()
+    out["residual"] = residual.max()
     out["evaluations"] = float(run.evaluations)
     out["ok"] = int(np.sum(status == 0))
     for bit in ck.Status:

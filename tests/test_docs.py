@@ -36,14 +36,13 @@ SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven 
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
 LONG = [
-    "bases",
     "drives",
     "reach",
+    "robots",
     "stacks",
     "sweeps",
     "theory",
     "tuning",
-    "walls",
 ]
 NO_FILES = ("robots", "solve", "stability", "diagnose")  # without --out nothing on a page reads what they write
 NEEDS_OTHER_MACHINES = ("srun", "ssh", "--distributed")
@@ -59,7 +58,7 @@ N = 8
 method = ["EE", "CN"]
 alpha = [2.0, 5.0]
 Ts = [0.05, 0.1]
-[cases.track2]
+[axes.case.track2]
 robot = "planar-clockwise:1,1"
 q0 = [0, "pi/2"]
 reference = "line"
@@ -130,12 +129,6 @@ class _Interrupted:
         raise KeyboardInterrupt
 
 
-def needs_viser(page):
-    """Skip the page that shows the viewer where viser is not installed."""
-    if page.name == "viewer.md" and not has_viser():
-        pytest.skip("needs viser, the extra `viewer`")
-
-
 def read_aloud(page, folder, less):
     """Run a page from its top to its end, as a reader would who types all of it into one shell and one Python."""
     prepare(folder, less)
@@ -171,7 +164,6 @@ def read_aloud(page, folder, less):
     "page", [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in LONG)) for p in PAGES], ids=lambda p: p.name
 )
 def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
-    needs_viser(page)
     monkeypatch.chdir(tmp_path)
     read_aloud(page, tmp_path, less=True)
 
@@ -180,7 +172,6 @@ def test_a_page_runs(page, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_a_page_runs_as_printed(page, tmp_path):
     """In a process of its own: its programs have the form and the optimisation that a reader's have."""
-    needs_viser(page)
     read = f"read_aloud(PAGES[{PAGES.index(page)}], pathlib.Path(), less=False)"
     code = f"import pathlib; from tests.test_docs import PAGES, read_aloud; {read}"
     own = os.environ | {"PYTHONPATH": str(ROOT)}

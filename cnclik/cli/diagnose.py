@@ -5,8 +5,6 @@ import pathlib
 import re
 from typing import Literal
 
-import numpy as np
-
 from cnclik import errors
 from cnclik.cli.arguments import option
 from cnclik.cli.common import print_json
@@ -144,7 +142,7 @@ def _said(found, names) -> str:
     """A diagnosis in words, with its confidence."""
     lines = [str(found)]
     if found.cause == "wrong sign":
-        size = np.ptp(found.path, axis=0)
+        size = found.path.max(0) - found.path.min(0)
         lines += ["Growing: " + ", ".join(n for n, a in zip(names, size, strict=True) if a > 0.05 * size.max()) + "."]
     if found.confidence is not None:
         lines += [f"Confidence: {found.confidence:.2g}."]

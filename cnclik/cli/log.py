@@ -3,14 +3,11 @@
 import dataclasses
 import pathlib
 import re
-
-import numpy as np
+from typing import Any
 
 from cnclik import errors
 from cnclik.cli.arguments import option
-from cnclik.diagnosis.recording import APART, sampling_time
 from cnclik.problem.columns import SECONDS, clock_of, words_of
-from cnclik.problem.tables import read_columns
 
 SENT = {"command", "commands", "commanded", "cmd", "target", "desired", "reference", "ref", "setpoint", "sent"}
 MOVED = {"position", "positions", "pos", "motion", "actual", "measured", "feedback"}
@@ -41,13 +38,15 @@ class Log:
     """A log as read: names and numbers (N, columns) of its columns; its times (N,) or None, and where they are from."""
 
     names: list
-    table: np.ndarray
-    t: np.ndarray | None
+    table: Any  # NumPy's arrays, which help does not need
+    t: Any
     stamps: str
     left_out: set
 
     def columns(self, places):
         """(N, k) of some columns, up to the last complete row: the last instant of a run has no step."""
+        import numpy as np
+
         table = self.table[:, places]
         empty = np.isnan(table).any(1)
         table = table[: len(table) - int(np.argmin(empty[::-1]))]
@@ -97,6 +96,8 @@ class Log:
 
 def read(args) -> Log:
     """The log of a verb's options."""
+    from cnclik.problem.tables import read_columns
+
     names, table = read_columns("LOG", args.log)
     if table.size == 0:
         raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
@@ -110,6 +111,8 @@ def read(args) -> Log:
 
 def sampled(log: Log, Ts) -> float:
     """Ts [s] of a log without gaps: as given, or from its stamps, which a given one may contradict."""
+    from cnclik.diagnosis.recording import APART, sampling_time
+
     name = log.stamps.partition(",")[0]
     if Ts is not None:
         Ts, log.stamps = sampling_time(None, Ts), "--Ts"
@@ -132,6 +135,8 @@ def clock(names, table):
 
     A pair of seconds and nanoseconds is one time. If the name does not state a unit, the size of the stamps does.
     """
+    import numpy as np
+
     places, t, unit, parts = [], None, None, {}
     for i, name in enumerate(names):
         named = clock_of(name)
@@ -151,6 +156,8 @@ def clock(names, table):
 
 def _unit_of(t) -> str:
     """The unit of stamps, from their size since 1970 or their steps: a loop takes 0.1 ms to 0.5 s."""
+    import numpy as np
+
     with np.errstate(invalid="ignore"):
         size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
     since = [unit for least, unit in EPOCHS if least <= size < 4 * least and 1e-5 <= step * SECONDS[unit] <= 1.0]
@@ -159,6 +166,8 @@ def _unit_of(t) -> str:
 
 def no_motion(names, table) -> list:
     """Indices of columns that are not motion: non-numeric ones, and whole numbers named like a status or a count."""
+    import numpy as np
+
     places = []
     for i, name in enumerate(names):
         values = table[:, i][~np.isnan(table[:, i])]

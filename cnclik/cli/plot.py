@@ -20,16 +20,12 @@ class Args(ComputeOptions):
 
 def run(args: Args) -> None:
     """Draw the figures and print their names."""
-    from cnclik.sweeps import store
+    from cnclik.sweeps import spec, store
 
     data, missing = store.read_and_missing(args.folder)
     if missing:
         print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
-    tables = None
-    if args.spec is not None:
-        from cnclik.sweeps import files
-
-        tables = files.read(args.spec).figures
+    tables = None if args.spec is None else spec.read(args.spec).figures
     draw(data, args.folder, tables=tables, form=args.format, overwrite=args.overwrite)
 
 

@@ -20,7 +20,7 @@ from cnclik.writing import output_folder
 
 GAINS = ("largest_stable", "without_overshoot", "recommended")
 METHODS = ("EE", "HEUN", "MIDPOINT", "RK4", "IE", "CN", "TRAPEZOID")  # of the figure of regions
-PASSES = (0, 1, 2, 3, 4, 5, 10)
+PASSES = (0, 1, 2, 3, 4, 5, 12)
 CHART_TS = (1e-3, 2e-2)  # [s], of the figure of gains
 CHART_POINTS = 13
 CELLS = 128  # of a map along each axis

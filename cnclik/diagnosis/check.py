@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import typing
+from collections.abc import Sequence
+
 import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis.recording import columns, spacing
 from cnclik.record import ArrayLike, Float, record
+
+if typing.TYPE_CHECKING:
+    from cnclik.robot.chain import Chain
 
 ORDERS = {"velocity": "/s", "acceleration": "/s²", "jerk": "/s³"}
 PUBLISHED: dict[str, dict] = {  # Franka Control Interface documentation, "Robot and interface specifications"
@@ -94,11 +100,11 @@ def check_log(
     q: Float[ArrayLike, "N ..."],
     *,
     Ts: float | None = None,
-    limits=None,
-    chain=None,
+    limits: dict[str, ArrayLike] | str | None = None,
+    chain: Chain | None = None,
     command: Float[ArrayLike, "N ..."] | None = None,
     resolution: float = 0.0,
-    names=None,
+    names: Sequence[str] | None = None,
 ) -> LogCheck:
     """Check which limits a log of joint values breaks, and where; and whether rows are missing, repeated or reversed.
 
@@ -116,7 +122,7 @@ def check_log(
       resolution: of the encoders [rad, m]. names: of the columns of q, and then of those of command.
     Raises: ArgumentError for fewer than four rows, and for what does not fit.
     """
-    q = columns("q", q)
+    q = columns("q", q, "check_log")
     k, most = q.shape[1], _limits(limits, chain, q.shape[1])
     names = [f"{w} {i + 1}" for w in ("joint", "command") for i in range(k)] if names is None else list(names)
     if len(q) < 4:
@@ -130,7 +136,7 @@ def check_log(
     found, t, gaps, kept = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
     found += _motion(t, q[kept], gaps, Ts, most, names[:k], units, resolution, measured=True)
     if command is not None:
-        sent = columns("command", command)
+        sent = columns("command", command, "check_log")
         if sent.shape != q.shape:
             raise errors.fail("command", f"have the shape of q, {q.shape}", f"has {sent.shape}")
         found += _motion(t, sent[kept], gaps, Ts, most, names[k:], units, 0.0, measured=False)

@@ -125,7 +125,7 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     Ts = float(errors.number("Ts", Ts, positive=True))
     if alpha is not None:
         alpha = float(errors.number("alpha", alpha, positive=True))
-    y = columns("signal", signal)
+    y = columns("signal", signal, "diagnose")
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     size = np.abs(y - y[0]).max() or 1.0
@@ -191,7 +191,7 @@ def _swing(rows, found, Ts, alpha) -> dict:
         )
     if not found.alone:
         ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
-        notes.append(f"Likely are drives between {ends}; a recorded step tells more (--step).")
+        notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
     notes.append(UNLESS)
     return {
         "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,

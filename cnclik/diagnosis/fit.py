@@ -111,7 +111,7 @@ def fit_drive(
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
     kinds = list(NUMBERS)[: 3 + velocity]
     kinds = kinds if kind is None else [errors.one_of("kind", kind, kinds)]
-    command, motion = columns("command", command), columns("motion", motion)
+    command, motion = (columns(n, v, "fit_drive") for n, v in (("command", command), ("motion", motion)))
     if command.shape != motion.shape:
         raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
     if len(motion) < LEAST:

@@ -10,9 +10,12 @@ MISSING, BESIDE = 0.6, 12  # of a step, by which stamps of the rows on either si
 APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 
 
-def columns(name, values):
-    """A recording (N,) or (N, k) as columns (N, k). Raises: ArgumentError for values not finite or beyond LARGEST."""
-    values = np.asarray(errors.array(name, values, (None,), (None, None), most=LARGEST), float)
+def columns(name, values, door):
+    """Return a log as columns (N, k). Raises: ArgumentError for values that are not finite, too large or traced."""
+    values = errors.array(name, values, (None,), (None, None), most=LARGEST)
+    if not errors.concrete(values):
+        raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
+    values = np.asarray(values, float)
     return values[:, None] if values.ndim == 1 else values
 
 

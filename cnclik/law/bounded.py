@@ -45,24 +45,24 @@ class Problem(NamedTuple):
     raised: Float[Array, " k"] | None = None  # added to the floor of the walls
 
     def hessian(self):
-        """Half the Hessian, BᵀB + shift I."""
+        """Return half the Hessian, BᵀB + shift I."""
         return dense.shifted(self.b.T @ self.b, self.shift)
 
     def slope(self, qdot):
-        """Minus half the gradient, without the forces of the walls."""
+        """Return minus half the gradient, without the forces of the walls."""
         return (self.w - self.b @ qdot) @ self.b + self.shift * (self.rest - qdot)
 
     def clip(self, qdot):
-        """The nearest point within the bounds."""
+        """Return the nearest point within the bounds."""
         return jnp.clip(qdot, self.low, self.high)
 
     def shut(self, qdot, slope):
-        """The joints that are locked: at a bound and pushed outwards, or with equal bounds."""
+        """Return which joints are locked: at a bound and pushed outwards, or with equal bounds."""
         out = ((qdot >= self.high) & (slope > 0)) | ((qdot <= self.low) & (slope < 0))
         return out | (self.low >= self.high)
 
     def behind(self, walls: Rows, step: Newton, push=0.0) -> tuple[Problem, Array]:
-        """(the problem with walls and their multipliers, G H⁻¹ Gᵀ over the unlocked joints)
+        """Return (the problem with walls and their multipliers, G H⁻¹ Gᵀ over the unlocked joints)
 
         A wall's softness is √eps·gᵀ H⁻¹ g. With √eps, its violation and the rounding where walls contradict each other
         have the same size. If all joints that move a wall are locked, its softness is as by each joint alone.
@@ -73,23 +73,23 @@ class Problem(NamedTuple):
         return self._replace(walls=walls, soft=soft, raised=soft * push), across
 
     def missing(self, qdot):
-        """(k,) violation of the raised floor; None without walls."""
+        """Return the violations (k,) of the raised floor; None without walls."""
         return None if self.walls is None else self.walls.floor + self.raised - self.walls.rows @ qdot
 
     def pushes(self, qdot):
-        """(k,) force of each wall: its violation, above rounding, over its softness."""
+        """Return the force (k,) of each wall: its violation, above rounding, over its softness."""
         if self.walls is None:
             return None
         missing, rounding = self.missing(qdot), 16 * jnp.finfo(qdot.dtype).eps * self.walls.size(qdot)
         return jnp.where(missing > rounding, missing / self.soft, 0.0)
 
     def crossed(self, missing, step):
-        """Half the increase of the cost of wall violations by a step."""
+        """Return half the increase of the cost of wall violations by a step."""
         after = missing - self.walls.rows @ step
         return 0.5 * jnp.sum((jnp.maximum(after, 0.0) ** 2 - jnp.maximum(missing, 0.0) ** 2) / self.soft)
 
     def newton(self, step, push, across=None):
-        """Newton's step of the unlocked joints, with the walls that push, whose G H⁻¹ Gᵀ may be known.
+        """Return Newton's step of the unlocked joints, with the walls that push, whose G H⁻¹ Gᵀ may be known.
 
         A function of the slope without wall forces and of the violations; it also returns the walls' new forces. In
         each further round the forces of the one before are multipliers.
@@ -120,7 +120,7 @@ class Newton(NamedTuple):
     shut: Bool[Array, " n"]
 
     def free(self, slopes):
-        """Zero for locked joints, the last joints first."""
+        """Return slopes, 0 for locked joints, the last joints first."""
         return jnp.where(self.shut, 0.0, slopes)[..., ::-1]
 
     def __call__(self, slope):
@@ -128,7 +128,7 @@ class Newton(NamedTuple):
         return jnp.where(self.shut, 0.0, made[::-1])
 
     def between(self, a, b):
-        """A H⁻¹ Bᵀ of slopes (k, n), or of one."""
+        """Return A H⁻¹ Bᵀ of slopes (k, n), or of one."""
         return dense.between(self.hessian, self.factor, self.free(a), self.free(b))
 
 
@@ -284,7 +284,7 @@ class Bounded:
     walls: tuple[Wall, ...] = ()
 
     def on(self, chain) -> Bounded:
-        """The limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
+        """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
     def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
@@ -301,7 +301,7 @@ class Bounded:
         still = None if walls is None else jnp.zeros_like(walls.floor)
 
         def scaled():
-            """Equal weights of the rows, and the problem; made where it is needed, as most steps are within bounds."""
+            """Return equal weights of the rows, and the problem; most steps, which are within bounds, need neither."""
             (even, shift), zero = plain.even, jnp.zeros_like(unlimited)
             rest = zero if null is None else null + zero
             b = (even * rows.T).T
@@ -323,7 +323,7 @@ class Bounded:
             return problem.clip(qdot + step), shut.astype(unlimited.dtype), ~end.settled, end.push
 
         def locked(t):
-            """J# of the joints that are not shut, along the walls that push, once refined."""
+            """Apply J# of the joints that are not shut, along the walls that push, once refined."""
             even, problem = scaled()
             _, step = on_face(problem, walls, shut > 0, push)
             first, _ = step((even * t) @ problem.b, still)

@@ -23,7 +23,7 @@ Rotation = Float[Array, "3 3"] | None
 
 
 def interval(times, t):
-    """Index k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
+    """Return k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
 
     By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX. Written
     out, as XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds (openxla/xla #49299).
@@ -146,12 +146,12 @@ class Tangent:
 
 
 def _progress(t, duration):
-    """t/duration up to 1, then constant; it still moves at t = duration, up to rounding of k·Ts."""
+    """Return t/duration up to 1, then constant; it still moves at t = duration, up to rounding of k·Ts."""
     return jnp.where(t > duration * (1 + 1e-6), 1.0, t / duration)
 
 
 def cubic(times, values, closed, name):
-    """Coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
+    """Return coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
     known = errors.concrete(times) and errors.concrete(values)
     xp = np if known else jnp  # NumPy compiles nothing
     times, values = xp.asarray(times), xp.asarray(values)
@@ -159,17 +159,16 @@ def cubic(times, values, closed, name):
         h = xp.diff(times)
         slope = xp.diff(values, axis=0) / h[:, None]
         rest = xp.zeros_like(values[:1])
-        if not closed:
-            v = _velocities(h, slope, rest, rest)
-        else:
+        v = _velocities(h, slope, rest, rest)
+        if closed:
             # After a full turn the quaternion has the other sign, which is the same rotation.
             sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
             if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
                 raise errors.fail(name, "end where it starts for a closed path", "does not")
-            # Velocities p at the start and sign·p at the end give v = still + p·moved; p makes acceleration continuous.
-            still, moved = _velocities(h, slope, rest, rest), _velocities(h, 0 * slope, rest + 1, rest + sign)
-            ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (still, moved)]
-            v = still + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
+            # Velocities p at the start and sign·p at the end add p·moved; p makes acceleration continuous.
+            moved = _velocities(h, 0 * slope, rest + 1, rest + sign)
+            ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (v, moved)]
+            v = v + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
         hh = h[:, None]
         second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
         third = (v[:-1] + v[1:] - 2 * slope) / hh**2
@@ -182,7 +181,7 @@ def cubic(times, values, closed, name):
 
 
 def _velocities(h, slope, first, last):
-    """Velocities (K, d) at the knots, given those at both ends, for which the acceleration is continuous.
+    """Return velocities (K, d) at the knots, given those at both ends, for which the acceleration is continuous.
 
     hₖ vₖ₋₁ + 2 (hₖ₋₁ + hₖ) vₖ + hₖ₋₁ vₖ₊₁ = 3 (hₖ sₖ₋₁ + hₖ₋₁ sₖ): tridiagonal and dominated by its diagonal, so that
     elimination from one end to the other, and back, is stable (Thomas 1949).
@@ -204,7 +203,7 @@ def _velocities(h, slope, first, last):
 
 
 def _running(xp, fn, state, rows):
-    """All states of a recursion over the rows of some arrays, stacked."""
+    """Return all states of a recursion over the rows of some arrays, stacked."""
     if xp is jnp:
         return lax.scan(lambda state, row: (fn(state, row),) * 2, state, rows)[1]
     made = []
@@ -215,7 +214,7 @@ def _running(xp, fn, state, rows):
 
 
 def timed(times, positions, rotations) -> tuple:
-    """Checked times (K,), and for them positions (K, d) and unit quaternions (K, 4), either of which may be None."""
+    """Return checked times (K,), and for them positions (K, d) and unit quaternions (K, 4), either of them None."""
     times = errors.array("times", times, (None,))
     count = times.shape[0]
     if count < 2:
@@ -234,7 +233,7 @@ def timed(times, positions, rotations) -> tuple:
 
 @bounded_jit
 def quaternions(rotations):
-    """Unit quaternions (K, 4) of rotations (K, 3, 3), each with the sign nearer to the one before."""
+    """Return unit quaternions (K, 4) of rotations (K, 3, 3), each with the sign nearer to the one before."""
     q = jax.vmap(quaternion_from_rotation)(rotations)
     flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]

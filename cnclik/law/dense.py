@@ -12,22 +12,22 @@ SQUARINGS = 5  # of an inverse, to find its largest eigenvalue: the power 32
 
 
 def wide_side(rows):
-    """The matrix or its transpose, whichever has fewer rows."""
+    """Return the matrix or its transpose, whichever has fewer rows."""
     return rows if len(rows) <= rows.shape[1] else rows.T
 
 
 def shifted(matrix, shift):
-    """A + shift·I, or A + diag(shift); zeros off the diagonal stay literal zeros."""
+    """Return A + shift·I, or A + diag(shift); zeros off the diagonal stay literal zeros."""
     return jnp.where(np.eye(len(matrix), dtype=bool), matrix + shift, matrix)
 
 
 def cholesky_solve(lower, b):
-    """Solution x of L Lᵀ x = b: of a vector, or of the columns of a matrix."""
+    """Solve L Lᵀ x = b: for a vector, or of the columns of a matrix."""
     return triangular(lower, triangular(lower, b), transposed=True)
 
 
 def factored_solve(lower, product, b):
-    """`cholesky_solve`, with the derivative dx = A⁻¹ (db − dA x): one more solve, and none of the factor.
+    """Solve L Lᵀ x = b, with the derivative dx = A⁻¹ (db − dA x): one more solve, and none of the factor.
 
     Args: product: of x: A x, from which the derivative of A is taken.
     """
@@ -37,7 +37,7 @@ def factored_solve(lower, product, b):
 
 @jax.custom_jvp
 def between(matrix, lower, a, b):
-    """A M⁻¹ Bᵀ with M = L Lᵀ, of rows (k, n), or of one; its derivatives are those of M, and need none of L."""
+    """Return A M⁻¹ Bᵀ with M = L Lᵀ, of rows (k, n), or of one; its derivatives are those of M, and need none of L."""
     return triangular(lower, a.T).T @ triangular(lower, b.T)
 
 
@@ -61,7 +61,7 @@ def triangular(lower, b, *, transposed=False):
 
 
 def inverse_trace(lower):
-    """Trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite without a factor."""
+    """Return the trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite without a factor."""
     trace = jnp.sum(triangular(lower, jnp.eye(len(lower), dtype=lower.dtype)) ** 2)
     return jnp.where(trace > 0, trace, jnp.inf)
 
@@ -95,13 +95,13 @@ _WRITTEN_OUT = 8  # columns, at most, that are eliminated without a loop
 
 @jax.custom_jvp
 def cholesky(matrix):
-    """L of a symmetric positive definite matrix L Lᵀ; NaN if it is not positive definite."""
+    """Return L of a symmetric positive definite matrix L Lᵀ; NaN if it is not positive definite."""
     return _factored(matrix)
 
 
 @cholesky.defjvp
 def _cholesky_jvp(primals, tangents):
-    """L Φ(L⁻¹ dA L⁻ᵀ), Φ the lower triangle with half the diagonal (Murray 2016)."""
+    """Return L and L Φ(L⁻¹ dA L⁻ᵀ), Φ the lower triangle with half the diagonal (Murray 2016)."""
     lower, (tangent,) = cholesky(*primals), tangents
     inner = triangular(lower, triangular(lower, 0.5 * (tangent + tangent.T)).T)
     half = np.tri(len(lower)) - 0.5 * np.eye(len(lower))
@@ -135,13 +135,13 @@ def _factors(matrices):
 
 @jax.custom_batching.custom_vmap
 def solved(matrix, b):
-    """Solution x of A x = b, A symmetric positive definite and b a vector; without derivatives in reverse."""
+    """Solve A x = b, A symmetric positive definite and b a vector; without derivatives in reverse."""
     return cholesky_solve(cholesky(matrix), b)
 
 
 @solved.def_vmap
 def _solved_batch(_, batched, matrices, b):
-    """By elimination, less accurately if A is nearly singular: it compiles in a quarter of the time."""
+    """Solve by elimination, less accurately if A is nearly singular: it compiles in a quarter of the time."""
 
     def one(matrix, b):
         both = jnp.concatenate([matrix, b[:, None]], axis=1)
@@ -155,7 +155,7 @@ def _solved_batch(_, batched, matrices, b):
 
 @functools.cache
 def _substitution(transposed):
-    """The function of (L, b) that solves L x = b, or Lᵀ x = b."""
+    """Return the function of (L, b) that solves L x = b, or Lᵀ x = b."""
 
     @jax.custom_batching.custom_vmap
     def solve(lower, b):

@@ -35,7 +35,7 @@ def per_step(alpha, Ts):
 
 
 def _share(z):
-    """(1 − e^{−z})/z, 1 at z = 0, with derivatives to rounding."""
+    """Return (1 − e^{−z})/z, 1 at z = 0, with derivatives to rounding."""
     near = jnp.abs(z) < _NEAR
     safe = jnp.where(near, 1.0, z)
     series = 1 - z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6))))
@@ -46,7 +46,7 @@ def _share(z):
 
 
 def _along(law, rate, turns, share):
-    """A task velocity (m,) whose rotational parts turn with the target by a share of its turn."""
+    """Return a task velocity (m,) whose rotational parts turn with the target by a share of its turn."""
     if all(turn is None for turn in turns):
         return rate
     each = zip((rate[where] for where in law.task.slices), turns, strict=True)
@@ -55,7 +55,7 @@ def _along(law, rate, turns, share):
 
 
 def held_feedback(law: Law, e, turns, Ts):
-    """The feedback (m,) of a step, constant over the step, from the error at its start.
+    """Return the feedback (m,) of a step, constant over it, from the error at its start.
 
     Args:
       e: (m,).
@@ -66,7 +66,7 @@ def held_feedback(law: Law, e, turns, Ts):
 
 
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
-    """The feedback (m,) of a step at each of some times within it, in units of Ts.
+    """Return the feedback (m,) of a step at each of some times within it, in units of Ts.
 
     They are slopes of the parabola through the tip's motion as the error decays, (1 − e^{−K·c·Ts}) e, at c = 0, 1/2, 1.
     A quadrature of second order or more integrates them to the whole decay; one of order 3 or 4 keeps its order,
@@ -102,7 +102,7 @@ class Ahead(NamedTuple):
 
 
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
-    """The target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
+    """Return the target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
 
     A separate feed-forward is all that the controller knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
     """

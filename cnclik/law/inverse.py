@@ -38,7 +38,7 @@ _OF_NONE = 1e-6  # [m², 1] trace that stands for a J Jᵀ of zeros: that of a j
 
 
 def through(apply, rows, velocity, null):
-    """J# v + (I − J# J) q̇₀, with one application of J#; q̇₀ may be None."""
+    """Return J# v + (I − J# J) q̇₀, with one application of J#; q̇₀ may be None."""
     return apply(velocity) if null is None else apply(velocity - rows @ null) + null
 
 
@@ -121,7 +121,7 @@ class Levels:
         return any(isinstance(one, ErrorDamped) for one in self.damping)
 
     def on(self, task) -> Levels:
-        """The levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
+        """Return the levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
         every = [name for names in self.names for name in names]
         task.require_each("inverse", "have each task of the law in one level", every)
         level = {name: i for i, names in enumerate(self.names) for name in names}
@@ -188,7 +188,7 @@ def least_squared(rows):
 
 
 def _least(factor, shift):
-    """Lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
+    """Return a lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
     squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - jnp.max(shift))
     return jnp.sqrt(jnp.maximum(squared, 0.0))
 
@@ -205,20 +205,21 @@ def pseudoinverse() -> Pseudoinverse:
 
 
 def damped(damping: Number | dict[str, Number]) -> Damped | Levels:
-    """Damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
+    """Return damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
     Args:
       damping: λ (not λ²), in the unit of J's singular values; positive. Of a stack also one for each task, by name.
     """
     if isinstance(damping, dict):
         each = {name: Damped(damping=positive("damping", one)) for name, one in damping.items()}
-        order = by_damping(each)
+        known = all(errors.concrete(one.damping) for one in each.values())
+        order = sorted(each, key=lambda name: float(each[name].damping)) if known else list(each)
         return Levels(names=tuple((name,) for name in order), damping=tuple(each[name] for name in order))
     return Damped(damping=positive("damping", damping))
 
 
 def error_damped(damping: Number) -> ErrorDamped:
-    """Damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the weights of the task (Sugihara 2011, eq. 17).
+    """Return a damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the task's weights (Sugihara 2011, eq. 17).
 
     A distant or unreachable target then moves the joints slowly, and near the target the damping is small.
 
@@ -229,7 +230,7 @@ def error_damped(damping: Number) -> ErrorDamped:
 
 
 def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
-    """Priority levels: each task of a stack is on one level, and the first level comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
+    """Put each task of a stack on a priority level, of which the first comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
 
     D holds λ² of each row's level. This equals the recursion of Siciliano & Slotine (1991) with damped inverses and the
     matching projectors, as the block LDLᵀ factorization of J Jᵀ + D. A conflict disturbs level 1 by a share of about
@@ -251,40 +252,19 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
     kinds = (Damped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
-    if wrong := not_growing(each):
-        raise errors.fail(f"damping[{wrong.level}]", wrong.must, wrong.found)
-    return Levels(names=tuple(tuple(some) for some in names), damping=each)
-
-
-class NotGrowing(NamedTuple):
-    """A level whose damping is not larger than that of the level before."""
-
-    level: int  # from 0
-    must: str
-    found: str
-
-
-def not_growing(each: Sequence[Any]) -> NotGrowing | None:
-    """The first level, of damped inverses for each level, that does not give way to the level before it; or None."""
-    if not all(errors.concrete(one.damping) for one in each):
-        return None
     for level, (before, one) in enumerate(itertools.pairwise(each), 1):
+        if not (errors.concrete(before.damping) and errors.concrete(one.damping)):
+            continue
         was, now = float(before.damping), float(one.damping) * one.always
         if now <= was:
             must = f"be larger than that of the level before, {was:g}, which has priority by its smaller damping"
-            return NotGrowing(level, must, f"is {now:g}" if one.always else "is 0 away from singularities")
-    return None
-
-
-def by_damping(each: dict[Any, Any]) -> list:
-    """The names of damped inverses by their damping away from singularities, the least first; as given if traced."""
-    if not all(errors.concrete(one.damping) for one in each.values()):
-        return list(each)
-    return sorted(each, key=lambda name: (each[name].always, float(each[name].damping)))
+            found = f"is {now:g}" if one.always else "is 0 away from singularities"
+            raise errors.fail(f"damping[{level}]", must, found)
+    return Levels(names=tuple(tuple(some) for some in names), damping=each)
 
 
 def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
-    """Damped only where the least singular value σ_m of J is below a threshold.
+    """Damp only where the least singular value σ_m of J is below a threshold.
 
     λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m
     comes from powers of (J Jᵀ)⁻¹, without a decomposition that would have to be differentiated: exact where it is
@@ -298,5 +278,5 @@ def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
 
 
 def positive(name, value):
-    """A positive number as a field of a record."""
+    """Return a positive number as a field of a record."""
     return leaf(errors.number(name, value, positive=True))

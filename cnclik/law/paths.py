@@ -52,7 +52,7 @@ def line(
     rotation: ArrayLike | None = None,
     rotation_end: ArrayLike | None = None,
 ) -> Reference:
-    """Straight line at constant velocity, then hold (Case II of Drexler 2016, eqs. 15 and 18).
+    """Move along a straight line at constant velocity, then hold (Case II of Drexler 2016, eqs. 15 and 18).
 
     x_d(t) = start + (t/duration)(end − start) for t ≤ duration. With two rotations, the tip turns at
     constant angular velocity about a fixed axis on the shorter way.
@@ -85,7 +85,7 @@ def circle(
     phase: Number = 0.0,
     rotation: ArrayLike | None = None,
 ) -> Reference:
-    """Circle at constant speed 2π·radius/period.
+    """Move along a circle at constant speed 2π·radius/period.
 
     Args:
       center: (2,) or (3,) [m].
@@ -98,7 +98,7 @@ def circle(
     center = errors.array("center", center, (2,), (3,))
     radius = 1.0 * errors.number("radius", radius, at_least=0)
     phase = 1.0 * errors.number("phase", phase)
-    _check_period(period)
+    period = _period(period)
     if center.shape[0] == 2:
         if normal is not None:
             raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
@@ -118,7 +118,7 @@ def circle(
         first=radius * (c * u + s * v),
         second=radius * (c * v - s * u),
         rotation=rotation_matrix("rotation", rotation),
-        period=leaf(period),
+        period=period,
     )
     return Reference(curve=curve)
 
@@ -132,7 +132,7 @@ def lissajous(
     phase: Float[ArrayLike, " d"] | None = None,
     rotation: ArrayLike | None = None,
 ) -> Reference:
-    """Lissajous figure x_d(t) = center + amplitude · sin(2π frequency t/period + phase), per axis.
+    """Move along a Lissajous figure, x_d(t) = center + amplitude · sin(2π frequency t/period + phase), per axis.
 
     Args:
       center, amplitude: (d,) [m].
@@ -146,14 +146,13 @@ def lissajous(
     amplitude = errors.array("amplitude", amplitude, (d,))
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
-    _check_period(period)
     curve = Lissajous(
         center=center,
         amplitude=amplitude,
         frequency=frequency,
         phase=phase,
         rotation=rotation_matrix("rotation", rotation),
-        period=leaf(period),
+        period=_period(period),
     )
     return Reference(curve=curve)
 
@@ -165,7 +164,7 @@ def waypoints(
     *,
     closed: bool = False,
 ) -> Reference:
-    """C² path through waypoints: velocity and acceleration are continuous.
+    """Move through waypoints on a C² path: velocity and acceleration are continuous.
 
     Positions follow the cubic spline through the points. Orientations follow the cubic spline of their
     quaternions (signs aligned), normalised: it passes through every waypoint and does not depend on the
@@ -189,7 +188,7 @@ def waypoints(
 
 
 def path(fn: Callable) -> Reference:
-    """A reference from any differentiable function t -> position (array or tuple of length d), or t -> `Pose`.
+    """Follow any differentiable function t -> position (array or tuple of length d), or t -> `Pose`.
 
     The function is compiled into the programs that use it, as under `jax.jit`: values that it closes over are read
     then.
@@ -200,7 +199,7 @@ def path(fn: Callable) -> Reference:
 
 
 def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
-    """The same path with another feed-forward: a constant task velocity (m,) in place of the path's own.
+    """Return the same path with another feed-forward: a constant task velocity (m,) in place of its own.
 
     It changes the feed-forward, not the target's motion: zeros for pure feedback, or a deliberate error.
     """
@@ -210,7 +209,7 @@ def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> 
 
 
 def causal(reference: Reference) -> Reference:
-    """The same path for a controller that does not know the future, such as a hand in front of a camera.
+    """Return the same path for a controller that does not know the future, such as a hand in front of a camera.
 
     A step then uses x_d and ẋ_d at its start only, and assumes that the target continues with that velocity.
     """
@@ -253,14 +252,15 @@ def hold_at(
 # --- reading arguments --------------------------------------------------------------------------------
 
 
-def _check_period(period):
-    errors.number("period", period)
-    if errors.concrete(period) and float(period) == 0:
+def _period(period):
+    """Return a period, which is not 0, as a field of a record."""
+    if errors.concrete(errors.number("period", period)) and float(period) == 0:
         raise errors.fail("period", "not be 0", "is 0")
+    return leaf(period)
 
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
-    """A target's position and rotation, from a whole pose or given separately; both checked."""
+    """Return a target's position and rotation, from a whole pose or given separately; both checked."""
     if (found := poses.whole(name, target)) is not None:
         if rotation is not None:
             raise errors.fail(called, f"be left out where `{name}` is a whole pose", "is given")
@@ -276,7 +276,7 @@ def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"
 
 
 def rotation_matrix(name, value):
-    """A (3, 3) rotation from a rotation or a (4,) unit quaternion."""
+    """Return a (3, 3) rotation from a rotation or a (4,) unit quaternion."""
     if value is None:
         return None
     return poses.rotations(name, errors.array(name, value, (3, 3), (4,)))
@@ -284,5 +284,5 @@ def rotation_matrix(name, value):
 
 @bounded_jit  # jitted as a whole, as each of its many small operations would be compiled on first use
 def _turn(first, last):
-    """Rotation vector, in the base frame, from one rotation to another."""
+    """Return the rotation vector, in the base frame, from one rotation to another."""
     return log_so3(last @ first.T)

@@ -85,7 +85,7 @@ REFERENCE = (Reference, References)
 
 
 def references(**by_name: Reference | References) -> References:
-    """References for the tasks of a stack, by name: `references(hands=circle(...), feet=hold(...))`.
+    """Give each task of a stack its reference, by name: `references(hands=circle(...), feet=hold(...))`.
 
     A task of several tips takes its own `references`, by the names of the tips (for joints(): "joints"); so does a law
     whose task consists of several parts joined by `&`.
@@ -96,7 +96,7 @@ def references(**by_name: Reference | References) -> References:
 
 
 def of_each(fn, reference, task: Task):
-    """References with each target's reference replaced by fn(reference, parts); a single one stays single.
+    """Return references with each target's reference replaced by fn(reference, parts); a single one stays single.
 
     If no reference is given (None), they are made by fn(None, parts).
     Raises: ArgumentError if a target has no reference, or a reference no target.
@@ -121,7 +121,7 @@ def _of_each(fn, reference, targets):
 
 
 def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
-    """The reference of each target of a task, with the parts it is for."""
+    """Return the reference of each target of a task, with the parts it is for."""
     found: list = []
     of_each(lambda *pair: found.append(pair), reference, task)
     return found
@@ -131,7 +131,7 @@ def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
 
 
 def sample(reference, task: Task, t):
-    """The target of each part of a task at time t and its velocity: (aims, (w,)).
+    """Return the target of each part of a task at time t and its velocity: (aims, (w,)).
 
     The motion holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
@@ -147,13 +147,13 @@ def sample(reference, task: Task, t):
 
 
 def aims_of(reference, task: Task, t) -> tuple:
-    """The target of each part of a task at time t."""
+    """Return the target of each part of a task at time t."""
     found = [(parts.parts, one.curve(t)) for one, parts in by_target(reference, task)]
     return tuple(part.aim(*target) for parts, target in found for part in parts)
 
 
 def _moving(reference, parts, t):
-    """Aims of one target's parts, and their derivatives."""
+    """Return aims of one target's parts, and their derivatives."""
     t = jnp.asarray(t)
 
     def curve(t):
@@ -167,7 +167,7 @@ def _moving(reference, parts, t):
 
 
 def tangent(reference, task: Task, t):
-    """The reference extrapolated from time t with its velocity, or with the given feed-forward."""
+    """Return the reference extrapolated from time t with its velocity, or with the given feed-forward."""
 
     def one(reference, task):
         aims, rates = _moving(reference, task, t)
@@ -185,13 +185,13 @@ def tangent(reference, task: Task, t):
 
 
 def of_each_instant(fn, x, reference, task: Task):
-    """fn, which asks the reference, of each row of x; one by one for a user's path, which may allow no vmap."""
+    """Apply fn, which asks the reference, to each row of x; one by one for a user's path, which may allow no vmap."""
     users = any(isinstance(one.curve, Path) for one, _ in by_target(reference, task))
     return jax.lax.map(fn, x) if users else together(fn, x)
 
 
 def motion(reference, task: Task, t):
-    """An upper bound (N,) of the target's motion, or its feed-forward, between the instants t (N + 1,)."""
+    """Return an upper bound (N,) of the target's motion, or its feed-forward, between the instants t (N + 1,)."""
 
     def chart(t):
         aims = aims_of(reference, task, t)
@@ -206,7 +206,7 @@ def motion(reference, task: Task, t):
 
 
 def neighbours(x):
-    """(x[:-1], x[1:]) of x (N + 1, ...), as slices that JAX makes for any N, see `cnclik.engine.rounds`."""
+    """Return (x[:-1], x[1:]) of x (N + 1, ...), as slices that JAX makes for any N, see `cnclik.engine.rounds`."""
     return lax.slice_in_dim(x, 0, x.shape[0] - 1), lax.slice_in_dim(x, 1, None)
 
 

@@ -22,7 +22,7 @@ def resampled(
     kind: str = "spline",
     delay: Number | None = None,
 ) -> Reference:
-    """A stream of targets, such as a policy's at 30 Hz, as a path for a loop at 1 kHz that knows only past targets.
+    """Follow a stream of targets, such as a policy's at 30 Hz, in a loop at 1 kHz that knows only past targets.
 
     "hold": the last target; it jumps with each new one and has no velocity. "ramp": straight lines from target to
     target; the velocity jumps. "spline": the ramp averaged over about a period, from the middle of a line to the middle
@@ -60,7 +60,7 @@ def resampled(
 
 
 def _pieces(xp, kind, times, points, gap):
-    """Knots (P + 1,) and coefficients (P, 4, d) of the powers of the time since a knot; at rest before and after."""
+    """Return knots (P + 1,) and coefficients (P, 4, d) of powers of the time since a knot; at rest before and after."""
     times = xp.concatenate([times[:1] - gap, times, times[-1:] + gap])
     points = xp.concatenate([points[:1], points, points[-1:]])
     h = xp.diff(times)[:, None]

@@ -25,11 +25,11 @@ class Rows(NamedTuple):
     floor: Float[Array, " k"]
 
     def size(self, qdot):
-        """(k,) size of the terms of each violation, for its rounding."""
+        """Return the size (k,) of the terms of each violation, for its rounding."""
         return jnp.abs(self.floor) + jnp.abs(self.rows) @ jnp.abs(qdot)
 
     def missed(self, qdot):
-        """(k,) whether walls are violated by more than their softness allows."""
+        """Return whether (k,) walls are violated by more than their softness allows."""
         size = self.size(qdot)
         return self.floor - self.rows @ qdot > 4 * float(jnp.finfo(size.dtype).eps) ** 0.5 * size
 
@@ -48,11 +48,11 @@ class Wall:
         return replace(self, task=self.task.on(chain))
 
     def distance(self, robot: At):
-        """h = normal·x − offset."""
+        """Return h = normal·x − offset."""
         return self.normal @ coordinates(self.task, robot) - self.offset
 
     def row(self, robot: At):
-        """∇h (n,)."""
+        """Return ∇h (n,)."""
         return self.normal @ rows(self.task, robot)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import json
 import subprocess
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ def to_dataset(
     coords: Mapping[str, ArrayLike] | None = None,
     config: Any = None,
 ) -> xr.Dataset:
-    """A trajectory, or a batch of them, as an `xarray.Dataset`.
+    """Return a trajectory, or a batch of them, as an `xarray.Dataset`.
 
     Dimensions: those of the batch, then `time` (N + 1 instants) or `step` (N steps, step k leading from
     instant k to k + 1), then `joint` or `axis`. Every variable has `long_name` and `units`.
@@ -85,12 +85,12 @@ def to_dataset(
     }
     if run.walls is not None:
         labels["wall"] = ("wall", names_of(getattr(law.limits, "walls", ())), about("wall", "1"))
-    axes = axes_of(law.task, law.chain)
     if not law.task.of_one_tip:
-        labels["axis_tip"] = ("axis", axes.tips, about("the tip whose coordinate it is", "1"))
-    if axes.tasks:
+        labels["axis_tip"] = ("axis", _tips(law.task, law.chain), about("the tip whose coordinate it is", "1"))
+    if law.task.each:
         labels["task"] = ("task", [name for name, _ in law.task.tasks], about("task", "1"))
-        labels["axis_task"] = ("axis", axes.tasks, about("its task", "1"))
+        axis_task = [name for name, at in law.task.each for _ in range(at.start, at.stop)]
+        labels["axis_task"] = ("axis", axis_task, about("its task", "1"))
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
         labels["time"] = ("time", first, about("time", "s"))
@@ -101,26 +101,18 @@ def to_dataset(
     return found if config is None else found.assign_attrs(config=as_json(config))
 
 
-class Axes(NamedTuple):
-    """The coordinates of a task; each list has an entry for each of them."""
-
-    names: Sequence[str]
-    units: Sequence[str]
-    tips: Sequence[str]  # "left"; "left in right" for a pose relative to another tip; "joints" for joint values
-    tasks: Sequence[str] = ()  # the task of the stack that each belongs to
-
-
-def axes_of(task, chain) -> Axes:
+def _tips(task, chain) -> list:
+    """Return the tip of each coordinate: "left"; "left in right" for a pose relative to another tip."""
     tips = []
-    for _, one in task.targets:
-        part = one.parts[0]
+    for _, target in task.targets:
+        part = target.parts[0]
         tip = chain.tips[0].name if part.tip is None else part.tip
-        tips += [tip if part.to is None else f"{tip} in {part.to}"] * one.m
-    return Axes(task.names, task.units, tips, [name for name, at in task.each for _ in range(at.start, at.stop)])
+        tips += [tip if part.to is None else f"{tip} in {part.to}"] * target.m
+    return tips
 
 
 def as_json(config) -> str:
-    """A configuration as one line of JSON for the attributes, with sorted keys and arrays as lists."""
+    """Return a configuration as one line of JSON for the attributes, with sorted keys and arrays as lists."""
 
     def listed(value):
         found = np.asarray(value)
@@ -135,7 +127,7 @@ def as_json(config) -> str:
 
 
 def provenance(dtype) -> dict:
-    """What the numbers may depend on besides the configuration: versions, commit, device, and the data's `dtype`."""
+    """Return what the numbers may depend on besides the configuration: versions, commit, device and `dtype`."""
     return {
         "cnclik": __version__,
         "commit": _commit(),
@@ -148,7 +140,7 @@ def provenance(dtype) -> dict:
 
 @functools.cache
 def _commit() -> str:
-    """Commit of the checkout that holds this package, with "+" for local changes; "unknown" if it is installed."""
+    """Return the commit of the checkout of this package, with "+" for local changes; "unknown" if it is installed."""
     package = Path(__file__).parents[1]
 
     def git(*args):

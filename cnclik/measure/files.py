@@ -23,14 +23,14 @@ def save_csv(rows, path) -> None:
 
 
 def markdown(header, rows, *, left=1) -> str:
-    """A Markdown table. The first `left` columns are aligned left, the others right; a cell is any text of one line."""
+    """Return a Markdown table. The first `left` columns are aligned left, the others right; a cell is one line."""
     header, *rows = ([str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows))
     rule = ["---" if i < left else "---:" for i in range(len(header))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (header, rule, *rows))
 
 
 def plain(value):
-    """A value for JSON: nested tables, lists, numbers, texts. A record is a table of its fields; NaN and inf are null.
+    """Return a value for JSON. A record is a table of its fields; NaN and inf are null.
 
     The fields `run` and `advice` of a record are left out: they are whole records behind its numbers.
     """

@@ -22,7 +22,7 @@ from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
 from cnclik.law.walls import apart_from
-from cnclik.measure.outcome import ending, stable
+from cnclik.measure.outcome import judge, stable
 from cnclik.record import Number, cast, replace
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
@@ -35,15 +35,15 @@ from cnclik.task.task import Task, velocity
 class Metrics:
     """Named values with their units, read as `m.final_error` or `m["final_error"]`. A pytree of its values."""
 
-    def __init__(self, values, units, dims):
-        self._values, self.units, self.dims = tuple(values), dict(units), dict(dims)
+    def __init__(self, values, units):
+        self._values, self.units = tuple(values), dict(units)
 
     def tree_flatten(self):
-        return self._values, (tuple(self.units.items()), tuple(self.dims.items()))
+        return self._values, tuple(self.units.items())
 
     @classmethod
-    def tree_unflatten(cls, aux, values):
-        return cls(values, *aux)
+    def tree_unflatten(cls, units, values):
+        return cls(values, units)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,12 +76,11 @@ class Measured(NamedTuple):
 
 
 class Metric(NamedTuple):
-    """A metric: its function of a `Measured` run, its unit, its meaning, and the dimensions of its value."""
+    """A metric: its function of a `Measured` run, a number; its unit and its meaning."""
 
     fn: Callable
     unit: str  # begins with "e" for the unit of the error, or "q" for that of the joints
     label: str
-    dims: tuple[str, ...] = ()
     needs: str = ""  # "position" or "rotation": coordinates that the task must have; "walls": of the law
 
 
@@ -105,12 +104,12 @@ def _root_mean(rows):
 
 
 def _max(values):
-    """Largest of non-negative values, over all axes."""
+    """Return the largest of non-negative values, over all axes."""
     return jnp.max(values, initial=0)
 
 
 def _first(hit):
-    """Index of the first True; the length if there is none."""
+    """Return the index of the first True; the length if there is none."""
     count = hit.shape[0]
     return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
@@ -124,7 +123,7 @@ def _rotation(loop):
 
 
 def _split(loop):
-    """Position error along the path (positive if behind) and across it; at rest the whole error counts as across."""
+    """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
     task, model = loop.task, modelled(loop.law.chain)
     # The path's own direction, whatever is fed forward.
     path = ref.of_each(lambda one, _: replace(one, feedforward=None), loop.reference, task)
@@ -153,13 +152,6 @@ def _settling_time(loop):
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
-def _overshoot(loop):
-    e, first = loop.run.e, loop.run.e[0]
-    squared = _squares(first)
-    beyond = _max(jnp.maximum(_finite(-jnp.sum(e * first, axis=-1)), 0.0))
-    return jnp.where(squared > 0, _finite(beyond / jnp.where(squared > 0, squared, 1.0)), 0.0)
-
-
 def _rate(loop):
     norms = _norms(loop.run.e)
     inside = norms <= loop.tolerance
@@ -173,10 +165,6 @@ def _rate(loop):
 # --- joints -------------------------------------------------------------------------------------------
 
 
-def _rms_qdot(loop):
-    return _root_mean(loop.run.qdot) if loop.run.qdot.size else jnp.zeros((), loop.run.q.dtype)
-
-
 def _rms_qddot(loop):
     steps = loop.run.qdot.shape[0]
     if steps < 2:
@@ -185,14 +173,20 @@ def _rms_qddot(loop):
     return _root_mean(jnp.diff(loop.run.qdot, axis=0) / step)
 
 
-def _limit_distance(loop):
+def _past_limit(loop):
     q = loop.run.q
-    below, above = q - jnp.asarray(loop.law.chain.lower), jnp.asarray(loop.law.chain.upper) - q
-    return jnp.min(jnp.where(jnp.isfinite(q), jnp.minimum(below, above), -jnp.inf))
+    past = jnp.maximum(jnp.asarray(loop.law.chain.lower) - q, q - jnp.asarray(loop.law.chain.upper))
+    return _max(jnp.where(jnp.isfinite(q), jnp.maximum(past, 0.0), jnp.inf))
+
+
+def _ending(loop):
+    size = _norms(loop.run.e)
+    code = judge(size, loop.run.status).ending.astype(size.dtype)
+    return jnp.where(size[0] == 0, jnp.nan, code)
 
 
 def chatter(qdot):
-    """RMS speed that the next step reverses, over the second half of a run's (N, n) [rad/s, m/s].
+    """Return the RMS speed that the next step reverses, over the second half of a run's (N, n) [rad/s, m/s].
 
     A joint that moves at a in one step and at −b in the next reverses min(a, b); one that slows down, however
     hard, reverses nothing. Alternation at ±a measures a·√n' for n' such joints, smooth motion 0.
@@ -208,7 +202,7 @@ def chatter(qdot):
 
 
 def _least_singular_value(loop):
-    """σ_min, with the derivative of the Rayleigh quotient instead of that of a decomposition."""
+    """Return σ_min, with the derivative of the Rayleigh quotient instead of that of a decomposition."""
     task, model = loop.task, modelled(loop.law.chain)
 
     def least(q):
@@ -235,7 +229,7 @@ _MARKED = {
 
 
 def _errors(name, rows, unit, label, needs=""):
-    """Metrics of one part of the error, rows(of): its size at the end and over the run."""
+    """Return the metrics of one part of the error, rows(of): its size at the end and over the run."""
     return {
         f"final_{name}": Metric(lambda of: _norms(rows(of)[-1]), unit, f"{label}, at the end", needs=needs),
         f"mean_{name}": Metric(lambda of: jnp.mean(_norms(rows(of))), unit, f"{label}, mean", needs=needs),
@@ -260,14 +254,10 @@ METRICS = {
     "converged": Metric(
         lambda of: (_norms(of.run.e[-1]) <= of.tolerance).astype(of.run.e.dtype), "1", "1 if ‖e[N]‖ ≤ tolerance"
     ),
-    "ending": Metric(
-        lambda of: ending(of.run.e, of.run.status), "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"
-    ),
-    "stable": Metric(lambda of: stable(ending(of.run.e, of.run.status)).astype(of.run.e.dtype), "1", "ends stable"),
-    "overshoot": Metric(_overshoot, "1", "largest −e·e₀/‖e₀‖²: how far beyond the target"),
+    "ending": Metric(_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
+    "stable": Metric(lambda of: stable(_ending(of)).astype(of.run.e.dtype), "1", "ends stable"),
     "rate": Metric(_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
     "max_qdot": Metric(lambda of: _max(_finite(jnp.abs(of.run.qdot))), "q/s", "largest |q̇ᵢ|"),
-    "rms_qdot": Metric(_rms_qdot, "q/s", "RMS of ‖q̇‖"),
     "rms_qddot": Metric(_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
     "path_length": Metric(
         lambda of: jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:]))),
@@ -279,12 +269,7 @@ METRICS = {
         "1",
         "largest |q̇ᵢ| over its limit",
     ),
-    "limit_distance": Metric(_limit_distance, "q", "least distance to a joint limit, negative beyond it"),
-    "past_limit": Metric(
-        lambda of: jnp.maximum(-_limit_distance(of), 0.0),
-        "q",
-        "how far the farthest joint goes beyond its limit, 0 if none does",
-    ),
+    "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
     "wall_distance": Metric(
         lambda of: -jnp.max(_finite(-apart_from(of.law.limits.walls, modelled(of.law.chain), of.run.q))),
         "m or rad",
@@ -294,20 +279,11 @@ METRICS = {
     "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
     "residual": Metric(lambda of: _max(_finite(of.run.residual)), "q", "largest last change of an implicit stage"),
-    "contraction": Metric(lambda of: _max(_finite(of.run.contraction)), "1", "largest ratio of its last two changes"),
     "evaluations": Metric(
         lambda of: jnp.asarray(of.run.evaluations).astype(of.run.q.dtype), "1", "evaluations of f(q, t)"
     ),
     "ok": Metric(lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
     **_MARKED,
-    # Whole histories, on request, for convergence curves.
-    "error": Metric(lambda of: _norms(of.run.e), "e", "error ‖e[k]‖", ("time",)),
-    "t": Metric(lambda of: of.run.t, "s", "time", ("time",)),
-    "q": Metric(lambda of: of.run.q, "q", "joint values", ("time", "joint")),
-    "x": Metric(lambda of: of.run.x, "e", "task coordinates", ("time", "axis")),
-    "e": Metric(lambda of: of.run.e, "e", "error", ("time", "axis")),
-    "qdot": Metric(lambda of: of.run.qdot, "q/s", "joint velocity", ("step", "joint")),
-    "status": Metric(lambda of: of.run.status, "1", "status bits", ("step",)),
 }
 
 DEFAULT = (
@@ -324,7 +300,7 @@ def measure_run(
     *,
     tolerance: Number = 1e-3,
 ) -> Metrics:
-    """Metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
+    """Return metrics of one trajectory; pure, for use under jit, vmap and grad, in the precision of the run.
 
     In float32 errors differ from those in float64 by some 10 roundings of the arm's length, velocities by that over Ts.
 
@@ -342,7 +318,7 @@ def measure_run(
     check(names, law)
     check_run(run, law)
     values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
-    return Metrics(values, {n: unit(n, law) for n in names}, {n: _dims(n) for n in names})
+    return Metrics(values, {n: unit(n, law) for n in names})
 
 
 @one_off(static_argnames=("names",))
@@ -359,14 +335,9 @@ def _values(run, law, reference, tolerance, *, names):
 
 
 def named(name: str) -> tuple[str, Metric]:
-    """The task and the metric that a name means: "final_error" of the law's task, or "hands.final_error"."""
+    """Return the task and the metric that a name means: "final_error" of the law's task, or "hands.final_error"."""
     task, _, own = name.rpartition(".") if isinstance(name, str) else ("", "", name)
     return task, METRICS[errors.one_of("metrics", own, METRICS)]
-
-
-def _dims(name):
-    task, metric = named(name)
-    return tuple(f"{task}.{dim}" if task and dim == "axis" else dim for dim in metric.dims)
 
 
 def _task(name, law) -> Task:
@@ -388,7 +359,7 @@ def check(names, law: Law) -> None:
 
 
 def unit(name: str, law: Law) -> str:
-    """The unit of a metric for this law; it may depend on its task and joints."""
+    """Return the unit of a metric for this law; it may depend on its task and joints."""
     written, task = named(name)[1].unit, _task(name, law)
     joints = sorted(set(law.chain.units), reverse=True)
     mine = {"e": dict.fromkeys(task.units), "q": joints, "J": ["m" if task.lengths else "1"]}

@@ -124,6 +124,19 @@ def series(i: int, **changes) -> dict:
     return {"color": color, "linestyle": dashes, "marker": marker, "markerfacecolor": "white"} | changes
 
 
+def looks(names) -> list:
+    """Return keyword arguments of `plot` for lines of one panel: those of methods, and others that differ from them."""
+    methods = [METHODS[name] for name in names if name in METHODS]
+    free_colors = [c for c in COLORS if c not in {method.color for method in methods}] or COLORS
+    free_marks = [m for m in MARKERS if m not in {method.marker for method in methods}] or MARKERS
+    others = [name for name in names if name not in METHODS]
+    found = {name: line(name) for name in names if name in METHODS}
+    for k, name in enumerate(others):
+        own = {"color": free_colors[k % len(free_colors)], "marker": free_marks[k % len(free_marks)]}
+        found[name] = series(k, label=name, **own)
+    return [found[name] for name in names]
+
+
 def sparse(i: int, points: int):
     """`markevery` of the i-th line: every point, or of many only some, staggered so that lines that coincide show."""
     if points < 16:

@@ -2,14 +2,12 @@
 
 data = sweeps.run_spec("sweeps/plane.toml")                # in memory
 data = sweeps.run_spec("sweeps/plane.toml", "sweep-plane")   # in a store that survives a kill
-print(sweeps.estimate("sweeps/plane.toml"))                # size, memory and time first
 """
 
-from cnclik.sweeps.files import read as read_spec
 from cnclik.sweeps.spec import Spec
+from cnclik.sweeps.spec import read as read_spec
 from cnclik.sweeps.store import read as open_sweep
-from cnclik.sweeps.summary import export
 from cnclik.sweeps.summary import table as summarize
-from cnclik.sweeps.sweep import Estimate, estimate, run_spec
+from cnclik.sweeps.sweep import run_spec
 
-__all__ = ["Estimate", "Spec", "estimate", "export", "open_sweep", "read_spec", "run_spec", "summarize"]
+__all__ = ["Spec", "open_sweep", "read_spec", "run_spec", "summarize"]

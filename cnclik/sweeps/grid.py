@@ -6,7 +6,6 @@ processes.
 """
 
 import dataclasses
-import functools
 import itertools
 import math
 from collections.abc import Callable, Mapping
@@ -17,13 +16,9 @@ import numpy as np
 
 from cnclik import errors
 
-MOST_POINTS = 10_000_000_000  # points of a grid, at most: tens of gigabytes per metric
-MOST_AXES = 32  # an array has at most 64 axes, and results add some
-MOST_PROGRAMS = 1000  # combinations of compiled-in values, at most; each takes about a second
-MOST_BLOCKS = 1_000_000  # at most; each is some files in a store
+MOST = {"points": 10**10, "programs, one for each combination of what is compiled in": 1000, "blocks": 10**6}
 LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
 COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
-LEVEL = ".level"  # and so do those of a stack, tasks.NAME.level
 COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
 
@@ -32,7 +27,7 @@ class Axis(NamedTuple):
 
     name: str
     values: Any  # inner: an array whose first dimension is the axis; outer: a tuple of objects
-    labels: tuple | None  # labels of an outer axis; None for an inner one
+    labels: tuple | None = None  # labels of an outer axis; None for an inner one
 
     def __len__(self):
         return len(self.values)
@@ -43,20 +38,16 @@ class Axis(NamedTuple):
 
 
 def axis(name: str, values, where=None) -> Axis:
-    """Read one axis.
+    """Return an axis of Python values.
 
-    Numbers, in a list or an array, run inside one program: in float64 if they are floats or in a list, as
-    integers if they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names,
-    named objects such as methods, and whatever a dict {label: value} holds.
+    Numbers, in a list or an array, run inside one program: in float64 if they are floats or in a list, as integers if
+    they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names, named objects such
+    as methods, and whatever a dict {label: value} holds.
 
-    Args:
-      where: its name in messages; default: `name`.
-
+    Args: where: its name in messages; default: `name`.
     Raises: ArgumentError for other values, none, or values that are not finite.
     """
     where = where or name
-    if isinstance(values, Axis):
-        return values
     if isinstance(values, Mapping):
         found = Axis(name, tuple(values.values()), tuple(values))
     elif not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
@@ -64,38 +55,30 @@ def axis(name: str, values, where=None) -> Axis:
     elif (numbers := _numbers(name, where, values)) is None:
         labels = tuple(v if isinstance(v, (str, bool)) else getattr(v, "name", None) for v in values)
         if None in labels:
-            words = "hold numbers, names or named objects, or be a dict {label: value}"
-            raise errors.fail(where, words, f"is {values!r}")
+            must = "hold numbers, names or named objects, or be a dict {label: value}"
+            raise errors.fail(where, must, f"is {values!r}")
         found = Axis(name, tuple(values), labels)
-    elif name in COMPILED_IN or name.endswith(LEVEL):
-        few_enough(where, numbers)
-        fits = _delay if name == "delay" else functools.partial(errors.integer, at_least=0)
-        known = tuple(fits(where, v.item() if v.ndim == 0 else v) for v in numbers)
-        found = Axis(name, known, known)
     else:
-        found = Axis(name, numbers, None)
+        found = Axis(name, numbers)
     if not len(found):
         raise errors.fail(where, "hold at least one value", "is empty")
     if found.inner and not np.all(np.isfinite(found.values)):
         raise errors.fail(where, "hold finite values", "does not")
-    return found
+    return compiled_in(found, where) if name in COMPILED_IN else found
 
 
-def _delay(where, value):
-    """A whole number of samples as an integer; others unchanged."""
-    value = errors.number(where, value, at_least=0)
-    return int(value) if float(value).is_integer() else float(value)
-
-
-def few_enough(where, values):
-    """Raise ArgumentError for more compiled-in values than is practical."""
-    if len(values) > MOST_PROGRAMS:
-        words = f"hold at most {MOST_PROGRAMS:,} values, as each is compiled"
-        raise errors.fail(where, words, f"holds {len(values):,}")
+def compiled_in(of: Axis, where: str) -> Axis:
+    """Return an axis of numbers as an outer one; whole numbers are integers."""
+    if not of.inner:
+        return of
+    if of.values.ndim != 1:
+        raise errors.fail(where, "hold single numbers, as N or a dead time depends on it", "holds vectors")
+    numbers = tuple(int(v) if float(v).is_integer() and of.name in COMPILED_IN else v.item() for v in of.values)
+    return Axis(of.name, numbers, numbers)
 
 
 def _numbers(name, where, values):
-    """The numbers or vectors of an axis as one array; None if they are something else."""
+    """Return the numbers or vectors of an axis as one array; None if they are something else."""
     typed = isinstance(values, (range, np.ndarray, jax.Array))
     if not typed and any(isinstance(v, (str, bool)) for v in values):
         return None
@@ -105,7 +88,7 @@ def _numbers(name, where, values):
         raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
     if found.dtype.kind not in "fiub":
         return None
-    whole = found.dtype.kind != "f" and (typed or name in COUNTED + COMPILED_IN or name.endswith(LEVEL))
+    whole = found.dtype.kind != "f" and (typed or name in COUNTED)
     return found if whole else found.astype(float)
 
 
@@ -134,16 +117,11 @@ class Grid:
     more: Callable = dataclasses.field(default=lambda program, lanes: {}, compare=False, repr=False)
 
     def __post_init__(self):
-        programs = math.prod(len(a) for a in self.outer)
-        for count, most, what in (
-            (len(self.axes), MOST_AXES, "axes"),
-            (programs, MOST_PROGRAMS, "programs, of whatever is compiled in"),
-            (self.size, MOST_POINTS, "points"),
-            (math.prod(map(len, self._cuts())), MOST_BLOCKS, "blocks, of so many `lanes`"),
-        ):
+        counts = self.size, math.prod(map(len, self.outer)), math.prod(map(len, self._cuts()))
+        for count, (what, most) in zip(counts, MOST.items(), strict=True):
             if count > most:
-                counts = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
-                raise errors.fail("axes", f"span at most {most:,} {what}", f"span {counts}")
+                axes = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
+                raise errors.fail("axes", f"span at most {most:,} {what}", f"span {count:,}: {axes}")
 
     @property
     def shape(self) -> tuple:
@@ -163,9 +141,7 @@ class Grid:
 
     @property
     def block(self) -> tuple:
-        """Extent of a block along each axis: all of the last axes, a cut of the one before, single values of the
-        others.
-        """
+        """Extent of a block along each axis: all of the last axes, a cut of the one before, single values of others."""
         left, extents = self.lanes, []
         for one in reversed(self.axes):
             if not one.inner:
@@ -178,7 +154,7 @@ class Grid:
         return tuple(reversed(extents))
 
     def _cuts(self) -> list:
-        """The starts of the blocks along each axis."""
+        """Return the starts of the blocks along each axis."""
         return [range(0, n, step) for n, step in zip(self.shape, self.block, strict=True)]
 
     @property
@@ -188,21 +164,21 @@ class Grid:
         return [dict(zip(names, values, strict=True)) for values in itertools.product(*(a.values for a in self.outer))]
 
     def blocks(self) -> list:
-        """All blocks, program by program."""
+        """Return all blocks, program by program."""
         cuts = [
             [slice(first, min(first + step, n)) for first in starts]
             for n, step, starts in zip(self.shape, self.block, self._cuts(), strict=True)
         ]
         order = sorted(range(len(cuts)), key=lambda i: self.axes[i].inner)  # the outer axes first
-        of_one = math.prod(len(c) for c, a in zip(cuts, self.axes, strict=True) if a.inner)
+        per_program = math.prod(len(c) for c, a in zip(cuts, self.axes, strict=True) if a.inner)
         out = []
         for number, chosen in enumerate(itertools.product(*(cuts[i] for i in order))):
             region = tuple(cut for _, cut in sorted(zip(order, chosen, strict=True), key=lambda pair: pair[0]))
-            out.append(Block(number, number // of_one, region))
+            out.append(Block(number, number // per_program, region))
         return out
 
     def lane_values(self, block: Block) -> dict:
-        """Values of the inner axes, and `more`, in each lane of a block; lanes beyond the grid repeat the last one."""
+        """Return the values of the inner axes, and `more`, in each lane; lanes beyond the grid repeat the last one."""
         steps = [
             np.minimum(np.arange(cut.start, cut.start + extent), len(a) - 1)
             for a, cut, extent in zip(self.axes, block.region, self.block, strict=True)
@@ -213,7 +189,7 @@ class Grid:
         return lanes | self.more(self.programs[block.program], lanes)
 
     def cut(self, block: Block, lanes):
-        """The results of all lanes of a block as its piece of the grid."""
+        """Return the results of all lanes of a block as its piece of the grid."""
         full = lanes.reshape(*self.block, *lanes.shape[1:])
         return full[tuple(slice(0, cut.stop - cut.start) for cut in block.region)]
 
@@ -222,6 +198,7 @@ class Grid:
 
 
 def grid(axes: Mapping, lanes=None) -> Grid:
+    """Return the grid of {name: Python values}."""
     if not axes:
         raise errors.fail("axes", "name at least one axis, such as alpha=jnp.linspace(1, 40, 200)", "is empty")
     lanes = LANES if lanes is None else errors.integer("lanes", lanes, at_least=1)

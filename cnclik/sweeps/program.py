@@ -19,7 +19,7 @@ from cnclik import errors
 from cnclik.cache import give_back
 from cnclik.engine.plan import as_here
 from cnclik.integrate.lanes import lanes
-from cnclik.measure.metrics import METRICS, Metrics, named
+from cnclik.measure.metrics import Metrics, named
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
 from cnclik.threads import cores, shares_threads, side_by_side
@@ -46,23 +46,18 @@ class StudyProgram(NamedTuple):
     alone: bool  # whether its blocks must run one after the other, see `shares_threads`
 
 
-# Dimensions of a `Trajectory`, for a study that returns one.
-_DIMS = {name: METRICS[name].dims for name in ("t", "q", "x", "e", "qdot", "status")}
-_DIMS |= dict.fromkeys(("residual", "contraction"), ("step",))
-
-
 def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
     """Trace and compile the study once, for blocks of the grid."""
-    found = {}
+    outputs: tuple = ()
 
     def lane(values):
+        nonlocal outputs
         result = study(**fixed, **values)
         named = {name: jnp.asarray(v) for name, v in _named(result).items()}
-        found["outputs"] = tuple(_output(name, v, result) for name, v in named.items())
-        taken = {*named, *(dim for o in found["outputs"] for dim in o.dims)}
-        for one in of.axes:
-            if one.name in taken:
-                raise errors.fail("axes", "have names of their own", f"{one.name!r} is in the results too")
+        outputs = tuple(_output(name, v, result) for name, v in named.items())
+        taken = {*named, *(dim for o in outputs for dim in o.dims)}
+        if both := [a.name for a in of.axes if a.name in taken]:
+            raise errors.fail("axes", "have names of their own", f"{both[0]!r} is in the results too")
         return named
 
     def alone(values):  # one lane, as all axes are outer
@@ -83,11 +78,11 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
         with jax.enable_x64(True):
             return compiled({name: jnp.asarray(v) for name, v in values.items()})
 
-    return StudyProgram(run, found["outputs"], memory, shares_threads(traced.jaxpr))
+    return StudyProgram(run, outputs, memory, shares_threads(traced.jaxpr))
 
 
 def _named(result) -> dict:
-    """The result of a study as {name: array}."""
+    """Return the result of a study as {name: array}."""
     if isinstance(result, (Metrics, Mapping)):
         return dict(result.items())
     if dataclasses.is_dataclass(result):
@@ -96,18 +91,15 @@ def _named(result) -> dict:
 
 
 def _output(name, v, result) -> Output:
-    about = {"units": getattr(result, "units", {}).get(name, UNITS.get(name, ""))}
+    about = {"units": UNITS.get(name, "")}
     if isinstance(result, Metrics):
         task, metric = named(name)
-        about["long_name"] = f"{task}: {metric.label}" if task else metric.label
-    dims = getattr(result, "dims", {}).get(name) or _DIMS.get(name, ())
-    if len(dims) != v.ndim:
-        dims = tuple(f"{name}_{i}" for i in range(v.ndim))
-    return Output(name, v.shape, np.dtype(v.dtype), tuple(dims), about)
+        about = {"units": result.units[name], "long_name": f"{task}: {metric.label}" if task else metric.label}
+    return Output(name, v.shape, np.dtype(v.dtype), tuple(f"{name}_{i}" for i in range(v.ndim)), about)
 
 
 def fit(study, of: Grid, memory=MEMORY):
-    """The grid cut so that a block needs at most `memory` bytes, and its first program."""
+    """Return the grid cut so that a block needs at most `memory` bytes, and its first program."""
     program = compile_program(study, of.programs[0], of)
     while program.memory > memory and math.prod(of.block) > 1:
         of = dataclasses.replace(of, lanes=max(1, int(math.prod(of.block) * memory / program.memory)))
@@ -116,7 +108,7 @@ def fit(study, of: Grid, memory=MEMORY):
 
 
 def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
-    """Compute blocks: yields (block, {name: piece of the grid}) in their order.
+    """Compute blocks: yield (block, {name: piece of the grid}) in their order.
 
     Each core runs its own block. The next ones already run while the caller handles one, so writing takes no extra
     time.
@@ -139,7 +131,7 @@ def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
 
 
 def _compiled(study, of, numbers, first):
-    """The programs of these numbers in order; the next ones compile while one is in use."""
+    """Yield the programs of these numbers in order; the next ones compile while one is in use."""
     todo = iter([number for number in numbers if first is None or number != 0])
     make = as_here(lambda number: compile_program(study, of.programs[number], of))
     with side_by_side() as pool:
@@ -159,5 +151,5 @@ def _compute(program, of, block):
 
 
 def blocks_at_once() -> int:
-    """How many blocks run side by side: one per core, or one on an accelerator, which it keeps busy."""
+    """Return how many blocks run side by side: one per core, or one on an accelerator, which it keeps busy."""
     return cores() if jax.default_backend() == "cpu" else 1

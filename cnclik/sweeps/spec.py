@@ -1,20 +1,18 @@
-"""Spec: a question about many loops, as one TOML file.
+"""Spec: a study of many loops, as one TOML file.
 
-Everything a loop depends on is a named value, by the names of `cnclik.problem.OPTIONS`. `[fixed]` gives some,
-`[axes]` varies others; `[cases.NAME]` holds bundles of them (an arm with its start and target) that make an axis of
-their own, `case`, and `[bundles.AXIS.NAME]` the same for an axis of any other name. A value may be an expression of
-others: period = "N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is the linear theory's largest
-stable z for the loop's method, stage and delays: alpha = "0.5*limit/Ts". `delay`, `noise` and `seed` define how
-the error is measured that is fed back.
+Everything a loop depends on is a named value, by the names of `problem_from`'s arguments. `[fixed]` gives some values,
+`[axes]` varies others. An axis is a list, a table such as { geomspace = [1, 40, 20] }, or tables [axes.AXIS.LABEL] of
+values that belong together: an arm with its start and its target. A value may be an expression of others: period =
+"N*Ts", alpha = "z/Ts", target = ["2 - distance", 0]. `limit` is linear theory's largest stable z = alpha·Ts of the
+loop's method, stage and drive: alpha = "0.5*limit/Ts".
 """
 
 import dataclasses
 import functools
-import math
-import operator
 import os
 import pathlib
 import zlib
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,33 +20,35 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import evaluations_per_step, named
-from cnclik.measure import metrics
-from cnclik.measure.metrics import Metrics
+from cnclik.law.law import check_loop
+from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
+from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
-from cnclik.problem.build import Problem, problem_from
+from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import robot_and_tip, stage_from
-from cnclik.problem.options import check_units
-from cnclik.stability.gain import stable_share
+from cnclik.reading import read_toml, toml
+from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
+from cnclik.sweeps import axes as axis_forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import NAMES, is_name, per_joint
-from cnclik.sweeps.grid import MOST_POINTS, Grid, axis
+from cnclik.sweeps.axes import NAMES, is_drawn, known_keys
+from cnclik.sweeps.grid import COMPILED_IN, MOST, Axis, Grid, compiled_in
 from cnclik.sweeps.labels import LIMIT, UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
-TABLES = ("fixed", "axes", "cases", "bundles", "units", "figure")
+TABLES = ("fixed", "axes", "units", "figure")
+RESERVED = (LIMIT, "progress", *KEYS, *TABLES)
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
+STEPS = 30  # values that follow from each other, at most
 OPTIONS = options.OPTIONS
-DEFAULTS = options.DEFAULTS | {
-    "delay": 0,
-    "measurement_delay": 0,
-}
+DEFAULTS = options.DEFAULTS | {"delay": 0, "measurement_delay": 0}
+TIMED = {"lag", "natural_frequency", "cutoff"}  # options of a drive with which the largest stable z depends on Ts
 
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
-    """A validated spec. `grid()` is what it runs over, `study` what runs."""
+    """A checked spec. `grid()` is what it runs over, `study` what runs at each point."""
 
     name: str
     question: str
@@ -57,145 +57,327 @@ class Spec:
     lanes: int | None
     metrics: tuple
     fixed: dict
-    axes: dict  # name -> Axis
-    written: dict  # name -> the axis as written
-    bundles: dict  # axis -> {label: {name: value}}; "case" first
+    written: dict  # {axis: as written}
+    tables: dict  # {axis: {label: {name: value}}}, of axes of tables
     units: dict
-    figures: tuple
+    figures: list
     folder: pathlib.Path = pathlib.Path()  # where files named in the spec are searched first
-
-    def shape(self) -> Grid:
-        """The grid over the cases, the other bundles and the axes, in the order written; not yet cut."""
-        axes = [axis(name, {label: label for label in labels}) for name, labels in self.bundles.items()]
-        return Grid((*axes, *self.axes.values()), MOST_POINTS)
+    axes: tuple = ()  # of `Axis`, those of tables first
 
     def grid(self) -> Grid:
-        """The grid, cut into blocks."""
-        found = self.shape()
-        if not found.axes:
+        """Return the axes, cut into blocks: a power of two, smaller for long loops, enough to keep the cores busy."""
+        of = Grid(self.axes, MOST["points"])
+        if not of.axes:
             raise errors.fail("axes", "hold at least one axis, such as alpha = [1, 5, 10]", "holds none")
-        size = math.prod(len(a) for a in found.inner)
-        # Blocks are a power of two, smaller for long loops, and enough to keep the cores busy.
-        steps = max(int(self.values(**program, **self.first())["N"]) for program in found.programs)
+        steps = max(int(self.loop(program)["N"]) for program in of.programs)
+        size = int(np.prod([len(a) for a in of.inner], dtype=float))
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
-        return dataclasses.replace(found, lanes=min(lanes, size), more=self.draws)
-
-    def tables(self) -> list:
-        """[fixed], and the tables of all bundles."""
-        return [self.fixed, *(table for labels in self.bundles.values() for table in labels.values())]
+        return dataclasses.replace(of, lanes=min(lanes, size), more=self.draws)
 
     def first(self, last=False) -> dict:
-        """The first, or last, value of every numeric axis."""
-        return {a.name: a.values[-1 if last else 0] for a in self.axes.values() if a.inner}
+        """Return the first, or last, value of every numeric axis."""
+        return {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner}
 
-    def lookup(self, /, **values):
-        """(all known values of one loop, a function from a name to its value, with expressions evaluated)."""
-        chosen = [labels[values.pop(name)] for name, labels in self.bundles.items() if name in values]
-        known = functools.reduce(operator.or_, chosen, DEFAULTS | self.fixed) | values
+    def loop(self, program, lane=None) -> "Loop":
+        """Return the values of one loop. Args: program: of the outer axes. lane: of the others; None: the first."""
+        return Loop(self, program | (self.first() if lane is None else lane))
 
-        @functools.cache
-        def look(name):
-            if name == LIMIT:
-                return self._limit(look)
-            if is_name(name):
-                return known[name]
-            value = expression.evaluate(name, known[name], look)
-            # Samples have values for the widest arm.
-            return value[: joints_of(known, look, self)] if per_joint(name, self.written.get(name)) else value
-
-        return known, look
-
-    def values(self, /, **values) -> dict:
-        """All options of one loop's problem that have a value."""
-        known, look = self.lookup(**values)
-        return {name: look(name) for name in known if name in OPTIONS}
-
-    def build(self, /, **values) -> Problem:
-        """One loop."""
-        known, _ = self.lookup(**values)
-        v = self.values(**values)
-        for name in FILES:
-            if name in v:
-                v[name] = str(self.file(v[name]) or v[name])
-        M = self.axes.get("M")
-        most = {} if M is None or not M.inner else {"maximum": int(M.values.max())}
-        v["stage"] = stage_from(v["stage"], v.pop("M"), **most)
-        made = problem_from(**v)
-        written = {name: expression.units(name, known[name]) for name in v if name not in NAMES}
-        check_units(made.law.chain, made.law.task, written)
-        return made
-
-    def file(self, text) -> pathlib.Path | None:
-        """The file of a name, relative to the spec's folder, or None."""
-        path = self.folder / str(text)
-        return path if os.path.isfile(path) else None  # unlike Path.is_file, it accepts names of any length
-
-    def _limit(self, look):
-        """The linear theory's largest stable z, inf if there is none; for a traced M, from a table."""
-        M = look("M")
-        of = functools.partial(_stable, look("method"), look("stage"), float(look("delay") + look("measurement_delay")))
-        if errors.concrete(M):
-            return of(int(M))
-        counts = [int(m) for m in self.axes["M"].values]
-        table = np.full(max(counts) + 1, np.nan)
-        table[counts] = [of(m) for m in counts]
-        return jnp.asarray(table)[M]
+    def build(self, program, lane=None) -> Problem:
+        """Return one loop. Args: as for `loop`."""
+        return self.loop(program, lane).build()
 
     def study(self, /, draws=None, **values) -> Metrics:
-        """One loop: its metrics. The sweep batches this function. `draws`: see `Spec.draws`."""
-        made = self.build(**values)
+        """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
+        made = self.build(values, {})
         run = made.run(draws)
-        return metrics.measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
+        return measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
 
     def draws(self, program: dict, lanes: dict) -> dict:
-        """The standard normal numbers (lanes, N, m) of noise whose seed is an axis; a program draws none itself."""
-        if "seed" not in lanes or (made := self.build(**program, **self.first())).noise is None:
+        """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""
+        if "seed" not in lanes or (made := self.build(program)).noise is None:
             return {}
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
         size = made.N, made.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
 
     def evaluations(self, program: dict) -> float:
-        """Evaluations of f that one lane of a program costs, masked passes included."""
-        return _evaluations(self.build(**program, **self.first(last=True)))
+        """Return the evaluations of f that one lane of a program costs, masked passes included."""
+        p = self.build(program)
+        stage: Any = p.stage
+        stage = dataclasses.replace(stage, M=stage.maximum)
+        return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
+
+    def programs(self):
+        """Yield the first combination of the outer axes, and those that differ from it along one axis."""
+        outer = Grid(self.axes, MOST["points"]).outer
+        first = {a.name: a.values[0] for a in outer}
+        yield first
+        yield from (first | {a.name: value} for a in outer for value in a.values[1:])
+
+    def needs(self, *names) -> set:
+        """Return the names that some values depend on, these included."""
+        found: set = set()
+        for loop in map(self.loop, self.programs()):
+            for name in names:
+                if name in loop.known or name == LIMIT:
+                    loop[name]
+            found |= set(loop)
+        return found
 
     def all_units(self) -> dict:
-        """Units of the axes, given or known."""
-        law = self.build(**self.grid().programs[0], **self.first()).law
-        known = UNITS | {name: "1" for name in self.bundles}
-        for name, one in self.axes.items():
-            width = one.values.shape[-1] if one.inner and one.values.ndim > 1 else None
-            known[name] = options.units(law, law.task, width).get(name, known.get(name, ""))
-        return known | self.units
+        """Return the units of the axes, given or known."""
+        law = self.build(self.grid().programs[0]).law
+        known = dict(UNITS)
+        for axis in self.axes:
+            width = axis.values.shape[-1] if axis.inner and axis.values.ndim > 1 else None
+            known[axis.name] = options.units(law, law.task, width).get(axis.name, known.get(axis.name, ""))
+        return known | dict.fromkeys(self.tables, "1") | self.units
+
+    def given(self) -> list:
+        """Return [fixed] and all tables of axes."""
+        return [self.fixed, *(table for labels in self.tables.values() for table in labels.values())]
 
     def data(self) -> dict:
-        """What the numbers depend on, for JSON; equal for equal data."""
-        about = {
-            "tolerance": self.tolerance,
-            "metrics": list(self.metrics),
-            "fixed": self.fixed,
-            "axes": self.written,
-            "cases": self.bundles.get("case", {}),
-        }
-        bundles = {name: labels for name, labels in self.bundles.items() if name != "case"}
-        named = [table[name] for table in self.tables() for name in FILES if name in table]
-        of_files = (a for name, a in self.axes.items() if name.rpartition(".")[2] in FILES)
-        named += [v for a in of_files for v in a.values]
+        """Return what the numbers depend on, for JSON; equal for equal data."""
+        about = {"tolerance": self.tolerance, "metrics": list(self.metrics), "fixed": self.fixed}
+        about["axes"] = self.tables | self.written
+        named = [table[name] for table in self.given() for name in FILES if name in table]
+        named += [value for axis in self.axes if axis.name in FILES for value in axis.values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
-        return about | ({"bundles": bundles} if bundles else {}) | ({"files": files} if files else {})
+        return about | ({"files": files} if files else {})
+
+    def file(self, text) -> pathlib.Path | None:
+        """Return the file of a name, relative to the spec's folder, or None."""
+        path = self.folder / str(text)
+        return path if os.path.isfile(path) else None  # unlike pathlib's, it accepts names of any length
 
 
-def _evaluations(p) -> float:
-    stage = dataclasses.replace(p.stage, M=getattr(p.stage, "maximum", p.stage.M))
-    return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
+class Loop(dict):
+    """The values of one loop by name, each evaluated when it is first asked for."""
 
+    def __init__(self, spec: Spec, values: dict):
+        super().__init__()
+        self.spec, self.begun = spec, []  # names whose values are being evaluated
+        self.known = DEFAULTS | spec.fixed
+        for axis, labels in spec.tables.items():
+            if axis in values:
+                self.known |= labels[values[axis]]
+        self.known |= {name: value for name, value in values.items() if name not in spec.tables}
 
-def joints_of(known, look, spec) -> int:
-    """Number of joints of a loop's robot, which must not depend on the number of joints itself."""
-    return robot_and_tip(known["robot"], known.get("tip"), known.get("base"))[0].n
+    def __missing__(self, name):
+        if name in self.begun:
+            raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*self.begun, name])}")
+        if len(self.begun) >= STEPS:
+            raise errors.fail(self.begun[0], f"follow from numbers in fewer than {STEPS} steps", "does not")
+        if name not in self.known and name != LIMIT:
+            near = errors.nearest(name, (*self.known, LIMIT))
+            raise errors.fail(self.begun[-1], "use names that have a value", f"uses {name!r}{near}")
+        self.begun.append(name)
+        self[name] = value = self._limit() if name == LIMIT else self._value(name, self.known[name])
+        self.begun.pop()
+        return value
+
+    def _value(self, name, written):
+        if name in NAMES:
+            return written
+        value = expression.evaluate(name, written, self.__getitem__)
+        if isinstance(value, float) and value.is_integer() and name in OPTIONS:
+            return int(value) if OPTIONS[name].kind == options.INTEGER else value
+        return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
+
+    def joints(self) -> int:
+        """Return the number of joints of the robot, which samples are cut to."""
+        robot = self.spec.file(self.known.get("robot")) or self.known.get("robot")
+        return robot_and_tip(robot, self.known.get("tip"), self.known.get("base"))[0].n
+
+    def build(self) -> Problem:
+        """Return the loop."""
+        given = {}
+        for name in self.known:
+            if name in OPTIONS:
+                quantity = name not in NAMES and expression.is_quantity(self.known[name])
+                given[name] = self.known[name] if quantity else self[name]  # its unit must fit
+            if name in FILES:
+                given[name] = str(self.spec.file(given[name]) or given[name])
+        if "robot" not in given:
+            raise errors.fail("robot", "be given in [fixed] or [axes]", "is not")
+        counts = self._counts()
+        most = {} if counts is None else {"maximum": int(counts.max())}
+        stage = stage_from(given.pop("stage"), given.pop("M"), **most)
+        return problem_from(**given, stage=stage)
+
+    def _counts(self):
+        return next((a.values for a in self.spec.axes if a.name == "M" and a.inner), None)
+
+    def _limit(self):
+        """Return linear theory's largest stable z, inf if there is none; for a traced M, from a table."""
+        drive = {name: self[name] for name in options.DRIVE if name in self.known}
+        drive = tuple((name, tuple(np.ravel(v)) if np.ndim(v) else v) for name, v in drive.items())
+        Ts = float(self["Ts"]) if TIMED & set(dict(drive)) else 1.0
+        of = functools.partial(_largest_z, self["method"], self["stage"], drive, Ts)
+        M = self["M"]
+        if errors.concrete(M):
+            return of(int(M))
+        counts = self._counts()
+        table = np.full(max(counts) + 1, np.nan)
+        table[counts] = [of(int(m)) for m in counts]
+        return jnp.asarray(table)[M]
 
 
 @functools.cache
-def _stable(method, stage, delay, M) -> float:
-    M = M if named(method).implicit and stage == "picard" else None
-    return gain_removing(stable_share(Drive(delay=delay), 1.0), method, M)
+def _largest_z(method, stage, drive, Ts, M) -> float:
+    passes = M if named(method).implicit and stage == "picard" else None
+    return gain_removing(_share(drive, Ts), method, passes)
+
+
+@functools.cache
+def _share(drive, Ts) -> float:
+    return mixed_share((drive_from(dict(drive)) or Drive()).joints, Ts)
+
+
+# --- reading ------------------------------------------------------------------------------------------
+
+
+def read(path, changes=()) -> Spec:
+    """Read a spec and check it whole.
+
+    Args:
+      path: of the TOML file.
+      changes: strings "name=value" that override it; the value is TOML.
+
+    Raises: ArgumentError, one line, for what cannot be read, is unknown (the nearest name is suggested), is missing, or
+      cannot be built into loops.
+    """
+    path = errors.path("SPEC", path)
+    written = read_toml("SPEC", path)
+    try:
+        for change in changes:
+            _change(written, change)
+        return parse(written, path.stem, path.parent)
+    except RecursionError:
+        raise errors.fail("SPEC", "be nested less deeply", f"{str(path)!r} is nested too deeply to be read") from None
+
+
+def _change(written, change):
+    """Set NAME=VALUE, a value of [fixed] or [axes], or a path such as axes.case.panda.q0."""
+    name, equals, text = map(str.strip, change.partition("="))
+    if not equals or not name:
+        raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
+    try:
+        value = toml(f"value = {text}")["value"]
+    except ValueError:
+        value = text  # a bare word, such as CN, or an expression
+    fixed, axes = (_inner(written, table) for table in ("fixed", "axes"))
+    *path, key = name.split(".")
+    if not path and key not in (*KEYS, *TABLES):
+        path = ["axes" if key in axes and isinstance(value, (list, dict)) else "fixed"]
+    table = written
+    for part in path:
+        table = _inner(table, part)
+    table[key] = value
+    if path == ["axes"]:
+        fixed.pop(key, None)
+    elif path == ["fixed"] and axes.pop(key, None) and isinstance(figures := written.get("figure"), list):
+        of_axis = [figure for figure in figures if isinstance(figure, dict) and _mentions(figure, key)]
+        written["figure"] = [figure for figure in figures if figure not in of_axis]
+
+
+def _mentions(figure, axis) -> bool:
+    return axis in figure.values() or axis in (figure.get("select") or ())
+
+
+def _inner(table, name) -> dict:
+    inner = table.setdefault(name, {})
+    if not isinstance(inner, dict):
+        raise errors.fail(name, "be a table", f"is {inner!r}")
+    return inner
+
+
+def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
+    """Return the spec of a TOML file's contents, checked whole; see `read`.
+
+    Args: folder: where files named in the spec are searched first.
+    """
+    known_keys("SPEC", written, (*KEYS, *TABLES))
+    fixed, axes, units = (dict(_inner(dict(written), key)) for key in ("fixed", "axes", "units"))
+    tables = {axis: axes.pop(axis) for axis, value in tuple(axes.items()) if _is_of_tables(value)}
+    figures = written.get("figure", [])
+    if not isinstance(figures, list) or not all(isinstance(figure, dict) for figure in figures):
+        raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {figures!r}")
+    texts = {key: written.get(key, "") for key in ("question", "expectation")}
+    for key, text in [*texts.items(), *((f"units.{own}", unit) for own, unit in units.items())]:
+        errors.kind(key, text, str, "be a text")
+    names = written.get("metrics", list(DEFAULT))
+    if not isinstance(names, list) or not names or not all(isinstance(own, str) for own in names):
+        raise errors.fail("metrics", "be a list of names", f"is {names!r}")
+    places = {"fixed": fixed, "axes": axes}
+    places |= {f"axes.{axis}.{label}": table for axis, labels in tables.items() for label, table in labels.items()}
+    _check_names(places, tables)
+    spec = Spec(
+        name=name,
+        question=texts["question"].strip(),
+        expectation=texts["expectation"].strip(),
+        tolerance=float(errors.number("tolerance", written.get("tolerance", 1e-3), positive=True)),
+        lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
+        metrics=tuple(dict.fromkeys(names)),
+        fixed=fixed,
+        written=axes,
+        tables=tables,
+        units=units,
+        figures=figures,
+        folder=pathlib.Path(folder),
+    )
+    spec = dataclasses.replace(spec, axes=_axes(spec))
+    used = [expression.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
+    for where, table in places.items():
+        known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
+    for program in spec.programs():
+        for last in (False, True):
+            made = spec.build(program, spec.first(last))
+            check_loop(made.law, made.reference)
+            check_metrics(spec.metrics, made.law)
+    return spec
+
+
+def _is_of_tables(value) -> bool:
+    return isinstance(value, dict) and bool(value) and all(isinstance(table, dict) for table in value.values())
+
+
+def _check_names(places, tables):
+    """Raise ArgumentError for a value that is none, or a name that has another meaning or is given twice."""
+    for where, table in places.items():
+        for name, value in table.items():
+            if name in RESERVED:  # TOML counts lines below its header to it
+                must = "stand above all tables" if name in (*KEYS, *TABLES) else "have another name"
+                raise errors.fail(f"{where}.{name}", must, f"is in [{where}]")
+            if where != "axes" and (not isinstance(value, (str, int, float, list)) or isinstance(value, bool)):
+                raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
+            if where != "axes" and name in places["axes"]:
+                raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
+    given: dict = {}  # {name: the axis of tables that gives it}
+    for axis, labels in tables.items():
+        if axis in (*OPTIONS, *RESERVED):
+            raise errors.fail(f"axes.{axis}", "have a name of its own, as it has tables", f"is called {axis!r}")
+        for name in set().union(*labels.values()):
+            if (other := given.setdefault(name, axis)) != axis:
+                raise errors.fail(f"axes.{axis}", f"leave to {other} what that gives", f"holds {name!r} too")
+
+
+def _axes(spec: Spec) -> tuple:
+    """Return all axes: those of tables, then the others as written, with what N or a dead time depends on compiled in.
+
+    Samples are drawn for the widest robot, and each arm uses the first ones.
+    """
+    tables = tuple(Axis(name, tuple(labels), tuple(labels)) for name, labels in spec.tables.items())
+    plain = {name: axis_forms.read(name, v) for name, v in spec.written.items() if not is_drawn(v)}
+    spec = dataclasses.replace(spec, axes=(*tables, *plain.values()))
+    if len(plain) < len(spec.written):
+        joints = max(spec.loop(program).joints() for program in spec.programs())
+        drawn = {name: axis_forms.read(name, v, joints) for name, v in spec.written.items() if name not in plain}
+        plain = {name: (plain | drawn)[name] for name in spec.written}
+        spec = dataclasses.replace(spec, axes=(*tables, *plain.values()))
+    names = {name for table in spec.given() for name in table}
+    wanted = spec.needs(*COMPILED_IN, *NAMES)
+    if LIMIT in spec.needs(*names):
+        wanted |= spec.needs(LIMIT) - {"M"}
+    return *tables, *(compiled_in(a, f"axes.{name}") if name in wanted else a for name, a in plain.items())

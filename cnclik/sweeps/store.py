@@ -3,17 +3,15 @@
 `data.zarr` is created with all coordinates and attributes before the first block runs; one block of the grid is one
 chunk of each variable. A block is done once its checksum is in the group `progress`, written last, and only while the
 data match it. So a killed run, a lost process or a full disk costs only the blocks in progress, and a rerun ends with
-the same bytes as an undisturbed run. Coordinates have checksums too, compared before they are unpacked: a rerun
-rewrites a damaged one, and a reader refuses it.
+the same bytes as an undisturbed run. Description and coordinates have one checksum together, without which nothing is
+read.
 """
 
 import contextlib
 import dataclasses
-import functools
 import json
 import os
 import pathlib
-import re
 import tempfile
 import warnings
 import zlib
@@ -30,55 +28,37 @@ from cnclik.sweeps.spec import Spec
 from cnclik.writing import OWN, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
-_MARK = OWN  # file in a store: {file: checksum} of its description and of its coordinates
-_DESCRIPTION = "zarr.json"  # file that describes a group or an array
 _NOT_DONE = -1  # checksum of an unfinished block, and its value of counts
+_UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
 
 
 class Store:
-    """An open store: its grid and its blocks. Raises: ArgumentError if there is none."""
+    """An open store: its grid and its blocks. Raises: ArgumentError if there is none, or its description is damaged."""
 
     def __init__(self, folder: pathlib.Path, *, name="out", mode="r+"):
         import zarr
 
         self.folder, self.path = folder, folder / DATA
         try:
-            self._mark = _checked_mark(self.path)
+            mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
+            if mark["checksum"] != _checksum_of_files(self.path, mark["files"]):
+                raise ValueError("its description or a coordinate is damaged")
             self.group: Any = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(str(self.group.attrs["config"]))
             self.lanes, self.names = self.config["lanes"], self.config["variables"]
-            self.coordinates = sorted(set(self.group.array_keys()) - set(self.names))
             self._checksums = self.group["progress/checksum"]
-        except (OSError, KeyError, ValueError, TypeError) as error:
+        except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
 
-    def opened(self):
-        """The data as an `xarray.Dataset`, in the spec's order, loaded on use and unchecked."""
-        import xarray
-
-        with _quiet():
-            data = xarray.open_zarr(self.path, chunks=None)
-        # Selecting variables would drop the vectors of an axis of samples.
-        return data[list(self.names)].assign_coords(data.coords)
-
     def blocks(self) -> list:
-        """All blocks, numbered as when the store was created."""
+        """Return all blocks, numbered as when the store was created."""
         axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
         return Grid(axes, self.lanes).blocks()
 
     def missing(self) -> list:
-        """The blocks that are not done, or whose data do not match their checksum."""
+        """Return the blocks that are not done, or whose data do not match their checksum."""
         known = self._known()
         return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
-
-    def without(self, name, missing) -> np.ndarray:
-        """A variable as if the missing blocks had not been started; their data are not read."""
-        array, numbers = self.group[name], {b.number for b in missing}
-        values = np.full(array.shape, array.fill_value, array.dtype)
-        for block in self.blocks():
-            if block.number not in numbers:
-                values[block.region] = array[block.region]
-        return values
 
     def _known(self):
         with contextlib.suppress(*_UNREADABLE):
@@ -90,80 +70,57 @@ class Store:
         return known
 
     def _checksum(self, block):
-        try:
+        with contextlib.suppress(*_UNREADABLE):
             return _checksum_of(self.group[name][block.region] for name in self.names)
-        except _UNREADABLE:
-            return None
 
-    def write(self, block, piece):
-        """Writes the data, then their checksum."""
+    def write(self, block, piece) -> None:
+        """Write the data, then their checksum."""
         for name in self.names:
             self.group[name][block.region] = piece[name]
         self._checksums[block.number] = _checksum_of(piece[name] for name in self.names)
 
-    def damaged_coordinates(self) -> list:
-        """Names of the coordinates that differ from what was written."""
-        if set(self._mark) == {_DESCRIPTION}:  # a store made by version 0.2
-            return []
-        other = self._mark.items() ^ _file_checksums(self.path, self.coordinates).items()
-        return sorted({file.partition("/")[0] for file, _ in other})
+    def data(self, missing):
+        """Return the data as an `xarray.Dataset`, as if the missing blocks had not been started; loaded on use."""
+        import xarray
 
-    def foreign(self):
-        """The first file in the store that does not belong to it, or None."""
-        array = "|".join(map(re.escape, (*self.names, *self.coordinates, "progress/checksum")))
-        own = re.compile(
-            rf"\{_MARK}(\.partial)?|((({array})|progress)/)?zarr\.json|({array})/c(/\d+)*(\.\w+\.partial)?"
-        )
-        files = (p.relative_to(self.path).as_posix() for p in sorted(self.path.rglob("*")) if not os.path.isdir(p))
-        return next((name for name in files if not own.fullmatch(name)), None)
-
-    def repair(self, spec: Spec) -> None:
-        """Rewrites damaged coordinates, which follow from the spec."""
-        if self.damaged_coordinates():
-            for name, (_, values, _) in coordinates_of(spec, spec.grid()).items():
-                self.group[name][...] = _storable(values)
-            _mark(self.path, self.coordinates)
-
-
-_UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
+        with _quiet():
+            data = xarray.open_zarr(self.path, chunks=None)
+        data = data[list(self.names)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
+        if not missing:
+            return data
+        numbers = {block.number for block in missing}
+        done = [block for block in self.blocks() if block.number not in numbers]
+        for name in self.names:
+            array = self.group[name]
+            values = np.full(array.shape, array.fill_value, array.dtype)
+            for block in done:
+                values[block.region] = array[block.region]
+            data[name] = data[name].copy(data=values)
+        return data
 
 
 def _checksum_of(arrays) -> int:
-    return functools.reduce(lambda total, values: zlib.crc32(np.ascontiguousarray(values).data, total), arrays, 0)
+    total = 0
+    for values in arrays:
+        total = zlib.crc32(np.ascontiguousarray(values).data, total)
+    return total
 
 
-def _mark(path, coordinates) -> None:
-    """Writes the checksums of the description and the coordinates, which never change, atomically."""
-    partial = path / f"{_MARK}.partial"
-    partial.write_text(json.dumps(_file_checksums(path, coordinates)))
-    partial.replace(path / _MARK)
+def _checksum_of_files(path, files) -> int:
+    total = 0
+    for file in files:
+        total = zlib.crc32(read_bytes("out", path / file, "a sweep's file"), zlib.crc32(file.encode(), total))
+    return total
 
 
-def _checked_mark(path) -> dict:
-    """The checksums. Raises: ValueError if the description is not as written, OSError if there are none."""
-    found = json.loads(read_bytes("out", path / _MARK, "a store's checksums"))
-    found = {_DESCRIPTION: found} if isinstance(found, int) else {file: int(v) for file, v in dict(found).items()}
-    if found.get(_DESCRIPTION) != _file_checksums(path, ())[_DESCRIPTION]:
-        raise ValueError("its description is damaged")
-    return found
-
-
-def _file_checksums(path, coordinates) -> dict:
-    """{file: checksum} of the description and of the values of coordinates."""
-    values = (f for name in coordinates for f in (path / name).rglob("*") if f.name != _DESCRIPTION)
-    own = [path / _DESCRIPTION, *(f for f in values if os.path.isfile(f) and f.suffix != ".partial")]
-    return {f.relative_to(path).as_posix(): zlib.crc32(read_bytes("out", f, "a sweep's file")) for f in own}
-
-
-def _codecs():
-    """How chunks are written: compressed, then with a checksum, so that no damaged chunk is unpacked."""
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    return [ZstdCodec(level=0), Crc32cCodec()]
+def _mark(path) -> None:
+    """Write the checksum of description and coordinates, which never change: the store is then complete."""
+    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
+    (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum_of_files(path, files)}))
 
 
 def _storable(values):
-    """Names as variable-length strings, the only form of text that zarr has settled."""
+    """Return names as variable-length strings, the only form of text that zarr has settled."""
     return values.astype(object) if values.dtype.kind == "U" else values
 
 
@@ -181,33 +138,34 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
 def _build(path, spec, of, outputs):
     import xarray
     import zarr
+    from zarr.codecs import Crc32cCodec, ZstdCodec
 
+    packed = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
     coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
+    about = environment() | attributes(spec, of, outputs)
     with _quiet():
-        xarray.Dataset(coords=coords, attrs=environment() | attributes(spec, of, outputs)).to_zarr(
-            path, zarr_format=3, consolidated=False, encoding={name: {"compressors": _codecs()} for name in coords}
-        )
+        encoding = dict.fromkeys(coords, packed)
+        xarray.Dataset(coords=coords, attrs=about).to_zarr(path, zarr_format=3, consolidated=False, encoding=encoding)
         group = zarr.open_group(path, mode="r+")
         for o in outputs:
             group.create_array(
                 o.name,
-                shape=(*of.shape, *o.shape),
-                chunks=(*of.block, *(max(n, 1) for n in o.shape)),
+                shape=of.shape,
+                chunks=of.block,
                 dtype=o.dtype,
                 fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
-                dimension_names=(*(a.name for a in of.axes), *o.dims),
+                dimension_names=[a.name for a in of.axes],
                 attributes=o.about,
-                compressors=_codecs(),
+                **packed,
             )
         checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
-        checksums["compressors"] = _codecs()
-        group.create_group("progress").create_array("checksum", **checksums, dimension_names=("block",))
+        group.create_group("progress").create_array("checksum", **checksums, **packed, dimension_names=("block",))
         zarr.consolidate_metadata(path)
-    _mark(path, coords)
+    _mark(path)
 
 
-def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None:
-    """The folder's store, repaired, if it belongs to this spec.
+def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
+    """Return the folder's store if it belongs to this spec; None if there is none, or no more.
 
     Raises: ArgumentError if it belongs to another spec or, even with `fresh`, if it is not a sweep's.
     """
@@ -220,47 +178,38 @@ def prepare(spec: Spec, folder, *, fresh=False, overwrite=False) -> Store | None
         return None
     store = Store(folder)
     if fresh:
-        foreign = store.foreign()
-        if foreign is not None:
-            raise errors.fail("out", f"hold nothing but the sweep's own files in {DATA}", f"there is {foreign[:80]!r}")
         with _disk(folder), hidden_folder(folder) as hidden:
             path.rename(hidden / DATA)  # atomically: no reader sees half a store
         return None
-    found = {k: store.config[k] for k in ("data", "environment")}
-    where = _difference(found, fingerprint(spec))
-    if where:
-        words = "hold results of this very spec (--fresh starts over, another --out keeps both)"
-        raise errors.fail("out", words, f"differs in {where}")
+    there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
+    for name in [*there, *here]:
+        if there.get(name) != here.get(name):
+            must = "hold results of this very spec (--fresh starts over, another --out keeps both)"
+            raise errors.fail("out", must, f"differs in {name}: {_short(there, name)} there, {_short(here, name)} here")
     with _disk(folder):
         remove_abandoned(path.rglob("*.partial"))  # left by an interrupted write
-        store.repair(spec)
     return store
 
 
-def _difference(a, b, where=""):
-    """The first difference of two JSON values, in words."""
-    if isinstance(a, dict) and isinstance(b, dict):
-        for key in [*a, *(k for k in b if k not in a)]:
-            found = _difference(a.get(key), b.get(key), f"{where}.{key}" if where else key)
-            if found:
-                return found
-        return None
-    if a == b:
-        return None
-    return f"{where.removeprefix('data.')}: {_short(a)} there, {_short(b)} here"
+def _flat(config) -> dict:
+    """Return {name: value} of all that a store's numbers depend on, such as "fixed.alpha"."""
+    flat = {}
+    for table, value in (config["data"] | {"environment": config["environment"]}).items():
+        flat |= {f"{table}.{name}": v for name, v in value.items()} if isinstance(value, dict) else {table: value}
+    return flat
 
 
-def _short(value):
-    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
+def _short(values, name) -> str:
+    text = json.dumps(values[name], ensure_ascii=False) if name in values else "nothing"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processes=1, meet=None, progress=None) -> bool:
+def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
     """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
 
     Args:
       folder: where `data.zarr` is or will be.
-      fresh: start over. overwrite: also in a folder with files that are not a sweep's.
+      fresh: start over.
       process, processes: this process's number among all that run this together.
       meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
         they need each other no more.
@@ -274,12 +223,12 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
     of, first, store = spec.grid(), None, None
     with _together(meet):
         if process == 0:
-            store = prepare(spec, folder, fresh=fresh, overwrite=overwrite)
+            store = prepare(spec, folder, fresh=fresh)
             if store is None:
                 of, first = program.fit(spec.study, of)
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
-                store = prepare(spec, folder, overwrite=overwrite)  # ours, or that of a quicker process
+                store = prepare(spec, folder)  # ours, or that of a quicker process
                 assert store is not None
                 first = first if store.lanes == of.lanes else None
     with _together(meet, last=True):
@@ -304,7 +253,7 @@ def run(spec: Spec, folder, *, fresh=False, overwrite=False, process=0, processe
 
 @contextlib.contextmanager
 def _together(meet, last=False):
-    """Waits for all processes; if one fails, all of them stop."""
+    """Wait for all processes; if one fails, all of them stop."""
     try:
         yield
     except BaseException:
@@ -315,53 +264,42 @@ def _together(meet, last=False):
 
 
 def _share(spec, of, missing, process, processes):
-    """This process's adjacent blocks: few programs to compile, and its share of the evaluations."""
-    if processes == 1:
+    """Return this process's adjacent blocks: few programs to compile, and its share of the evaluations."""
+    if processes == 1 or not missing:
         return missing
     costs = [spec.evaluations(p) for p in of.programs]
     ends = np.cumsum([costs[b.program] for b in missing])
-    if not len(ends):
-        return []
     owner = np.minimum((ends - ends[0] / 2) / ends[-1] * processes, processes - 1).astype(int)
     return [b for b, who in zip(missing, owner, strict=True) if who == process]
 
 
 def read(folder):
-    """The sweep of a folder as an `xarray.Dataset`, loaded on use.
+    """Return the sweep of a folder as an `xarray.Dataset`, loaded on use.
 
     Every block is first compared with its checksum, which reads all of it once; a damaged one counts as not done
     (`blocks_missing`): NaN, and -1 for counts, never other numbers.
 
-    Raises: ArgumentError if there is none, or if its coordinates are damaged.
+    Raises: ArgumentError if there is none, or if its description is damaged.
     """
     return read_and_missing(folder)[0]
 
 
 def read_and_missing(folder):
-    """The result of `read`, and the number of blocks that are not done or damaged."""
+    """Return the result of `read`, and the number of blocks that are not done or damaged."""
     folder = errors.path("folder", folder)
-    if not os.path.exists(folder / DATA):  # a name of any length will do
-        raise errors.fail("folder", f"hold a sweep's {DATA}", f"{str(folder)!r} does not")
     store = Store(folder, name="folder", mode="r")
-    damaged = store.damaged_coordinates()
-    if damaged:
-        words = "hold whole coordinates (the command that made the sweep repairs them)"
-        raise errors.fail("folder", words, f"{str(folder)!r} has damaged {', '.join(damaged)}")
-    data = store.opened()
     missing = store.missing()
-    if missing:
-        data = data.assign({n: v.copy(data=store.without(n, missing)) for n, v in data.items()})
-    return data, len(missing)
+    return store.data(missing), len(missing)
 
 
 def blocks_missing(folder) -> int:
-    """Number of blocks of a folder's sweep that are not done or damaged."""
+    """Return the number of blocks of a folder's sweep that are not done or damaged."""
     return len(Store(errors.path("folder", folder), name="folder", mode="r").missing())
 
 
 @contextlib.contextmanager
 def _disk(folder, when=""):
-    """Reports file system errors in one line."""
+    """Report file system errors in one line."""
     try:
         yield
     except OSError as error:
@@ -372,7 +310,7 @@ def _disk(folder, when=""):
 
 @contextlib.contextmanager
 def _quiet():
-    """Silences zarr's warning that consolidated metadata is an extension; the data open without it, too."""
+    """Silence zarr's warning that consolidated metadata is an extension; the data open without it, too."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         yield

@@ -1,10 +1,7 @@
-"""Sweep: a study over a labelled grid, or a spec's question, as an xarray.Dataset; and what it will take."""
+"""Sweep: a study over a labelled grid, or a spec's loops, as an xarray.Dataset."""
 
-import dataclasses
 import json
-import math
 import os
-import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +11,13 @@ import numpy as np
 from cnclik import errors
 from cnclik.precision import of_numbers
 from cnclik.sweeps import store
-from cnclik.sweeps.files import read
-from cnclik.sweeps.grid import Grid, grid
+from cnclik.sweeps.grid import grid
 from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of, environment
-from cnclik.sweeps.program import blocks_at_once, fit, run_blocks
-from cnclik.sweeps.spec import Spec
+from cnclik.sweeps.program import fit, run_blocks
+from cnclik.sweeps.spec import Spec, read
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_REST = 2**28  # bytes of the interpreter, JAX and the store
 
 
 @of_numbers
@@ -44,7 +38,7 @@ def sweep(
 
     Args:
       study: a pure function of the named values, returning a record, a dict or `Metrics` of scalars (or of arrays:
-        further dimensions), such as a function that calls `solve` and `measure`.
+        further dimensions), such as a function that calls `solve` and `measure_run`.
       axes: name=values, in the order of the wanted dimensions. Numbers in a list or an array, also integers, run inside
         one compiled program: alpha=[1, 5, 10] is one axis of floats. M stays an integer, for picard(M, maximum=...); so
         does a range or an array of integers. An array of shape (S, ...) is S values of shape (...). Compiled in, with
@@ -60,7 +54,7 @@ def sweep(
     """
     if not callable(study):
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
-    of, outputs, arrays = collect(study, grid(axes, lanes), progress)
+    of, outputs, arrays = _collect(study, grid(axes, lanes), progress)
     units = units or {}
     for o in outputs:
         o.about["units"] = units.get(o.name, o.about["units"])
@@ -69,10 +63,10 @@ def sweep(
         "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
     }
     attrs = {"config": json.dumps(config), "lanes": of.lanes, **(attrs or {})}
-    return dataset(of, outputs, arrays, coordinates(of, {**UNITS, **units}), attrs)
+    return _dataset(of, outputs, arrays, coordinates(of, {**UNITS, **units}), attrs)
 
 
-def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
+def run_spec(spec, out=None, *, set=(), fresh=False, progress=None) -> "xr.Dataset":
     """Run a spec, from its TOML file to the labelled data, in float64 whatever JAX's own precision is.
 
     Args:
@@ -82,24 +76,24 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None):
       fresh: start again, even if `out` holds results.
       progress: called with (points done, points to do).
 
-    Returns: `xarray.Dataset` with the axes as dimensions and, where linear theory has one for the spec's laws, the
-      coordinate `limit`, the largest stable z = alpha·Ts; from a store, loaded on use.
+    Returns: `xarray.Dataset` with the axes as dimensions and the coordinate `limit`, the largest stable z = alpha·Ts of
+      linear theory; from a store, loaded on use.
     Raises: ArgumentError for what cannot be run, or a folder that holds something else.
     """
     errors.progress(progress)
-    errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
     errors.kind("out", out, (str, os.PathLike, type(None)), "be a path")
+    errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
     if isinstance(set, str) or not np.iterable(set) or not all(isinstance(v, str) for v in set):
         raise errors.fail("set", "be strings NAME=VALUE", f"is {set!r}")
     spec = spec if isinstance(spec, Spec) else read(spec, set)
     if out is not None:
         store.run(spec, out, fresh=fresh, progress=progress)
         return store.read(out)
-    of, outputs, arrays = collect(spec.study, spec.grid(), progress)
-    return dataset(of, outputs, arrays, coordinates_of(spec, of), attributes(spec, of, outputs))
+    of, outputs, arrays = _collect(spec.study, spec.grid(), progress)
+    return _dataset(of, outputs, arrays, coordinates_of(spec, of), attributes(spec, of, outputs))
 
 
-def collect(study, of: Grid, progress=None):
+def _collect(study, of, progress=None):
     """Compute the whole grid: (the grid as cut, outputs, {name: array over the grid})."""
     of, first = fit(study, of)
     arrays = {o.name: np.empty((*of.shape, *o.shape), o.dtype) for o in first.outputs}
@@ -113,13 +107,8 @@ def collect(study, of: Grid, progress=None):
     return of, first.outputs, arrays
 
 
-def dataset(of: Grid, outputs, arrays, coords, attrs):
-    """Arrays over the grid as a labelled `xarray.Dataset`.
-
-    Args:
-      coords: {name: (dimensions, values, attributes)}.
-      attrs: of the dataset, besides versions, dtype and device.
-    """
+def _dataset(of, outputs, arrays, coords, attrs):
+    """Return arrays over the grid as a labelled `xarray.Dataset`."""
     import xarray
 
     names = tuple(a.name for a in of.axes)
@@ -127,64 +116,3 @@ def dataset(of: Grid, outputs, arrays, coords, attrs):
     floats = [o.dtype for o in outputs if jax.numpy.issubdtype(o.dtype, np.floating)]
     dtype = min(floats, key=lambda d: d.itemsize, default=np.dtype(float))
     return xarray.Dataset(data, coords, attrs=environment(dtype) | attrs)
-
-
-# --- cost ---------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """What a sweep will take."""
-
-    loops: int  # points of the grid
-    axes: dict  # number of points along each axis
-    programs: int  # number of compiled programs
-    blocks: int  # number of blocks
-    block: int  # loops of each block
-    cores: int  # blocks that run side by side
-    memory: int  # while it runs [bytes]
-    block_memory: int  # part of it for blocks [bytes]
-    disk: int  # of the store, before compression [bytes]
-    compile_time: float  # of one program [s]
-    run_time: float  # all blocks, without compilation [s]
-
-    @property
-    def time(self) -> float:
-        """All of it [s]."""
-        return self.compile_time * self.programs + self.run_time
-
-
-def estimate(spec, *, set=()) -> Estimate:
-    """Size, memory and time of a sweep: its first program is compiled, and one block of it is run twice.
-
-    Args:
-      spec: a `Spec`, or the path of its TOML file.
-      set: strings "name=value" that replace values of the file.
-    """
-    spec = spec if isinstance(spec, Spec) else read(spec, set)
-    begun = time.perf_counter()
-    of, program = fit(spec.study, spec.grid())
-    compile_time = time.perf_counter() - begun
-    blocks = of.blocks()
-    values = of.lane_values(blocks[0])
-    jax.block_until_ready(program.run(values))
-    begun = time.perf_counter()
-    jax.block_until_ready(program.run(values))
-    block_time = time.perf_counter() - begun
-    # The cost of other programs is proportional to their evaluations of f.
-    costs = np.array([spec.evaluations(p) for p in of.programs])
-    cores = blocks_at_once()
-    block_memory = program.memory * cores
-    return Estimate(
-        loops=of.size,
-        axes={a.name: len(a) for a in of.axes},
-        programs=len(costs),
-        blocks=len(blocks),
-        block=math.prod(of.block),
-        cores=cores,
-        memory=block_memory + _REST,
-        block_memory=block_memory,
-        disk=of.size * sum(o.dtype.itemsize * math.prod(o.shape) for o in program.outputs),
-        compile_time=compile_time,
-        run_time=block_time * len(blocks) * float(np.mean(costs / costs[0])) / cores,
-    )

@@ -180,7 +180,7 @@ class Center(Vector):
         return self if self.bodies is not None else replace(self, bodies=shares(chain))
 
     def seen(self, chain, q):
-        """As a tip."""
+        """Return its frames, as those of a tip."""
         return mass_frames(chain, self.bodies, q)
 
     def x(self, robot: At):

@@ -48,7 +48,7 @@ class At:
         return moved(self.chain, self.q)
 
     def frames(self, tip) -> Frames:
-        """The frames of a tip by its name, of the only one, or of a part that is `seen` as one; each computed once."""
+        """Return the frames of a tip by its name, of the only one, or of a part `seen` as one; each computed once."""
         number = self._number(tip)
         if number not in self._frames:
             self._frames[number] = tip.seen(self.chain, self.q) if number < 0 else tip_frames(*self._moved, number)
@@ -58,23 +58,23 @@ class At:
         return -1 if hasattr(tip, "seen") else self.chain.tip_number(tip)
 
     def position(self, tip, to=None):
-        """(3,) [m]"""
+        """Return the position (3,) of a tip [m]."""
         if to is None:
             return self.frames(tip).position
         away = self.frames(tip).position - self.frames(to).position
         return (away[..., None, :] @ self.frames(to).rotation)[..., 0, :]
 
     def rotation(self, tip, to=None):
-        """(3, 3)"""
+        """Return the rotation (3, 3) of a tip."""
         own = self.frames(tip).rotation
         return own if to is None else self.frames(to).rotation.mT @ own
 
     def rows(self, tip, to, linear, angular):
-        """Rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
+        """Return rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
         return self._jacobian(tip, to)[..., np.array([*linear, *(3 + i for i in angular)], int), :]
 
     def _jacobian(self, tip, to):
-        """(6, n), computed once."""
+        """Return (6, n), computed once."""
         between = self._number(tip), to
         if between not in self._rows:
             alone, every = to is None, (0, 1, 2)
@@ -83,7 +83,7 @@ class At:
         return self._rows[between]
 
     def _relative(self, tip, to):
-        """(6, n) of a tip as seen from another."""
+        """Return (6, n) of a tip as seen from another."""
         own, its, at, other = self._jacobian(tip, None), self._jacobian(to, None), self.frames(tip), self.frames(to)
         (v, w), (vo, wo) = ((each[..., :3, :], each[..., 3:, :]) for each in (own, its))
         xp, turned, away = library(own, its), other.rotation.mT, (at.position - other.position)[..., None]
@@ -92,7 +92,7 @@ class At:
 
 
 def places(axes) -> np.ndarray:
-    """Indices of axes, letters of "xyz"."""
+    """Return indices of axes, letters of "xyz"."""
     return np.array([AXES.index(a) for a in axes], int)
 
 
@@ -145,7 +145,7 @@ class Vector:
         return aim - before, None
 
     def averaged(self, kept, before, aim):
-        """One sample of a low-pass filter of the target, which keeps a share of what was before."""
+        """Return one sample of a low-pass filter of the target, which keeps a share of what was before."""
         return kept * before + (1 - kept) * aim
 
     def chart(self, aim):
@@ -221,7 +221,7 @@ class Orientation(Vector):
             raise errors.fail("reference", "give a rotation for this task", "gives a position only")
 
     def spread(self, w):
-        """Components (m,) as a vector (3,)."""
+        """Return components (m,) as a vector (3,)."""
         return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
 
     def x(self, robot: At):
@@ -247,7 +247,7 @@ class Orientation(Vector):
         return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
 
     def chart(self, aim):
-        """Rotations count by their chord ‖R₂ − R₁‖ (Frobenius), whose angle is at most π/√8 times it."""
+        """Return a rotation by its chord ‖R₂ − R₁‖ (Frobenius): the angle is at most π/√8 times it."""
         return 1.111 * aim.ravel()
 
 

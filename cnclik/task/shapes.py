@@ -26,14 +26,14 @@ class Rounded:
     radius: Number
 
     def placed(self, robot: At):
-        """Its ends in the base frame."""
+        """Return its ends in the base frame."""
         if self.tip is None:
             return self.ends
         at = robot.frames(self.tip)
         return at.position + self.ends @ at.rotation.T
 
     def along(self, robot: At, point, normal):
-        """(n,) the velocity of its point, along a normal, by those of the joints; both in the base frame."""
+        """Return the velocity (n,) of its point, along a normal, by those of the joints; both in the base frame."""
         if self.tip is None:
             return jnp.zeros_like(robot.q)
         arm = point - robot.frames(self.tip).position
@@ -69,7 +69,7 @@ class Distance(Vector):
         return self
 
     def _seen(self, robot: At):
-        """The distance, its nearest points, without radii, and the unit vector from the other to the one."""
+        """Return the distance, its nearest points, without radii, and the unit vector from the other to the one."""
         ends = self.one.placed(robot)
         if isinstance(self.other, HalfSpace):
             heights = ends @ self.other.normal - self.other.offset
@@ -93,7 +93,7 @@ class Distance(Vector):
 
 
 def _nearest(one, other):
-    """The nearest points of two segments, each of which may be a point."""
+    """Return the nearest points of two segments, each of which may be a point."""
     if len(one) == len(other) == 1:
         return one[0], other[0]
     if len(one) == 1:
@@ -112,13 +112,13 @@ def _nearest(one, other):
 
 
 def _on(segment, point):
-    """The point of a segment that is nearest to a point."""
+    """Return the point of a segment that is nearest to a point."""
     along = segment[1] - segment[0]
     return segment[0] + jnp.clip((point - segment[0]) @ along / (along @ along), 0.0, 1.0) * along
 
 
 def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.0, 0.0, 0.0)) -> Rounded:
-    """A sphere on a link, which must be a tip of the robot, for `distance`.
+    """Return a sphere on a link, which must be a tip of the robot, for `distance`.
 
     Args:
       tip: its name; None: fixed in the base frame.
@@ -129,7 +129,7 @@ def sphere(tip: str | None, radius: Number, center: Float[ArrayLike, " 3"] = (0.
 
 
 def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end: Float[ArrayLike, " 3"]) -> Rounded:
-    """A capsule on a link, which must be a tip of the robot: all points within a radius of a segment.
+    """Return a capsule on a link, which must be a tip of the robot: all points within a radius of a segment.
 
     Args:
       tip, radius: as for `sphere`.
@@ -143,7 +143,7 @@ def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end:
 
 
 def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpace:
-    """All points below a plane of the base frame, such as a table: normal·p ≤ offset.
+    """Return all points below a plane of the base frame, such as a table: normal·p ≤ offset.
 
     Args:
       normal: (3,); it is normalized.
@@ -158,7 +158,7 @@ def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpac
 
 
 def distance(one: Rounded, other: Rounded | HalfSpace) -> Task:
-    """The distance between two shapes as a task of one coordinate [m], negative where they overlap.
+    """Control the distance between two shapes, a task of one coordinate [m], negative where they overlap.
 
     Use it in `wall(distance(...), above=0.02)`, or control it. For a capsule that lies on a plane, or parallel to
     another capsule, the nearest point is not unique and the row of the Jacobian jumps. Use two spheres, or a wall for

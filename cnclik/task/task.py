@@ -178,7 +178,7 @@ class Task:
 
 
 def _in_words(part) -> str:
-    """Such as "x, y, z [m]". Joints that are all of a robot have no names or units until it is known."""
+    """Return a text such as "x, y, z [m]". Joints that are all of a robot have no names or units until it is known."""
     if isinstance(part, Joints) and part.wanted is None:
         return "all joints"
     return ", ".join(part.names) + f" [{', '.join(dict.fromkeys(part.units))}]" * bool(part.units)
@@ -190,7 +190,7 @@ def _slices(sizes):
 
 
 def _pose(task):
-    """The parts of a task of one tip's pose. Raises: ArgumentError for others."""
+    """Return the parts of a task of one tip's pose. Raises: ArgumentError for others."""
     if not task.of_one_tip:
         raise errors.fail("task", "be of one tip's pose for this", f"is {task!r}")
     return task.parts

@@ -1,8 +1,7 @@
-"""Tables of docs/speed.md and how-measured.md from the files that were measured: `python -m tests.bench.document`.
+"""Tables of docs/speed.md from the files that were measured: `python -m tests.bench.document`.
 
-The pages' text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
-results/speed/peers.json (`python -m tests.bench`), table.json (`python -m tests.bench.speed --json`) and first.json
-(`python -m tests.bench.first --json`).
+The page's text is written by hand; between `<!-- NAME -->` and `<!-- end -->` stands what this module writes from
+results/speed/peers.json (`python -m tests.bench`) and first.json (`python -m tests.bench.first --json`).
 """
 
 import itertools
@@ -17,7 +16,7 @@ from cnclik.measure.files import markdown
 from tests.bench import first
 
 ROOT = pathlib.Path(__file__).parents[2]
-PAGES = [ROOT / "docs" / name for name in ("speed.md", "how-measured.md")]
+PAGE = ROOT / "docs" / "speed.md"
 RESULTS = ROOT / "results" / "speed"
 
 
@@ -137,34 +136,13 @@ def _range(records, key):
 # --- tables in Markdown -------------------------------------------------------------------------------
 
 
+ELSEWHERE = re.compile("compile|gradient|memory|single thread flags")  # on the page in other words, or of no use there
+
+
 def _reach(found):
-    rows = []
-    for r in to_reach(found):
-        sign = "at least" if r["at_least"] else "under"
-        middle, low, high = (f"{r[name]:.3g}" for name in ("found", "low", "high"))
-        verdict = "yes" if r["reached"] else "**no**"
-        rows.append(
-            (r["what"], f"{sign} {r['wanted']:g}{r['unit']}", f"{middle}{r['unit']}", f"{low} - {high}", verdict)
-        )
-    return markdown(("what", "to reach", "measured", "range", "reached"), rows)
-
-
-def _peers(found):
-    rows = []
-    for r in sorted(found["peers"]["peers"], key=lambda r: (r["task"] != "EE", -r["evaluations_per_second"])):
-        task = r["task"] if r["inverse"] == "damped" else f"{r['task']}, J#"
-        speed = f"{r['evaluations_per_second'] / 1e6:.3g}"
-        size, spread = f"{r['batch']:,} × {r['N']}", f"{50 * r['spread']:.0f}"
-        rows.append((r["name"], task, r["dtype"], r["flags"], size, speed, spread, f"{r['difference']:.0e}"))
-    return markdown(("what", "task", "type", "XLA flags", "loops × steps", "M eval/s", "± %", "differs by"), rows)
-
-
-def _single(found):
-    rows = []
-    for r in found["peers"]["single"]:
-        low, middle, high = min(r["seconds"]), statistics.median(r["seconds"]), max(r["seconds"])
-        rows.append((r["name"], r["dtype"], r["flags"], f"{middle * 1e6:.1f}", f"{low * 1e6:.1f} - {high * 1e6:.1f}"))
-    return markdown(("one warm solve of 50 steps", "type", "flags", "µs", "range"), rows)
+    rows = [r for r in to_reach(found) if not ELSEWHERE.search(r["what"])]
+    rows = [(r["what"], f"{r['found']:.3g}{r['unit']}", f"{r['low']:.3g} - {r['high']:.3g}") for r in rows]
+    return markdown(("what", "measured", "range"), rows)
 
 
 def _machine(found):
@@ -175,28 +153,12 @@ def _machine(found):
     )
 
 
-def _bench(records):
-    rows = []
-    for r in records:
-        what = (r["robot"], r["method"], f"{r['stage']}({r['M']})", r["dtype"], f"{r['batch']:,}", r["cores"], r["N"])
-        speed, spread = f"{r['evaluations_per_second'] / 1e6:.3g}", f"{50 * r['spread']:.0f}"
-        ratios = (r.get("gradient_over_forward"), r.get("alpha_gradient_over_forward"))
-        ratios = ("" if ratio is None else f"{ratio:.1f}" for ratio in ratios)
-        rows.append((*what, speed, spread, f"{r['compile_s']:.1f}", f"{r['peak_mib']:.0f}", *ratios))
-    head = ("robot", "method", "stage", "type", "batch", "cores", "N", "M eval/s", "± %", "compile [s]", "peak [MiB]")
-    return markdown((*head, "∂q0 ×", "∂alpha ×"), rows)
-
-
 def sections(results: pathlib.Path) -> dict:
     """Name and Markdown of each table for which there is data."""
     made = {}
     if (results / "peers.json").exists():
         found = json.loads((results / "peers.json").read_text())
         made |= {"machine": _machine(found), "reach": _reach(found)}
-        if "peers" in found:
-            made |= {"peers": _peers(found), "single": _single(found)}
-    if (results / "table.json").exists():
-        made["bench"] = _bench(json.loads((results / "table.json").read_text()))
     if (results / "first.json").exists():
         made["first"] = first.table(json.loads((results / "first.json").read_text()))
     return made
@@ -218,13 +180,14 @@ def show(found: dict) -> None:
     shown = Table(title=_machine(found), header_style="bold")
     for name in ("what", "to reach", "measured", "range", "reached"):
         shown.add_column(name, justify="left" if name == "what" else "right")
-    for row in _reach(found).splitlines()[2:]:
-        shown.add_row(*(cell.strip() for cell in row.strip("|").split(" | ")))
+    for r in to_reach(found):
+        wanted = f"{'at least' if r['at_least'] else 'under'} {r['wanted']:g}{r['unit']}"
+        measured, around = f"{r['found']:.3g}{r['unit']}", f"{r['low']:.3g} - {r['high']:.3g}"
+        shown.add_row(r["what"], wanted, measured, around, "yes" if r["reached"] else "no")
     Console().print(shown)
 
 
 if __name__ == "__main__":
     made = sections(RESULTS)
-    for page in PAGES:
-        page.write_text(fill(page.read_text(), made))
-    print(f"Wrote {', '.join(made) or 'nothing'} in {', '.join(p.name for p in PAGES)}", file=sys.stderr)
+    PAGE.write_text(fill(PAGE.read_text(), made))
+    print(f"Wrote {', '.join(made) or 'nothing'} in {PAGE.name}", file=sys.stderr)

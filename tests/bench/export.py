@@ -1,6 +1,6 @@
 """`python -m tests.bench.export`: the exported step beside Pinocchio C++ and JAX, its worst call, its numbers on ARM.
 
-Into results/export (a minute); docs/export.md shows the table. Needs g++ and the extra `bench`; the numbers on
+Into results/export (a minute); its README shows the table. Needs g++ and the extra `bench`; the numbers on
 ARM need arm-linux-gnueabihf-gcc and qemu-arm (aarch64 likewise), from Debian. `budget.py` has its size there.
 Everything is measured in turn on one core: a ratio is taken within a round, and the median of the rounds is told.
 """

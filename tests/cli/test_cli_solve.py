@@ -10,19 +10,19 @@ import pytest
 import xarray as xr
 
 import cnclik as ck
-from cnclik import errors, writing
+from cnclik import writing
 from cnclik.cli import main
 from cnclik.quantities import aloud
 from cnclik.show import run as pictures
 from tests.problem.test_file import TWO
 
 ARM = ["solve", "planar:1,1", "--method", "EE", "--N", "30"]
-JAWED = """<robot name="hand"><link name="base"/><link name="arm"/><link name="wrist"/><link name="{jaw}"/>
+HAND = """<robot name="hand"><link name="base"/><link name="arm"/><link name="wrist"/><link name="flange"/>
 <joint name="j1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
   <limit lower="-2" upper="2" velocity="3"/></joint>
 <joint name="j2" type="revolute"><parent link="arm"/><child link="wrist"/><origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>
   <limit lower="-2" upper="2" velocity="3"/></joint>
-<joint name="{joint}" type="revolute"><parent link="wrist"/><child link="{jaw}"/><origin xyz="0.3 0 0"/>
+<joint name="j3" type="revolute"><parent link="wrist"/><child link="flange"/><origin xyz="0.3 0 0"/>
   <axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="3"/></joint></robot>"""
 
 
@@ -160,7 +160,7 @@ def test_a_joint_at_rest_is_drawn_at_rest(solved):
 def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     """ "1.67e+05 % of a joint's limit, up to 1.67e+03 times it; 0 µs a step; 0.00918 µm"."""
     file, run = tmp_path / "hand.urdf", ["--task", "xy", "--no-figures", "--out", tmp_path / "out"]
-    file.write_text(JAWED.format(joint="j3", jaw="flange").replace('velocity="3"', 'velocity="0.01"'))
+    file.write_text(HAND.replace('velocity="3"', 'velocity="0.01"'))
     said = shown(capsys, "solve", file, "--q0", 0.5, 0.9, 0.2, "--alpha", 20, "--target", 0.3, 0.2, *run)
     assert re.search(r"up to [\d.]+ rad/s \(j2\), \d{1,3},\d{3} times its limit ", said), said
     assert re.search(r"exceed a joint's velocity limit, by up to \d{1,3},\d{3} %", said), said
@@ -168,17 +168,11 @@ def test_numbers_of_a_run_have_no_powers_of_ten(capsys, tmp_path):
     assert re.search(r"the error is at most [\d.]+ nm", said) and not re.search(r" 0 µs|e-\d+ µ", said), said
 
 
-def test_a_tip_that_is_a_jaw_is_remarked_on_once(tmp_path, capsys):
+def test_a_remark_is_one_line_and_an_entry_of_json(tmp_path, capsys):
     file = tmp_path / "hand.urdf"
-    file.write_text(JAWED.format(joint="j3", jaw="left_finger"))
-    with pytest.warns(
-        errors.Remark, match="tip is 'left_finger', a gripper's jaw that joint 'j3' moves. The tip 'wris"
-    ):
-        ck.load_urdf(file)
+    heavy = '<link name="arm"><inertial><mass value="heavy"/></inertial></link>'
+    file.write_text(HAND.replace('<link name="arm"/>', heavy))
     main(["reach", str(file), "--random", "2", "--task", "xy", "--json"])
     said = capsys.readouterr()
-    assert said.err.count("gripper's jaw") == 1 and '"remarks": ["The tip is' in said.out
-    file.write_text(JAWED.format(joint="j3", jaw="flange"))
-    main(["reach", str(file), "--random", "2", "--task", "xy"])
-    said = capsys.readouterr()
-    assert not said.err and "hand, tip flange, task x y" in said.out
+    assert said.err.count("as one without masses") == said.err.count("\n") == 1
+    assert '"remarks": ["Link' in said.out

@@ -6,18 +6,16 @@ import shutil
 
 import numpy as np
 import pytest
-import xarray
 from PIL import Image
 
 from cnclik.cli import main
-from cnclik.show import sweeps
-from cnclik.sweeps import estimate, files, open_sweep, run_spec, store
-from cnclik.sweeps import sweep as module
+from cnclik.show.sweeps import kinds
+from cnclik.sweeps import open_sweep, run_spec, store
 from cnclik.writing import LIST
 from tests.specs import reaching
 
 TEXT = reaching(
-    metrics=["final_error", "max_qdot", "evaluations", "error"],
+    metrics=["final_error", "max_qdot", "evaluations"],
     N=6,
     method=["EE", "HEUN"],
     alpha="{ geomspace = [1, 30, 9] }",
@@ -84,49 +82,14 @@ def test_a_sweep_leaves_data_summary_and_figures(path, folder):
         assert image.text["Title"] == "heat_final_error" and "Does it end well?" in image.text["Description"]
 
 
-def test_dead_time_is_told_in_samples_and_milliseconds(path, capsys, monkeypatch):
-    made = estimate(files.read(path))
-    monkeypatch.setattr(module, "estimate", lambda spec: made)
-    main(["sweep", str(path), "--check", "--set", "delay=2"])
-    assert "2 samples (20 ms) to 2 samples (400 ms)" in capsys.readouterr().out
-    main(["sweep", str(path), "--check", "--set", "delay=2", "--set", "axes.Ts=[0.01]"])
-    assert "dead time    2 samples (20 ms)\n" in capsys.readouterr().out
-
-
-def test_check_says_what_it_will_take_and_writes_nothing(path, capsys, tmp_path, monkeypatch):
+def test_check_says_what_would_run_and_writes_nothing(path, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    made = []
-    monkeypatch.setattr(module, "estimate", lambda spec: made.append(estimate(spec)) or made[0])
-    main(["sweep", str(path), "--check", "--set", "method=EE", "--set", "lanes=20"])
-    said = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines())
-    said = {name.strip(): text.strip() for name, text in said.items()}
-    assert said["question"] == "Does it end well?" and said["grid"] == "alpha 9 × Ts 7 = 63 loops"
-    assert said["programs"].startswith("1 (about ") and said["blocks"] == f"{made[0].blocks} of {made[0].block} loops"
-    names = ("question", "expectation", "grid", "dead time", "programs", "blocks", "memory", "on disk", "time")
-    assert set(said) == set(names) and said["dead time"] == "0 samples (0 ms)"
+    main(["sweep", str(path), "--check", "--set", "method=EE", "--set", "delay=2"])
+    question, size = capsys.readouterr().out.splitlines()
+    assert question == "Does it end well?" and size == (
+        "tiny: 63 loops, alpha 9 × Ts 7, in 1 program; dead time 2 samples (20 ms) to 2 samples (400 ms)"
+    )
     assert not list(tmp_path.iterdir())
-    (found,) = made
-    assert (found.loops, found.axes, found.programs) == (63, {"alpha": 9, "Ts": 7}, 1)
-    assert found.blocks * found.block >= 63 and found.block <= 20
-    assert found.disk == 63 * 8 * (3 + 7)  # three metrics, and a history of N + 1
-    assert found.time == pytest.approx(found.compile_time + found.run_time) and found.run_time > 0
-    assert found.memory > found.block_memory > 0
-
-
-@pytest.mark.parametrize("kind", ["nc", "csv"])
-def test_exports(path, folder, copy, kind, capsys):
-    main(["sweep", str(path), "--out", str(copy), "--no-figures", "--export", kind])
-    assert f"Wrote {copy}/data.{kind}" in capsys.readouterr().out
-    wanted = open_sweep(folder).load()
-    if kind == "nc":
-        with xarray.open_dataset(copy / "data.nc", engine="h5netcdf") as found:
-            np.testing.assert_array_equal(found.final_error, wanted.final_error)
-            assert found.limit == 2 and found.attrs["spec"] == wanted.attrs["spec"]
-    else:
-        with (copy / "data.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        assert len(rows) == wanted.error.size
-        np.testing.assert_array_equal([float(r["error"]) for r in rows], wanted.error.values.ravel())
 
 
 def test_results_go_to_a_folder_of_the_specs_name(path, folder, tmp_path, monkeypatch, capsys):
@@ -148,13 +111,13 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
     def broken(view, layout):
         raise RuntimeError("no\npaint")
 
-    monkeypatch.setitem(sweeps.KINDS, "heat", broken)
-    code, out, err = left(["sweep", other, "--out", copy, "--export", "nc"], capsys)
+    monkeypatch.setitem(kinds.KINDS, "heat", broken)
+    code, out, err = left(["sweep", other, "--out", copy], capsys)
     assert code == 1 and err.strip().splitlines()[-1] == (
         f"cnclik: Not drawn: heat_final_error.png (RuntimeError: no paint); the data are kept in {copy}, "
         f"`cnclik plot {copy}` draws again."
     )
-    assert {p.name for p in copy.iterdir()} == {LIST, "data.zarr", "data.nc", "summary.csv", "config.json", "at5.png"}
+    assert {p.name for p in copy.iterdir()} == {LIST, "data.zarr", "summary.csv", "config.json", "at5.png"}
     assert "summary.csv" in out
 
 
@@ -178,6 +141,18 @@ def test_a_figure_of_others_in_the_way_stays_and_costs_no_data(name, path, other
     code, _, said = left(["sweep", other if name == "at5.png" else path, "--out", copy, "--fresh"], capsys)
     assert code == 2 and f"{name} there is not cnclik's own" in said and (copy / name).read_text() == "mine"
     assert store.blocks_missing(copy) == 0 and (copy / "summary.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("here", "must be auto or HOST:PORT:PROCESSES:PROCESS, but is 'here'"),
+        ("localhost:1234:2:x", "must be auto or HOST:PORT:PROCESSES:PROCESS"),
+    ],
+)
+def test_a_place_among_processes_that_is_none(path, place, words, capsys):
+    code, out, err = left(["sweep", path, "--distributed", place], capsys)
+    assert code == 2 and out == "" and words in err and err.count("\n") == 1
 
 
 def test_plot_says_what_is_missing(other, copy, tmp_path, capsys):

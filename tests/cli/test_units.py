@@ -1,14 +1,12 @@
 """Numbers with a unit on the command line."""
 
 import math
-import warnings
 
 import pytest
 
 import cnclik as ck
 from cnclik import quantities
 from cnclik.cli import arguments, diagnose, reach, solve, stability
-from cnclik.errors import Remark
 
 
 def parsed(verb, *argv):
@@ -68,45 +66,6 @@ def test_a_number_may_have_a_unit(verb, argv, name, wanted):
 def test_what_is_no_number_with_its_unit_is_refused(argv, told):
     with pytest.raises(ck.ArgumentError, match=told):
         parsed(solve, "panda", *argv.split())
-
-
-ROBOTS = {
-    "An angle of `alpha` is 90 rad": lambda: ck.from_dh([0.3, 0.0], [0.0, 90.0], [0.0, 0.0]),
-    "Joint 'q2' is 425 m from the joint before it: lengths are in metres": lambda: ck.from_dh(
-        [425.0, 392], [0, 0], [0, 0]
-    ),
-    "The tip is 290 m": lambda: ck.from_screws([[0, 0, 0]], [[0, 0, 1]], [290, 0, 0]),
-    "Joint 'q1' has a limit of -180 rad: angles": lambda: ck.from_dh([0.3], [0], [0], lower=[-180], upper=[180]),
-    "Joint 'q1' has a velocity limit of 180 rad/s": lambda: ck.from_dh([0.3], [0], [0], velocity_limit=[180]),
-    "The rpy of joint 'j' in the text is 90 rad": lambda: ck.load_urdf(
-        '<robot name="a"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
-        '<child link="b"/><origin rpy="0 0 90"/></joint></robot>'
-    ),
-}
-
-
-@pytest.mark.parametrize("told", ROBOTS)
-def test_a_robot_in_degrees_or_millimetres_is_remarked_on(told):
-    with pytest.warns(Remark, match=told) as found:
-        ROBOTS[told]()
-    assert found[0].filename == __file__  # the user's own line
-
-
-def test_robots_as_they_are_are_not():
-    from cnclik.robot.tree import read_urdf
-    from cnclik.robot.urdf import chain
-    from tests.oracles import robots
-
-    names = ("panda", "ur5_robot", "kinova", "talos_reduced", "tiago")
-    files = [file for file in robots().rglob("*.urdf") if file.stem in names]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Remark)
-        ck.ur5(), ck.panda(), ck.planar_arm([1.0])
-        for file in files:
-            tree = read_urdf(file)
-            for tip in tree.tips():
-                chain(tree, tip)
-    assert len(files) >= 4
 
 
 def test_a_number_read_aloud_has_at_most_three_digits():

@@ -1,8 +1,9 @@
-"""`python -m tests.diagnosis.arms 44 29`: logs of 15 arms in MuJoCo with inertia, servos, friction, encoders and torque limits, whose loops shake or do not.
+"""`python -m tests.diagnosis.arms 44 29`: logs of 15 arms in MuJoCo whose loops shake or do not, and what is said.
 
-A servo on each joint has its own bandwidth; the controller sees encoders, and its commands arrive late. A push moves
-the target by up to 2 cm; a run that strays by 4 cm is stopped, as by a safety system. What is right is found by
-running: the largest gain with which the tip overshoots by less than 5 %.
+The arms have inertia, servos, friction, encoders and torque limits. Each joint has its own bandwidth; the controller
+sees encoders, and its commands arrive late. A push moves the target by up to 2 cm; a run that strays by 4 cm is
+stopped, as by a safety system. What is right is found by running: the largest gain with which the tip overshoots by
+less than 5 %.
 """
 
 import argparse

@@ -162,7 +162,7 @@ XY = ck.position("xy")
     [
         (lambda: ck.Law(3, XY, alpha=1.0), "`chain` must be a Chain, but is int"),
         (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
-        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must have 1 or 2 numbers, but has 3"),
+        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must be a single number or have 2 numbers, but has 3"),
         (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
         (lambda: ck.Law(ARM, XY, alpha="5"), "`alpha` must"),
         (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
@@ -178,7 +178,10 @@ XY = ck.position("xy")
         (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
         (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
         (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
-        (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=np.ones(3)), "`alpha` must have 1 or 2 numbers"),
+        (
+            lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=np.ones(3)),
+            "`alpha` must be a single number or have 2 numbers",
+        ),
         (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), r"`reference` must give positions of 2"),
         (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "of 3 coordinates"),
         (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),

@@ -1,4 +1,4 @@
-"""Ending: the same verdict from a stored run as from a loop judged while it runs."""
+"""Ending: how a run ended, the same from a stored one and from a loop of a map."""
 
 import jax
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.measure import metrics
-from cnclik.measure.outcome import Ending, ending, outcome
+from cnclik.measure.outcome import Ending, judge, outcome
 
 ARM = ck.planar_arm([1.0, 1.0])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=1.0)
@@ -48,8 +48,17 @@ def test_it_agrees_with_outcome_over_z_and_starts():
 def test_every_ending(sizes, singular, code):
     status = np.zeros(40, np.int32)
     status[singular] = int(ck.Status.NEAR_SINGULAR)
-    e = np.asarray(sizes)[:, None] * np.array([0.6, 0.8])
-    np.testing.assert_equal(float(ending(e, status)), float(code))
+    run, law = ck.solve(LAW, ck.hold([1.0, 1.0]), REST, 1.0, 40, "EE"), LAW
+    run = ck.replace(run, e=np.asarray(sizes)[:, None] * np.array([0.6, 0.8]), status=status)
+    found = metrics.measure_run(run, law, ck.hold([1.0, 1.0]), ["ending"])
+    np.testing.assert_equal(float(found.ending), float(code))
+
+
+def test_swings_that_become_smaller_are_slow():
+    """Through a drive an error swings: the least of the quarter before says nothing."""
+    k = np.arange(41)
+    size, status = 0.97**k * (1.1 + np.cos(2 * np.pi * k / 5)), np.zeros(40, np.int32)
+    assert [judge(size, status, swings=swings).ending for swings in (False, True)] == [Ending.STALLED, Ending.SLOW]
 
 
 def test_a_loop_that_begins_with_no_number_has_diverged():

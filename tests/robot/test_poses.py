@@ -147,14 +147,12 @@ def test_entries_may_be_traced():
     assert jax.jit(place)(2.0) == 6 and jax.grad(place)(2.0) == 3
 
 
-def test_four_quaternions_are_no_transform_and_what_could_be_both_is_asked():
+def test_four_quaternions_are_no_transform():
     four = Rotation.random(4, random_state=0).as_quat(scalar_first=True)
     rows, alone = read(four, orientation())
     assert rows.shape == (4, 12) and not alone
     assert read(T, orientation())[1]  # a translation tells
-    for both in (np.eye(4), np.block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])):
-        with pytest.raises(ck.ArgumentError, match=r"transform, T\[None\], or four quaternions.*, but could be both"):
-            read(both, orientation())
+    assert read(np.eye(4), orientation())[1]  # its last row is a transform's
     assert read((None, np.eye(4)), orientation())[0].shape == (4, 12)
     assert read(np.eye(4)[None], orientation())[0].shape == (1, 12)
     assert read(np.eye(4), pose())[1]  # a pose has one reading

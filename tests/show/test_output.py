@@ -25,9 +25,9 @@ def test_a_figure_that_fails_costs_only_itself(tmp_path):
 @pytest.mark.parametrize(
     ("words", "kept"),
     [
-        (["stability", "--plane", "--methods", "EE", "--passes", "0"], {"plane.nc", "plane.md"}),
+        (["stability", "--draw", "plane", "--method", "EE"], {"plane.nc", "plane.md"}),
         (
-            ["stability", "planar:1,1", "--map", "--cells", "2", "--N", "4", "--method", "EE", "--Ts", "0.1"],
+            ["stability", "planar:1,1", "--draw", "map", "--N", "4", "--method", "EE", "--Ts", "0.1"],
             {"map.nc"},
         ),
     ],

@@ -9,19 +9,18 @@ import pytest
 import xarray
 from matplotlib import colors
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cbook import STEP_LOOKUP_MAP
 
 from cnclik.errors import ArgumentError
 from cnclik.show import style, sweeps
 from cnclik.show.sweeps import kinds as drawn_kinds
-from cnclik.show.sweeps.layout import arrange, defaults, views
+from cnclik.show.sweeps.layout import arrange, defaults, view
 
 METHODS = ["EE", "IE", "CN"]
 LIMITS = [2.0, 1.0, 1.2]
 
 
 def data(limit=True, **axes):
-    """A dataset such as a sweep makes: an error z^30-like over the axes, its cost, and a history."""
+    """A dataset such as a sweep makes: an error z^30-like over the axes, and its cost."""
     rng = np.random.default_rng(0)
     about = {"alpha": ("α", "1/s"), "Ts": ("Ts", "s"), "z": ("z = α·Ts", "1")}
     coords = {}
@@ -42,28 +41,20 @@ def data(limit=True, **axes):
     variables = {
         "max_error": (dims, 2 * error.values, {"units": "m", "long_name": "error ‖e‖, largest"}),
         "evaluations": (dims, np.broadcast_to(np.arange(1, shape[-1] + 1.0) * 10, shape), {"units": "1"}),
-        "error": ((*dims, "time"), rng.random((*shape, 6)), {"units": "m", "long_name": "error ‖e[k]‖"}),
     }
     return xarray.Dataset(variables, coords)
 
 
 PLANE = {"method": METHODS, "alpha": np.geomspace(1, 40, 12), "Ts": np.geomspace(0.01, 0.5, 10)}
+HEAT = {"kind": "heat", "x": "alpha", "y": "Ts"}
+WORK = {"kind": "slices", "x": "evaluations", "select": {"alpha": 5.0}}
 
 
-def drawn(found, table, **kind):
+def drawn(found, table):
+    """The one figure of a table."""
     with style.style():
-        return sweeps.figures(found, [table | kind])
-
-
-def test_a_plane_of_few_values_has_ticks_at_them_alone():
-    few = {"method": METHODS, "alpha": np.array([1.0, 3.0, 4.0]), "delay": np.array([0, 2, 5])}
-    for kind in ("heat", "best"):
-        panel = drawn(data(limit=False, **few), {"value": "max_error", "x": "alpha", "y": "delay"}, kind=kind)
-        panel = next(iter(panel.values())).axes[0]
-        assert list(panel.get_xticks()) == [1, 3, 4] and list(panel.get_yticks()) == [0, 2, 5]
-        assert [t.get_text() for t in panel.get_xticklabels()] == ["1", "3", "4"]
-    many = drawn(data(**PLANE), {"value": "max_error", "x": "alpha", "y": "Ts"}, kind="heat")
-    assert next(iter(many.values())).axes[0].get_xscale() == "log"
+        (figure,) = sweeps.figures(found, [table]).values()
+    return figure
 
 
 # --- what goes where ----------------------------------------------------------------------------------
@@ -72,61 +63,52 @@ def test_a_plane_of_few_values_has_ticks_at_them_alone():
 def test_every_dimension_gets_a_place():
     found = data(case=["reach", "track"], stage=["picard", "chord"], **PLANE)
     layout = arrange(found, {"kind": "heat"})
-    assert (layout.value, layout.x, layout.y) == ("max_error", "Ts", "alpha")
-    assert (layout.panels, layout.rows, layout.apart) == ("stage", "method", ("case",))
-    layout = arrange(found, {"kind": "heat", "x": "alpha", "panels": "case"})
-    assert (layout.x, layout.y, layout.panels, layout.rows, layout.apart) == (
-        *("alpha", "Ts", "case", "stage"),
-        ("method",),
-    )
+    assert (layout.value, layout.x, layout.y) == ("max_error", "alpha", "Ts")
+    assert (layout.panels, layout.rows, layout.middle) == ("stage", "method", ("case",))
+    layout = arrange(found, {"kind": "heat", "x": "Ts", "panels": "case"})
+    assert (layout.y, layout.panels, layout.rows, layout.middle) == ("alpha", "case", "stage", ("method",))
     layout = arrange(found, {"kind": "slices", "lines": "method"})
     assert (layout.x, layout.lines, layout.panels, layout.rows) == ("alpha", "method", "stage", "case")
     assert layout.middle == ("Ts",)  # too long for a panel each
     layout = arrange(found, {"kind": "best"})
-    assert layout.among == "method" and "method" not in (layout.panels, layout.rows, *layout.apart)
-
-
-def test_figures_told_apart_by_words_are_named_by_them_whatever_holds_them():
-    found = data(case=["reach", "track"], stage=["picard", "chord"], **PLANE)
-    for kind in (str, object):  # as they are made, and as a store gives them back
-        held = found.assign_coords(case=found.case.astype(kind))
-        assert [suffix for suffix, _ in views(held, arrange(held, {"kind": "heat"}))] == ["_reach", "_track"]
+    assert layout.among == "method" and "method" not in (layout.panels, layout.rows, *layout.middle)
+    layout = arrange(found, {"kind": "slices", "x": "evaluations"})
+    assert (layout.over, layout.lines, layout.panels) == ("Ts", "stage", "method")
 
 
 def test_samples_are_summed_up_or_make_a_distribution():
     found = data(method=METHODS, q0=np.arange(20), alpha=np.linspace(1, 9, 5), Ts=np.linspace(0.1, 0.3, 4))
     layout = arrange(found, {"kind": "heat", "reduce": "max"})
     assert layout.reduced == ("q0",)
-    ((_, view),) = views(found, layout)
-    np.testing.assert_array_equal(view.max_error, found.max_error.max("q0"))
-    assert view.max_error.attrs["units"] == "m"
-    ((_, view),) = views(found, arrange(found, {"kind": "heat"}))
-    np.testing.assert_array_equal(view.max_error, found.max_error.median("q0"))
-    assert arrange(found, {"kind": "distribution"}).over == "q0"
-    assert arrange(found, {"kind": "distribution"}).reduced == ()
+    shown = view(found, layout)
+    np.testing.assert_array_equal(shown.max_error, found.max_error.max("q0"))
+    assert shown.max_error.attrs["units"] == "m"
+    np.testing.assert_array_equal(view(found, arrange(found, {"kind": "heat"})).max_error, found.max_error.median("q0"))
+    layout = arrange(found, {"kind": "distribution"})
+    assert layout.over == "q0" and layout.reduced == ()
+    found["converged"] = (found.max_error < 0.5) * 1.0
+    found.converged.attrs["long_name"] = "1 if ‖e[N]‖ ≤ tolerance"
+    shown = view(found, arrange(found, {"kind": "slices", "value": "converged", "x": "Ts", "reduce": "mean"}))
+    assert shown.converged.attrs["long_name"] == "share with ‖e[N]‖ ≤ tolerance"
+    assert found.converged.attrs["long_name"].startswith("1 if")
 
 
-def test_selections_suffixes_and_middles():
-    found = data(
-        case=["a", "b"], robot=["arms/z1.urdf", "ur5"], stage=["picard", "chord"], M=np.arange(3), **PLANE, limit=False
-    )
-    table = {"kind": "heat", "panels": "method", "rows": "stage", "select": {"case": "b"}}
+def test_selections_and_middles():
+    found = data(case=["a", "b"], M=np.arange(3), **PLANE, limit=False)
+    table = {"kind": "heat", "panels": "method", "select": {"case": "b", "M": 1}}
     before = copy.deepcopy(table)
-    layout = arrange(found, table)
-    parts = dict(views(found, layout))
-    assert table == before  # the caller's
-    assert set(parts) == {f"_{m}_{robot}" for m in range(3) for robot in ("arms-z1.urdf", "ur5")}
-    assert all(str(v.case.values) == "b" for v in parts.values())
-    tables = [table, table | {"x": "alpha"}]  # two of the same names
-    assert len(sweeps.drawings(found, tables)) == 12
-    ((_, view),) = views(found.isel(robot=0, M=0), arrange(found.isel(robot=0, M=0), table | {"x": "alpha"}))
-    assert set(view.max_error.dims) == {"method", "stage", "alpha", "Ts"}
-    near = {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}
+    shown = view(found, arrange(found, table))
+    assert table == before and str(shown.case.values) == "b" and int(shown.M) == 1
     found = data(**PLANE)
-    ((_, view),) = views(found, arrange(found, near))
-    assert float(view.alpha) == found.alpha.values[np.argmin(abs(found.alpha.values - 4.9))]
-    ((_, view),) = views(found, arrange(found, {"kind": "slices", "x": "Ts"}))
-    assert float(view.alpha) == found.alpha.values[6]  # the middle of twelve
+    shown = view(found, arrange(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}))
+    assert float(shown.alpha) == found.alpha.values[np.argmin(abs(found.alpha.values - 4.9))]
+    shown = view(found, arrange(found, {"kind": "slices", "x": "Ts"}))
+    assert float(shown.alpha) == found.alpha.values[6]  # the middle of twelve
+    assert drawn(found, {"kind": "slices", "x": "Ts"}).get_suptitle() == "α = 7.479 1/s"
+    for first, last in ((0.1, 0.7), (0.1, 0.3), (0.7, 0.1)):  # linspace ends at 0.7 − 1e-16, or 0.7 + 1e-16
+        found = data(z=np.linspace(first, last, 3), Ts=[0.1, 0.2])
+        for end in (np.nextafter(last, 9), np.nextafter(last, -9), first):
+            arrange(found, {"kind": "slices", "x": "Ts", "select": {"z": float(end)}})
 
 
 @pytest.mark.parametrize(
@@ -134,31 +116,29 @@ def test_selections_suffixes_and_middles():
     [
         ({"kind": "heat", "value": "max_eror"}, "did you mean 'max_error'"),
         ({"kind": "heat", "x": "alhpa"}, "did you mean 'alpha'"),
-        ({"kind": "heat", "select": {"alpha": 2.0}}, "two numeric axes for the kind 'heat', but has ['Ts']"),
-        ({"kind": "slices", "panels": "method", "select": {"method": "EE"}}, "`figure.panels` must be one of"),
-        ({"kind": "slices", "select": {"method": "RK4"}}, "`figure.select.method` must be one of EE, IE, CN"),
-        ({"kind": "best", "among": "stage"}, "`figure.among` must be one of"),
-        ({"kind": "heat", "value": "error"}, "`figure.value` must be one of max_error, evaluations"),
+        ({"kind": "heat", "select": {"alpha": 2.0}}, "must be 'slices' for one numeric axis, but is 'heat'"),
+        ({"kind": "slices", "panels": "method", "select": {"method": "EE"}}, "`figure[0].panels` must be one of"),
+        ({"kind": "slices", "select": {"method": "RK4"}}, "`figure[0].select.method` must be one of EE, IE, CN"),
+        ({"kind": "best", "among": "stage"}, "`figure[0].among` must be one of"),
+        ({"kind": "heat", "value": "error"}, "`figure[0].value` must be one of max_error, evaluations"),
+        ({"kind": "slices", "x": "evaluations", "over": "tS"}, "`figure[0].over` must be one of"),
     ],
 )
 def test_figures_that_cannot_be(table, words):
     with pytest.raises(ArgumentError) as error:
         drawn(data(**PLANE), table)
     assert words in str(error.value)
-    first, second = sweeps.drawings(data(**PLANE), [table, {"kind": "work"}])  # it costs the other nothing
-    assert second == "work_max_error" and first != second
+    first, second = sweeps.drawings(data(**PLANE), [table, {"kind": "slices"}])  # it costs the other nothing
+    assert second.startswith("slices_max_error") and first != second
 
 
 def test_defaults_follow_from_the_grid():
-    kinds = [t["kind"] for t in defaults(data(**PLANE))]
-    assert kinds == ["heat", "best", "work"]
-    line = data(alpha=np.linspace(1, 2, 4)).drop_vars(["evaluations", "error"])
-    assert [t["kind"] for t in defaults(line)] == ["slices"]
-    starts = data(q0=np.arange(5)).drop_vars(["evaluations", "error"])
+    kinds = [(t["kind"], t.get("x")) for t in defaults(data(**PLANE))]
+    assert kinds == [("heat", "alpha"), ("best", "alpha"), ("slices", "evaluations")]
+    line = data(M=np.arange(3), alpha=np.linspace(1, 2, 4)).drop_vars("evaluations")
+    assert [(t["kind"], t["x"], t["y"]) for t in defaults(line)] == [("heat", "alpha", "M")]
+    starts = data(q0=np.arange(5)).drop_vars("evaluations")
     assert defaults(starts) == [{"kind": "distribution", "value": "max_error", "over": "q0"}]
-
-
-def test_the_datas_own_figures_and_names_that_repeat():
     found = data(**PLANE).assign_attrs(spec=json.dumps({"figures": [{"kind": "heat"}, {"kind": "heat", "log": True}]}))
     assert list(sweeps.figures(found)) == ["heat_max_error", "heat_max_error_2"]
     assert list(sweeps.figures(found, [{"kind": "heat", "name": "mine"}])) == ["mine"]
@@ -177,13 +157,23 @@ def test_scales_follow_the_values():
     assert (found.vmin, found.vmax) == (1e-9, 1.0)
     found = drawn_kinds.norm(narrow, layout)
     assert not isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1, 2)
-    assert (drawn_kinds.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin) == 0.1
+    assert drawn_kinds.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin == 0.1
     assert not isinstance(drawn_kinds.norm(wide, layout._replace(log=False)), colors.LogNorm)
     assert drawn_kinds.norm(np.full(3, np.nan), layout).vmax == 1
     assert drawn_kinds.norm(np.zeros(4), layout._replace(log=True)).vmax == 0  # nothing that a logarithm could show
-    assert style.geometric(np.geomspace(1e-3, 2, 9)) and not style.geometric(np.linspace(1, 2, 9))
-    assert not style.geometric([1, 2]) and not style.geometric(["a", "b", "c"]) and not style.geometric([2, 2, 2])
-    assert not style.geometric([0.0, 1.0, 2.0])
+    for values in (np.geomspace(1e-3, 2, 9), [0.1, 0.2, 0.5, 1, 2, 5, 50], [1, 2, 4]):
+        assert style.geometric(values)
+    for values in (np.linspace(1, 2, 9), [1, 2], ["a", "b", "c"], [2, 2, 2], [0.0, 1.0, 2.0], range(1, 101)):
+        assert not style.geometric(values)
+
+
+def test_a_plane_of_few_values_has_ticks_at_them_alone():
+    few = {"method": METHODS, "alpha": np.array([1.0, 3.0, 4.0]), "delay": np.array([0, 2, 5])}
+    for kind in ("heat", "best"):
+        panel = drawn(data(limit=False, **few), {"kind": kind, "x": "alpha", "y": "delay"}).axes[0]
+        assert list(panel.get_xticks()) == [1, 3, 4] and list(panel.get_yticks()) == [0, 2, 5]
+        assert [t.get_text() for t in panel.get_xticklabels()] == ["1", "3", "4"]
+    assert drawn(data(**PLANE), HEAT).axes[0].get_xscale() == "log"
 
 
 # --- the theory's boundary ----------------------------------------------------------------------------
@@ -198,57 +188,43 @@ def boundaries(figure):
 
 
 def test_the_boundary_is_each_panels_own_limit():
-    (figure,) = drawn(data(**PLANE), {"kind": "heat", "x": "alpha", "y": "Ts", "panels": "method"}).values()
+    figure = drawn(data(**PLANE), HEAT | {"panels": "method"})
     for lines, limit in zip(boundaries(figure), LIMITS, strict=True):
         (points,) = lines
         np.testing.assert_allclose(points[:, 0] * points[:, 1], limit, rtol=1e-12)
-        assert points[:, 0].max() < 47
     assert "limit" in figure.legends[0].get_texts()[0].get_text()
-    (figure,) = drawn(data(**PLANE), {"kind": "heat", "boundary": False, "panels": "method"}).values()
-    assert boundaries(figure) == [[], [], []] and not figure.legends
-
-
-@pytest.mark.parametrize(("x", "at"), [("z", 0), ("Ts", 1)])
-def test_on_a_plane_of_z_it_is_a_straight_line(x, at):
     found = data(method=METHODS, z=np.linspace(0.1, 3, 8), Ts=np.linspace(0.1, 1, 6))
-    y = {"z": "Ts", "Ts": "z"}[x]
-    (figure,) = drawn(found, {"kind": "heat", "x": x, "y": y, "panels": "method"}).values()
-    for lines, limit in zip(boundaries(figure), LIMITS, strict=True):
-        assert set(lines[0][:, at]) == {limit}
+    for at, (x, y) in enumerate((("z", "Ts"), ("Ts", "z"))):
+        figure = drawn(found, {"kind": "heat", "x": x, "y": y, "panels": "method"})
+        for lines, limit in zip(boundaries(figure), LIMITS, strict=True):
+            assert set(lines[0][:, at]) == {limit}
 
 
 @pytest.mark.parametrize(("x", "at"), [("z", 0), ("M", 1)])
-def test_over_passes_it_is_a_step_for_each(x, at):
+def test_a_limit_over_passes_is_a_step_for_each(x, at):
     found = data(M=np.array([0, 1, 2, 5]), z=np.linspace(0.1, 3, 8))
     found = found.assign_coords(limit=("M", [2.0, 1.0, 1.35, np.inf]))
-    (figure,) = drawn(found, {"kind": "heat", "x": x, "y": {"z": "M", "M": "z"}[x]}).values()
-    (line,) = (line for line in figure.axes[0].lines if line.get_color() == style.OUTLINED["color"])
-    corners = STEP_LOOKUP_MAP[line.get_drawstyle()](*line.get_xydata().T)
-    z, M = corners[at], corners[1 - at]
-    for m, cell, limit in ((0, (-0.5, 0.5), 2.0), (1, (0.5, 1.5), 1.0), (2, (1.5, 3.5), 1.35)):
-        along = [i for i in range(len(z) - 1) if {M[i], M[i + 1]} == set(cell)]  # the side of M's own cell
-        assert [(z[i], z[i + 1]) for i in along] == [(limit, limit)], m
-    assert not any({M[i], M[i + 1]} == {3.5, 5.5} and np.isfinite(z[i]) for i in range(len(z) - 1))  # no limit at 5
+    figure = drawn(found, {"kind": "heat", "x": x, "y": {"z": "M", "M": "z"}[x]})
+    ((corners,),) = boundaries(figure)
+    z, M = corners[:, at], corners[:, 1 - at]
+    np.testing.assert_array_equal(z, [2.0, 2.0, 1.0, 1.0, 1.35, 1.35, np.nan, np.nan])
+    np.testing.assert_array_equal(M[:-1], [-0.5, 0.5, 0.5, 1.5, 1.5, 3.5, 3.5])  # the sides of M's own cells
 
 
 def test_no_boundary_where_the_data_carry_none_or_one_that_is_not_of_this_plane():
-    plane = {"kind": "heat", "x": "alpha", "y": "Ts"}
     for found in (data(**PLANE, limit=False), data(**PLANE).assign_coords(limit=("method", [np.nan] * 3))):
-        (figure,) = drawn(found, plane).values()
-        assert boundaries(figure) == [[], [], []]
+        assert boundaries(drawn(found, HEAT)) == [[], [], []]
     found = data(method=METHODS, damping=np.geomspace(1e-3, 1, 6), distance=np.geomspace(1e-3, 1, 5))
-    (figure,) = drawn(found, {"kind": "heat", "x": "damping", "y": "distance"}).values()
-    assert boundaries(figure) == [[], [], []]
+    assert boundaries(drawn(found, {"kind": "heat", "x": "damping", "y": "distance"})) == [[], [], []]
 
 
 def test_who_is_best_beyond_every_limit_is_not_said():
     found = data(**PLANE)
-    layout = arrange(found, {"kind": "best", "x": "alpha", "y": "Ts"})
+    layout = arrange(found, HEAT | {"kind": "best"})
     beyond = drawn_kinds.beyond_every_limit(found.max_error, layout)
     np.testing.assert_array_equal(beyond, np.outer(found.Ts, found.alpha) > 2.0)
     assert not drawn_kinds.beyond_every_limit(data(**PLANE, limit=False).max_error, layout).any()
-    (figure,) = drawn(found, {"kind": "best", "x": "alpha", "y": "Ts"}).values()
-    shown = figure.axes[0].collections[0].get_array()
+    shown = drawn(found, HEAT | {"kind": "best"}).axes[0].collections[0].get_array()
     np.testing.assert_array_equal(np.ma.getmaskarray(shown), beyond | (np.arange(10) == 9)[:, None])
 
 
@@ -258,22 +234,49 @@ def test_who_is_best_beyond_every_limit_is_not_said():
 @pytest.mark.parametrize(
     ("table", "x", "y"),
     [
-        ({"kind": "heat", "x": "alpha", "y": "Ts"}, "α [1/s]", "Ts [s]"),
+        (HEAT, "α [1/s]", "Ts [s]"),
         ({"kind": "best", "x": "Ts", "y": "alpha"}, "Ts [s]", "α [1/s]"),
         ({"kind": "slices", "x": "alpha"}, "α [1/s]", "error ‖e‖, largest [m]"),
         ({"kind": "distribution", "over": "Ts"}, "error ‖e‖, largest [m]", "share of loops at or below"),
-        ({"kind": "work", "select": {"alpha": 5.0}}, "evaluations of f(q, t)", "error ‖e‖, largest [m]"),
+        (WORK, "evaluations", "error ‖e‖, largest [m]"),
     ],
 )
 def test_each_kind_is_drawn_with_units(table, x, y, tmp_path):
-    (figure,) = drawn(data(**PLANE), table).values()
+    figure = drawn(data(**PLANE), table)
     axes = figure.axes[0]
     assert (axes.get_ylabel(), figure.axes[-2 if table["kind"] == "heat" else -1].get_xlabel()) == (y, x)
     figure.savefig(tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 5000
     words = " ".join(t.get_text() for legend in figure.legends for t in legend.get_texts())
-    if table["kind"] != "heat":
-        assert words == "EE IE CN"
+    assert table["kind"] == "heat" or words == "EE IE CN"
+    found = data(**PLANE)
+    for dtype in (bool, int):  # counts and verdicts
+        found["ok"] = (found.max_error < 0.5).astype(dtype)
+        assert drawn(found, table | {"value": "ok"})
+
+
+def test_curves_hold_the_datas_numbers():
+    found = data(**PLANE)
+    figure = drawn(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 5.0}})
+    here = found.max_error.sel(alpha=5.0, method="nearest")
+    for line, values in zip(figure.axes[0].lines, here.values, strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[:-1], values[:-1])
+        assert np.isnan(line.get_ydata()[-1])  # infinite: a gap
+    line = drawn(found, {"kind": "distribution", "over": "Ts"}).axes[0].lines[0]
+    assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
+    figure = drawn(found, WORK)
+    np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), np.arange(1, 11) * 10)
+    found.max_error[0] = 0.0  # an error of 0 lies on the axis
+    panel = drawn(found, {"kind": "slices", "x": "Ts", "log": True}).axes[0]
+    assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
+
+
+def test_lines_that_are_not_methods_have_looks_of_their_own():
+    found = data(stepper=["EE", "IE picard", "CN chord", "CN"], z=np.linspace(0.1, 3, 60), Ts=[0.1, 0.2])
+    lines = drawn(found, {"kind": "slices", "x": "z", "lines": "stepper"}).axes[0].lines
+    assert len({(line.get_marker()) for line in lines}) == len({line.get_color() for line in lines}) == 4
+    assert lines[0].get_color() == style.METHODS["EE"].color and lines[3].get_color() == style.METHODS["CN"].color
+    assert len({str(line.get_markevery()) for line in lines}) == 4  # staggered: those that coincide show
 
 
 def test_long_words_stay_within_the_figure_and_apart():
@@ -282,75 +285,17 @@ def test_long_words_stay_within_the_figure_and_apart():
     found.max_error.attrs["long_name"] = "how far the farthest joint goes beyond its limit, 0 if none does"
     many = {"x": "Ts", "panels": "size", "rows": "case", "lines": "method"}
     for places in (many, {"x": "Ts", "lines": "method", "select": {"case": "2dof", "size": 0.1}}):
-        (figure,) = drawn(found, {"kind": "slices", "value": "max_error"} | places).values()
+        figure = drawn(found, {"kind": "slices", "value": "max_error"} | places)
         FigureCanvasAgg(figure).draw()
         for row in (figure.axes[:5], figure.axes[5:]):
             titles = [ax.title.get_window_extent() for ax in row]
             assert all(a.x1 < b.x0 for a, b in itertools.pairwise(titles))
         label = figure.axes[0].yaxis.label.get_window_extent()
         assert label.y0 >= 0 and label.y1 <= figure.bbox.height
-
-
-@pytest.mark.parametrize("dtype", [bool, int])
-@pytest.mark.parametrize("kind", ["heat", "best", "slices", "distribution", "work"])
-def test_counts_and_verdicts_are_drawn_too(kind, dtype):
-    found = data(**PLANE)
-    found["ok"] = (found.max_error < 0.5).astype(dtype)
-    assert drawn(found, {"kind": kind, "value": "ok"})
-
-
-def test_curves_hold_the_datas_numbers():
-    found = data(**PLANE)
-    (figure,) = drawn(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 5.0}}).values()
-    here = found.max_error.sel(alpha=5.0, method="nearest")
-    for line, values in zip(figure.axes[0].lines, here.values, strict=True):
-        np.testing.assert_array_equal(line.get_ydata()[:-1], values[:-1])
-        assert np.isnan(line.get_ydata()[-1])  # infinite: a gap
-    (figure,) = drawn(found, {"kind": "distribution", "over": "Ts"}).values()
-    line = figure.axes[0].lines[0]
-    assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
-    (figure,) = drawn(found, {"kind": "work", "select": {"alpha": 5.0}}).values()
-    np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), np.arange(1, 11) * 10)
-
-
-def test_values_spread_over_decades_have_a_logarithmic_axis():
-    assert style.geometric([0.1, 0.2, 0.5, 1, 2, 5, 50]) and style.geometric([1, 2, 4])
-    assert not any(map(style.geometric, ([0, 1, 100], range(1, 101), [1.0, 2.0, 3.0])))
-
-
-def test_lines_that_are_not_methods_have_looks_of_their_own():
-    found = data(stepper=["EE", "IE picard", "CN chord", "CN"], z=np.linspace(0.1, 3, 60), Ts=[0.1, 0.2])
-    (figure,) = drawn(found, {"kind": "slices", "x": "z", "lines": "stepper"}).values()
-    lines = figure.axes[0].lines
-    assert len({(line.get_marker()) for line in lines}) == len({line.get_color() for line in lines}) == 4
-    assert lines[0].get_color() == style.METHODS["EE"].color and lines[3].get_color() == style.METHODS["CN"].color
-    assert len({str(line.get_markevery()) for line in lines}) == 4  # staggered: those that coincide show
-
-
-def test_a_single_panel_keeps_its_width_beside_long_names():
     names = [f"a law with a long name, number {i}" for i in range(8)]
-    found = data(law=names, z=np.linspace(0.1, 3, 8))
-    (figure,) = drawn(found, {"kind": "slices", "x": "z", "lines": "law"}).values()
+    figure = drawn(data(law=names, z=np.linspace(0.1, 3, 8)), {"kind": "slices", "x": "z", "lines": "law"})
     FigureCanvasAgg(figure).draw()
     (panel,), (legend,) = figure.axes, figure.legends
     assert panel.get_window_extent().width > 0.7 * figure.bbox.width
     box = legend.get_window_extent()
     assert box.x0 >= 0 and box.x1 <= figure.bbox.width and box.y1 < panel.xaxis.label.get_window_extent().y0
-
-
-def test_no_error_at_all_lies_on_a_logarithmic_axis():
-    found = data(method=METHODS, z=np.linspace(0.1, 3, 8))
-    found.max_error[0] = 0.0
-    (figure,) = drawn(found, {"kind": "slices", "x": "z", "log": True}).values()
-    panel = figure.axes[0]
-    assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
-
-
-def test_a_mean_of_verdicts_is_called_a_share():
-    found = data(z=np.linspace(0.1, 3, 8), q0=np.arange(9))
-    found["converged"] = (
-        (found.max_error < 0.5).astype(float).assign_attrs(long_name="1 if ‖e[N]‖ ≤ tolerance", units="1")
-    )
-    (figure,) = drawn(found, {"kind": "slices", "value": "converged", "x": "z", "reduce": "mean"}).values()
-    assert figure.axes[0].get_ylabel() == "share with ‖e[N]‖ ≤ tolerance"
-    assert found.converged.attrs["long_name"].startswith("1 if")

@@ -1,4 +1,4 @@
-"""The linear theory's limit beside the data: only where R(z) is what the loop does."""
+"""Loops that are late or noisy, and the largest stable z beside the data, against the linear theory of both."""
 
 import copy
 import tomllib
@@ -7,63 +7,105 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate.drive import Drive
+from cnclik.stability import gains
 from cnclik.stability.linear import stability_limit
-from cnclik.sweeps import check, run_spec
-from cnclik.sweeps.labels import linear_limit
+from cnclik.sweeps import run_spec
+from cnclik.sweeps.labels import coordinates_of
+from cnclik.sweeps.spec import parse
 from tests.specs import reaching
 
 SPEC = tomllib.loads(reaching(["final_error"], method=["EE", "IE"], alpha=[1.0, 5.0], Ts=[0.01, 0.1]))
+SHIFT = 1e-6  # of the target: small enough for a linear loop
+AT = -np.sin(0.3) - np.sin(1.4), np.cos(0.3) + np.cos(1.4)  # the tip at q0
 
 
-def limit(fixed=(), axes=(), drop=(), **more):
-    """The coordinate of a variation of the spec: (dimensions, values), or {}."""
-    written = copy.deepcopy(SPEC) | more
+def stable(drive, method="EE", Ts=0.1):
+    """The largest stable z."""
+    return Ts * gains(Ts=Ts, drive=drive, method=method).largest_stable
+
+
+def spec(metrics, N, fixed=(), **axes):
+    """Loops of explicit Euler at Ts = 0.1, beside their target."""
+    made = tomllib.loads(reaching(metrics, N=N))
+    made["fixed"] |= {"q0": [0.3, 1.1], "target": [AT[0] + SHIFT, AT[1]], "Ts": 0.1, "method": "EE"} | dict(fixed)
+    return parse(made | {"axes": axes})
+
+
+def limit(fixed=(), drop=(), **axes):
+    """The coordinate of a variation of the spec: (dimensions, values), or None."""
+    written = copy.deepcopy(SPEC)
     written["fixed"] |= dict(fixed)
-    written["axes"] |= dict(axes)
+    written["axes"] |= axes
     for name in drop:
         written["axes"].pop(name)
-    s = check.parse(written)
-    found = linear_limit(s, s.grid())
-    return found["limit"][:2] if found else {}
+    found = parse(written)
+    found = coordinates_of(found, found.grid()).get("limit")
+    return found and found[:2]
 
 
-def test_it_is_over_the_axes_on_which_it_depends():
+def test_the_limit_is_over_the_axes_on_which_it_depends():
     dims, values = limit()
     assert dims == ("method",)
     np.testing.assert_allclose(values, [2, stability_limit(ck.IE, ck.picard(5))], rtol=1e-9)
-    dims, values = limit(axes={"M": [1, 2, 5], "method": ["IE"]})
-    assert dims == ("M",)
-    np.testing.assert_allclose(values, [stability_limit(ck.IE, ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9)
-    assert limit(axes={"method": ["EE"]})[0] == ()
-    assert limit(fixed={"method": "EE"}, drop=["method"]) == ((), 2.0)  # nothing is compiled in
-    # Compiled in because N depends on it; the limit doesn't.
-    assert limit(fixed={"N": "round(1/Ts)"})[0] == ("method",)
+    dims, values = limit(M=[1, 2, 5], method=["IE"])
+    assert dims == ("method", "M")
+    np.testing.assert_allclose(values[0], [stability_limit(ck.IE, ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9)
+    assert limit({"method": "EE"}, ["method"]) == ((), 2.0)
+    assert limit({"N": "round(1/Ts)"})[0] == ("method",)  # Ts is compiled in, and the limit doesn't depend on it
+    assert limit({"alpha": "z/Ts"}, ["alpha"], z=[0.5, 1.5])[0] == ("method",)
+    assert limit({"alpha": "2*z/Ts"}, ["alpha"], z=[0.5, 1.5]) is None  # an axis z that is not alpha·Ts
+    laws = {"exact": {}, "damped": {"damping": 0.1}}
+    assert limit(method=["EE"], law=laws) == (("method",), [2.0])  # with damping a little more may be stable
+    dims, values = limit(lag=[0.05, 0.3], method=["EE"])  # with a lag z depends on Ts
+    assert dims == ("method", "Ts", "lag") and len(values.ravel()) == 4
+    np.testing.assert_allclose(values[0, 1, 1], stable(Drive(lag=0.3)), rtol=1e-9)
 
 
-def test_an_axis_z_must_be_alpha_Ts():
-    assert limit({"alpha": "z/Ts"}, {"z": [0.5, 1.5]}, ["alpha"])[0] == ("method",)
-    assert limit({"alpha": "2*z/Ts"}, {"z": [0.5, 1.5]}, ["alpha"]) == {}
+@pytest.mark.slow
+def test_loops_that_are_late_end_where_theory_says():
+    """At 0.95 and 1.05 of the largest stable z, `limit` in a spec; exponential Euler has none with one sample."""
+    of = spec(["final_error"], 400, {"alpha": "share*limit/Ts"}, delay=[0, 1, 3], share=[0.95, 1.05])
+    found = run_spec(of)
+    assert found.delay.values.tolist() == [0, 1, 3] and [len(a) for a in of.grid().outer] == [3]
+    np.testing.assert_allclose(found.limit, [2, 1, stable(Drive(delay=3))], rtol=1e-9)
+    assert (found.final_error.sel(share=0.95) < 0.2 * SHIFT).all()
+    assert (found.final_error.sel(share=1.05) > 2 * SHIFT).all()
+    of = spec(["final_error"], 400, {"method": "EXP-EE", "alpha": "z/Ts"}, delay=[1, 2], z=[0.92, 1.01, 2.5])
+    found = run_spec(of)
+    np.testing.assert_array_equal(found.final_error > SHIFT, [[False, False, False], [False, True, True]])
+    np.testing.assert_allclose(found.limit, [np.inf, stable(Drive(delay=2), "EXP-EE")], rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("fixed", "axes", "drop"),
-    [
-        ({"damping": 0.1}, {}, []),
-        ({}, {"damping": [0.01, 0.1]}, []),
-        ({"alpha": [5.0, 10.0]}, {}, ["alpha"]),
-    ],
-)
-def test_other_laws_have_none(fixed, axes, drop):
-    assert limit(fixed, axes, drop) == {}
+def test_noise_at_rest_is_as_large_as_theory_says():
+    """e[k+1] = e[k] − r(e[k] + n[k]) has variance r/(2 − r) σ²: r = z of explicit, 1 − e^{−z} of exponential Euler."""
+    sigma, z = 1e-6, np.array([0.3, 1.0, 1.6])
+    axes = {"z": z.tolist(), "noise": [[sigma, 0.0], [sigma, sigma]], "seed": list(range(8))}
+    fixed = {"alpha": "z/Ts", "target": list(AT)}
+    for method, taken in (("EE", z), ("EXP-EE", -np.expm1(-z))):
+        found = run_spec(spec(["rms_error"], 1000, fixed | {"method": method}, **axes)).rms_error
+        variance = (found**2).mean("seed").values / sigma**2
+        theory = taken / (2 - taken)
+        np.testing.assert_allclose(variance, np.stack([theory, 2 * theory], 1), rtol=0.06)
+        assert len(np.unique(found)) == found.size  # every seed its own
 
 
-def test_where_some_laws_have_one_the_others_are_not_a_number():
-    laws = {"law": {"exact": {}, "damped": {"damping": 0.1}}}
-    dims, values = limit(axes={"method": ["EE"]}, bundles=laws)
-    assert dims == ("law",)
-    np.testing.assert_array_equal(values, [2.0, np.nan])
+def test_loops_through_a_lag_end_where_theory_says():
+    """With the limit in an expression, half a sample of dead time included; and with a lag as an axis of numbers."""
+    for drive in ({"lag": 0.3, "delay": 1}, {"delay": 0.5}):
+        found = run_spec(spec(["final_error"], 400, drive | {"alpha": "share*limit/Ts"}, share=[0.95, 1.05]))
+        assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > SHIFT
+        assert found.limit == pytest.approx(stable(Drive(**drive)), rel=1e-9)
+    bound = min(stable(Drive(lag=lag, delay=1)) for lag in (0.05, 0.3))
+    found = run_spec(spec(["final_error"], 400, {"alpha": 0.95 * bound / 0.1, "delay": 1}, lag=[0.05, 0.3]))
+    assert (found.final_error < 0.2 * SHIFT).all()
 
 
-def test_it_goes_with_the_data():
-    data = run_spec(check.parse(SPEC | {"axes": SPEC["axes"] | {"method": ["EE"]}}))
-    assert float(data.limit) == 2 and "limit" not in data.data_vars
+def test_what_is_not_asked_for_changes_nothing():
+    """Without noise and delay the loop is `solve`'s own program; noise of 0 and a delay of 0 give its numbers."""
+    alone = spec(["final_error"], 20, alpha=[5.0])
+    made = alone.build({})
+    assert made.noise is None and made.drive.prompt
+    without = run_spec(alone).final_error.values
+    quiet = run_spec(spec(["final_error"], 20, {"alpha": 5.0}, noise=[0.0, 1e-3])).final_error.values
+    assert quiet[0] == pytest.approx(without[0], rel=1e-9) and quiet[1] > 1e-5

@@ -296,7 +296,10 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: ck.bounded(walls=3), r"`walls` must be a list of ck.wall\(\.\.\.\), but is 3"),
         (lambda: ck.pose(tip="a", relative_to="a"), "`relative_to` must be another tip than `tip`, but is 'a'"),
         (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
-        (lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0), "`weights` must have shape"),
+        (
+            lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0),
+            "`weights` must be a single number or have 4 numbers",
+        ),
         (lambda: ck.levels(["a"], ["b"], damping=(0.1, 0.01)), r"`damping\[1\]` must be larger .* 0.1, .* is 0.01"),
         (lambda: ck.levels(["a"], ["b"], damping=(0.1, 0.1)), r"`damping\[1\]` must be larger than that of the level"),
         (

@@ -33,7 +33,7 @@ GIVEN = {"build": ck.planar_arm, "start": np.ones(2), "q": np.ones((3, 2)), "mea
         ({"build": 3}, "`build` must be a function of the value, but is 3"),
         ({"build": lambda value: None}, "`build` must return a Chain, but is NoneType"),
         ({"start": []}, "`start` must hold numbers, but is empty"),
-        ({"lower": np.zeros(3)}, r"`bounds of start` must have shape \(\) or \(2,\), but has shape \(3,\)"),
+        ({"lower": np.zeros(3)}, "`bounds of start` must be a single number or have 2 numbers, but has 3"),
         ({"steps": 1}, "`steps` must be at least 3"),
         ({"progress": 5}, "`progress` must be a function or None, but is 5"),
     ],

@@ -1,18 +1,33 @@
-"""Figures of a sweep: heat maps, slices, distributions, work diagrams, and who is best.
+"""Figures of a sweep: heat maps, who is best, slices, distributions.
 
-Every kind works from the dataset alone. Dimensions that a figure doesn't name become panels, then rows, then
-figures of their own; samples of starts are summed up by their median.
+Every kind works from the dataset alone. Dimensions that a figure doesn't name become lines, panels and rows; samples of
+starts are summed up by their median, and what is left is shown at its middle.
 """
 
 import functools
 import json
 
+import numpy as np
+
+from cnclik import errors
 from cnclik.show.sweeps import kinds
-from cnclik.show.sweeps.layout import arrange, defaults, views
+from cnclik.show.sweeps.layout import arrange, defaults, view
+from cnclik.sweeps.labels import coordinates
 
-__all__ = ["defaults", "drawings", "figures"]
+__all__ = ["check", "defaults", "drawings", "figures"]
 
-KINDS = {name: getattr(kinds, name) for name in ("heat", "best", "slices", "distribution", "work")}
+
+def check(spec) -> None:
+    """Raise ArgumentError unless all figures of a spec can be laid out, before anything runs."""
+    import xarray
+
+    of = spec.grid()
+    dims, shape = tuple(a.name for a in of.axes), of.shape
+    values = {name: (dims, np.broadcast_to(0.0, shape)) for name in spec.metrics}
+    data = xarray.Dataset(values, coordinates(of, spec.all_units()))
+    for i, table in enumerate(spec.figures):
+        with errors.within(f"figure[{i}]"):
+            arrange(data, table)
 
 
 def drawings(data, tables=None) -> dict:
@@ -22,36 +37,30 @@ def drawings(data, tables=None) -> dict:
     """
     if tables is None:
         tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
-    out = {}
-    for table in tables or defaults(data):
-        name = table.get("name") or "_".join([table["kind"], *filter(None, [table.get("value")])])
+    out: dict = {}
+    for i, table in enumerate(tables or defaults(data)):
+        name = table.get("name") or "_".join(filter(None, [table.get("kind"), table.get("value")]))
         try:
-            layout = arrange(data, table)
+            with errors.within(f"figure[{i}]"):
+                layout = arrange(data, table)
             name = table.get("name") or f"{layout.kind}_{layout.value}"
-            for suffix, view in views(data, layout):
-                out[_unused(name + suffix, out)] = functools.partial(KINDS[layout.kind], view, layout)
+            make = functools.partial(kinds.KINDS[layout.kind], view(data, layout), layout)
         except (LookupError, TypeError, ValueError) as error:  # a table that fits no data; ArgumentErrors are such
-            out[_unused(name, out)] = functools.partial(_raise, error)
+            make = functools.partial(_raise, error)
+        numbered = (name if k == 1 else f"{name}_{k}" for k in range(1, len(out) + 2))
+        out[next(n for n in numbered if n not in out)] = make
     return out
 
 
 def figures(data, tables=None) -> dict:
-    """Return the figures that the data's spec asks for, or `tables`, or good ones if none are asked for.
+    """Return {name: matplotlib Figure} of the data's spec, or of `tables`, or good ones if none are asked for.
 
     Args:
       data: dataset of a sweep.
       tables: as [[figure]] in a spec.
-
-    Returns: {name: matplotlib Figure}; draw inside `with style.style():`.
     """
     return {name: make() for name, make in drawings(data, tables).items()}
 
 
 def _raise(error):
     raise error
-
-
-def _unused(name, taken):
-    """Return the name, numbered where it is taken."""
-    names = (name if i == 1 else f"{name}_{i}" for i in range(1, len(taken) + 2))
-    return next(n for n in names if n not in taken)

@@ -1,6 +1,4 @@
-"""Kinds: a value over a plane or along an axis, which of several is best, distributions, and what a value costs."""
-
-import itertools
+"""Kinds: a value over a plane or along an axis, which of several is best, and distributions."""
 
 import numpy as np
 import xarray
@@ -13,20 +11,16 @@ from cnclik.sweeps.summary import text
 RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work, if others are a thousand times beyond
 
 
-# --- planes -------------------------------------------------------------------------------------------
-
-
 def heat(view, layout):
     """Draw a value's colours over a plane, and the linear theory's limit where the data carry one."""
     value = view[layout.value].astype(float)  # counts and verdicts too
     grid, scale, limits = Panels(view, layout), norm(value.values, layout), []
     for ax, part in grid.each(value):
-        x, y, z = _plane(part, layout)
-        shown = np.ma.masked_invalid(z)
+        shown = np.ma.masked_invalid(part.transpose(layout.y, layout.x).values)
         if isinstance(scale, colors.LogNorm):
             shown = np.ma.clip(shown, scale.vmin, None)  # an error of exactly 0 is the smallest, not missing
-        mesh = _mesh(grid, ax, x, y, shown, norm=scale)
-        limits = (_boundary(ax, part, layout) if layout.boundary else []) or limits
+        mesh = _mesh(grid, ax, part, layout, shown, norm=scale)
+        limits = _boundary(ax, part, layout) or limits
     if limits:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend(limits, [words], loc="outside lower center")
@@ -41,13 +35,13 @@ def best(view, layout):
     """Draw which of several has the least value over a plane; grey where no loop ends well: there it is chance."""
     value, among = view[layout.value], layout.among
     grid, names = Panels(view, layout), [text(v) for v in value[among].values]
-    looks = [look["color"] for look, _ in _lines(value, among)]
+    looks = [look["color"] for look in style.looks(names)]
     for ax, part in grid.each(value):
-        x, y, z = _plane(part, layout, among)
+        z = part.transpose(among, layout.y, layout.x).values
         finite = np.where(np.isfinite(z), z, np.inf)
         chance = ~np.isfinite(finite.min(axis=0)) | beyond_every_limit(part, layout)
         winner = np.ma.masked_where(chance, finite.argmin(axis=0))
-        _mesh(grid, ax, x, y, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
+        _mesh(grid, ax, part, layout, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
     handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
     columns = style.legend_columns(names, grid.figure.get_figwidth())
     title = f"least {axis_label(value)}"
@@ -55,13 +49,8 @@ def best(view, layout):
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
 
 
-def _plane(part, layout, *before):
-    """Return x, y, and the values with dimensions (*before, y, x)."""
-    part = part.transpose(*before, layout.y, layout.x)
-    return part[layout.x].values, part[layout.y].values, part.values
-
-
-def _mesh(grid, ax, x, y, z, **how):
+def _mesh(grid, ax, part, layout, z, **how):
+    x, y = part[layout.x].values, part[layout.y].values
     ax.set_facecolor("0.85")  # where nothing is drawn
     ax.grid(False)
     mesh = ax.pcolormesh(x, y, z, shading="nearest", rasterized=True, **how)
@@ -87,71 +76,59 @@ def norm(values, layout):
 
 
 def _boundary(ax, part, layout) -> list:
-    """Draw the largest z = alpha·Ts at which linear theory calls the panel's loops stable, from the data's `limit`.
+    """Draw the largest stable z = alpha·Ts over a plane of alpha and Ts, or of z and what the limit depends on.
 
     Returns: the line drawn, in a list; an empty one where the data have no limit for this plane.
     """
-    names, limit = {layout.x, layout.y}, part.coords.get("limit")
-    if limit is None or not np.isfinite(limit).any():
+    limit, own = part.coords.get("limit"), "z" if "z" in (layout.x, layout.y) else "alpha"
+    other = layout.y if layout.x == own else layout.x
+    if limit is None or own not in (layout.x, layout.y) or not set(limit.dims) <= {other}:
         return []
-    if limit.ndim == 0 and names == {"alpha", "Ts"}:
-        (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-        x = np.geomspace(max(left, right * 1e-6), right, 400)
-        drawn = ax.plot(x, float(limit) / x, **style.OUTLINED)
-        ax.set(xlim=(left, right), ylim=(bottom, top))
-        return drawn
-    if limit.ndim == 0 and "z" in names:
-        return [(ax.axvline if layout.x == "z" else ax.axhline)(float(limit), **style.OUTLINED)]
-    if limit.dims == ("M",) and names == {"z", "M"}:
-        counts, steps = part["M"].values, np.where(np.isfinite(limit), limit, np.nan)
-        edges = np.concatenate([[counts[0] - 0.5], (counts[1:] + counts[:-1]) / 2, [counts[-1] + 0.5]])
-        steps = np.append(steps, steps[-1])
-        if layout.x == "M":
-            return ax.step(edges, steps, where="post", **style.OUTLINED)
-        return ax.step(steps, edges, where="pre", **style.OUTLINED)
-    return []
+    if not np.isfinite(limit).any() or (own == "alpha" and other != "Ts"):
+        return []
+    at = part[other]
+    if not limit.ndim and at.dtype.kind == "f":  # a smooth line
+        at = xarray.DataArray(np.linspace(at.values[0], at.values[-1], 400), dims=other)
+    edge = (limit / at if own == "alpha" else limit + 0 * at).values
+    edge, at = np.where(np.isfinite(edge), edge, np.nan), at.values
+    if limit.ndim:  # a step for each value
+        middles = (at[1:] + at[:-1]) / 2
+        at = np.repeat([1.5 * at[0] - 0.5 * at[1], *middles, 1.5 * at[-1] - 0.5 * at[-2]], 2)[1:-1]
+        edge = np.repeat(edge, 2)
+    box = ax.get_xlim(), ax.get_ylim()
+    drawn = ax.plot(*((edge, at) if layout.x == own else (at, edge)), **style.OUTLINED)
+    ax.set(xlim=box[0], ylim=box[1])
+    return drawn
 
 
 def beyond_every_limit(part, layout):
     """Return the (y, x) cells of an alpha-Ts plane, or one of z, with z above every limit that the data carry."""
-    names, limit = {layout.x, layout.y}, part.coords.get("limit")
-    none = np.zeros((part.sizes[layout.y], part.sizes[layout.x]), bool)
-    known = names == {"alpha", "Ts"} or "z" in names
-    if limit is None or not known or not set(limit.dims) <= {layout.among} or np.isnan(limit).any():
-        return none
-    z = part["z"] if "z" in names else part["alpha"] * part["Ts"]
-    z = z.broadcast_like(part.isel({layout.among: 0})).transpose(layout.y, layout.x)
-    return z.values > float(limit.max())
-
-
-# --- lines --------------------------------------------------------------------------------------------
+    plane, limit = (layout.y, layout.x), part.coords.get("limit")
+    if limit is None or not ("z" in plane or set(plane) == {"alpha", "Ts"}):
+        return np.zeros([part.sizes[dim] for dim in plane], bool)
+    z = part["z"] if "z" in plane else part["alpha"] * part["Ts"]
+    beyond = z > limit.max([dim for dim in limit.dims if dim not in plane])
+    return beyond.broadcast_like(part.isel({layout.among: 0})).transpose(*plane).values
 
 
 def slices(view, layout):
-    """Draw a value along one axis."""
+    """Draw a value along one axis, or against another value."""
     value = view[layout.value]
+    _, x = xarray.broadcast(value, view[layout.x])
     grid = Panels(view, layout)
-    for ax, part in grid.each(value):
-        x = part[layout.x].values
-        for i, (look, line) in enumerate(_lines(part, layout.lines)):
-            ax.plot(x, _gaps(line.values), **{"marker": "."} | look, markevery=style.sparse(i, len(x)))
-        grid.scales(ax, x)
+    for ax, part, along in grid.each(value, x):
+        for i, look in enumerate(_looks(view, layout)):
+            here = {layout.lines: i} if layout.lines else {}
+            at, shown = along.isel(here).values.ravel(), part.isel(here).values.ravel()
+            order = np.argsort(at, kind="stable")
+            shown = np.where(np.isfinite(shown), shown, np.nan)[order]  # gaps where a value is not finite
+            ax.plot(at[order], shown, **{"marker": "."} | look, markevery=style.sparse(i, len(at)))
+        if layout.x in view.dims:
+            grid.scales(ax, view[layout.x].values)
+        else:
+            ax.set_xscale("log")
         _value_scale(ax, value.values, layout)
     return grid.finish(axis_label(view[layout.x]), axis_label(value))
-
-
-def work(view, layout):
-    """Draw a value against the evaluations of f(q, t) that it cost."""
-    value, cost = xarray.broadcast(view[layout.value], view["evaluations"])
-    grid = Panels(view, layout)
-    for ax, part, price in grid.each(value, cost):
-        for (look, line), (_, paid) in zip(_lines(part, layout.lines), _lines(price, layout.lines), strict=True):
-            x, y = paid.values.ravel(), line.values.ravel()
-            order = np.argsort(x, kind="stable")
-            ax.plot(x[order], _gaps(y[order]), **{"marker": "o"} | look)
-        ax.set_xscale("log")
-        _value_scale(ax, value.values, layout)
-    return grid.finish("evaluations of f(q, t)", axis_label(value))
 
 
 def distribution(view, layout):
@@ -159,8 +136,9 @@ def distribution(view, layout):
     value = view[layout.value].astype(float)
     grid = Panels(view, layout)
     for ax, part in grid.each(value):
-        for i, (look, line) in enumerate(_lines(part, layout.lines)):
-            sample = np.sort(line.values[~np.isnan(line.values)])
+        for i, look in enumerate(_looks(view, layout)):
+            sample = part.isel({layout.lines: i} if layout.lines else {}).values
+            sample = np.sort(sample[~np.isnan(sample)])
             share = np.arange(1, len(sample) + 1) / max(len(sample), 1)
             shown = np.isfinite(sample)
             ax.step(sample[shown], share[shown], where="post", **look, markevery=style.sparse(i, 40))
@@ -170,29 +148,11 @@ def distribution(view, layout):
     return grid.finish(axis_label(value), "share of loops at or below")
 
 
-def _gaps(values):
-    """Return the values of a line, with gaps where they are not finite."""
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _lines(part, dim):
-    """Yield (look, data) of each line along a dimension; one line where there is none."""
-    if not dim or dim not in part.dims:
-        yield {"color": style.COLORS[0], "label": "", "linewidth": 1.2}, part
-        return
-    names = [text(value) for value in part[dim].values]
-    methods = [style.METHODS[name] for name in names if name in style.METHODS]
-    free_colors = [c for c in style.COLORS if c not in {method.color for method in methods}] or style.COLORS
-    free_marks = [m for m in style.MARKERS if m not in {method.marker for method in methods}] or style.MARKERS
-    others = itertools.count()
-    for i, name in enumerate(names):
-        if name in style.METHODS:
-            look = style.line(name)
-        else:
-            k = next(others)
-            own = {"color": free_colors[k % len(free_colors)], "marker": free_marks[k % len(free_marks)]}
-            look = style.series(k, label=name, **own)
-        yield {"linewidth": 1.2} | look, part.isel({dim: i})
+def _looks(view, layout) -> list:
+    """Return the look of each line; of one where there are no several."""
+    if not layout.lines:
+        return [{"color": style.COLORS[0], "label": "", "linewidth": 1.2}]
+    return [{"linewidth": 1.2} | look for look in style.looks([text(value) for value in view[layout.lines].values])]
 
 
 def _value_scale(ax, values, layout):
@@ -207,3 +167,6 @@ def _value_scale(ax, values, layout):
             line.set_ydata(np.where(line.get_ydata() <= 0, bottom, line.get_ydata()))
     if limits:
         ax.set_ylim(*limits)
+
+
+KINDS = {"heat": heat, "best": best, "slices": slices, "distribution": distribution}

@@ -1,17 +1,24 @@
 """Layout: which dimension of a sweep's data goes where in a figure."""
 
-import itertools
-import re
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik import errors
 from cnclik.show import style
-from cnclik.sweeps.check import ROLES
-from cnclik.sweeps.summary import HISTORY, main_value, scalars, text
+from cnclik.sweeps.axes import known_keys
+from cnclik.sweeps.summary import main_value, scalars
 
-LONGEST = 8  # a longer dimension gets neither panels nor separate figures
+LONGEST = 8  # a longer dimension gets no panels
+KINDS = {
+    "heat": ("x", "y"),
+    "best": ("x", "y", "among"),
+    "slices": ("x", "over", "lines"),
+    "distribution": ("over", "lines"),
+}
+ROLES = ("x", "y", "among", "over", "lines", "panels", "rows", "across")  # keys that name a dimension
+REDUCE = ("median", "mean", "min", "max")
+KEYS = ("kind", "name", "title", "value", "panels", "rows", "across", "reduce", "select", "log", "limits")
 
 
 class Layout(NamedTuple):
@@ -19,58 +26,51 @@ class Layout(NamedTuple):
 
     kind: str
     value: str  # name of the variable shown
-    x: str | None
+    x: str | None  # a dimension, or of slices a variable
     y: str | None
+    among: str | None  # dimension whose best value is shown
+    over: str | None  # dimension along which a line or a sample runs that has no axis
     lines: str | None
     panels: str | None
     rows: str | None
-    over: str | None  # dimension along which a line runs, without an axis
-    among: str | None  # dimension whose best value is shown
     across: str | None  # a dimension summed up by `reduce`, as samples are
-    reduced: tuple  # dimensions summed up, by `reduce`
-    middle: tuple  # long dimensions without a role: shown at their middle
-    apart: tuple  # short ones: a figure for each of their values
+    reduced: tuple  # dimensions summed up
+    middle: tuple  # dimensions without a role: shown at their middle
     select: dict
-    reduce: str = "median"
-    title: str | None = None
-    log: bool | None = None  # None: as the values are
-    limits: tuple | None = None
-    boundary: bool = True
+    reduce: str
+    title: str | None
+    log: bool | None  # None: as the values are
+    limits: tuple | None
 
 
 def numeric(data) -> list:
-    """Return the dimensions with numbers along them."""
-    return [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and f"{d}_value" not in data.coords]
+    """Return the dimensions with numbers along them, those of a question of stability first."""
+    dims = [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and f"{d}_value" not in data.coords]
+    return sorted(dims, key=lambda d: (d != "alpha", d != "Ts"))
 
 
 def samples(data) -> list:
-    """Return the dimensions that count vectors, such as random starts."""
-    return [d for d in data.dims if f"{d}_value" in data.coords]
+    """Return the dimensions that count vectors, such as random starts, or draws of noise."""
+    return [d for d in data.dims if f"{d}_value" in data.coords or d == "seed"]
 
 
 def defaults(data) -> list:
     """Return figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
-    axes, starts, value = _liked(numeric(data)), samples(data), main_value(data)
-    if value is None:  # the data hold only histories
+    axes, starts, value = [d for d in numeric(data) if d != "seed"], samples(data), main_value(data)
+    if value is None:
         return []
     methods = data.sizes.get("method", 1)
-    costs = data["evaluations"].values if "Ts" in data.dims and "evaluations" in scalars(data) else []
-    out = []
-    if len(axes) >= 2:
+    out: list = []
+    if len(axes) > 1:
         kinds = ("heat", "best") if methods > 1 else ("heat",)
         out += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
     elif axes:
         out.append({"kind": "slices", "value": value, "x": axes[0]})
     if starts:
         out.append({"kind": "distribution", "value": value, "over": starts[0]})
-    if len(np.unique(costs)) > methods:
-        out.append({"kind": "work", "value": value})
+    if "Ts" in data.dims and "evaluations" in scalars(data) and len(np.unique(data.evaluations)) > methods:
+        out.append({"kind": "slices", "value": value, "x": "evaluations", "over": "Ts", "name": f"work_{value}"})
     return out
-
-
-def _liked(axes) -> list:
-    """Return the axes, those of a question of stability first."""
-    return sorted(axes, key=lambda d: (d != "Ts", d != "alpha"))
 
 
 def arrange(data, table: dict) -> Layout:
@@ -79,84 +79,96 @@ def arrange(data, table: dict) -> Layout:
     Args:
       table: as [[figure]] in a spec; what it doesn't say is chosen here.
 
-    Raises: ArgumentError for a variable or dimension that the data don't have, or a figure without its axes.
+    Raises: ArgumentError for a key or a value that is none, or a figure without its axes.
     """
-    kind, select, value = table["kind"], table.get("select", {}), table.get("value") or main_value(data)
-    errors.one_of("figure.value", value, scalars(data))
-    if kind == "work":
-        errors.one_of("figure.value", "evaluations", list(data.data_vars))
-    for dim in select:
-        errors.one_of("figure.select", dim, list(data.dims))
-    dims = [d for d in data[value].dims if d not in HISTORY and d not in select]
-    axes, starts = [d for d in numeric(data) if d in dims], [d for d in samples(data) if d in dims]
-    roles: dict[str, Any] = {role: table.get(role) for role in ROLES}
-    for role, dim in roles.items():
-        if dim is not None:
-            errors.one_of(f"figure.{role}", dim, dims)
-    _choose_axes(kind, roles, axes, starts)
-    if kind == "best":
-        errors.one_of("figure.among", roles["among"], dims)
+    kind = errors.one_of("kind", table.get("kind"), KINDS)
+    known_keys("table", table, (*KEYS, *KINDS[kind]))
+    value = errors.one_of("value", table.get("value", main_value(data)), scalars(data))
+    select = errors.kind("select", table.get("select", {}), dict, "be a table of a dimension and its value")
+    for dim, wanted in select.items():
+        _check_selected(f"select.{dim}", wanted, data[errors.one_of("select", dim, list(data[value].dims))])
+    dims = [d for d in data[value].dims if d not in select]
+    axes, drawn = [d for d in numeric(data) if d in dims], [d for d in samples(data) if d in dims]
+    known = {"x": [*dims, *scalars(data)]} if kind == "slices" else {}
+    roles: dict[str, Any] = dict.fromkeys(ROLES)
+    roles |= {role: errors.one_of(role, table[role], known.get(role, dims)) for role in ROLES if role in table}
+    _choose_axes(kind, roles, [d for d in axes if d not in drawn], drawn, dims)
     free = [d for d in dims if d not in roles.values()]
-    reduced = tuple(d for d in dims if d == roles["across"] or (d in free and d in starts))
+    reduced = tuple(d for d in dims if d == roles["across"] or (d in free and d in drawn))
     # The rest: methods and stages first, then M.
     free = sorted((d for d in free if d not in reduced), key=lambda d: (d not in ("method", "stage"), d != "M"))
-    places = [("panels", LONGEST), ("rows", LONGEST)]
-    if kind in ("slices", "work", "distribution"):
-        places.insert(0, ("lines", len(style.COLORS)))
-    for role, most in places:
+    places = [("lines", len(style.COLORS))] if "lines" in KINDS[kind] else []
+    for role, most in (*places, ("panels", LONGEST), ("rows", LONGEST)):
         if roles[role] is None:
             roles[role] = next((d for d in free if data.sizes[d] <= most), None)
             free = [d for d in free if d != roles[role]]
-    long = tuple(d for d in free if data.sizes[d] > LONGEST)
-    apart = tuple(d for d in free if d not in long)
-    options: dict[str, Any] = {k: table[k] for k in ("reduce", "title", "log", "limits", "boundary") if k in table}
-    return Layout(kind, value, **roles, reduced=reduced, middle=long, apart=apart, select=dict(select), **options)
+    return Layout(kind, value, **roles, reduced=reduced, middle=tuple(free), select=dict(select), **_looks(table))
 
 
-def _choose_axes(kind, roles, axes, starts):
+def _choose_axes(kind, roles, axes, drawn, dims):
     """Fill in the axes that a kind of figure needs."""
-    first = next(iter(axes), None)
-    usual = {
-        "best": ("among", "method"),
-        "slices": ("x", first),
-        "work": ("over", "Ts"),
-        "distribution": ("over", next(iter(starts), first)),
-    }
-    if kind in usual:
-        role, dim = usual[kind]
-        roles[role] = roles[role] or dim
-    if kind in ("heat", "best"):
+    if "y" in KINDS[kind]:
         for role, other in (("x", "y"), ("y", "x")):
-            roles[role] = roles[role] or next((d for d in _liked(axes) if d != roles[other]), None)
+            roles[role] = roles[role] or next((d for d in axes if d != roles[other]), None)
         if None in (roles["x"], roles["y"]):
-            raise errors.fail("figure", f"have two numeric axes for the kind {kind!r}", f"has {axes}")
-    if kind == "slices" and roles["x"] is None:
-        raise errors.fail("figure", "have a numeric axis for the kind 'slices'", "has none")
+            raise errors.fail("kind", "be 'slices' for one numeric axis", f"is {kind!r}, and the axes are {axes}")
+    if kind == "best":
+        roles["among"] = errors.one_of("among", roles["among"] or "method", dims)
+    if kind == "slices":
+        roles["x"] = roles["x"] or next(iter(axes), None)
+        if roles["x"] is None:
+            raise errors.fail("x", "be a dimension or a variable", "is not given, and no axis has numbers")
+        if roles["x"] not in dims:
+            roles["over"] = errors.one_of("over", roles["over"] or "Ts", dims)
+    if kind == "distribution":
+        roles["over"] = roles["over"] or next(iter((*drawn, *axes)), None)
 
 
-def views(data, layout: Layout) -> list:
-    """Return the parts of the data that are one figure each: [(suffix for the file's name, dataset)]."""
-    view = data[list(dict.fromkeys((layout.value, "evaluations")))] if layout.kind == "work" else data[[layout.value]]
+def _looks(table) -> dict:
+    """Return the look of a table, checked."""
+    for key in ("name", "title"):
+        errors.kind(key, table.get(key, "-"), str, "be a text")
+    name = table.get("name", "-")
+    if set(name) & set("/\\") or name in ("", ".", ".."):
+        raise errors.fail("name", "be a file's name without a folder", f"is {name!r}")
+    limits = table.get("limits")
+    if limits is not None and not (
+        isinstance(limits, list) and len(limits) == 2 and all(type(v) in (int, float) for v in limits)
+    ):
+        raise errors.fail("limits", "be [least, greatest]", f"is {limits!r}")
+    return {
+        "reduce": errors.one_of("reduce", table.get("reduce", "median"), REDUCE),
+        "title": table.get("title"),
+        "log": errors.truth("log", table["log"]) if "log" in table else None,
+        "limits": limits,
+    }
+
+
+def _check_selected(where, wanted, coordinate):
+    """Raise ArgumentError unless a coordinate has a value; of numbers the nearest counts."""
+    if coordinate.dtype.kind != "f":
+        errors.one_of(where, str(wanted), list(map(str, coordinate.values)))
+        return
+    low, high = float(coordinate.min()), float(coordinate.max())
+    slack = 1e-9 * max(abs(low), abs(high))  # computed ends are rounded
+    if not low - slack <= errors.number(where, wanted) <= high + slack:
+        raise errors.fail(where, f"lie between {low:g} and {high:g}", f"is {wanted:g}")
+
+
+def view(data, layout: Layout):
+    """Return the part of the data that the figure shows."""
+    shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
     for dim, wanted in layout.select.items():
-        view = _selected(view, dim, wanted)
+        numbers = shown[dim].dtype.kind == "f"
+        at = (
+            abs(shown[dim].values - wanted).argmin()
+            if numbers
+            else list(map(str, shown[dim].values)).index(str(wanted))
+        )
+        shown = shown.isel({dim: int(at)})
     if layout.reduced:
-        view = getattr(view, layout.reduce)(layout.reduced, keep_attrs=True)
-        words = view[layout.value].attrs.get("long_name", "")
+        shown = getattr(shown, layout.reduce)(layout.reduced, keep_attrs=True)
+        words = shown[layout.value].attrs.get("long_name", "")
         if layout.reduce == "mean" and words.startswith("1 if "):  # a verdict
-            view[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
-    view = view.isel({d: view.sizes[d] // 2 for d in layout.middle})
-    out = []
-    for place in itertools.product(*(range(data.sizes[d]) for d in layout.apart)):
-        labels = (text(data[d].values.tolist()[i]) for d, i in zip(layout.apart, place, strict=True))
-        suffix = "".join("_" + re.sub(r"[^\w.+,-]+", "-", label) for label in labels)
-        out.append((suffix, view.isel(dict(zip(layout.apart, place, strict=True)))))
-    return out
-
-
-def _selected(view, dim, wanted):
-    if view[dim].dtype.kind == "f":
-        return view.sel({dim: wanted}, method="nearest")
-    known = view[dim].values.tolist()
-    if wanted not in known:
-        raise errors.fail(f"figure.select.{dim}", f"be one of {', '.join(map(str, known))}", f"is {wanted!r}")
-    return view.sel({dim: wanted})
+            shown[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
+    return shown.isel({d: shown.sizes[d] // 2 for d in layout.middle})

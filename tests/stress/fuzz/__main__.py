@@ -1,6 +1,6 @@
 """`python -m tests.stress.fuzz`: a hundred thousand inputs that are wrong in every way, each judged (see `judge`).
 
-    python -m tests.stress.fuzz                                         # all of it: docs/reliability.md tells how long
+    python -m tests.stress.fuzz                                         # all of it: 25 minutes of one core
     python -m tests.stress.fuzz --only urdf toml --inputs 1000          # some rooms, fewer inputs
     python -m tests.stress.fuzz --only urdf --seed 0 --number 17        # one input again, shown, with its traceback
 

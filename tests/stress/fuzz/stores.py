@@ -13,12 +13,12 @@ import numpy as np
 import xarray
 
 from cnclik.errors import ArgumentError
-from cnclik.sweeps import files, program, store
+from cnclik.sweeps import program, spec, store
 from tests.specs import reaching
 from tests.stress.fuzz.nasty import any_of, chance, damaged
 
-TEXT = reaching(["final_error", "ok", "error"], N=3, more="lanes = 4", method='["EE", "HEUN"]', alpha="[1.0, 2.0, 5.0]",
-                q0="{ samples = 2 }").replace('q0 = [0, "-pi/2"]\n', "")  # fmt: skip
+TEXT = reaching(["final_error", "ok", "max_error"], N=3, more="lanes = 4", method='["EE", "HEUN"]',
+                alpha="[1.0, 2.0, 5.0]", q0="{ samples = 2 }").replace('q0 = [0, "-pi/2"]\n', "")  # fmt: skip
 DAMAGES = ("flip", "flip", "flip", "cut", "empty", "gone", "swap", "noise", "folder", "longer", "link")
 
 
@@ -33,7 +33,7 @@ def whole():
     """(the spec, the folder of its finished run, its data, its first program's outputs)."""
     folder = pathlib.Path(_place().name)
     (folder / "a.toml").write_text(TEXT, encoding="utf-8")
-    read, folder = files.read(folder / "a.toml"), folder / "whole"
+    read, folder = spec.read(folder / "a.toml"), folder / "whole"
     assert store.run(read, folder)
     _, first = program.fit(read.study, read.grid())
     return read, folder, store.read(folder).load(), first

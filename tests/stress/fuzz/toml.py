@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from cnclik.problem.options import OPTIONS
-from cnclik.sweeps import files, labels
+from cnclik.sweeps import labels, spec
 from tests.specs import reaching
 from tests.stress.fuzz.expressions import draw as expression
 from tests.stress.fuzz.nasty import TEXTS, VALUES, any_of, chance, damaged, slipped
@@ -22,17 +22,17 @@ BASES = tuple(map(tomllib.loads, (
     reaching(["final_error"], alpha="[1.0, 5.0]"),
     reaching(["mean_error", "ok"], method='["EE", "HEUN"]', alpha="{ linspace = [1, 20, 30] }", Ts="[0.01, 0.1]"),
     reaching(["mean_error"], more='[units]\ngain = "1/s"', alpha='["gain"]', gain="{ geomspace = [1, 9, 3] }"),
-    reaching(["final_error"], M="{ range = [0, 3] }")
-    + '[cases.a]\nstage = "chord"\nmethod = "IE"\n[cases.b]\nalpha = "2*M"\n',
+    reaching(["final_error"], M="[0, 1, 2]")
+    + '[axes.case.a]\nstage = "chord"\nmethod = "IE"\n[axes.case.b]\nalpha = "2*M"\n',
     reaching(["final_error"], q0="{ samples = 3, seed = 1 }").replace('q0 = [0, "-pi/2"]\n', ""),
-    reaching(["final_error"], turn="{ samples = 3, per = 'joint' }").replace('"-pi/2"]', '0]\nposture = "turn*pi"'),
-    reaching(["final_error"], z="[0.1, 0.2]") + '[bundles.law.a]\nalpha = "z/Ts"\n[bundles.law.b]\nalpha = "2*z/Ts"\n',
+    reaching(["final_error"], turn="{ samples = 3 }").replace('"-pi/2"]', '0]\nposture = "turn*pi"'),
+    reaching(["final_error"], z="[0.1, 0.2]") + '[axes.law.a]\nalpha = "z/Ts"\n[axes.law.b]\nalpha = "2*z/Ts"\n',
     reaching(["max_error"], N="[5, 7]", delay="[0, 1]")
     + '[[figure]]\nkind = "slices"\nx = "delay"\nvalue = "max_error"\n',
     reaching(["mean_error"], radius="[0.1, 0.2]").replace('"hold"\ntarget = [1, 0]', '"circle"\nperiod = "N*Ts"'),
 )))  # fmt: skip
 NAMES = (*OPTIONS, "z", "w", "limit", "pi", "case", "progress", "question", "metrics", "time", "step", "joint", "lanes")
-ROOMS = ("fixed", "axes", "cases", "bundles", "units", "figure")
+ROOMS = ("fixed", "axes", "units", "figure")
 
 
 @functools.cache
@@ -129,13 +129,13 @@ def _grow(rng, written):
                 {"z1": 1.0} | {f"z{k}": f"z{k - 1} + z{k - 2}" for k in range(2, count)} | {"alpha": f"z{count - 1}"}
             )
         case 2:
-            written["bundles"] = {f"b{k}": {"a": {}, "b": {}} for k in range(count)}
+            axes = {f"b{k}": {"a": {}, "b": {}} for k in range(count)}
         case 3:
-            axes = {any_of(rng, ("N", "delay", "M", "alpha")): {"range": [1, count * count]}}
+            axes = {any_of(rng, ("N", "delay", "M", "alpha")): {"linspace": [1, count * count, count * count]}}
         case 4:
             axes = {f"z{k}": [1.0, 2.0] for k in range(count)}
         case 5:
-            written["cases"] = {f"c{k}": {} for k in range(count)}
+            axes = {"case": {f"c{k}": {} for k in range(count)}}
         case _:
             deep = {}
             for _ in range(count):
@@ -147,10 +147,8 @@ def _grow(rng, written):
 
 
 def _change(rng):
-    name = (
-        any_of(rng, NAMES) if chance(rng, 0.7) else any_of(rng, ("", "a.b", "axes", "cases.a.N", "bundles.a", "fixed."))
-    )
-    name = any_of(rng, ("", "", "axes.", "fixed.", "units.", "cases.a.", "bundles.law.a.", ".", "x.y.z.")) + name
+    name = any_of(rng, NAMES) if chance(rng, 0.7) else any_of(rng, ("", "a.b", "axes", "axes.a.N", "fixed."))
+    name = any_of(rng, ("", "", "axes.", "fixed.", "units.", "axes.law.a.", ".", "x.y.z.")) + name
     value = _toml_value(_value(rng)) if chance(rng, 0.7) else any_of(rng, TEXTS)
     text = f"{name}={value}" if chance(rng, 0.9) else f"{name}{value}"
     return slipped(rng, text) if chance(rng, 0.2) else text
@@ -203,10 +201,10 @@ def attempt(made, folder) -> None:
     data, changes = made
     file = folder / "a.toml"
     file.write_bytes(data)
-    found = files.read(file, changes)
+    found = spec.read(file, changes)
     of = found.grid()
     of.blocks(), labels.coordinates(of, found.all_units()), labels.fingerprint(found)
-    loop = found.build(**of.programs[0], **found.first())
+    loop = found.build(of.programs[0])
     said = loop.law, loop.reference, loop.q0, loop.drive
     for leaf in jax.tree.leaves(said):
         assert not np.isnan(np.asarray(leaf, float)).any(), f"NaN in {said}"

@@ -61,7 +61,7 @@ def frame(k):
 frame(N)
 
 # %%
-# ``python g01_stable_beside_unstable.py safe-gain.gif`` writes the moving picture.
+# ``python g1_stable_beside_unstable.py safe-gain.gif`` writes the moving picture.
 
 if __name__ == "__main__" and sys.argv[1:] and sys.argv[1].endswith(".gif"):
     moving = matplotlib.animation.FuncAnimation(figure, frame, frames=[*range(N + 1), *[N] * 8])

@@ -2,8 +2,8 @@
 My robot shakes. What does its recording say?
 =============================================
 
-A loop with four samples of dead time and z = 0.3 rings. From a recording of its joints alone, `ck.diagnose` finds the
-rhythm, then the dead time and the gain, and the gain that stops the ringing.
+A loop with four samples of dead time and z = 0.3 rings. From a log of its joints, `ck.diagnose` finds the mode that
+swings, the drives that have such a mode, and the gain that stops it.
 """
 
 import numpy as np

@@ -104,7 +104,7 @@ def frame(k):
 frame(len(places["com"]) // 3)
 
 # %%
-# ``python g20_humanoid.py humanoid.gif`` writes the moving picture.
+# ``python g7_humanoid.py humanoid.gif`` writes the moving picture.
 
 if __name__ == "__main__" and sys.argv[1:] and sys.argv[1].endswith(".gif"):
     moving = matplotlib.animation.FuncAnimation(figure, frame, frames=range(0, len(places["com"]) - 16, 2))
