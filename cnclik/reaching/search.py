@@ -271,6 +271,8 @@ class Search:
             return self.attempts(terms, of.pose[0], near, given, away, k, most, self.asked.seed)[None]
         most = np.broadcast_to(most, shape)
         ids, which = np.nonzero(most)
+        if not len(ids):
+            return np.tile(blank(self.n), (*shape, 1))
         given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
         targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
         numbers = away[which], k[which], most[ids, which]
