@@ -215,7 +215,7 @@ def _misshapen(name, shape, shapes, of):
             lengths.pop("1", None)
         if lengths:
             wanted.append(f"have {' or '.join(lengths)} {of if [*lengths] != ['1'] else of.removesuffix('s')}")
-        wanted += [f"have shape {_show(s)}" for s in shapes if len(s) > 1]
+        wanted += [f"{'' if lengths else 'have '}shape {_show(s)}" for s in shapes if len(s) > 1]
         return fail(name, " or ".join(wanted), f"has {shape[0]}" if shape else "is a single number")
     wanted = " or ".join(_show(s) for s in shapes)
     return fail(name, f"have shape {wanted}", f"has shape {_show(shape)}")

@@ -41,7 +41,7 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     pairs = zip(late[:-1].T, late[1:].T, strict=True)
     back = [[min(abs(a), abs(b)) * (a * b < 0) for a, b in zip(u, v, strict=True)] for u, v in pairs]
     out["chatter"] = np.sqrt(np.mean(np.sum(np.square(back), axis=0)))
-    rows = [*law.task.linear, *(3 + i for i in law.task.angular)]
+    rows = [*map("xyz".index, law.task.position), *(3 + "xyz".index(axis) for axis in law.task.orientation)]
     jacobians = np.stack([np.asarray(ck.jacobian(law.chain, one))[rows] for one in q])
     out["least_singular_value"] = np.linalg.svd(jacobians, compute_uv=False).min()
     out["residual"] = residual.max()

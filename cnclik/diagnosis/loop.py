@@ -26,6 +26,7 @@ UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
+GROWN = 2.0  # factor over the rows read by which a mode does not grow in a log whose steps end smaller
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
 CAREFUL, TAIL = 0.25, 0.1  # shares of the likely drives that tolerate less than the one chosen, and than those said
 
@@ -293,6 +294,11 @@ def read(y) -> Loop | None:
     odds = np.exp(-0.25 * (score - score.min()))
     likely = np.flatnonzero(odds > 1e-3)
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
+    sizes = np.sum(np.diff(y[first:last], axis=0) ** 2, 1)
+    third = len(sizes) // 3
+    if np.sum(sizes[-third:]) < np.sum(sizes[:third]):  # what ends smaller does not grow
+        decays = modes.real * (last - first) < np.log(GROWN)
+        likely, modes = (likely[decays], modes[decays]) if decays.any() else (likely, modes)
     swings = modes.imag > 1e-9
     over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
     alone, least = lag == 0, score[lag == 0].min(initial=np.inf)

@@ -1,8 +1,8 @@
 """Reaching: joint values that put the tip at one target or at a million, and the reason where there are none.
 
-`targets` reads the targets, `seeds` has the start postures, `step` is the iteration, `strategy` the order of tries.
-`search` is the search as a pure function, c/search.c the same in C. `native` runs the C; `single` runs the function, in
-programs of its own and in those of others. `many` chooses between them, `public` is the entry, `result` the record.
+`targets` reads the targets, `starts` has the start postures, `descent` is one try. `search` makes tries in rounds,
+`traced` makes the same ones within programs of others, `several` goes on to different answers, and `path` along a path.
+`asked` has the arguments and what a search means, `public` is the entry, `result` the record.
 """
 
 import lazy_loader

@@ -17,7 +17,7 @@ from cnclik.reaching.descent import CAREFUL, CLOSE, DOWNHILL, FREE, PLAIN, Terms
 from cnclik.reaching.result import ReachStatus, row_of, width
 from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins, turned
 from cnclik.record import AnyArray, Float, memoized
-from cnclik.threads import side_by_side
+from cnclik.threads import cores, side_by_side
 
 ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
 MANY = 512  # tries at once, at least, if there are as many
@@ -180,7 +180,7 @@ class Search:
 
     def rows(self, pose, near) -> np.ndarray:
         """Return the rows (B, width) of targets (B, t), near (B, n) or None."""
-        if len(pose) * ROUND <= MANY:
+        if len(pose) * ROUND <= MANY or cores() == 1:
             return self.found(self.targets(pose, near))
         with side_by_side() as pool:
             own = copy.copy(self)
@@ -271,6 +271,8 @@ class Search:
             return self.attempts(terms, of.pose[0], near, given, away, k, most, self.asked.seed)[None]
         most = np.broadcast_to(most, shape)
         ids, which = np.nonzero(most)
+        if not len(ids):
+            return np.tile(blank(self.n), (*shape, 1))
         given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
         targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
         numbers = away[which], k[which], most[ids, which]

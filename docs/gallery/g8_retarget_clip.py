@@ -30,8 +30,6 @@ sides, parts = ("left", "right"), ("hip_roll", "knee", "shoulder_yaw", "elbow", 
 feet = [f"{side}_ankle_roll_link" for side in sides]
 body = ["pelvis", "torso_link", *(f"{side}_{part}_link" for side in sides for part in parts)]
 g1 = ck.load_urdf(file, tips=feet + body, base="free")
-legs, arms = ("hip_roll_link", "knee_link", "ankle_roll_link"), ("shoulder_yaw_link", "elbow_link", "wrist_yaw_link")
-BONES = [["pelvis", "torso_link"], *([f"{side}_{part}" for part in limb] for side in sides for limb in (legs, arms))]
 fps, t = 30.0, np.arange(300) / 30.0  # 10 s
 
 # %%
@@ -80,17 +78,30 @@ paths = ck.hold_at(g1, tasks, q[0], **{name: ck.references(**{tip: path(tip) for
 run = ck.solve(law, paths, q[0], Ts=0.5 / fps, N=2 * len(t) - 2, method="EE")
 
 # %%
-# Grey: the links' true places. Blue: G1 as it follows the noisy clip, seen from the front, every 0.7 s.
+# Grey: the links' true places. Blue: G1 as it follows the noisy clip, twice a second.
 found = np.asarray(run.q)[::2]
 moved = places(found)
 off = {tip: 1e3 * np.linalg.norm(moved[tip].position - seen[tip].position, axis=1) for tip in feet + body}
 room = np.minimum(found - np.array(g1.lower), np.array(g1.upper) - found).min()
-figure, axes = plt.subplots(figsize=(7.2, 3.0))
-for k, frame in enumerate(range(20, 260, 22)):
-    for at, color, width in ((seen, "0.75", 4.0), (moved, BLUE, 1.5)):
-        for bone in BONES:
-            _, y, z = np.array([at[tip].position[frame] for tip in bone]).T
-            axes.plot(0.75 * k - y, z, "o-", color=color, lw=width, ms=2.5, solid_capstyle="round")
+legs, arms = ("hip_roll_link", "knee_link", "ankle_roll_link"), ("shoulder_yaw_link", "elbow_link", "wrist_yaw_link")
+
+
+def bones(at, frame):
+    """Lines through the joints of one frame: spine and head, legs, arms."""
+    here = {tip: at[tip].position[frame] for tip in feet + body}
+    neck = sum(here[f"{side}_shoulder_yaw_link"] for side in sides) / 2 + np.array([0.0, 0.0, 0.12])
+    yield [here["pelvis"], neck, neck + np.array([0.0, 0.0, 0.18])]
+    for side in sides:
+        yield [here["pelvis"], *(here[f"{side}_{part}"] for part in legs)]
+        yield [neck, *(here[f"{side}_{part}"] for part in arms)]
+
+
+figure, axes = plt.subplots(figsize=(7.2, 2.6))
+for k, frame in enumerate(range(85, 205, 15)):
+    for at, color, width in ((seen, "0.75", 5.0), (moved, BLUE, 1.5)):
+        for bone in bones(at, frame):
+            x, y, z = np.array(bone).T
+            axes.plot(0.65 * k - y - 0.5 * x, z - 0.2 * x, color=color, lw=width, solid_capstyle="round")
 axes.set(aspect="equal")
 axes.set_axis_off()
 print(f"RMS {np.sqrt(np.mean(np.square([*off.values()]))):.2g} mm; least room to a joint limit {room:.2g} rad")

@@ -22,6 +22,7 @@ import time
 
 import numpy as np
 
+import cnclik as ck
 from cnclik.reaching.result import count as counts
 from cnclik.reaching.starts import spans
 from cnclik.robot.model import modelled
@@ -89,7 +90,7 @@ def asked(name, count):
     elif name != "planar":
         build = f"ck.load_urdf({str(BAXTER)!r}, tips={GRIPPERS!r})"
         task = "ck.stack(" + ", ".join(f"{tip}=ck.pose(tip={tip!r})" for tip in GRIPPERS) + ")"
-    chain = eval(build)
+    chain = eval(build, {"ck": ck})
     q = np.random.default_rng(17).uniform(*spans(chain), (count, chain.n))
     if name == "Baxter, two arms":
         return build, task, {tip: tips(chain, q, tip) for tip in GRIPPERS}, None

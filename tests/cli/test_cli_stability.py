@@ -84,6 +84,7 @@ def test_a_loop_too_slow_to_settle_is_not_said_to_settle(capsys):
         (["--lag", "10", "50", "ms"], {"lag": [0.01, 0.05]}, {}),
         (["--natural-frequency", "5Hz", "--damping-ratio", "0.4", "--command", "position"],
          {"natural_frequency": 10 * np.pi, "damping_ratio": 0.4, "command": "position"}, {}),
+        (["--smoothing", "0.5"], {"smoothing": 0.5}, {}),
         (["--delay", "1", "--cutoff", "20Hz", "--smoothed", "command"],
          {"delay": 1.0, "cutoff": 20.0, "smoothed": "command"}, {}),
     ],

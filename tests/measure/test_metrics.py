@@ -101,7 +101,7 @@ def test_derivatives_of_losses_are_those_of_finite_differences():
     value = jax.jit(losses)
     difference = (value(4.0 + h) - value(4.0 - h)) / (2 * h)
     np.testing.assert_allclose(forward, difference, rtol=1e-6, atol=1e-8)
-    assert np.count_nonzero(np.abs(difference) > 1e-9) >= 10  # else nothing was tested
+    assert np.count_nonzero(np.abs(difference) > 1e-9) >= 9  # else nothing was tested
 
 
 def test_derivatives_are_finite_where_the_error_is_exactly_zero():

@@ -157,9 +157,10 @@ def test_fingerprint_sees_the_last_bit(results):
     assert pictures.fingerprint(data) != pictures.fingerprint(results.methods)
 
 
-def test_readme_shows_the_committed_picture():
-    text = (COMMITTED.parents[1] / "README.md").read_text(encoding="utf-8")
-    assert "](results/paper/overview.png)" in text and "](results/paper/claims.md)" in text
+def test_pages_show_what_is_committed():
+    top = COMMITTED.parents[1]
+    assert "](results/paper/claims.md)" in (top / "README.md").read_text(encoding="utf-8")
+    assert "](../results/paper/overview.png)" in (top / "docs" / "paper.md").read_text(encoding="utf-8")
 
 
 class OneRun(dict):

@@ -457,7 +457,7 @@ def test_joints_without_limits_are_given_within_half_a_turn():
         ({"tolerance": 1e-6}, "`tolerance` must be a pair"),
         ({"tolerance": (1e-6, -1)}, "`tolerance` must hold positive"),
         ({"jump": 0.1}, "`near` must be given with `jump`"),
-        ({"near": [0.0, 1.0]}, "`near` must have shape"),
+        ({"near": [0.0, 1.0]}, "`near` must have 6 numbers or shape"),
         ({"near": "last"}, "`near` must be one of previous"),
         ({"solutions": 0}, "`solutions` must be at least 1"),
         ({"solutions": 10**25}, "`solutions` must be at most 1,000"),

@@ -285,7 +285,7 @@ def ask(targets, task=TASK, **options):
             ask(EYE, ck.position(tip=LEFT) & ck.position("x", tip=LEFT)),
             "have each axis of a tip once, but has x, y, z, x",
         ),
-        (ask({"left": EYE, "right": EYE}, near=np.zeros(7)), "`near` must have 14 numbers or have shape"),
+        (ask({"left": EYE, "right": EYE}, near=np.zeros(7)), "`near` must have 14 numbers or shape"),
         (lambda: ck.reach(3, EYE), "`chain` must be a Chain, but is int"),
     ],
 )
