@@ -121,29 +121,35 @@ def tested(mutant: Mutant, folder, room) -> str:
     """The first test that sees it, or nothing."""
     target = pathlib.Path(folder, mutant.file)
     kept = target.read_text(encoding="utf-8")
-    target.write_text(mutant.text, encoding="utf-8")
-    try:
-        for tests in TESTS[room]:
-            if seen := failed(folder, tests):
-                return seen
-        return ""
-    finally:
+    nearest = f"tests/{room}/test_{mutant.file.stem}.py"
+    every = [nearest] * pathlib.Path(folder, nearest).exists() + [f"tests/{name}" for name in TESTS[room]]
+    for tests in every:
+        target.write_text(mutant.text, encoding="utf-8")
+        seen = failed(folder, tests)
         target.write_text(kept, encoding="utf-8")
+        if seen and "::" in seen and failed(folder, seen):
+            sys.exit(f"{seen} fails without a fault, too: nothing can be said of {mutant.file}:{mutant.line}.")
+        if seen:
+            return seen
+    return ""
 
 
 def failed(folder, tests) -> str:
-    """The first test that fails of a directory of tests, or nothing."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "--no-header", "-p", "no:cacheprovider"]
+    """The first test that fails of a directory or file of tests, or nothing."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "--no-header", "-p", "no:cacheprovider", tests]
     own = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
-    limit = f'ulimit -t {MOST}; exec "$@"'
-    line = ["sh", "-c", limit, "sh", *command, f"tests/{tests}"]
+    line = ["sh", "-c", f'ulimit -t {MOST}; exec "$@"', "sh", *command]
     done = subprocess.run(line, cwd=folder, env=own, capture_output=True, text=True)
     if done.returncode < 0:
-        return f"tests/{tests} doesn't end, or the process dies of it"
+        return f"{tests} doesn't end, or the process dies of it"
     if done.returncode in (0, 5):  # passed; none there
         return ""
     lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return lines[0].split(" ")[1] if lines else f"tests/{tests}: {(done.stdout + done.stderr).strip()[-200:]}"
+    return (
+        lines[0].partition(" ")[2].partition(" - ")[0]
+        if lines
+        else f"{tests}: {(done.stdout + done.stderr).strip()[-200:]}"
+    )
 
 
 def main():
