@@ -23,14 +23,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cnclik as ck
-from cnclik.engine.compiler import build, opened
 from cnclik.measure.files import markdown
-from cnclik.record import on_device
 from cnclik.show import style
 from cnclik.show.output import draw
 from tests.bench import cases, document, peers
 from tests.bench.pinocchio_cpp import PinocchioCpp
-from tests.export.native import native
+from tests.export.native import built, native
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "export"
 CALLS = 1_000_000
@@ -100,7 +98,7 @@ class Exported:
         with tempfile.TemporaryDirectory() as folder:
             source = pathlib.Path(folder, "harness.c")
             source.write_text(_HARNESS, encoding="utf-8")
-            self._harness = opened(build([source], folder, flags=["-D_POSIX_C_SOURCE=200809L"]))
+            self._harness = built(source, "-D_POSIX_C_SOURCE=200809L")
         entry = ctypes.cast(self.step.function, ctypes.c_void_p)
         self._arguments = [entry, *map(ctypes.c_void_p, self.step.addresses)]
 
@@ -127,7 +125,7 @@ def measure(rounds) -> dict:
     with one_core(), jax.enable_x64(True):
         step, fixed = Exported(), Exported(fixed=True)
         q, position, rotation = (jax.numpy.asarray(v) for v in step.given)
-        law, reference = on_device(step.law), on_device(ck.hold(position, rotation))
+        law, reference = jax.device_put((step.law, ck.hold(position, rotation)))
 
         def by_jax():
             return ck.step(law, reference, q, 0.0, cases.TS, "EE").q.block_until_ready()
