@@ -60,7 +60,7 @@ def run(args: Args) -> None:
     print(*start_and_target(made), found, sep="\n")
     print(f"{found.evaluations} evaluations in {seconds:.1f} s, compilation included.")
     about = {"Title": f"{made.name}: tuned", "Comment": json.dumps(data["config"])}
-    figures = {"error.png": (drawn_by("tuning", "error", found), about)} if args.figures else {}
+    figures = {"error.png": (drawn_by("run", "tuned", found), about)} if args.figures else {}
     written = draw(figures, args.out, overwrite=args.overwrite)
     print(f"Wrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
     if not found.satisfied:
