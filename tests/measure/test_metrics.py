@@ -9,10 +9,8 @@ import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import METRICS, chatter, measure_run
 from tests import plain
-from tests.robot.test_trees import BAXTER, GRIPPERS
 
-# "ending" and "stable" are in test_ending, those of walls in test_stack of sweeps
-SCALARS = [n for n, m in METRICS.items() if n not in ("ending", "stable") and m.needs != "walls"]
+SCALARS = [n for n in METRICS if n not in ("ending", "stable")]  # these are in test_ending
 ARM = ck.from_dh(
     [1.0, 0.8, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], velocity_limit=[1.0, 2.0, 3.0], lower=[-3.0] * 3, upper=[2.5] * 3
 )
@@ -126,31 +124,6 @@ def test_unknown_metrics_and_metrics_of_other_tasks_are_refused():
         measure_run(run, planar, reference, ["rms_rotation_error"])
 
 
-def test_a_stacks_tasks_have_metrics_of_their_own():
-    """Those that a run of the task by itself would have, of its own errors, path and rows."""
-    robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
-    left, right = (ck.pose(tip=GRIPPERS[0]), ck.position(tip=GRIPPERS[1]))
-    task, q = ck.stack(left=left, right=right, rest=ck.joints()), 0.3 + np.zeros(robot.n)
-    at = np.asarray(ck.forward(robot, q, tip=GRIPPERS[1]).position)
-    path = ck.line(at + 0.01, at + np.array([0.1, 0.05, 0.0]), duration=0.2)
-    reference = ck.hold_at(robot, task, q + 0.05, right=path)
-    law = ck.Law(robot, task, alpha=20.0, inverse=ck.damped({"left": 0.02, "right": 0.02, "rest": 1.0}))
-    run = ck.solve(law, reference, q, 0.01, 10)
-    names = ["final_error", "max_rotation_error", "mean_across", "least_singular_value", "near_singular"]
-    found = measure_run(run, law, reference, [f"left.{n}" for n in names] + ["right.max_along", "final_error"])
-    own = ck.Law(robot, left, alpha=20.0, inverse=ck.damped(0.02))
-    alone = measure_run(run["left"], own, reference["left"], names)
-    for name in names:
-        np.testing.assert_allclose(found[f"left.{name}"], alone[name], rtol=1e-12)
-        assert found.units[f"left.{name}"] == alone.units[name]
-    np.testing.assert_allclose(found["final_error"], np.linalg.norm(run.e[-1]))
-    assert 0 < found["right.max_along"] < 0.05
-    for name, told in (("feet.ok", "such as left.final_error, but include 'feet.ok'"), ("left.okk", "must be one of"),
-                       ("rest.max_along", "be ones of the task")):  # fmt: skip
-        with pytest.raises(ck.ArgumentError, match=told):
-            measure_run(run, law, reference, [name])
-
-
 def test_chatter_counts_what_is_taken_back():
     alternating = 0.5 * (-1.0) ** np.arange(40)[:, None]
     assert chatter(alternating) == pytest.approx(0.5, rel=1e-12)
@@ -178,21 +151,10 @@ def test_how_far_beyond_a_limit():
     np.testing.assert_allclose(past, [0, 0.25], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "links, task, target",
-    [
-        pytest.param([1.0, 0.8, 0.5], ck.position("xy"), [0.9, 1.2], id="position, redundant", marks=pytest.mark.slow),
-        pytest.param([1.0, 0.8, 0.5], ck.pose("xy", "z"), [0.9, 1.2], id="pose"),
-    ],
-)
-def test_a_float32_run_has_the_metrics_of_the_float64_one(links, task, target):
+def test_a_float32_run_has_the_metrics_of_the_float64_one():
     def metrics():
-        law = ck.Law(ck.planar_arm(links), task, alpha=4.0)
-        turn = {"rotation": np.array([np.cos(0.4), 0, 0, np.sin(0.4)])} if task.orientation else {}
-        reference = ck.line(target, [1.1, 0.9], duration=0.6, **turn)
-        run = ck.solve(law, reference, np.resize([0.4, 0.9, -0.5], len(links)), 0.1, 10)
-        names = [n for n in SCALARS if METRICS[n].needs != "rotation" or task.orientation]
-        return measure_run(run, law, reference, names, tolerance=0.02)
+        run, law, reference, _ = run_pose(method=ck.EXP_MIDPOINT, N=10)
+        return measure_run(run, law, reference, SCALARS, tolerance=0.02)
 
     wanted = jax.jit(metrics)()
     with jax.enable_x64(False):

@@ -20,7 +20,7 @@ from tests import plain
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])
 PATH = ck.line([1.0, 1.0], [0.0, 1.0], duration=0.6)
-SCALARS = [n for n, m in METRICS.items() if m.needs not in ("rotation", "walls")]
+SCALARS = [n for n, m in METRICS.items() if m.needs != "rotation"]
 N = 8
 
 
