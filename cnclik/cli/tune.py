@@ -26,8 +26,8 @@ class Args(ComputeOptions, ProblemOptions):
     N: int = option(200, group="loop")
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward, links, tool; of a stack
-    also parameters of one task, as in hands.alpha, and of a posture only so."""
+    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward; of a stack also the gain of
+    one task, as in hands.alpha, and of a posture only so."""
     bounds: tuple[str, ...] = option((), metavar="NAME=LOWER,UPPER ...")
     """Bounds in place of the defaults, as in alpha=0.1,12."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")

@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.method import DEFAULT
-from cnclik.tuning import Parameter, tune
+from cnclik.tuning import Parameter, scaled_links, tune
 from cnclik.tuning.descent import Bounds, evaluate
 from cnclik.tuning.parameters import chosen
 from cnclik.tuning.tune import objective_of
@@ -33,12 +33,6 @@ def test_reach_with_explicit_euler_finds_the_dead_beat_gain():
     found = at(NEAR, **FREE)
     assert abs(found.values["alpha"] - 10) < 1e-2  # R = 1 − z; what moves z off 1 is curvature, of the size of e0
     assert found.status == "converged" and found.satisfied and "recommended gain: alpha" in found.why
-
-
-@pytest.mark.slow
-def test_reach_with_the_trapezoid_finds_two():
-    found = at(NEAR, method="TRAPEZOID", stage=ck.chord(1), bounds={"alpha": (0.1, 100.0)})
-    assert abs(0.1 * found.values["alpha"] - 2) < 1e-3  # R = (1 − z/2)/(1 + z/2)
 
 
 def test_the_papers_feedforward_is_three_times_too_large():
@@ -152,12 +146,6 @@ def test_the_loss_is_the_mean_over_paths_and_starts():
     np.testing.assert_array_equal(both.loop[2], Q0)
 
 
-def test_one_of_several_starts_is_at_least_as_good_as_the_first():
-    noise = 0.01 * np.random.default_rng(0).standard_normal((30, 2))
-    one, several = (at(noise=noise, over=("alpha", "feedforward"), starts=starts) for starts in (1, 3))
-    assert several.losses[1] <= one.losses[1] * (1 + 1e-9) and several.evaluations > one.evaluations
-
-
 def test_a_parameter_and_an_optimizer_of_your_own():
     import optax
 
@@ -234,7 +222,6 @@ RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command
         ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
         ({"drive": 1}, "drive"),
         ({"steps": 1}, "steps"),
-        ({"starts": 0}, "starts"),
         ({"progress": 5}, "`progress` must be a function or None"),
         ({"N": 2}, "`N` must be at least 3"),
         ({"drive": RUNS_AWAY}, "`drive` must allow a gain, but each position command starts at the measured joints"),
@@ -267,15 +254,23 @@ def test_noise_and_delay_run_as_in_plain_numpy():
     np.testing.assert_allclose(run.e, errors, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("over", ["alpha", ("alpha", "links", "feedforward")], ids=["forward", "reverse"])
+LINKS = Parameter(
+    name="links",
+    start=np.ones(6),
+    lower=0.5,
+    upper=2.0,
+    put=lambda law, v: ck.replace(law, chain=scaled_links(law.chain, v)),
+)
+
+
+@pytest.mark.parametrize("over", ["alpha", ("alpha", LINKS, "feedforward")], ids=["forward", "reverse"])
 @pytest.mark.parametrize(
     "method, stage",
     [
         ("EE", ck.picard(5)),
-        pytest.param("CN", ck.picard(2), marks=pytest.mark.slow),
         pytest.param("CN", ck.chord(6, implicit=True), marks=pytest.mark.slow),
     ],
-    ids=["explicit", "pass by pass", "implicit"],
+    ids=["explicit", "implicit"],
 )
 def test_derivatives_are_those_of_differences(method, stage, over):
     with jax.enable_x64(True):

@@ -41,7 +41,7 @@ CHOICES = {
     "feedback": ("measured", "commanded", "rebased"),
     "smoothed": ("error", "command", "target"),
     "out": OUT,
-    "over": ("alpha", "damping", "links", "tool", "Ts", "feedforward"),
+    "over": ("alpha", "damping", "Ts", "feedforward"),
     "loss": ("tracking", "jerk=1e-4", "worst=2", "settling"),
     "tip": ("l1", "tip"),
     "base": ("l0",),
