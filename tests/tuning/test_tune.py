@@ -73,7 +73,7 @@ def test_the_posture_rate_is_dead_beat_too():
     assert bound.values["posture_rate"] == pytest.approx(2.5) and "At the upper bound: posture_rate" in bound.why
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2])
+@pytest.mark.parametrize("delay", [0, 2])
 def test_by_default_a_sample_of_dead_time_is_to_spare(delay):
     """On error alone this line asks for z = 1.888, with which an error changes its sign every step."""
     found, d = at(drive=ck.Drive(delay=delay)), delay + 1
@@ -85,31 +85,18 @@ def test_by_default_a_sample_of_dead_time_is_to_spare(delay):
         assert abs(0.1 * ringing.values["alpha"] - 1.888) < 1e-2 and ringing.losses[1] < found.losses[1]
 
 
-def test_unknown_drives_are_assumed_slow():
-    found = at(drive=None)
-    assert found.advice.gains.assumed and found.drive.lag == 0.1
-    assert found.values["alpha"] == pytest.approx(ck.gains(Ts=0.1, method="EE").recommended)
-    run = ck.solve(*found.loop, drive=found.drive)
-    np.testing.assert_allclose(run.q, found.after.q, atol=1e-5)
-
-
-def test_a_far_start_is_brought_within_the_bounds():
-    found = at(law=ck.replace(LAW, alpha=1e4), **FREE)
-    assert not np.isfinite(found.losses[0]) or found.losses[0] > 1
-    assert np.isfinite(found.losses[1]) and found.values["alpha"] < 20
-
-
 # --- what comes back ----------------------------------------------------------------------------------
 
 
 def test_what_was_tuned_is_what_solve_runs():
     """With nobody naming a method: `tune`, then `solve` with its defaults."""
     with jax.enable_x64(True):
-        found = tune(LAW, LINE, Q0, Ts=0.1, N=30, drive=ck.Drive(delay=1), steps=4)
+        found = tune(LAW, LINE, Q0, Ts=0.1, N=30, steps=4)  # and drives that are assumed slow
         law, reference, q0, Ts, N, method, stage = found.loop
         run = ck.solve(law, reference, q0, Ts, N, drive=found.drive)
     np.testing.assert_allclose(run.q, found.after.q, rtol=0, atol=1e-12)
     assert (method, N, Ts) == (DEFAULT, 30, 0.1) and str(stage) == "picard(5)"
+    assert found.advice.gains.assumed and found.drive.lag == 0.1
     assert found.losses[1] == pytest.approx(np.sqrt(np.mean(np.sum(run.e[1:] ** 2, -1))))
 
 
@@ -215,13 +202,9 @@ RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command
     [
         ({"loss": "trakcing"}, "did you mean 'tracking'"),
         ({"loss": {"tracking": 0.0}}, "weight of tracking` must be positive"),
-        ({"loss": {}}, "`loss` must be a name"),
         ({"velocity_limit": -1.0}, "velocity_limit"),
         ({"noise": np.ones((30, 3))}, r"`noise` must have shape \(30, 2\) or \(n, 30, 2\)"),
-        ({"noise": np.ones((3, 30, 2)), "q0": np.ones((2, 2))}, "one for each of 3 runs"),
         ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
-        ({"drive": 1}, "drive"),
-        ({"steps": 1}, "steps"),
         ({"progress": 5}, "`progress` must be a function or None"),
         ({"N": 2}, "`N` must be at least 3"),
         ({"drive": RUNS_AWAY}, "`drive` must allow a gain, but each position command starts at the measured joints"),
