@@ -38,7 +38,6 @@ from .law.walls import (
     support_polygon as support_polygon, wall as wall, wall_distance as wall_distance, wall_margin as wall_margin,
 )
 from .measure.dataset import to_dataset as to_dataset
-from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .problem.names import load as load
