@@ -57,7 +57,7 @@ def test_values_are_the_formulas(name, shape):
         expected = j.T @ np.linalg.pinv(j @ j.T + formula(name, j) * np.eye(shape[0])) @ t
         np.testing.assert_allclose(qdot, expected, atol=1e-6)
         smallest = np.linalg.svd(j, compute_uv=False)[-1]
-        if name == "singular_damped":  # its threshold hangs on the estimate
+        if name == "singular_damped" and smallest < EPSILON:  # its damping hangs on the estimate
             np.testing.assert_allclose(estimate, smallest, atol=1e-7)
 
 
