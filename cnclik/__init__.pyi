@@ -31,15 +31,13 @@ from .law.law import Law as Law, posture as posture
 from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
-    lissajous as lissajous, path as path, waypoints as waypoints, with_feedforward as with_feedforward,
+    lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints, with_feedforward as with_feedforward,
 )
 from .law.reference import Reference as Reference, References as References, references as references
-from .law.resampled import resampled as resampled
 from .law.walls import (
     support_polygon as support_polygon, wall as wall, wall_distance as wall_distance, wall_margin as wall_margin,
 )
 from .measure.dataset import to_dataset as to_dataset
-from .measure.limits import check_limits as check_limits
 from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .problem.names import load as load

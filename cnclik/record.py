@@ -214,17 +214,7 @@ def _same(a, b) -> bool:
         return a is b
     if not (hasattr(a, "dtype") and hasattr(b, "dtype")):
         return bool(type(a) is type(b) and a == b)
-    if a.dtype != b.dtype or a.shape != b.shape:
-        return False
-    if jax.dtypes.issubdtype(a.dtype, jax.dtypes.prng_key):
-        a, b = bits_of(a), bits_of(b)
-    return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
-
-
-def bits_of(key) -> np.ndarray:
-    """The numbers of a known random key, also while a function is traced."""
-    with jax.ensure_compile_time_eval():
-        return np.asarray(jax.random.key_data(key))
+    return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
 
 
 def _hashed(self):
@@ -254,7 +244,7 @@ def brief(value) -> str:
     """A value in a few words: small arrays by their numbers, large ones and traced ones by dtype and shape."""
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         known = isinstance(value, (np.ndarray, np.generic, jax.Array)) and not isinstance(value, jax.core.Tracer)
-        if known and value.size <= 9 and getattr(value.dtype, "kind", "O") in "biuf":  # a random key has none
+        if known and value.size <= 9 and value.dtype.kind in "biuf":
             return in_words(value)
         return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
     if isinstance(value, (tuple, list)):
@@ -278,25 +268,6 @@ def leaf(value):
 def replace(rec: T, **changes: Any) -> T:
     """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
     return dataclasses.replace(rec, **changes)  # type: ignore[type-var]
-
-
-def on_device(rec):
-    """The record with its arrays on JAX's device, or None where it holds traced ones.
-
-    Made once for a record: a call with NumPy arrays copies each of them anew.
-    """
-    key = jax.config.jax_enable_x64, jax.config.jax_default_device
-    made = rec.__dict__.get("_placed")
-    if made is not None and made[0] == key:
-        return made[1]
-    arrays, treedef = jax.tree.flatten(rec)
-    if any(isinstance(v, jax.core.Tracer) for v in arrays):
-        return None
-    with jax.ensure_compile_time_eval():  # else, called while a user's function is traced, what is kept would be traced
-        made = jax.tree.unflatten(treedef, [jax.device_put(v) for v in arrays])
-    if not any(isinstance(v, np.ndarray) and v.flags.writeable for v in arrays):
-        object.__setattr__(rec, "_placed", (key, made))
-    return made
 
 
 def cast(tree, dtype):

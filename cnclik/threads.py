@@ -48,13 +48,3 @@ def equations(jaxpr):
                 inner = getattr(inner, "jaxpr", inner)
                 if hasattr(inner, "eqns"):
                     yield from equations(inner)
-
-
-def after(value, other):
-    """An array as it is, to be computed when another one is there: so that batches of LAPACK don't meet, see above."""
-    import jax  # threads are older than JAX's
-    import jax.numpy as jnp
-
-    one = jax.lax.stop_gradient(jnp.ravel(other)[0])
-    nothing = jnp.where(one == one, jnp.minimum(jnp.abs(one), 0), 0)  # 0, which the compiler doesn't know
-    return value + nothing.astype(value.dtype)

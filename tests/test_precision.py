@@ -40,7 +40,6 @@ DOORS = {  # what is traced of each, and how it is called
     ("to_dataset", "run"): lambda x: ck.to_dataset(run(x), LAW),
     ("require_ok", "run"): lambda x: ck.require_ok(run(x)),
     ("plot", "run"): lambda x: ck.plot(run(x), LAW),
-    ("check_limits", "run"): lambda x: ck.check_limits(run(x), velocity=1.0, chain=ARM),
     ("reach", "tolerance"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", tolerance=x),
     ("reach", "accept"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", accept=(x[0], 0.1)),
     ("reach", "seed"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", seed=x[0]),

@@ -189,11 +189,3 @@ def test_records_of_the_same_content_are_equal():
     assert {arm: 1}[ck.planar_arm([1.0, 0.8])] == 1 and arm != ck.replace(arm, joint_names=("a", "b"))
     law = pairs[1](jnp.array(5.0))
     assert not jax.jit(lambda alpha: ck.replace(law, alpha=alpha) == law)(5.0)  # nobody knows what is traced
-
-
-def test_records_with_random_keys_are_equal_or_not():
-    """A key has a dtype without a kind: `==` and `repr` raised AttributeError."""
-    one, same, other = (Inner(value=jax.random.key(seed)) for seed in (1, 1, 2))
-    assert one == same and hash(one) == hash(same) and one != other
-    assert one != Inner(value=jax.random.split(one.value)) and one != Inner(value=jax.random.key_data(one.value))
-    assert "key" in repr(one)

@@ -16,7 +16,17 @@ _ROBOT = ("robot", "tip", "base", "task", "q0")
 _PATH = ("reference", "target", "center", "radius", "period", "speed", "begin")
 _LAW = ("alpha", "damping", "limits", "posture", "feedforward")
 _LOOP = ("method", "M", "Ts", "N")
-_DRIVE = ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feedback", "smoothing", "cutoff", "smoothed")
+_DRIVE = (
+    "delay",
+    "lag",
+    "natural_frequency",
+    "damping_ratio",
+    "command",
+    "feedback",
+    "smoothing",
+    "cutoff",
+    "smoothed",
+)
 # The other arguments are for sweeps and Python.
 
 

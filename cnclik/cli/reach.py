@@ -52,7 +52,7 @@ class Args(ComputeOptions, RobotOptions):
     json: bool = False
     """Print the summary as JSON. The search then runs twice, to measure its time without compilation."""
     out: pathlib.Path | None = None
-    """File for the answers: FILE.npz, .nc or .csv."""
+    """File for the answers: FILE.nc or .csv."""
 
 
 def run(args: Args) -> None:

@@ -298,7 +298,7 @@ def _map(args, out, loop, made):
     if "passes" in _maps(loop):
         z, title = np.linspace(0.02, 3.0, 2 * CELLS), f"{made.name}, {made.method.name}"
         strip = simulated("passes.nc", alpha=z / made.Ts, Ts=made.Ts, M=np.arange(max(PASSES) + 1))
-        figures["passes.png"] = drawn_by("stability", "passes", {title: strip}), {"Title": title}
+        figures["passes.png"] = drawn_by("stability", "stability_map", strip, title=title), {"Title": title}
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
     print(f"{endings.size:,} loops in {time.perf_counter() - begun:.1f} s.")

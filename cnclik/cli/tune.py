@@ -26,8 +26,8 @@ class Args(ComputeOptions, ProblemOptions):
     N: int = option(200, group="loop")
     """Number of steps."""
     over: tuple[str, ...] = ("alpha",)
-    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward, links, tool; of a stack
-    also parameters of one task, as in hands.alpha, and of a posture only so."""
+    """What to tune: alpha in the form that --alpha has, posture_rate, damping, feedforward; of a stack also the gain of
+    one task, as in hands.alpha, and of a posture only so."""
     bounds: tuple[str, ...] = option((), metavar="NAME=LOWER,UPPER ...")
     """Bounds in place of the defaults, as in alpha=0.1,12."""
     loss: tuple[str, ...] = option(("tracking",), metavar="NAME[=WEIGHT] ...")
@@ -60,7 +60,7 @@ def run(args: Args) -> None:
     print(*start_and_target(made), found, sep="\n")
     print(f"{found.evaluations} evaluations in {seconds:.1f} s, compilation included.")
     about = {"Title": f"{made.name}: tuned", "Comment": json.dumps(data["config"])}
-    figures = {"error.png": (drawn_by("tuning", "error", found), about)} if args.figures else {}
+    figures = {"error.png": (drawn_by("run", "tuned", found), about)} if args.figures else {}
     written = draw(figures, args.out, overwrite=args.overwrite)
     print(f"Wrote {', '.join(sorted(folder.made + written))} to {args.out}/.")
     if not found.satisfied:

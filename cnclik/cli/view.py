@@ -6,26 +6,22 @@ import signal
 import threading
 
 from cnclik.cli import terminal
-from cnclik.cli.arguments import option
 from cnclik.cli.problem import ProblemOptions, problem
 
 
 @dataclasses.dataclass(kw_only=True)
 class Args(ProblemOptions):
-    """Run a loop, or take a run of solve, and play it in a browser."""
+    """Run a loop, as solve does with these options, and play it in a browser."""
 
     computes = True
-    robot: str = option(metavar="ROBOT|FILE", positional=True)
-    """A robot or FILE.py, as for solve; or what to play: trajectory.nc, or a folder of solve."""
     host: str = "localhost"
     """Host name or address to listen on, at port 8080 or the next free one; with 0.0.0.0 other machines can connect."""
 
 
 def run(args: Args) -> None:
-    from cnclik.show.viewer.front import is_run, view
+    from cnclik.show.viewer.front import view
 
-    what = args.robot if is_run(args.robot) else problem(args)
-    viewer = view(what, robot=getattr(what, "robot", None), host=args.host)
+    viewer = view(problem(args), host=args.host)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)
     if signal.getsignal(signal.SIGINT) is terminal.end:
         signal.signal(signal.SIGINT, signal.default_int_handler)  # Ctrl-C ends the viewer

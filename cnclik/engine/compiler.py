@@ -18,13 +18,7 @@ import weakref
 
 from cnclik import errors
 
-# For `build`. GCC's jump threading takes time that grows with the square of a function's length: two thirds of 21 s
-# for a step with 33 joints and 51 rows. The code is as quick without it.
-FLAGS = (
-    *("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fno-thread-jumps"),
-    *("-fPIC", "-shared"),
-)
-# For the engine's programs, as measured: -O3 gains nothing. Scheduling before register allocation gains 6 to 16 % up to
+# As measured: -O3 gains nothing. Scheduling before register allocation gains 6 to 16 % up to
 # some 2,000 operations without a branch; beyond, it loses up to 30 % with 16 registers. Contraction gains 7 % and is as
 # accurate. Whole numbers wrap, as XLA's do. GCC before 12 needs -ftree-slp-vectorize for square roots.
 LANES = (
@@ -40,9 +34,8 @@ UNSAFE = (
     *("-Ofast", "-ffast-math", "-funsafe-math", "-ffinite-math", "-fassociative-math", "-freciprocal-math"),
     "-ffp-model",
 )
-LONG = 20_000  # lines; longer programs are optimized less, as compile time grows faster than length
-LIMIT = 300.0  # [s] time limit of the compiler
-MOST_SECONDS = 120  # [s] the limit where XLA can run the function instead
+LONG = 20_000  # lines
+MOST_SECONDS = 120  # [s] time limit of the compiler: XLA can run the function instead
 
 # A shell that runs a command, and a watch that ends it with all its children if standard input closes first, as when
 # this process ends. The shell waits for the watch, which in a container would otherwise stay as a zombie.
@@ -102,37 +95,10 @@ def command() -> list:
     raise errors.fail("compiler", "be there to build the C code (cc, gcc, clang or that of CC)", "is not installed")
 
 
-def build(sources, folder, *, flags=(), limit=None) -> pathlib.Path:
-    """A shared library of some C files; an earlier build is reused if nothing has changed.
-
-    CFLAGS are respected, except those that would break NaN and infinity.
-
-    Args:
-      sources: C files of one folder.
-      folder: where it is kept; the system's temporary folder if it is not writable.
-      flags: further flags.
-      limit: time limit of the compiler [s]; default: `LIMIT`.
-    """
-    texts = [pathlib.Path(s).read_bytes() for s in sources]
-    care = ["-O1"] if sum(t.count(b"\n") for t in texts) > LONG else []
-    line = [*command(), "-std=c99", *FLAGS, *care, *flags, *_own_flags()]
-    headers = sorted(pathlib.Path(sources[0]).parent.glob("*.h"))
-    name = f"{pathlib.Path(sources[0]).stem}-{_key(line, texts + [h.read_bytes() for h in headers])}"
-    folder = pathlib.Path(folder)
-    if (found := _kept(folder, name)) is not None:
-        return found
-    if not os.access(folder, os.W_OK):
-        folder = pathlib.Path(tempfile.mkdtemp(prefix="cnclik-"))
-    try:
-        return _compiled(line, sources, folder, name, limit or LIMIT)
-    except SlowCompilerError:
-        raise errors.fail("compiler", f"be done within {limit or LIMIT:g} s", f"{line[0]} is not") from None
-    except CompilerError as error:
-        raise errors.fail("folder", "hold C code that compiles", f"{line[0]} reports: {error}") from None
-
-
 def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     """(shared library of the engine's C text, named by its content; whether it existed already)
+
+    CFLAGS are respected, except those that would break NaN and infinity.
 
     Args: scheduled: whether the compiler may reorder the operations of a small program, which takes longer.
     Raises: CompilerError.
@@ -140,35 +106,23 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
     order = [SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED)
     order += [SHORT_SEARCH] * (text.count("\n") > LONG)
-    flags = [*LANES, *order, *(f"-I{path}" for path in include), *_own_flags()]
-    line, folder = [*command(), *flags], pathlib.Path(folder)
-    name = f"lanes-{_key(line, [text.encode()])}"
+    own = [word for word in os.environ.get("CFLAGS", "").split() if not word.startswith(UNSAFE)]
+    line, folder = [*command(), *LANES, *order, *(f"-I{path}" for path in include), *own], pathlib.Path(folder)
+    key = "\0".join([*line, _processor()]).encode() + b"\0" + text.encode()
+    name = f"lanes-{hashlib.sha256(key).hexdigest()[:32]}"
     folder.mkdir(parents=True, exist_ok=True)
-    if (found := _kept(folder, name)) is not None:
-        return found, True
-    with tempfile.TemporaryDirectory(prefix="cnclik-") as own:
-        source = pathlib.Path(own, "lanes.c")
+    if (kept := next(filter(_whole, folder.glob(f"{name}-*.so")), None)) is not None:
+        return kept, True
+    with tempfile.TemporaryDirectory(prefix="cnclik-") as place:
+        source = pathlib.Path(place, "lanes.c")
         source.write_text(text, encoding="utf-8")
-        return _compiled(line, [source], folder, name, MOST_SECONDS), False
+        return _compiled(line, source, folder, name), False
 
 
-def _own_flags():
-    return [word for word in os.environ.get("CFLAGS", "").split() if not word.startswith(UNSAFE)]
-
-
-def _key(line, texts) -> str:
-    return hashlib.sha256("\0".join([*line, _processor()]).encode() + b"\0".join(texts)).hexdigest()[:32]
-
-
-def _kept(folder, name):
-    """The library with this name that was built before; None if there is none."""
-    return next(filter(_whole, folder.glob(f"{name}-*.so")), None)
-
-
-def _compiled(line, sources, folder, name, limit):
+def _compiled(line, source, folder, name):
     part = folder / f"{name}.{os.getpid()}.part"
     try:
-        code, said = _run([*line, "-o", str(part), *map(str, sources), "-lm"], limit)
+        code, said = _run([*line, "-o", str(part), str(source), "-lm"], MOST_SECONDS)
         if code or not os.path.isfile(part):
             raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80] or "nothing"))
         library = folder / f"{name}-{_digest(part)}.so"

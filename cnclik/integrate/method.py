@@ -9,7 +9,6 @@ multiplies the error of ė = −alpha e.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,31 +86,24 @@ def _residuals(A, b, c, order) -> list:
     vertices (Hairer, Nørsett & Wanner 1993, II.2).
     """
     A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
-    weighed = [_weight(A, tree) for tree in trees(order)]
-    return [b @ phi - 1 / gamma for phi, gamma, _ in weighed] + [*(A.sum(1) - c)] * (order == 2)
+    return [b @ phi - 1 / gamma for phi, gamma in trees(A, order)] + [*(A.sum(1) - c)] * (order == 2)
 
 
-@functools.cache
-def trees(order):
-    """Return the rooted trees with `order` vertices; each is the sorted tuple of the subtrees at its root."""
-    return ((),) if order == 1 else tuple(sorted({new for tree in trees(order - 1) for new in _grown(tree)}))
-
-
-def _grown(tree):
-    """Yield the trees with one more leaf."""
-    yield tuple(sorted((*tree, ())))
-    for i, branch in enumerate(tree):
-        for new in _grown(branch):
-            yield tuple(sorted((*tree[:i], new, *tree[i + 1 :])))
-
-
-def _weight(A, tree):
-    """Return (Φ (s,), γ, number of vertices) of a tree."""
-    phi, gamma, count = np.ones(len(A)), 1, 1
-    for branch in tree:
-        above, density, size = _weight(A, branch)
-        phi, gamma, count = phi * (A @ above), gamma * density, count + size
-    return phi, gamma * count, count
+def trees(A, order) -> list:
+    """Return (Φ (s,), γ) of the rooted trees with `order` vertices, once for each order of their branches."""
+    below = [[(np.ones(len(A)), 1)]]  # of the branches at a root, by their number of vertices
+    trees: list = [[]]
+    for size in range(1, order + 1):
+        trees.append([(phi, size * gamma) for phi, gamma in below[-1]])
+        below.append(
+            [
+                (A @ phi * other, gamma * density)
+                for k in range(1, size + 1)
+                for phi, gamma in trees[k]
+                for other, density in below[size - k]
+            ]
+        )
+    return trees[order]
 
 
 def _tableau(name, order, A, b, source) -> Method:

@@ -169,15 +169,20 @@ def cubic(times, values, closed, name):
             moved = _velocities(h, 0 * slope, rest + 1, rest + sign)
             ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (v, moved)]
             v = v + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
-        hh = h[:, None]
-        second = (3 * slope - 2 * v[:-1] - v[1:]) / hh
-        third = (v[:-1] + v[1:] - 2 * slope) / hh**2
-    found = xp.stack([values[:-1], v[:-1], second, third], axis=1)
-    if known and not np.isfinite(found).all():
-        k = int(np.argmin(np.isfinite(found).all(axis=(1, 2))))
+        pieces = hermite(h, values, v)
+    if known and not np.isfinite(pieces).all():
+        k = int(np.argmin(np.isfinite(pieces).all(axis=(1, 2))))
         between = f"{values[k].tolist()} and {values[k + 1].tolist()} within {h[k]:.3g} s"
         raise errors.fail(name, "be such that a smooth path leads through them", f"has {between}")
-    return jnp.asarray(found)
+    return jnp.asarray(pieces)
+
+
+def hermite(h, values, v):
+    """Return coefficients (K−1, 4, d) of the cubics with values and velocities v (K, d), at knots h (K−1,) apart."""
+    xp, h = library(values, v), h[:, None]
+    slope = xp.diff(values, axis=0) / h
+    second, third = (3 * slope - 2 * v[:-1] - v[1:]) / h, (v[:-1] + v[1:] - 2 * slope) / h**2
+    return xp.stack([values[:-1], v[:-1], second, third], axis=1)
 
 
 def _velocities(h, slope, first, last):

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, timed
+from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, hermite, timed
 from cnclik.law.reference import A_REFERENCE, Reference, References, of_each, references
 from cnclik.record import Array, ArrayLike, Float, Number, leaf, replace
 from cnclik.robot import poses
@@ -185,6 +185,40 @@ def waypoints(
     )
     times = jnp.asarray(times)
     return Reference(curve=Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed))
+
+
+def resampled(
+    times: Float[ArrayLike, " K"],
+    positions: Float[ArrayLike, "K d"] | None = None,
+    rotations: Float[ArrayLike, "K ..."] | None = None,
+) -> Reference:
+    """Follow a stream of targets, such as a policy's at 30 Hz, in a loop at 1 kHz that knows only past targets.
+
+    The path is straight from target to target, averaged over about a period: its velocity is continuous, and it cuts
+    corners and smooths jitter. It comes 1.5 times the longest period late, so that no target is used before it arrives,
+    and holds the last one. Quaternions are interpolated, then normalised.
+
+    Args:
+      times: (K,) arrival times of the targets [s], increasing.
+      positions, rotations: as for `waypoints`.
+    Returns: `Reference` whose future a step does not use, as with `causal`.
+    """
+    times, *points = timed(times, positions, rotations)
+    xp = poses.library(times, points)  # NumPy compiles nothing
+    times = xp.asarray(times)
+    gap = xp.max(xp.diff(times))
+    times = xp.concatenate([times[:1] - gap, times, times[-1:] + gap])
+    knots, h = (times[1:] + times[:-1]) / 2, xp.diff(times)[:, None]
+
+    def smooth(points):
+        points = xp.concatenate([points[:1], points, points[-1:]])
+        middle, velocity = (points[1:] + points[:-1]) / 2, xp.diff(points, axis=0) / h
+        return jnp.asarray(hermite(xp.diff(knots), middle, velocity))
+
+    position, quaternion = (None if p is None else smooth(xp.asarray(p)) for p in points)
+    times = jnp.asarray(knots + 1.5 * gap)
+    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=False)
+    return Reference(curve=curve, known=False)
 
 
 def path(fn: Callable) -> Reference:

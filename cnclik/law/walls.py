@@ -144,41 +144,29 @@ def support_polygon(
       margin: distance that is kept from the edges [m].
       rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
     """
+    from scipy.optimize import linprog  # here, as most robots have no feet
+    from scipy.spatial import ConvexHull, QhullError
+
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
-    hull = _hull(points)
-    if len(hull) < 3:
-        raise errors.fail("corners", "be three or more that are not on one line", f"are {points.tolist()}")
-    task, margin = center_of_mass("xy", relative_to=relative_to), errors.number("margin", margin)
+    try:
+        hull = points[ConvexHull(points).vertices]  # anticlockwise
+    except (QhullError, ValueError):
+        must = "be three or more that are not on one line"
+        raise errors.fail("corners", must, f"are {points.tolist()}") from None
+    hull = np.roll(hull, -np.lexsort(hull.T[::-1])[0], axis=0)
     along = np.roll(hull, -1, axis=0) - hull
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
-    if errors.concrete(margin) and margin >= (most := _inradius(normals, hull)):
-        raise errors.fail("margin", f"be below {most:.4g}, or it leaves nothing of the polygon", f"is {margin:g}")
-    found = []
-    for i, (normal, a) in enumerate(zip(normals, hull, strict=True)):
-        edge = f"{name}_{i + 1}" if name else ""
-        found.append(wall(task, normal=normal, above=normal @ a + margin, rate=rate, name=edge))
-    return tuple(found)
-
-
-def _inradius(normals, hull):
-    """Return the largest r with normal·(x − corner) ≥ r at some x, for each edge."""
-    from scipy.optimize import linprog
-
-    rows = np.column_stack([-normals, np.ones(len(hull))])
-    return linprog([0, 0, -1], rows, -np.sum(normals * hull, axis=1), bounds=(None, None)).x[2]
-
-
-def _hull(points):
-    """Return the corners of the convex hull (h, 2), anticlockwise (Andrew 1979)."""
-    halves = []
-    for order in (1, -1):
-        half: list = []
-        for c in np.unique(points, axis=0)[::order]:
-            while len(half) > 1 and np.linalg.det([half[-1] - half[-2], c - half[-1]]) <= 0:
-                half.pop()
-            half.append(c)
-        halves += half[:-1]
-    return np.array(halves)
+    offsets, margin = np.sum(normals * hull, axis=1), errors.number("margin", margin)
+    if errors.concrete(margin):  # of the largest circle inside
+        rows = np.column_stack([-normals, np.ones(len(hull))])
+        radius = linprog([0, 0, -1], rows, -offsets, bounds=(None, None)).x[2]
+        if margin >= radius:
+            raise errors.fail("margin", f"be below {radius:.4g}, or it leaves nothing of the polygon", f"is {margin:g}")
+    task = center_of_mass("xy", relative_to=relative_to)
+    return tuple(
+        wall(task, normal=normal, above=offset + margin, rate=rate, name=f"{name}_{i}" if name else "")
+        for i, (normal, offset) in enumerate(zip(normals, offsets, strict=True), 1)
+    )
 
 
 def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:

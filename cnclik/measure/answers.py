@@ -1,7 +1,7 @@
 """Answers of `cnclik.reach` as labelled data and files."""
 
 import pathlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from cnclik.task.aims import aims
 if TYPE_CHECKING:
     import xarray as xr
 
-ENDINGS = (".npz", ".nc", ".csv")
+ENDINGS = (".nc", ".csv")
 
 
 def answers(reached: Reached, transforms) -> "xr.Dataset":
@@ -48,15 +48,9 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
 
 
 def save(data: "xr.Dataset", path) -> None:
-    """Write answers as .npz (`targets`, and a name for each variable), .nc, or .csv (a row per target and solution)."""
-    path = pathlib.Path(path)
-    ending = errors.ending("out", path, *ENDINGS)
-    if ending == ".nc":
+    """Write answers as .nc, or as .csv with a row per target and solution."""
+    if errors.ending("out", pathlib.Path(path), *ENDINGS) == ".nc":
         save_netcdf(data, path)
-    elif ending == ".npz":
-        arrays: dict[str, Any] = {str(name): variable.values for name, variable in data.data_vars.items()}
-        arrays |= {str(name): np.array(values, str) for name, values in data.coords.items()}
-        np.savez_compressed(path, targets=arrays.pop("transform"), **arrays)
     else:
         save_csv(_rows(data), path)
 
@@ -64,21 +58,27 @@ def save(data: "xr.Dataset", path) -> None:
 def _rows(data):
     several = "solution" in data.sizes
     shape = data.sizes["target"], data.sizes.get("solution", 1)
-    joints = [str(name) for name in data.joint.values]
-    numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
-    columns = [data[name].values.reshape(shape).tolist() for name in numbers]
-    status, q, at_limit = (data[name].values.reshape(*shape, -1) for name in ("status", "q", "at_limit"))
-    poses = data.transform.values.reshape(shape[0], -1).tolist()
-    tips = [f"{tip}." for tip in data.tip.values] if "tip" in data.sizes else []
-    each = [f"{tip}{name}" for name in ("position_error", "orientation_error") for tip in tips]
-    missed = [
-        data[f"tip_{name}"].values.reshape(*shape, -1) for name in ("position_error", "orientation_error") if tips
-    ]
+    joints, tips = data.joint.values.astype(str), [f"{tip}." for tip in data.tip.values] if "tip" in data.sizes else []
+    numbers = ["position_error", "orientation_error", "least_singular_value", "evaluations", "distance"]
+    of_tips = [f"tip_{name}" for name in numbers[:2] if tips]
     entries = [f"{tip}t{i}{j}" for tip in tips or [""] for i in range(4) for j in range(4)]
-    yield ["target", *["solution"] * several, "status", *joints, *numbers, "at_limit", *each, *entries]
+    names = [
+        "status",
+        *joints,
+        *numbers,
+        "at_limit",
+        *(f"{tip}{name[4:]}" for name in of_tips for tip in tips),
+        *entries,
+    ]
+    yield ["target", *["solution"] * several, *names]
+    before, after = ([data[name].values.reshape(*shape, -1) for name in some] for some in (["q", *numbers], of_tips))
+    status, at_limit = (data[name].values.reshape(*shape, -1) for name in ("status", "at_limit"))
+    poses = data.transform.values.reshape(shape[0], -1)
     for b, k in np.ndindex(shape):
-        name = ReachStatus(int(status[b, k, 0])).name
-        limits = " ".join(np.array(joints)[at_limit[b, k].astype(bool)])
-        own = [value for error in missed for value in error[b, k].tolist()]
-        found = [*q[b, k].tolist(), *(column[b][k] for column in columns), limits, *own, *poses[b]]
-        yield [b, *[k] * several, name, *(v + 0.0 if isinstance(v, float) else v for v in found)]  # no −0.0
+        limits = " ".join(joints[at_limit[b, k].astype(bool)])
+        answer = [ReachStatus(int(status[b, k, 0])).name, *_cells(before, b, k), limits, *_cells(after, b, k)]
+        yield [b, *[k] * several, *answer, *(poses[b] + 0.0).tolist()]
+
+
+def _cells(arrays, b, k) -> list:
+    return [v + 0.0 if isinstance(v, float) else v for of in arrays for v in of[b, k].tolist()]  # no −0.0

@@ -21,14 +21,13 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
-from cnclik.law.walls import apart_from
 from cnclik.measure.outcome import judge, stable
 from cnclik.record import Number, cast, replace
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.task.parts import At
-from cnclik.task.task import Task, velocity
+from cnclik.task.task import velocity
 
 
 @jax.tree_util.register_pytree_node_class
@@ -45,20 +44,16 @@ class Metrics:
     def tree_unflatten(cls, units, values):
         return cls(values, units)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.units)
+    def items(self):
+        return zip(self.units, self._values, strict=True)
 
     def __getitem__(self, name):
-        return self._values[self.names.index(errors.one_of("name", name, self.names))]
+        return dict(self.items())[errors.one_of("name", name, self.units)]
 
     def __getattr__(self, name):
         if name.startswith("_") or name not in self.units:
             raise AttributeError(name)
         return self[name]
-
-    def items(self):
-        return zip(self.names, self._values, strict=True)
 
     def __repr__(self):
         lines = (f"  {name:<22} {value!s:>12} {self.units[name]}" for name, value in self.items())
@@ -72,7 +67,6 @@ class Measured(NamedTuple):
     law: Law
     reference: ref.Reference | ref.References
     tolerance: Number  # of ‖e‖ [m, rad]
-    task: Task  # the law's task, or the measured task of a stack
 
 
 class Metric(NamedTuple):
@@ -81,10 +75,7 @@ class Metric(NamedTuple):
     fn: Callable
     unit: str  # begins with "e" for the unit of the error, or "q" for that of the joints
     label: str
-    needs: str = ""  # "position" or "rotation": coordinates that the task must have; "walls": of the law
-
-
-# --- errors -------------------------------------------------------------------------------------------
+    needs: str = ""  # "position" or "rotation": coordinates that the task must have
 
 
 def _finite(value):
@@ -114,75 +105,71 @@ def _first(hit):
     return jnp.min(jnp.where(hit, jnp.arange(count), count))
 
 
-def _position(loop):
-    return loop.run.e[..., np.array(loop.task.lengths, int)]
+def _count(hit):
+    return jnp.sum(hit.astype(jnp.int32))
 
 
-def _rotation(loop):
-    return loop.run.e[..., np.array(loop.task.angles, int)]
+def _position(of):
+    return of.run.e[..., np.array(of.law.task.lengths, int)]
 
 
-def _split(loop):
+def _rotation(of):
+    return of.run.e[..., np.array(of.law.task.angles, int)]
+
+
+def _split(of):
     """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
-    task, model = loop.task, modelled(loop.law.chain)
+    task, model = of.law.task, modelled(of.law.chain)
     # The path's own direction, whatever is fed forward.
-    path = ref.of_each(lambda one, _: replace(one, feedforward=None), loop.reference, task)
+    path = ref.of_each(lambda one, _: replace(one, feedforward=None), of.reference, task)
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
-    e, v = (of[:, np.array(task.lengths, int)] for of in (loop.run.e, toward(loop.run.t, loop.run.q)))
+    e, v = _position(of), toward(of.run.t, of.run.q)[:, np.array(task.lengths, int)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
     return along, e - along * tangent
 
 
-# --- convergence --------------------------------------------------------------------------------------
-
-
-def _steps_to_tolerance(loop):
-    inside = _norms(loop.run.e) <= loop.tolerance
+def _steps_to_tolerance(of):
+    inside = _norms(of.run.e) <= of.tolerance
     k = _first(inside)
-    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(loop.run.e.dtype)
+    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(of.run.e.dtype)
 
 
-def _settling_time(loop):
-    outside = _norms(loop.run.e) > loop.tolerance
+def _settling_time(of):
+    outside, t = _norms(of.run.e) > of.tolerance, of.run.t
     count = outside.shape[0]
     k = count - _first(outside[::-1])  # the instant after the last one outside the tolerance
-    t = loop.run.t
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
-def _rate(loop):
-    norms = _norms(loop.run.e)
-    inside = norms <= loop.tolerance
-    count = norms.shape[0]
+def _rate(of):
+    norms = _norms(of.run.e)
+    inside, count = norms <= of.tolerance, norms.shape[0]
     last = jnp.minimum(_first(inside), count - 1)
     ratio = _finite(norms[last] / jnp.where(inside[0], 1.0, norms[0]))
     ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
     return jnp.where(inside[0] | (count == 1), jnp.nan, ratio ** (1.0 / jnp.maximum(last, 1)))
 
 
-# --- joints -------------------------------------------------------------------------------------------
-
-
-def _rms_qddot(loop):
-    steps = loop.run.qdot.shape[0]
-    if steps < 2:
-        return jnp.zeros((), loop.run.q.dtype)
-    step = (loop.run.t[-1] - loop.run.t[0]) / steps
-    return _root_mean(jnp.diff(loop.run.qdot, axis=0) / step)
-
-
-def _past_limit(loop):
-    q = loop.run.q
-    past = jnp.maximum(jnp.asarray(loop.law.chain.lower) - q, q - jnp.asarray(loop.law.chain.upper))
-    return _max(jnp.where(jnp.isfinite(q), jnp.maximum(past, 0.0), jnp.inf))
-
-
-def _ending(loop):
-    size = _norms(loop.run.e)
-    code = judge(size, loop.run.status).ending.astype(size.dtype)
+def _ending(of):
+    size = _norms(of.run.e)
+    code = judge(size, of.run.status).ending.astype(size.dtype)
     return jnp.where(size[0] == 0, jnp.nan, code)
+
+
+def _rms_qddot(of):
+    steps = of.run.qdot.shape[0]
+    if steps < 2:
+        return jnp.zeros((), of.run.q.dtype)
+    step = (of.run.t[-1] - of.run.t[0]) / steps
+    return _root_mean(jnp.diff(of.run.qdot, axis=0) / step)
+
+
+def _past_limit(of):
+    q, chain = of.run.q, of.law.chain
+    past = jnp.maximum(jnp.asarray(chain.lower) - q, q - jnp.asarray(chain.upper))
+    return _max(jnp.where(jnp.isfinite(q), jnp.maximum(past, 0.0), jnp.inf))
 
 
 def chatter(qdot):
@@ -197,46 +184,35 @@ def chatter(qdot):
         return jnp.zeros((), qdot.dtype)
     before, after = late[:-1], late[1:]
     back = jnp.where(before * after < 0, jnp.minimum(jnp.abs(before), jnp.abs(after)), 0.0)
-    everything_finite = jnp.all(jnp.isfinite(late))
-    return jnp.where(everything_finite, _root_mean(back), jnp.inf)
+    return jnp.where(jnp.all(jnp.isfinite(late)), _root_mean(back), jnp.inf)
 
 
-def _least_singular_value(loop):
+def _least_singular_value(of):
     """Return σ_min, with the derivative of the Rayleigh quotient instead of that of a decomposition."""
-    task, model = loop.task, modelled(loop.law.chain)
+    task, model = of.law.task, modelled(of.law.chain)
 
     def least(q):
         return safe_sqrt(least_squared(weighted(task, task.rows_at(model, q))))
 
-    sigma = jax.lax.map(least, loop.run.q)  # vmap would write out C for each posture
+    sigma = jax.lax.map(least, of.run.q)  # vmap would write out C for each posture
     return jnp.min(jnp.where(jnp.isfinite(sigma), sigma, 0.0))
-
-
-# --- the table ----------------------------------------------------------------------------------------
-
-
-def _count(hit):
-    return jnp.sum(hit.astype(jnp.int32))
-
-
-_MARKED = {
-    str(bit.name).lower(): Metric(
-        lambda of, bit=bit: _count((of.run.status & bit) != 0), "1", f"steps marked {bit.name}"
-    )
-    for bit in Status
-    if bit
-}
 
 
 def _errors(name, rows, unit, label, needs=""):
     """Return the metrics of one part of the error, rows(of): its size at the end and over the run."""
     return {
-        f"final_{name}": Metric(lambda of: _norms(rows(of)[-1]), unit, f"{label}, at the end", needs=needs),
-        f"mean_{name}": Metric(lambda of: jnp.mean(_norms(rows(of))), unit, f"{label}, mean", needs=needs),
-        f"rms_{name}": Metric(lambda of: _root_mean(rows(of)), unit, f"{label}, RMS", needs=needs),
-        f"max_{name}": Metric(lambda of: _max(_norms(rows(of))), unit, f"{label}, max", needs=needs),
+        f"final_{name}": Metric(lambda of: _norms(rows(of)[-1]), unit, f"{label}, at the end", needs),
+        f"mean_{name}": Metric(lambda of: jnp.mean(_norms(rows(of))), unit, f"{label}, mean", needs),
+        f"rms_{name}": Metric(lambda of: _root_mean(rows(of)), unit, f"{label}, RMS", needs),
+        f"max_{name}": Metric(lambda of: _max(_norms(rows(of))), unit, f"{label}, max", needs),
     }
 
+
+def _marked(bit):
+    return Metric(lambda of: _count((of.run.status & bit) != 0), "1", f"steps marked {bit.name}")
+
+
+_MARKED = {str(bit.name).lower(): _marked(bit) for bit in Status if bit}
 
 METRICS = {
     **_errors("error", lambda of: of.run.e, "e", "error ‖e‖"),
@@ -270,12 +246,6 @@ METRICS = {
         "largest |q̇ᵢ| over its limit",
     ),
     "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
-    "wall_distance": Metric(
-        lambda of: -jnp.max(_finite(-apart_from(of.law.limits.walls, modelled(of.law.chain), of.run.q))),
-        "m or rad",
-        "least distance to a wall, negative behind it",
-        needs="walls",
-    ),
     "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
     "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
     "residual": Metric(lambda of: _max(_finite(of.run.residual)), "q", "largest last change of an implicit stage"),
@@ -306,7 +276,7 @@ def measure_run(
 
     Args:
       run: `Trajectory` of solve(law, reference, ...), one lane; for a batch use `jax.vmap`.
-      names: of metrics, see `METRICS`; for a task of a stack such as "hands.final_error".
+      names: of metrics, see `METRICS`.
       tolerance: of ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
 
     Returns: `Metrics` in the order of `names`, with units.
@@ -318,52 +288,28 @@ def measure_run(
     check(names, law)
     check_run(run, law)
     values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
-    return Metrics(values, {n: unit(n, law) for n in names})
+    return Metrics(values, {name: unit(METRICS[name].unit, law) for name in names})
 
 
 @one_off(static_argnames=("names",))
 def _values(run, law, reference, tolerance, *, names):
-    law, reference = cast((law, reference), run.q.dtype)
-
-    def loop(task):
-        if not task:
-            return Measured(run, law, reference, tolerance, law.task)
-        own = reference[task] if isinstance(reference, ref.References) else reference
-        return Measured(run[task], law, own, tolerance, law.task.alone(task))
-
-    return [metric.fn(loop(task)) for task, metric in map(named, names)]
-
-
-def named(name: str) -> tuple[str, Metric]:
-    """Return the task and the metric that a name means: "final_error" of the law's task, or "hands.final_error"."""
-    task, _, own = name.rpartition(".") if isinstance(name, str) else ("", "", name)
-    return task, METRICS[errors.one_of("metrics", own, METRICS)]
-
-
-def _task(name, law) -> Task:
-    of = named(name)[0]
-    if of and of not in dict(law.task.each):
-        have = f"; those of a task are such as {law.task.tasks[0][0]}.final_error" if law.task.tasks else ""
-        raise errors.fail("metrics", f"be ones of the law's task{have}", f"include {name!r}")
-    return law.task.alone(of) if of else law.task
+    measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
+    return [METRICS[name].fn(measured) for name in names]
 
 
 def check(names, law: Law) -> None:
     """Raise ArgumentError unless every name is a metric that the law's task has."""
     for name in names:
-        needs, task = named(name)[1].needs, _task(name, law)
+        needs, task = METRICS[errors.one_of("metrics", name, METRICS)].needs, law.task
         if (needs == "position" and not task.lengths) or (needs == "rotation" and not task.angles):
             raise errors.fail("metrics", f"be ones of the task ({', '.join(task.names)})", f"include {name!r}")
-        if needs == "walls" and not getattr(law.limits, "walls", ()):
-            raise errors.fail("metrics", "be ones of a law with walls", f"include {name!r}")
 
 
-def unit(name: str, law: Law) -> str:
-    """Return the unit of a metric for this law; it may depend on its task and joints."""
-    written, task = named(name)[1].unit, _task(name, law)
+def unit(written: str, law: Law) -> str:
+    """Return the unit of a metric for a law, as it depends on the task and the joints."""
     joints = sorted(set(law.chain.units), reverse=True)
-    mine = {"e": dict.fromkeys(task.units), "q": joints, "J": ["m" if task.lengths else "1"]}
+    of_law = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.lengths else "1"]}
     head, tail = written[:1], written[1:]
-    if head not in mine or tail[:1].isalpha():
+    if head not in of_law or tail[:1].isalpha():
         return written
-    return ", ".join(u + tail for u in mine[head])
+    return ", ".join(u + tail for u in of_law[head])

@@ -1,7 +1,7 @@
 """Pictures: every function takes data and returns a matplotlib Figure; one `save` writes it.
 
-Modules: `run` (one loop), `stability`, `diagnosis`, `sweeps`, `tuning`; `style` (the look, `save`); `output` (`draw`);
-`viewer` (a run in a browser).
+Modules: `run` (one loop), `stability`, `diagnosis`, `sweeps`; `style` (the look, `save`); `output` (`draw`); `viewer`
+(a run in a browser).
 """
 
 import lazy_loader

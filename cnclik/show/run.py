@@ -1,4 +1,4 @@
-"""One loop in pictures: joint paths, error, joint velocities, status. Each function draws one dataset.
+"""One loop in pictures: joint values, error, joint velocities, status, tips. Each function draws one dataset.
 
 Datasets are those of `cnclik.measure.dataset.to_dataset`; where they have a dimension `method`, joint paths and
 velocities have a line for each method.
@@ -33,7 +33,7 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
 
     Args:
       run: `Trajectory` of solve(law, ...), one lane.
-      kind: "overview", "joints", "error", "velocities", "status" or "tip".
+      kind: "overview" (joint values, error, velocities, status), "joints", "velocities" or "tip".
 
     Returns: a matplotlib Figure.
     Raises: ArgumentError for another kind, or a batch of runs.
@@ -45,7 +45,7 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
 
 
 def joint_paths(data, chain=None):
-    """Joint values over time, a panel for each joint, with the chain's limits where a joint comes near them."""
+    """Draw joint values over time, a panel for each joint, with the chain's limits where a joint comes near them."""
 
     def draw(panel, i):
         q = data.q.values[..., i]
@@ -54,56 +54,61 @@ def joint_paths(data, chain=None):
         room = max(np.ptp(q), 0.1)
         if np.ptp(q) <= 1e-9:  # rounding would fill the panel
             panel.set_ylim(np.median(q) - room, np.median(q) + room)
-        for bound in () if chain is None else (chain.lower[i], chain.upper[i]):
-            if q.min() - room < bound < q.max() + room:
-                panel.axhline(bound, label="limit", **style.LIMIT)
+        if chain is not None:
+            _limits(panel, q, (chain.lower[i], chain.upper[i]), room)
 
     return _per_joint(data, draw, "$q$")
 
 
 def joint_velocities(data, chain=None):
-    """Joint velocities, constant during each step, with the chain's limits where a joint comes near them."""
+    """Draw joint velocities, constant during each step, with the chain's limits where a joint comes near them."""
     fastest = np.nanmax(np.abs(data.qdot.values), initial=0.0) or 1.0
 
     def draw(panel, i):
         every = np.nan_to_num(data.qdot.values[..., i], nan=0.0)
-        rounding = np.max(np.abs(every), initial=0.0) <= 1e-9 * fastest  # it would fill the panel
-        if rounding:
+        if rounding := np.max(np.abs(every), initial=0.0) <= 1e-9 * fastest:  # it would fill the panel
             panel.set_ylim(-0.1 * fastest, 0.1 * fastest)
         for look, one in _methods(data, linewidth=1.0):
             v = np.nan_to_num(one.qdot.values[:, i]) if rounding else one.qdot.values[:, i]
             panel.stairs(v, data.time.values, baseline=None, **_unmarked(look))
-        limit = np.inf if chain is None else chain.velocity_limit[i]
-        for side in (-1, 1):
-            if np.max(side * every, initial=0.0) > 0.5 * limit:
-                panel.axhline(side * limit, label="limit", **style.LIMIT)
+        if chain is not None:
+            limit = chain.velocity_limit[i]
+            _limits(panel, every, (-limit, limit), 0.5 * limit)
 
     return _per_joint(data, draw, r"$\dot q$", per="/s")
 
 
-def error(data):
-    """Norms of position and orientation error over time, on a logarithmic scale; in a stack those of each task."""
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 2.2))
-    _draw_error(panel, data)
-    panel.set_xlabel(_TIME)
-    style.legend(figure, panel)
-    return figure
+def _limits(panel, values, bounds, room):
+    """Draw the bounds that values come nearer to than `room`."""
+    for bound in bounds:
+        if np.min(values, initial=np.inf) - room < bound < np.max(values, initial=-np.inf) + room:
+            panel.axhline(bound, label="limit", **style.LIMIT)
 
 
-def status(data):
-    """Status of each step: a row for each bit, and in a stack for each task that has it; an empty row is good."""
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 0.6 + 0.2 * len(_status_rows(data))))
-    _draw_status(panel, data)
-    panel.set_xlabel(_TIME)
+def tuned(found):
+    """Draw the norms of the errors of a `Tuned`, before in grey and after; of a stack a panel for each task."""
+    before, after = (to_dataset(run, found.law) for run in (found.before, found.after))
+    parts = error_parts(after)
+    size = (style.COLUMN, 0.6 + 1.5 * len(parts))
+    figure, panels = plt.subplots(len(parts), 1, figsize=size, sharex=True, squeeze=False)
+    looks = [{"color": "0.7", "linewidth": 2.6, "label": "before"}]  # visible behind a coinciding one
+    looks += [{"color": style.BLUE, "linewidth": 1.2, "label": "after"}]
+    for panel, (task, unit, some) in zip(panels[:, 0], parts, strict=True):
+        norms = [np.linalg.norm(data.e.values[:, some], axis=1) for data in (before, after)]
+        for norm, look in zip(norms, looks, strict=True):
+            panel.plot(after.time, np.where(norm > 0, norm, np.nan), **look)
+        style.log_errors(panel, norms)
+        what = task or {"m": "position", "rad": "orientation"}.get(unit, "")
+        panel.set_ylabel(f"{what} error [{unit}]".strip())
+    panels[0, 0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
+    panels[-1, 0].set_xlabel(_TIME)
     return figure
 
 
 def tip(data, chain):
-    """The paths of the tip and of its target in space; for a planar robot in its plane.
-
-    Several tips have a panel each, all at the same scale.
-    """
-    axes, every = "xy" if is_planar(chain) else "xyz", _paths(data, chain)
+    """Draw the paths of each tip and of its target in space, or in the plane of a planar robot, at one scale."""
+    motion, axes = motion_of(data, chain), "xy" if is_planar(chain) else "xyz"
+    every = list(zip([tip.name for tip in chain.tips], motion.paths, motion.targets, strict=True))
     space = {} if len(axes) == 2 else {"subplot_kw": {"projection": "3d"}}
     columns = 2 if len(every) == 4 else min(len(every), 3)
     rows = -(-len(every) // columns)
@@ -144,12 +149,6 @@ def _draw_tip(panel, axes, way, target, room, alone):
         panel.set_aspect("equal")
 
 
-def _paths(data, chain):
-    """(name, (K, 3) positions, (K, 3) targets or None) of each tip, up to the first instant that is not finite."""
-    motion = motion_of(data, chain)
-    return list(zip([tip.name for tip in chain.tips], motion.paths, motion.targets, strict=True))
-
-
 def overview(data, chain):
     """Joint values, error, joint velocities (over their limits where all joints have one) and status at a glance."""
     figure, ((joints, size), (speed, flags)) = plt.subplots(2, 2, sharex=True, figsize=(style.PAGE, 4.4))
@@ -163,9 +162,8 @@ def overview(data, chain):
         speed.stairs(v, data.time.values, baseline=None, **_unmarked(look))
     joints.set_ylabel(f"joint value [{data.q.units}]")
     speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
-    for side in (-1, 1) if limited else ():
-        if np.nanmax(side * data.qdot.values / limits, initial=0.0) > 0.5:
-            speed.axhline(side, label="limit", **style.LIMIT)
+    if limited:
+        _limits(speed, np.nan_to_num(data.qdot.values / limits, nan=0.0), (-1, 1), 0.5)
     _name_limits([speed])
     _draw_error(size, data)
     size.legend(loc="best")
@@ -176,14 +174,7 @@ def overview(data, chain):
     return figure
 
 
-KINDS = {
-    "overview": overview,
-    "joints": joint_paths,
-    "error": lambda data, chain: error(data),
-    "velocities": joint_velocities,
-    "status": lambda data, chain: status(data),
-    "tip": tip,
-}
+KINDS = {"overview": overview, "joints": joint_paths, "velocities": joint_velocities, "tip": tip}
 
 
 def _methods(data, **changes):

@@ -1,4 +1,4 @@
-"""Figures of stability: regions in the z-plane, maps of simulated loops with the linear limit, maps over M."""
+"""Figures of stability: regions in the z-plane, maps of simulated loops with the linear limit, gains."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,6 +15,14 @@ FLAT = {
     Ending.STALLED: ("#bdbdbd", "//////", "bounded and wrong"),
     Ending.DIVERGED: ("#5e1a03", "", "diverged"),
     Ending.NEAR_SINGULAR: ("#f4a582", "......", "failed near a singularity"),
+}
+_OPERATING = {
+    "marker": "o",
+    "color": "white",
+    "markeredgecolor": "black",
+    "markersize": 6,
+    "zorder": 6,
+    "clip_on": False,
 }
 
 
@@ -55,29 +63,38 @@ def plane(data):
 
 
 def stability_map(data, *, title="", operating=None):
-    """How simulated loops end over (alpha, Ts), the linear stability limit, and an operating point.
+    """How simulated loops end over (alpha, Ts) or (z, M), with the linear stability limit, and an operating point.
 
     Args:
-      data: from `cnclik.stability.stability_map`.
-      operating: (alpha, Ts), or None.
+      data: from `cnclik.stability.stability_map`. operating: (alpha, Ts), or None.
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
-    mesh = _cells(axis, data.alpha, data.Ts, data)
+    limit = data.limit.values
+    if "M" in data.dims:
+        x, y, limit = data.alpha.values * float(data.Ts), np.arange(data.sizes["M"]), limit * float(data.Ts)
+        axis.set(xlabel="z = α·Ts", ylabel="iterations M", yticks=y, yticklabels=data.M.values.astype(int))
+    else:
+        x, y = data.alpha.values, data.Ts.values
+        axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]")
+    mesh = _cells(axis, x, y, data)
     figure.colorbar(mesh, ax=axis, label="error factor per step (simulated)", fraction=0.05)
-    _legend(figure, [data], columns=3)
-    axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]", title=title)
-    for values, ticks in ((data.alpha, axis.xaxis), (data.Ts, axis.yaxis)):
-        if style.geometric(values.values):
+    _legend(figure, data)
+    for values, ticks in ((x, axis.xaxis), (y, axis.yaxis)):
+        if style.geometric(values):
             style.log_scale(ticks, values)
-    finite = np.isfinite(data.limit.values)
-    axis.plot(data.limit.values[finite], data.Ts.values[finite], **style.OUTLINED)
+    known = np.isfinite(limit)
+    if "M" in data.dims:  # odd and even M differ: a line for each
+        axis.vlines(limit[known], y[known] - 0.5, y[known] + 0.5, **style.OUTLINED)
+    else:
+        axis.plot(limit[known], y[known], **style.OUTLINED)
+        axis.set(ylim=y[[0, -1]])
     if operating is not None:
         alpha, Ts = operating
-        axis.plot(alpha, Ts, "o", color="white", markeredgecolor="black", markersize=6, zorder=6)
+        axis.plot(alpha, Ts, **_OPERATING)
         place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
         box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
         axis.annotate(f"z = {alpha * Ts:.3g}", (alpha, Ts), fontsize=6.5, bbox=box, **place)
-    axis.set(xlim=data.alpha.values[[0, -1]], ylim=data.Ts.values[[0, -1]])
+    axis.set(title=title, xlim=x[[0, -1]])
     return figure
 
 
@@ -100,31 +117,9 @@ def gains(data, *, title="", operating=None):
         axis.clabel(lines, fmt=lambda v: f"{v:g}", fontsize=6.5)
     if operating is not None:
         Ts, late = operating
-        axis.plot(
-            1e3 * Ts, 1e3 * late, "o", color="white", markeredgecolor="black", markersize=6, zorder=6, clip_on=False
-        )
+        axis.plot(1e3 * Ts, 1e3 * late, **_OPERATING)
     style.log_scale(axis.xaxis, x)
     axis.set(xlabel="sampling time Ts [ms]", ylabel="dead time [ms]", title=title)
-    return figure
-
-
-def passes(panels):
-    """How simulated loops end over z and M, with the linear stability limit of each M; odd and even M differ.
-
-    Args:
-      panels: {title: Dataset over (M, alpha) from `cnclik.stability.stability_map`}.
-    """
-    figure, axes = plt.subplots(1, len(panels), figsize=(style.PAGE, 2.6), sharey=True, squeeze=False)
-    for axis, (title, data) in zip(axes[0], panels.items(), strict=True):
-        rows, z = np.arange(data.sizes["M"]), data.alpha.values * float(data.Ts)
-        mesh = _cells(axis, z, rows, data)
-        for row, limit in zip(rows, data.limit.values * float(data.Ts), strict=True):
-            if np.isfinite(limit):
-                axis.plot([limit, limit], [row - 0.5, row + 0.5], **style.OUTLINED)
-        axis.set(xlabel="z = α·Ts", title=title, yticks=rows, yticklabels=data.M.values.astype(int), xlim=z[[0, -1]])
-    axes[0, 0].set_ylabel("iterations M")
-    figure.colorbar(mesh, ax=axes[0, -1], label="error factor per step", fraction=0.05)
-    _legend(figure, panels.values())
     return figure
 
 
@@ -143,10 +138,9 @@ def _cells(axis, x, y, data):
     return mesh
 
 
-def _legend(figure, several, *, columns=4):
-    seen = set(np.concatenate([np.unique(data.ending.values) for data in several]))
-    shown = (look for ending, look in FLAT.items() if ending in seen)
+def _legend(figure, data):
+    shown = (look for ending, look in FLAT.items() if (data.ending.values == ending).any())
     handles = [Patch(facecolor=color, hatch=hatch, label=label) for color, hatch, label in shown]
-    if any(np.isfinite(data.limit.values).any() for data in several):
+    if np.isfinite(data.limit.values).any():
         handles.append(plt.Line2D([], [], label="linear stability limit", **style.OUTLINED))
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=6, columnspacing=1.0)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=6, columnspacing=1.0)

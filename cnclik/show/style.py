@@ -65,39 +65,17 @@ LIMIT = {"color": WARNING, "linewidth": 0.8, "linestyle": (0, (4, 2)), "zorder":
 NOTE = {"fontsize": 6.5, "color": "0.35"}
 
 _RC = {
-    "figure.dpi": 100,
-    "savefig.dpi": DPI,
-    "figure.constrained_layout.use": True,
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
-    "font.size": 7.5,
-    "axes.labelsize": 7.5,
-    "figure.labelsize": 7.5,
-    "figure.titlesize": 8,
-    "axes.titlesize": 7.5,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "mathtext.fontset": "dejavusans",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.5,
-    "lines.markersize": 3.2,
-    "lines.markeredgewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.minor.size": 1.5,
-    "ytick.minor.size": 1.5,
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "legend.columnspacing": 1.4,
-    "axes.unicode_minus": True,
-    "hatch.linewidth": 0.5,
+    **dict.fromkeys(("font.size", "axes.labelsize", "figure.labelsize", "axes.titlesize"), 7.5),
+    **dict.fromkeys(("legend.fontsize", "xtick.labelsize", "ytick.labelsize"), 7),
+    **dict.fromkeys(("axes.linewidth", "lines.markeredgewidth", "xtick.major.width", "ytick.major.width"), 0.6),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
+    **dict.fromkeys(("axes.grid", "axes.axisbelow", "axes.unicode_minus", "figure.constrained_layout.use"), True),
+    **dict.fromkeys(("grid.linewidth", "hatch.linewidth"), 0.5),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 2.5),
+    **dict.fromkeys(("xtick.minor.size", "ytick.minor.size"), 1.5),
+    **{"figure.titlesize": 8, "grid.color": "0.9", "lines.markersize": 3.2, "figure.dpi": 100, "savefig.dpi": DPI},
+    **{"font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans"},  # of matplotlib: the same on every machine
+    **{"legend.handlelength": 2.6, "legend.columnspacing": 1.4},
 }
 
 
@@ -145,12 +123,9 @@ def sparse(i: int, points: int):
 
 
 def log_scale(axis, values, decades=2.0) -> None:
-    """A logarithmic axis with ticks that its span gives: of few decades 1, 2, 5, 10 … in plain numbers, not powers.
+    """Make `panel.xaxis` or `.yaxis` logarithmic for values, with ticks 1, 2, 5, 10 … where it has few decades.
 
     Values that differ by less than a factor of three, between which there may be no such tick, get a linear one.
-
-    Args:
-      axis: `panel.xaxis` or `panel.yaxis`. values: what it shows, any shape. decades: fewer than these are few.
     """
     known = np.asarray(values, float)
     known = known[np.isfinite(known) & (known > 0)]

@@ -28,20 +28,19 @@ from cnclik.record import ArrayLike, Number, record, replace
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.stability.advice import advise
+from cnclik.task.values import Joints
 
-ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled
-GROWN = 1.2  # ratio of the middle errors of two quarters from which on an error grows
-LOST = 4.0  # and of those of the last quarter and of all before, along a path
-TURNS = 4  # reversals of a motion in a quarter of the run from which on it swings
-STEADY = 0.8  # ratio of two swings below which a motion comes to rest
+ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled, as in `outcome`
+GROWN = 1.2  # ratio of two quarters' errors or swings from which on they grow; at its inverse a swing comes to rest
+LARGE = 4.0  # a path's own errors differ by less from quarter to quarter
+TURNS = 4  # reversals of a motion in a quarter of the run from which on it swings: two whole periods
 VISIBLE = 1e-5  # of 1 + the arm's length [m, rad]: a smaller swing of the error is not seen
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 NOISE = 4.0  # an error below so many standard deviations is noise
-RARE = 0.01  # share of the run's steps below which a limit that acts is not named
-OFTEN = 0.5  # share of the last quarter's steps that a cause of rest must be in
+RARE, OFTEN = 0.01, 0.5  # shares of steps: a limit that acts more rarely is not named; a cause of rest acts that often
 EXPLAINED = 0.9  # share of an error's square that a lag must explain
-AT_VELOCITY = 1 - 1e-6  # share of a velocity limit
-PULLED = 0.1  # joint speed over that which is left without the posture term, below which the term holds the arm
+AT_LIMIT = 1e-3  # of 1 + a joint value, or of a velocity limit: as near a joint is at its limit
+NO_REMEDY: tuple[dict, str] = {}, ""
 
 
 class Behaviour(enum.StrEnum):
@@ -111,29 +110,29 @@ def verdict(
         raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
     drive = check_drive(Drive() if drive is None else drive, law.chain)
     sigma = 0.0 if noise is None else float(np.linalg.norm(np.broadcast_to(np.asarray(noise, float), (law.task.m,))))
-    return _Case(law, reference, run, float(Ts), method, stage, drive, sigma, dtype).verdict()
+    try:
+        advice = advise(law, Ts=Ts, method=method, stage=stage, drive=drive)
+    except errors.ArgumentError:  # joints with different drives and tasks with different gains: no gain is safe
+        advice = None
+    return _Case(law, reference, run, float(Ts), advice, sigma, dtype).verdict()
 
 
 class _Case:
     """A run with what is asked of it."""
 
-    def __init__(self, law, reference, run, Ts, method, stage, drive, sigma, dtype):
-        self.law, self.reference, self.Ts, self.drive, self.sigma = law, reference, Ts, drive, sigma
+    def __init__(self, law, reference, run, Ts, advice, sigma, dtype):
+        self.law, self.reference, self.Ts, self.advice, self.sigma = law, reference, Ts, advice, sigma
         self.e, self.q, self.x, self.qdot = (np.asarray(v, float) for v in (run.e, run.q, run.x, run.qdot))
-        self.t, self.status = np.asarray(run.t, float), np.asarray(run.status)
-        self.walls = None if run.walls is None else np.asarray(run.walls, float)
-        finite = np.isfinite(self.e).all(1) & np.isfinite(self.q).all(1)
-        self.lost = None if finite.all() else int(np.argmin(finite))
-        self.length, self.N = arm_length(law.chain), len(self.qdot)
+        self.t, self.status, self.walls = np.asarray(run.t, float), np.asarray(run.status), run.walls
+        self.finite = np.isfinite(self.e).all(1) & np.isfinite(self.q).all(1)
+        self.N, self.length, self.still = len(self.qdot), arm_length(law.chain), bool(reference.still)
         self.quarter = max(self.N // 4, 1)
         self.floor = 64 * np.finfo(dtype).eps * (1 + self.length)  # what rounding of q makes of an error
-        self.still = bool(reference.still)
-        tips = [at for name, at in law.task.each if not _of_joints(law.task, at)]  # a posture that yields is no error
-        self.counted = np.concatenate([np.r_[at] for at in tips]) if tips else slice(None)
-        try:
-            self.advice, self.mixed = advise(law, Ts=Ts, method=method, stage=stage, drive=drive), ""
-        except errors.ArgumentError as error:  # joints with different drives and tasks with different gains
-            self.advice, self.mixed = None, str(error)
+        task = law.task  # of which a posture that yields is no error
+        tips = [at for name, at in task.each if not all(isinstance(part, Joints) for part in task.alone(name).parts)]
+        self.counted = np.r_[tuple(tips)] if tips else slice(None)
+        self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
+        self.most = np.array(law.chain.velocity_limit, float)
 
     # --- what is seen -------------------------------------------------------------------------------------
 
@@ -146,25 +145,33 @@ class _Case:
         before = size[: -self.quarter][-self.quarter :]
         return size[-self.quarter :], before if before.size else size[:1]
 
-    def arrived(self, some=None):
+    def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
         late, first = self.late(some)[0].max(), self.size(some)[0]
         return late <= max(ARRIVED * first if self.still else 0.0, self.floor, NOISE * self.sigma)
 
+    def shrinks(self, some=None) -> bool:
+        """Whether the errors still become smaller."""
+        late, before = self.late(some)
+        return late.max() < STALL_RATIO * before.max()
+
+    def grows(self) -> bool:
+        """Whether the errors of the last quarter are larger than those before."""
+        late, before = self.late()
+        usual = np.median(late)
+        grown = usual > GROWN * np.median(before) and late.max() > max(before.max(), self.floor)
+        if self.still:
+            return grown or usual > GROWN * max(self.size()[0], self.floor)
+        return grown and usual > LARGE * max(np.median(self.size()[: -self.quarter]), self.floor)
+
     def swing(self):
-        """(largest swings of the error in the last quarter, and in the one before, reversals in the last quarter)."""
-
-        def deviation(part):
-            off = part - np.linspace(part[:3].mean(0), part[-3:].mean(0), len(part))
-            return off @ np.linalg.svd(off, full_matrices=False)[2][0] if len(off) > 3 else np.zeros(len(off))
-
+        """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
         e = self.e[:, self.counted]
-        parts = [e[-self.quarter :], e[: -self.quarter][-self.quarter :]]
-        off, before = (deviation(part) for part in parts)
-        path = deviation((self.x + self.e)[-self.quarter :])
-        size = np.abs(off).max(initial=0.0)
-        turns = _turns(off, 0.3 * size) - 2 * _turns(path, 0.3 * np.abs(path).max(initial=0.0)) * (not self.still)
-        return size, np.abs(before).max(initial=0.0), turns
+        late, before = _deviation(e[-self.quarter :]), _deviation(e[: -self.quarter][-self.quarter :])
+        turns = _turns(late)
+        if not self.still:
+            turns -= 2 * _turns(_deviation((self.x + self.e)[-self.quarter :]))
+        return np.abs(late).max(initial=0.0), np.abs(before).max(initial=0.0), turns
 
     def shakes(self) -> bool:
         """Whether joints reverse from one step to the next in the last quarter."""
@@ -174,29 +181,23 @@ class _Case:
 
     # --- why ----------------------------------------------------------------------------------------------
 
-    def acted(self) -> tuple[np.ndarray, list[str]]:
+    def acted(self) -> tuple[np.ndarray, str]:
         """(steps in which a limit or wall acted (N,), what acted, in words)."""
-        chain, acted, words = self.law.chain, np.zeros(self.N, bool), []
-        if self.law.limits is None:
-            return acted, words
-        named = [*names_of(getattr(self.law.limits, "walls", ()))] if self.walls is not None else []
-        for i, name in enumerate(named):
-            at = self.walls[:, i] <= rounding_of(self.qdot)[:, 0]
-            words += [f"wall {name} held in {at.sum()} of {self.N} steps"] * bool(at.mean() >= RARE)
-            acted |= at
-        near = 1e-3 * (1 + np.abs(self.q[1:]))
-        lower, upper = np.array(chain.lower, float), np.array(chain.upper, float)
-        most = np.array(chain.velocity_limit, float)
-        at_limit = ((self.q[1:] <= lower + near) | (self.q[1:] >= upper - near)) & (lower < upper)
-        fast = np.abs(self.qdot) >= AT_VELOCITY * most
-        for at, what in ((at_limit, "at a limit"), (fast, "at its velocity limit")):
-            for i in np.flatnonzero(at.mean(0) >= RARE):
-                words.append(f"joint {chain.joint_names[i]} was {what} in {at[:, i].sum()} of {self.N} steps")
-            acted |= at.any(1)
-        return acted, words
-
-    def often(self, bit) -> bool:
-        return bool(np.mean((self.status[-self.quarter :] & int(bit)) != 0) >= OFTEN)
+        chain, limits = self.law.chain, self.law.limits
+        if limits is None:
+            return np.zeros(self.N, bool), ""
+        q, lower, upper = self.q[1:], np.array(chain.lower, float), np.array(chain.upper, float)
+        near = AT_LIMIT * (1 + np.abs(q))
+        stopped = ((q <= lower + near) | (q >= upper - near)) & (lower < upper)
+        fast = np.abs(self.qdot) >= (1 - AT_LIMIT) * self.most
+        acts = {}
+        if self.walls is not None:
+            held = np.asarray(self.walls, float) <= rounding_of(self.qdot)
+            acts |= {f"wall {name} held": steps for name, steps in zip(names_of(limits.walls), held.T, strict=True)}
+        for steps, where in ((stopped, "at a limit"), (fast, "at its velocity limit")):
+            acts |= {f"joint {name} was {where}": own for name, own in zip(chain.joint_names, steps.T, strict=True)}
+        words = [f"{what} in {steps.sum()} of {self.N} steps" for what, steps in acts.items() if steps.mean() >= RARE]
+        return np.any(list(acts.values()), axis=0), "; ".join(words)
 
     def unreachable(self) -> str:
         """How far the nearest posture is from the last targets, in words; "" where that is 0 or unknown."""
@@ -204,14 +205,13 @@ class _Case:
         from cnclik.reaching.result import ReachStatus
         from cnclik.reaching.targets import wanted_at
 
-        if self.law.chain.balls:
+        chain, limited = self.law.chain, self.law.limits is not None
+        if chain.balls:
             return ""
         try:
             task, targets = wanted_at(self.reference, self.law.task, self.t[-1])
-            nearest = reach(
-                self.law.chain, targets, task=replace(task, weights=None), tolerance=(1e-4, 1e-4),
-                limits=self.law.limits is not None,
-            )  # fmt: skip
+            task = replace(task, weights=None)
+            nearest = reach(chain, targets, task=task, tolerance=(1e-4, 1e-4), limits=limited)
         except errors.ArgumentError:  # of joint values and functions of one's own alone
             return ""
         if nearest.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):
@@ -227,23 +227,36 @@ class _Case:
             return False
         free = replace(self.law, null_velocity=None)
         qdot = evaluate(modelled(free), self.reference, jnp.asarray(self.t[-1]), jnp.asarray(self.q[-1])).qdot
-        return bool(np.linalg.norm(self.qdot[-1]) < PULLED * np.linalg.norm(np.asarray(qdot)))
+        return bool(np.linalg.norm(self.qdot[-1]) < OFTEN * np.linalg.norm(np.asarray(qdot)))
 
     def cause(self) -> str:
         """What holds the robot where it rests away from its target, in words; "" where the run does not show it."""
-        acted, words = self.acted()
-        if not np.any(np.asarray(self.law.alpha)):
+        if not self.alpha.any():
             return "the gain is 0"
-        held = "; ".join(words) if acted[-self.quarter :].mean() >= OFTEN else ""
+        acted, held = self.acted()
+        held = held if acted[-self.quarter :].mean() >= OFTEN else ""
         if far := self.unreachable():
             return "; ".join(filter(None, [far, held]))
         if held:
             return held
-        if self.often(Status.NEAR_SINGULAR):
+        if np.mean((self.status[-self.quarter :] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
             return "next to a singularity"
         if self.pulled():
             return "the posture term pulls at the task, as I − J#J of a damped J# is no projector"
         return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
+
+    def held(self) -> str:
+        """What acts against the motion while the error is large, in words; "" where nothing does."""
+        if self.still:
+            return "" if self.shrinks() or self.arrived() else self.cause()
+        acted, words = self.acted()
+        if not words or (acted.all() and self.lag()):
+            return ""
+        size = self.size()[1:]
+        usual = np.median(size[~acted]) if not acted.all() else 0.0
+        if size[acted].max() <= max(2 * usual, 10 * self.floor):
+            return ""
+        return f"{words}; while they acted the error was up to {self.largest(np.flatnonzero(acted) + 1)}"
 
     def lag(self) -> str:
         """The lag behind the path, where one explains the errors of lengths."""
@@ -252,89 +265,66 @@ class _Case:
         e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
         if not speed:
             return ""
-        late = np.sum(wanted * e) / speed
-        left = np.sum((e - late * wanted) ** 2)
-        return f", as a lag of {1e3 * late:.3g} ms explains" if left <= (1 - EXPLAINED) * np.sum(e**2) else ""
+        lag = np.sum(wanted * e) / speed
+        explains = np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
+        return f", as a lag of {1e3 * lag:.3g} ms explains" if explains else ""
 
     # --- the answer ---------------------------------------------------------------------------------------
 
     def verdict(self) -> Verdict:
-        kind, what, change, remedy = self._judged()
-        over = self._over_velocity()
-        tasks = {} if self.lost is not None else {name: self._task(at) for name, at in self.law.task.each}
-        words = "; ".join(filter(None, [what, *(f"{k} {v}" for k, v in tasks.items()), over]))
-        if over and not remedy:
-            change, remedy = (
-                {"limits": "velocity_scaling"},
-                "limits of velocity_scaling or bounded keep joint velocities within those of the robot",
-            )
+        kind, what, (change, remedy) = self.judged()
+        tasks = {name: self.of_task(at) for name, at in self.law.task.each} if self.finite.all() else {}
+        words, over = [what, *(f"{k} {v}" for k, v in tasks.items())], self.status & Status.OVER_VELOCITY != 0
+        if self.law.limits is None and over.any():
+            excess = np.nanmax(np.abs(self.qdot) / np.maximum(self.most, 1e-12)) - 1
+            steps = f"{over.sum()} of {self.N} steps"
+            words.append(f"{steps} exceed a joint's velocity limit, by up to {plainly(100 * excess)} %")
+            if not remedy:
+                change = {"limits": "velocity_scaling"}
+                remedy = "limits of velocity_scaling or bounded keep joint velocities within those of the robot"
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
         return Verdict(
             kind=kind,
-            sentence=f"{kind}: {words}.{tail}",
+            sentence=f"{kind}: {'; '.join(words)}.{tail}",
             remedy=remedy,
             change=change,
-            error=np.inf if self.lost is not None else float(self.late()[0].max()),
+            error=float(self.late()[0].max()) if self.finite.all() else np.inf,
             tasks=tasks,
         )
 
-    def _judged(self):
-        if self.lost is not None:
-            what = f"not finite from t = {self.t[self.lost]:.4g} s on (step {self.lost})"
-            return Behaviour.GROWING, what, *self._lower()
-        late, before = self.late()
-        said = f"over the last quarter of the run the error is at most {self._largest()}"
-        if self.N < 8:
-            return Behaviour.TOO_SHORT, f"{said} after {self.N} steps", {}, ""
-        swing, swung, turns = self.swing()
+    def judged(self) -> tuple[Behaviour, str, tuple[dict, str]]:
+        """The ending, what is said of it, and its remedy."""
+        if not self.finite.all():
+            k = int(np.argmin(self.finite))
+            return Behaviour.GROWING, f"not finite from t = {self.t[k]:.4g} s on (step {k})", self.lower_gain()
+        said = f"over the last quarter of the run the error is at most {self.largest()}"
+        if self.N < 2 * TURNS:
+            return Behaviour.TOO_SHORT, f"{said} after {self.N} steps", NO_REMEDY
+        swing, before, turns = self.swing()
         seen = swing > max(VISIBLE * (1 + self.length), NOISE * self.sigma) and not self.arrived()
-        swings = seen and (self.shakes() or (turns >= TURNS and swing >= STEADY * swung))
-        grown = np.median(late) > GROWN * np.median(before) and late.max() > max(before.max(), self.floor)
-        if self.still:
-            grown |= np.median(late) > GROWN * max(self.size()[0], self.floor)
-        else:
-            grown = np.median(late) > LOST * max(np.median(self.size()[: -self.quarter]), self.floor) and grown
-        held = self._held()
-        if held and (self.still or not grown):
-            also = f"; it swings by {self._along(swing)}" * bool(swings)
-            return Behaviour.HELD_BACK, f"{held}; {said}{also}", *(self._calmer(late.max()) if swings else ({}, ""))
-        if grown or (swings and swing > GROWN * swung and swung > self.floor):
-            return Behaviour.GROWING, said, *self._lower()
+        swings = seen and (self.shakes() or (turns >= TURNS and swing >= before / GROWN))
+        held, grows = self.held(), self.grows()
+        if held and (self.still or not grows):
+            units = set(self.law.task.units)
+            by = aloud(float(swing), units.pop()) if len(units) == 1 else f"{swing:.3g} [m, rad]"
+            also = f"; it swings by {by}" * bool(swings)
+            return Behaviour.HELD_BACK, f"{held}; {said}{also}", self.more_damping() if swings else NO_REMEDY
+        if grows or (swings and swing > GROWN * before and before > self.floor):
+            return Behaviour.GROWING, said, self.lower_gain()
         if swings:
             period = f" with a period of about {2 * self.quarter * self.Ts / turns:.2g} s" * (turns >= TURNS)
-            return Behaviour.SWINGING, f"{said}; it swings{period}", *self._lower()
-        if self.still and self.arrived():
-            return Behaviour.SETTLED, said, *self._unstable()
+            return Behaviour.SWINGING, f"{said}; it swings{period}", self.lower_gain()
         if not self.still:
-            return Behaviour.FOLLOWING, f"{said}{self.lag() if late.max() > self.floor else ''}", *self._unstable()
-        if late.max() < STALL_RATIO * before.max():
-            left = late.max() / before.max()
-            goal = max(ARRIVED * self.size()[0], self.floor)
-            steps = (
-                self.N - self.quarter + self.quarter * math.log(goal / late.max()) / math.log(left) if left > 0 else 0
-            )
-            more = math.ceil(1.01 * steps / 0.75)  # the last quarter then begins there
-            what = f"{said}, {100 * left:.2g} % of that in the quarter before"
-            longer = ({"N": more}, f"run {more} steps") if self.N < more <= errors.MOST else ({}, "")
-            return Behaviour.TOO_SHORT, what, *longer
-        return Behaviour.HELD_BACK, f"{self.cause() or 'the run does not show by what'}; {said} and stays", {}, ""
+            lag = self.lag() if self.late()[0].max() > self.floor else ""
+            return Behaviour.FOLLOWING, f"{said}{lag}", self.unstable()
+        if self.arrived():
+            return Behaviour.SETTLED, said, self.unstable()
+        if self.shrinks():
+            left = self.late()[0].max() / self.late()[1].max()
+            return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", self.longer(left)
+        return Behaviour.HELD_BACK, f"the run does not show by what; {said} and stays", NO_REMEDY
 
-    def _held(self) -> str:
-        """What acts against the motion while the error is large, in words; "" where nothing does."""
-        late = self.late()[0]
-        acted, words = self.acted()
-        if self.still:
-            rests = late.max() >= STALL_RATIO * self.late()[1].max() and not self.arrived()
-            return self.cause() if rests else ""
-        size = self.size()[1:]
-        if not words or (acted.all() and self.lag()):
-            return ""
-        free = np.median(size[~acted]) if not acted.all() else 0.0
-        if size[acted].max() <= max(2 * free, 10 * self.floor):
-            return ""
-        return f"{'; '.join(words)}; while they acted the error was up to {self._largest(np.flatnonzero(acted) + 1)}"
-
-    def _largest(self, instants=None, some=None) -> str:
+    def largest(self, instants=None, some=None) -> str:
         """The largest errors with their units, such as "1.2 mm and 0.3 rad"; by default of the last quarter."""
         own = np.arange(self.law.task.m)[self.counted if some is None else some]
         units = np.array([u if u in ("m", "rad") else "" for u in np.array(self.law.task.units)[own]])
@@ -344,88 +334,73 @@ class _Case:
         each = ((own[units == u], u) for u in ("m", "rad", ""))
         return " and ".join(aloud(float(np.linalg.norm(e[:, at], axis=1).max()), u) for at, u in each if at.size)
 
-    def _along(self, size) -> str:
-        units = set(self.law.task.units)
-        return aloud(float(size), units.pop()) if len(units) == 1 else f"{size:.3g} [m, rad]"
-
-    def _task(self, at) -> str:
-        late, before = self.late(at)
-        alpha = np.broadcast_to(np.asarray(self.law.alpha, float), (self.law.task.m,))
-        if not alpha[at].any():
+    def of_task(self, at) -> str:
+        """What a task of a stack did, in words."""
+        if not self.alpha[at].any():
             state = "no gain"
-        elif self.arrived(at):
-            state = "settled"
-        elif not self.still:
-            state = "following"
+        elif self.arrived(at) or not self.still:
+            state = "settled" if self.arrived(at) else "following"
         else:
-            state = "shrinking" if late.max() < STALL_RATIO * before.max() else "stays"
-        return f"{self._largest(some=at)} ({state})"
-
-    def _over_velocity(self) -> str:
-        if self.law.limits is not None or not np.any(self.status & int(Status.OVER_VELOCITY)):
-            return ""
-        ratio = np.nan_to_num(np.abs(self.qdot) / np.maximum(np.array(self.law.chain.velocity_limit, float), 1e-12))
-        steps = int(np.sum(self.status & int(Status.OVER_VELOCITY) != 0))
-        return (
-            f"{steps} of {self.N} steps exceed a joint's velocity limit, by up to {plainly(100 * (ratio.max() - 1))} %"
-        )
+            state = "shrinking" if self.shrinks(at) else "stays"
+        return f"{self.largest(some=at)} ({state})"
 
     # --- remedies: one, from a formula ----------------------------------------------------------------------
 
-    def _lower(self):
-        """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
-        if self.advice is not None and self.advice.gains.recommended:
-            tasks = [one for one in self.advice.rates if one.kind == "task"]
-            most = self.advice.gains
-            high = [one for one in tasks if one.rate > most.without_overshoot * (1 + 1e-9)]
-            if high and self.law.task.tasks:
-                words = f"give {' and '.join(one.name for one in high)} an alpha of at most {most.recommended:.4g} 1/s"
-                return {"alpha": {one.name: most.recommended for one in high}}, words
-            if high:
-                return {"alpha": most.recommended}, f"use an alpha of at most {most.recommended:.4g} 1/s"
-        if np.any(self.status & int(Status.NEAR_SINGULAR)) and np.isfinite(self.law.chain.velocity_limit).any():
-            near = np.flatnonzero(self.status & int(Status.NEAR_SINGULAR))
-            near = near[np.isfinite(self.e[near]).all(1)]
-            if len(near):
-                speed = float(np.max(np.asarray(self.law.alpha, float)) * self.size()[near[0]])
-                damping = float(f"{speed / (2 * np.min(np.array(self.law.chain.velocity_limit, float))):.1g}")
-                words = f"near the singularity use a damping of {damping:g}"
-                return {"damping": damping}, f"{words}, which keeps joint velocities below |v|/(2 λ)"
-        return {}, ""
+    def longer(self, left) -> tuple[dict, str]:
+        """More steps, for an error of which a share is left after each quarter of the run."""
+        goal, error = max(ARRIVED * self.size()[0], self.floor), self.late()[0].max()
+        quarters = 3 + math.log(goal / error) / math.log(left) if left > 0 else 0  # then the last one begins
+        steps = math.ceil(1.01 * quarters * self.quarter / 0.75)
+        return ({"N": steps}, f"run {steps} steps") if self.N < steps <= errors.MOST else NO_REMEDY
 
-    def _calmer(self, error):
+    def lower_gain(self) -> tuple[dict, str]:
+        """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
+        if self.advice is not None and (gains := self.advice.gains).recommended:
+            tasks = [rate for rate in self.advice.rates if rate.kind == "task"]
+            high = [rate.name for rate in tasks if rate.rate > gains.without_overshoot * (1 + 1e-9)]
+            words = f"an alpha of at most {gains.recommended:.4g} 1/s"
+            if high and self.law.task.tasks:
+                return {"alpha": dict.fromkeys(high, gains.recommended)}, f"give {' and '.join(high)} {words}"
+            if high:
+                return {"alpha": gains.recommended}, f"use {words}"
+        near = np.flatnonzero(self.finite[:-1] & (self.status & Status.NEAR_SINGULAR != 0))
+        slowest = self.most.min(initial=np.inf)
+        if not near.size or not np.isfinite(slowest):
+            return NO_REMEDY
+        damping = float(f"{self.alpha.max() * self.size()[near[0]] / (2 * slowest):.1g}")
+        words = f"near the singularity use a damping of {damping:g}, which keeps joint velocities below |v|/(2 λ)"
+        return {"damping": damping}, words
+
+    def more_damping(self) -> tuple[dict, str]:
         """The damping with which a step towards a target out of reach contracts: λ² > alpha Ts ‖e‖ c/2, c the arm's
         curvature, at most its length."""
-        if not hasattr(self.law.inverse, "damping") or np.ndim(self.law.inverse.damping):
-            return {}, ""
-        z = float(np.max(np.asarray(self.law.alpha, float))) * self.Ts
-        damping = math.sqrt(z * error * self.length / 2)
-        damping = math.ceil(100 * damping) / 100
-        if damping <= float(self.law.inverse.damping):
-            return self._lower()
-        return {"damping": damping}, f"a damping of {damping:g} lets it rest in front of the target"
+        damping = getattr(self.law.inverse, "damping", None)
+        if damping is None or np.ndim(damping):
+            return NO_REMEDY
+        needed = math.sqrt(self.alpha.max() * self.Ts * self.late()[0].max() * self.length / 2)
+        needed = math.ceil(100 * needed) / 100
+        if needed <= float(damping):
+            return self.lower_gain()
+        return {"damping": needed}, f"a damping of {needed:g} lets it rest in front of the target"
 
-    def _unstable(self):
+    def unstable(self) -> tuple[dict, str]:
         """The recommended gain, of a run that is calm with a gain above the largest stable one."""
         if self.advice is None or not self.advice.unstable:
-            return {}, ""
-        change, words = self._lower()
-        return (
-            change,
-            f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow: {words}"
-            if words
-            else "",
-        )
+            return NO_REMEDY
+        change, words = self.lower_gain()
+        high = f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow"
+        return change, f"{high}: {words}" if words else ""
 
 
-def _of_joints(task, at) -> bool:
-    """Whether the coordinates of a task are joint values."""
-    return all(
-        hasattr(p, "wanted") for p, own in zip(task.parts, task.slices, strict=True) if at.start <= own.start < at.stop
-    )
+def _deviation(part):
+    """Return the largest component of values (k, m) beside the straight line between their ends."""
+    if len(part) < 4:
+        return np.zeros(len(part))
+    beside = part - np.linspace(part[:3].mean(0), part[-3:].mean(0), len(part))
+    return beside @ np.linalg.svd(beside, full_matrices=False)[2][0]
 
 
-def _turns(values, least) -> int:
-    """Number of sign changes among the values larger than `least`."""
-    large = values[np.abs(values) > max(least, 0.0)]
-    return int(np.sum(large[1:] * large[:-1] < 0)) if len(large) > 1 else 0
+def _turns(values) -> int:
+    """Return the number of sign changes among values that are not small."""
+    large = values[np.abs(values) > 0.3 * np.abs(values).max(initial=0.0)]
+    return int(np.sum(large[1:] * large[:-1] < 0))

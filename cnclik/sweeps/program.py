@@ -19,7 +19,7 @@ from cnclik import errors
 from cnclik.cache import give_back
 from cnclik.engine.plan import as_here
 from cnclik.integrate.lanes import lanes
-from cnclik.measure.metrics import Metrics, named
+from cnclik.measure.metrics import METRICS, Metrics
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.labels import UNITS
 from cnclik.threads import cores, shares_threads, side_by_side
@@ -93,8 +93,7 @@ def _named(result) -> dict:
 def _output(name, v, result) -> Output:
     about = {"units": UNITS.get(name, "")}
     if isinstance(result, Metrics):
-        task, metric = named(name)
-        about = {"units": result.units[name], "long_name": f"{task}: {metric.label}" if task else metric.label}
+        about = {"units": result.units[name], "long_name": METRICS[name].label}
     return Output(name, v.shape, np.dtype(v.dtype), tuple(f"{name}_{i}" for i in range(v.ndim)), about)
 
 

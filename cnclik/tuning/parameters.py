@@ -154,27 +154,11 @@ def _damping(law, _):
     return None if np.ndim(size) or size is None else (size, size / RANGE, size * RANGE)
 
 
-def _tool(law, _):
-    start = np.array([float(v) for v in law.chain.tip.position])
-    return start, start - 0.5, start + 0.5
-
-
-def _with_tool(law, _, value):
-    tip = Offset(position=tuple(value[i] for i in range(3)), rotation=law.chain.tip.rotation)
-    return {"chain": with_tip(law.chain, tip)}
-
-
 KNOWN = {  # start and bounds (of a gain: start alone), what a value changes of the law, unit
     "alpha": (_alpha, _with_alpha, "1/s"),
     "posture_rate": (_posture_rate, lambda law, _, v: {"null_velocity": replace(law.null_velocity, rate=v)}, "1/s"),
     "damping": (_damping, lambda law, _, v: {"inverse": replace(law.inverse, damping=v)}, "m or 1"),
     "feedforward": (lambda law, _: (law.feedforward, 0.0, 2.0), lambda law, _, v: {"feedforward": v}, "1"),
-    "links": (
-        lambda law, _: (np.ones(len(law.chain.joints) + 1), 0.5, 2.0),
-        lambda law, _, v: {"chain": scaled_links(law.chain, v)},
-        "1",
-    ),
-    "tool": (_tool, _with_tool, "m"),
 }
 
 

@@ -53,7 +53,7 @@ class Tuned:
       speeds: the largest |q̇| over its limit before and after; 0 without limits.
       before, after: `Trajectory` of the first path with the values as given and as tuned.
       status: "converged", "steps", "nothing" (there is no error), "infeasible" or "non-finite".
-      evaluations: runs with their gradient, of all starts.
+      evaluations: runs with their gradient.
     """
 
     law: Law
@@ -148,7 +148,6 @@ def tune(
     noise: Float[ArrayLike, "*B N m"] | None = None,
     velocity_limit: ArrayLike | None = None,
     steps: int = 100,
-    starts: int = 1,
     optimizer: Any = None,
     progress: Callable | None = None,
 ) -> Tuned:
@@ -161,9 +160,9 @@ def tune(
         each task of a stack.
       reference: a path, or a list of B paths. q0: (n,) start [rad, m], or (B, n). The loss is the mean over them.
       Ts: sampling time [s]. N: number of steps. method, stage: as for `solve`.
-      over: what is tuned: alpha, posture_rate, damping, feedforward, links (factors of the links' offsets), tool
-        (offset of the tip), of a stack also hands.alpha; or your own `Parameter`s. Postures of a stack, tasks of joint
-        values that give way, are tuned and count in the loss only if they are named.
+      over: what is tuned: alpha, posture_rate, damping, feedforward, of a stack also hands.alpha; or your own
+        `Parameter`s. Postures of a stack, tasks of joint values that give way, are tuned and count in the loss only if
+        they are named.
       bounds: {name: (lower, upper)} in place of the defaults. Those of a gain end at the recommended one of
         `gains(Ts=, drive=, method=, M=)`; they may end at its largest stable one.
       loss: tracking, settling, effort or jerk, {name: weight}, or a function of the `Trajectory`; of a stack, its e
@@ -172,8 +171,7 @@ def tune(
       noise: (N, m) added to the measured error at each step [m, rad], or (B, N, m); None: none.
       velocity_limit: joint speed that the run keeps [rad/s, m/s], a number or (n,); None: the robot's own limits,
         np.inf: none.
-      steps: evaluations with gradient for each start, at most.
-      starts: descents: from the law's own values, and from random ones within the bounds.
+      steps: evaluations with gradient, at most.
       optimizer: an optax transformation; None: L-BFGS.
       progress: called with (evaluations, evaluations in all, words) as it goes on, or None.
 
@@ -184,7 +182,7 @@ def tune(
     references = reference if isinstance(reference, (list, tuple)) else [reference]
     check_loop(law, *references)
     errors.progress(progress)
-    steps, starts = errors.integer("steps", steps, at_least=3), errors.integer("starts", starts, at_least=1)
+    steps = errors.integer("steps", steps, at_least=3)
     loop: dict[str, Any] = {"Ts": Ts, "method": named(method), "drive": drive}
     allowed = gains(**loop | {"M": stage})
     parameters = chosen(over, law, {} if bounds is None else bounds, allowed)
@@ -197,12 +195,9 @@ def tune(
     objective = objective_of(law, parameters, references, q0, Ts, how, loss, allowed.drive, noise, velocity_limit)
     within = Bounds(lower, upper)
     before = evaluate(objective, within, within.free(given))
-    random = np.random.default_rng(0).uniform(within.free(lower), within.free(upper), (starts - 1, len(given)))
-    ends = []
-    for i, u in enumerate([within.within(before.u), *random]):
-        tell = progress and (lambda done, _, words, i=i: progress(i * steps + done, starts * steps, words))
-        ends.append(descend(objective, within, u, optimizer=optimizer, steps=steps, progress=tell))
-    after, _, status = min(ends, key=lambda end: end[0].rank)
+    after, evaluations, status = descend(
+        objective, within, within.within(before.u), optimizer=optimizer, steps=steps, progress=progress
+    )
     values = np.clip(within.values(after.u), lower, upper)
     made = jax.tree.map(np.array, put(law, parameters, values))  # new arrays: these belong to float64, see `precision`
     first, q0 = jax.tree.map(np.array, references[0]), np.array(objective.scenarios[1][0])
@@ -219,7 +214,7 @@ def tune(
         before=jax.tree.map(lambda x: np.array(x[0]), before.seen),
         after=jax.tree.map(lambda x: np.array(x[0]), after.seen),
         status="infeasible" if KEPT < after.excess < np.inf else status,
-        evaluations=sum(count for _, count, _ in ends),
+        evaluations=evaluations,
     )
 
 

@@ -15,12 +15,11 @@ import jax
 import numpy as np
 
 import cnclik as ck
-from cnclik.engine.compiler import build, opened
 from cnclik.measure.files import markdown
 from cnclik.record import on_device
 from tests.bench import cases, timing
 from tests.bench.pinocchio_cpp import PinocchioCpp
-from tests.export.native import native
+from tests.export.native import built, native
 
 CALLS, ROUNDS, IN_A_ROW, FEW = 1_000_000, 7, 20_000, 200
 HARNESS = """
@@ -58,7 +57,7 @@ def exported(given, fixed):
     with tempfile.TemporaryDirectory() as folder:
         source = pathlib.Path(folder, "harness.c")
         source.write_text(HARNESS, encoding="utf-8")
-        harness = opened(build([source], folder, flags=["-D_POSIX_C_SOURCE=200809L"]))
+        harness = built(source, "-D_POSIX_C_SOURCE=200809L")
     arguments = [ctypes.cast(step.function, ctypes.c_void_p), *map(ctypes.c_void_p, step.addresses)]
 
     def calls(count, ns=None, kept=step):  # which owns the memory of the arguments
@@ -70,7 +69,7 @@ def exported(given, fixed):
 def main():
     """Print the table."""
     given = [np.asarray(v[0]) for v in cases.inputs(cases.case(), 1, "float64").values()]
-    (free, built), (fixed, _) = exported(given, False), exported(given, True)
+    (free, seconds), (fixed, _) = exported(given, False), exported(given, True)
     solver = PinocchioCpp(*cases.panda_matrices(), "float64")
     settings = dict(alpha=cases.ALPHA, Ts=cases.TS, damping=cases.DAMPING, M=None, N=IN_A_ROW)
     law, reference, q = on_device(cases.case().law), on_device(ck.hold(*given[1:])), jax.numpy.asarray(given[0])
@@ -97,7 +96,7 @@ def main():
     rows.append(
         (f"worst of {CALLS:,} calls", f"{ns.max() / 1e3:.3g} µs", f"{ns.max() / np.median(ns):.3g}× the median")
     )
-    rows.append(("export and compile", f"{built:.2g} s", ""))
+    rows.append(("export and compile", f"{seconds:.2g} s", ""))
     print(timing.on(timing.machine()), markdown(("float64", "measured", "over Pinocchio"), rows), sep="\n\n")
 
 

@@ -39,7 +39,7 @@ def solved(tmp_path_factory):
 
 
 def test_files_hold_the_run(solved):
-    names = {"trajectory.nc", "trajectory.csv", "error.png", "joints.png", "status.png", "tip.png", "velocities.png"}
+    names = {"trajectory.nc", "trajectory.csv", "overview.png", "joints.png", "tip.png", "velocities.png"}
     assert {p.name for p in solved.iterdir()} == {writing.LIST, *names}
     with xr.open_dataset(solved / "trajectory.nc") as data, (solved / "trajectory.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -158,7 +158,7 @@ def test_windows_that_matplotlib_does_not_know(tmp_path):
     words = [sys.executable, "-m", "cnclik", "solve", "planar:1,1", "--N", "3", "--out", str(tmp_path)]
     found = subprocess.run(words, capture_output=True, text=True, env=os.environ | {"MPLBACKEND": "foo"})
     assert (found.returncode, found.stderr) == (0, "")
-    assert {"error.png", "trajectory.nc"} <= {p.name for p in tmp_path.iterdir()}
+    assert {"overview.png", "trajectory.nc"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_algebra_of_small_matrices_takes_one_thread():

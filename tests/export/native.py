@@ -1,16 +1,27 @@
 """An exported function built by the system's compiler, and called with structs of NumPy."""
 
 import ctypes
+import os
+import subprocess
 import tempfile
 from types import SimpleNamespace
 
 import numpy as np
 
-from cnclik.engine.compiler import build, opened
+from cnclik.engine.compiler import command, opened
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import Request, trace
 from cnclik.integrate.method import DEFAULT, named
 from cnclik.integrate.stage import picard
+
+FLAGS = "-std=c99 -O3 -march=native -ffp-contract=fast -fno-math-errno -fno-trapping-math -fPIC -shared"
+
+
+def built(source, *flags):
+    """The loaded library of a C file, with CFLAGS."""
+    words = [*command(), *FLAGS.split(), *flags, *os.environ.get("CFLAGS", "").split()]
+    subprocess.run([*words, "-o", f"{source}.so", str(source), "-lm"], check=True)
+    return opened(f"{source}.so")
 
 
 def native(of, reference=None, *, method=DEFAULT, stage=None, dtype="float64", runtime=None):
@@ -21,7 +32,7 @@ def native(of, reference=None, *, method=DEFAULT, stage=None, dtype="float64", r
         for ending, text in ((".h", header(program, names, [])), (".c", source(program, names))):
             with open(f"{folder}/{names.name}{ending}", "w", encoding="utf-8") as file:
                 file.write(text)
-        library = opened(build([f"{folder}/{names.name}.c"], folder))
+        library = built(f"{folder}/{names.name}.c")
     return Native(program, library, getattr(library, names.name), names.dtype)
 
 

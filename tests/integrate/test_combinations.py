@@ -154,7 +154,9 @@ def step(method, stage, inverse, limits, q, t, offset):
                 explicit = joint_velocity(inverse, limits, q, e, v, posture * (REST - q))
             slope = explicit
             for _ in range(3 if isinstance(stage, type(ck.picard(1))) else 60):
-                slope = field(i, base + row[i] * TS * slope)
+                before, slope = slope, field(i, base + row[i] * TS * slope)
+                if np.abs(slope - before).max() < 1e-14:
+                    break
         else:
             slope = field(i, base)
         slopes.append(slope)

@@ -66,7 +66,7 @@ def test_drives_of_any_speed_are_numbers_known_or_traced(command):
             Drive(**{name: 1e-100}, command=command)
 
 
-def _plain(drive, alpha, N, feedback="measured", velocity=None):
+def _plain(drive, alpha, N):
     """The loop by explicit Euler and by integrating the drives' differential equations between events."""
     d, order = drive.delay * Ts, drive.order
     w, zeta = drive.natural_frequency, drive.damping_ratio
@@ -102,14 +102,11 @@ def _plain(drive, alpha, N, feedback="measured", velocity=None):
 @pytest.mark.parametrize(
     "drive",
     [
-        Drive(lag=0.03, delay=1.4),
-        Drive(lag=np.array([0.02, 0.05])),
+        Drive(lag=np.array([0.02, 0.05]), delay=1.4),
         Drive(**SERVO, delay=0.25),
-        Drive(**SERVO, command="position", delay=2),
-        Drive(**SERVO, command="position", feedback="rebased"),
-        Drive(lag=0.03, command="position", feedback="commanded", delay=1.5),
+        Drive(**SERVO, command="position", feedback="rebased", delay=1.5),
     ],
-    ids=["lag", "lag of each", "velocity servo", "position servo", "rebased", "commanded"],
+    ids=["lag of each", "velocity servo", "rebased position servo"],
 )
 def test_a_loop_is_the_differential_equations_of_its_drives(drive):
     run = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 25, "EE", drive=drive)
@@ -119,17 +116,16 @@ def test_a_loop_is_the_differential_equations_of_its_drives(drive):
 
 def test_a_drive_that_follows_at_once_changes_nothing():
     plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, "EXP-MIDPOINT")
-    for drive in (None, Drive(), Drive(command="position"), Drive(feedback="commanded")):
+    for drive in (Drive(), Drive(command="position"), Drive(feedback="commanded")):
         np.testing.assert_allclose(
             ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, "EXP-MIDPOINT", drive=drive).q, plain.q, atol=1e-13
         )
 
 
-@pytest.mark.parametrize("method", ["EE", "CN", "EXP-MIDPOINT"])
-def test_dead_time_only_shifts_what_a_commanded_loop_does(method):
+def test_dead_time_only_shifts_what_a_commanded_loop_does():
     """It knows its own commands alone: the motion is that of the loop without drive, d samples later."""
-    plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, method)
-    late = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 23, method, drive=Drive(delay=3, feedback="commanded"))
+    plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20)
+    late = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 23, drive=Drive(delay=3, feedback="commanded"))
     np.testing.assert_allclose(late.q[3:], plain.q, atol=1e-12)
     np.testing.assert_allclose(late.q[:3], np.tile(Q, (3, 1)), atol=1e-15)
 
@@ -182,22 +178,6 @@ def test_noise_is_added_to_the_measured_error(drive):
 def test_noise_of_another_shape_is_refused():
     with pytest.raises(ArgumentError, match=r"`noise` must have shape \(5, 2\)"):
         ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, noise=np.zeros((4, 2)))
-
-
-@pytest.mark.slow
-def test_gradients_pass_through_a_drive():
-    @jax.jit
-    def error(values):
-        law = ck.replace(LAW, alpha=values[0])
-        drive = Drive(lag=values[1], delay=1.5)
-        return jnp.sum(ck.solve(law, ck.hold(TARGET), Q, Ts, 15, "EE", drive=drive).e ** 2)
-
-    at = jnp.array([5.0, 0.03])
-    forward, reverse = jax.jit(jax.jacfwd(error))(at), jax.jit(jax.jacrev(error))(at)
-    steps = 1e-5 * np.eye(2)
-    by_hand = [(error(at + h) - error(at - h)) / 2e-5 for h in steps]
-    np.testing.assert_allclose(forward, by_hand, rtol=1e-6)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
 
 
 def test_float32_runs_in_float32():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from tests.oracles import AMPLIFICATION, clik, close, picard_amplification, planar_law
+from tests.oracles import AMPLIFICATION, close, picard_amplification
 
 IMPLICIT = ["IE", "CN", "TRAPEZOID"]
 Z = [0.1, 0.5, 1.0, 1.354, 2.0, 2.7852935634, 3.3]
@@ -78,39 +78,6 @@ def test_limits_of_the_exact_methods():
 
 # --- whole loops --------------------------------------------------------------------------------------
 
-ARMS = {
-    "2dof": (np.ones(2), np.array([0, np.pi / 2]), np.array([1.0, 0.0]), np.array([1.0, 1.0])),
-    "5dof": (np.ones(5), np.array([0, np.pi / 2, 0, 0, 0]), np.array([3.0, 1.0]), np.array([4.0, 1.0])),
-}
-
-
-# Each pair is a compilation: the long arm with the paper's three methods, the short one with the others.
-PAPERS = ("EE", "IE", "CN")
-PAIRS = [(m, a) for m in AMPLIFICATION for a in ARMS]
-QUICK = [pair for pair in PAIRS if (pair[1] == "5dof") == (pair[0] in PAPERS)]
-
-
-@pytest.mark.parametrize("case", ["reach", "track"])
-@pytest.mark.parametrize(
-    ("method", "arm"), [pytest.param(*p, marks=[] if p in QUICK else pytest.mark.slow) for p in PAIRS]
-)
-def test_the_papers_loops(method, arm, case):
-    """30 steps of the paper's experiments (on-path reading, Ts once, consistent feed-forward), M = 5."""
-    lengths, q0, fixed, start = ARMS[arm]
-    law = ck.Law(ck.planar_arm(lengths.tolist(), clockwise=True), ck.position("xy"), alpha=5.0)
-    end, rate = start - [1, 0], np.array([-1 / 3, 0])
-    # Both cases as a line, so that they share a compiled program; a line without length is a fixed point.
-    if case == "reach":
-        reference = ck.line(fixed, fixed, duration=3.0)
-        f = planar_law(lengths, lambda t: fixed, lambda t: 0 * rate, 5.0, sense=-1)
-    else:
-        reference = ck.line(start, end, duration=3.0)
-        f = planar_law(lengths, lambda t: start + rate * t, lambda t: rate, 5.0, sense=-1)
-    run = ck.solve(law, reference, q0, 0.1, 30, method)
-    close(run.q, clik(method, f, q0, 0.1, 30), atol=1e-12)
-    passes = {"EE": 1, "IE": 6, "CN": 6, "TRAPEZOID": 6, "HEUN": 2, "MIDPOINT": 2, "RK4": 4}
-    assert run.evaluations == 30 * passes[method]
-
 
 @jax.jit
 def closed_form(t, q, args):
@@ -128,12 +95,10 @@ def closed_form(t, q, args):
 
 LENGTHS, START = np.array([0.7, 1.1, 0.4]), np.array([0.3, -0.9, 0.6])
 FIGURE = ck.lissajous([0.4, 1.2], [0.3, 0.2], period=np.pi, phase=[0.0, 0.5])
-DIFFRAX = {"EE": "Euler", "HEUN": "Heun", "MIDPOINT": "Midpoint", "IE": "ImplicitEuler"}
+DIFFRAX = {"HEUN": "Heun", "IE": "ImplicitEuler"}
 
 
-@pytest.mark.parametrize(
-    "method", [pytest.param(m, marks=pytest.mark.slow) if m in ("HEUN", "MIDPOINT") else m for m in DIFFRAX]
-)
+@pytest.mark.parametrize("method", DIFFRAX)
 def test_against_diffrax(method):
     import diffrax  # a second, of all workers, if it is at the top
     import optimistix
@@ -166,28 +131,7 @@ def test_starts_at_t0():
     close(rest.t, whole.t[7:], atol=1e-15)
 
 
-# --- order --------------------------------------------------------------------------------------------
-
-
-@functools.cache
-def finely():
-    """The exact loop's end point, by RK4 with 1500 steps."""
-    f = lambda q, t: np.asarray(closed_form(jnp.asarray(t), q, (LENGTHS, 4.0)))  # noqa: E731
-    return clik("RK4", f, START, 1 / 1500, 1500)[-1]
-
-
-@pytest.mark.parametrize("method", AMPLIFICATION)
-def test_order(method):
-    """Log error on log step, for a moving target, implicit stages solved."""
-    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
-    steps, errors = np.array([20, 40, 80, 160]), []
-    for N in steps:
-        q = START
-        for k in range(N):
-            q = ck.step(law, FIGURE, q, k / N, 1 / N, method, ck.chord(6)).q
-        errors.append(np.linalg.norm(q - finely()))
-    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert order == pytest.approx(ck.METHODS[method].order, abs=0.15)
+# --- tableaus -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("method", ck.METHODS.values(), ids=repr)
@@ -285,4 +229,6 @@ def test_an_order_above_four_is_checked_too(name):
 def test_as_many_order_conditions_as_there_are_rooted_trees():
     from cnclik.integrate.method import trees
 
-    assert [len(trees(order)) for order in range(1, 9)] == [1, 1, 2, 4, 9, 20, 48, 115]  # OEIS A000081
+    A = np.random.default_rng(0).uniform(size=(9, 9))
+    different = [{(float(f"{phi[0]:.9g}"), gamma) for phi, gamma in trees(A, order)} for order in range(1, 9)]
+    assert [*map(len, different)] == [1, 1, 2, 4, 9, 20, 48, 115]  # OEIS A000081

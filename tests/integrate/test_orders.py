@@ -14,7 +14,6 @@ from tests.oracles import clik, planar_law
 PAGE = pathlib.Path(__file__).parents[2] / "docs" / "methods.md"
 OFF = START + np.array([0.1, -0.08, 0.12])
 CASES = {"on its path": (START, 0.0), "from off it": (OFF, 0.0), "damped": (OFF, 0.3)}
-QUICK = {("EXP-RK4", "from off it"), ("EXP-MIDPOINT", "damped"), ("CN", "damped")}
 STEPS = {"EXP-HEUN": 320}  # N at least
 
 
@@ -51,10 +50,8 @@ def test_the_table_has_every_method():
     assert all(ck.METHODS[name].order == orders["on its path"] for name, orders in ORDERS.items())
 
 
-@pytest.mark.parametrize(
-    ("name", "case"),
-    [pytest.param(n, c, marks=[] if (n, c) in QUICK else pytest.mark.slow) for n in ORDERS for c in CASES],
-)
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", ORDERS)
 def test_order(name, case):
     q0, damping = CASES[case]
     law = ck.replace(LAW, inverse=ck.damped(damping)) if damping else LAW

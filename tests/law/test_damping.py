@@ -1,7 +1,5 @@
 """Damped inverses near singularities against formulas in NumPy, with derivatives that stay finite."""
 
-import itertools
-
 import jax
 import numpy as np
 import pytest
@@ -48,9 +46,8 @@ def applied(inverse, j, t):
 @pytest.mark.parametrize(
     ("shape", "name"),
     [
-        *itertools.product([(2, 3), (3, 2), (3, 4)], INVERSES),
-        ((6, 7), "damped"),
-        pytest.param((6, 7), "singular_damped", marks=pytest.mark.slow),
+        ((3, 2), "damped"),
+        *((shape, "singular_damped") for shape in ((2, 3), (3, 2), (6, 7))),
     ],
 )
 def test_values_are_the_formulas(name, shape):

@@ -72,7 +72,7 @@ def test_its_derivatives_are_those_of_differences(shape):
 # --- Cholesky factors ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("m", range(1, 7))
+@pytest.mark.parametrize("m", [1, 3, 6])
 def test_factors_solve_and_trace(m):
     rng = np.random.default_rng(m)
     a = rng.normal(size=(m, m + 1))

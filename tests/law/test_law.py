@@ -118,7 +118,7 @@ def test_pose_task_on_a_spatial_arm():
 
 @pytest.mark.parametrize(
     "alpha",
-    [5, 5.0, np.float64(5), np.float32(5), np.int64(5), np.array(5), jnp.asarray(5), jnp.asarray(5.0)],
+    [5, np.float32(5), np.array(5), jnp.asarray(5.0)],
     ids=repr,
 )
 def test_kinds_of_gain(alpha):
@@ -202,12 +202,11 @@ SCARA = ck.from_dh([0.5, 0.4, 0.0, 0.0], [0.0] * 4, [0.0] * 4, kinds="RRPR", vel
 
 
 SLIDING = {"gantry": (GANTRY, "xy"), "scara": (SCARA, "z"), "panda": (ck.panda(), "z")}
-INVERSES = [ck.damped(0.1), ck.singular_damped(0.1, 0.1), ck.pseudoinverse()]
 
 
 @pytest.mark.parametrize(
     ("name", "inverse"),
-    [*(("gantry", one) for one in INVERSES), ("scara", ck.pseudoinverse()), ("panda", ck.singular_damped(0.1, 0.1))],
+    [("gantry", ck.damped(0.1)), ("scara", ck.pseudoinverse()), ("panda", ck.singular_damped(0.1, 0.1))],
     ids=str,
 )
 def test_joints_that_a_task_does_not_see(name, inverse):

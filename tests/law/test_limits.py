@@ -1,46 +1,9 @@
-"""Velocity scaling, limits kept by whole loops, and what moves in the null space."""
+"""Limits kept by whole loops, and what moves in the null space."""
 
-import functools
-
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.robot.model import modelled
-
-RATE, LANES = 10.0, 150
-ARM = ck.panda()
-LOW, HIGH, SPEED = (np.array(v) for v in (ARM.lower, ARM.upper, ARM.velocity_limit))
-
-
-def lanes(m, seed, outside=0.0):
-    rng = np.random.default_rng(seed)
-    j = rng.normal(size=(LANES, m, 7))
-    task = rng.normal(size=(LANES, m)) * rng.choice([0.5, 2.0, 5.0], size=(LANES, 1))
-    return j, task, rng.uniform(LOW - outside, HIGH + outside, (LANES, 7))
-
-
-@jax.jit
-@functools.partial(jax.vmap, in_axes=(None, 0, 0, 0, None))
-def each(limits, j, task, q, wanted):
-    made = limits(ck.pseudoinverse(), modelled(ARM), q, j, task, wanted)
-    return made.qdot, jnp.asarray(made.limited)
-
-
-def act(limits, j, task, q, wanted=None):
-    return map(np.asarray, each(limits, j, task, q, wanted))
-
-
-def test_velocity_scaling_keeps_the_direction():
-    j, task, q = lanes(3, seed=7)
-    qdot, held = act(ck.velocity_scaling(), j, task, q)
-    plain = np.einsum("knm,km->kn", np.linalg.pinv(j), task)
-    s = np.minimum(1.0, np.min(SPEED / np.abs(plain), axis=1))
-    np.testing.assert_allclose(qdot, s[:, None] * plain, rtol=1e-7)
-    np.testing.assert_array_equal(held, s < 1)
-
 
 # --- loops --------------------------------------------------------------------------------------------
 

@@ -38,7 +38,6 @@ def rotvec(a, b):
 
 
 R0, R1, R2, R3 = Rotation.random(4, rng=5)
-QUARTER = Rotation.from_rotvec([0, 0, np.pi / 2])
 TIMES = np.array([0.5, 1.0, 2.5, 3.0, 4.0])
 POINTS = np.random.default_rng(6).normal(size=(5, 3))
 LOOP = np.concatenate([POINTS[:-1], POINTS[:1]])

@@ -1,6 +1,7 @@
-"""resampled: a stream of targets, held, ramped or smoothed, and never known before it comes."""
+"""resampled: a smooth path of a stream of targets, which are never known before they come."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -20,24 +21,18 @@ def sampled(stream, t):
     return np.asarray(jax.vmap(lambda t: stream.curve(t)[0])(t))
 
 
-def test_a_stream_is_held_ramped_or_smoothed_and_never_known_before_it_comes():
+def test_a_stream_is_smoothed_and_never_known_before_it_comes():
     gap, t = 1 / 30, np.arange(0, 1.3, 0.001) + 1e-6
-    last = np.clip(np.searchsorted(TIMES, t, side="right") - 1, 0, len(TIMES) - 1)
-    found = {kind: sampled(ck.resampled(TIMES, TARGETS, kind=kind), t) for kind in ("hold", "ramp", "spline")}
-    close(found["hold"], TARGETS[last], atol=1e-12)
-    ramp = np.stack([np.interp(t - gap, TIMES, x) for x in TARGETS.T], axis=1)
-    close(found["ramp"], ramp, atol=1e-9)
-    # The smooth one is the ramp's mean over a period, which the future has no part in.
+    path = sampled(ck.resampled(TIMES, TARGETS), t)
+    # The mean of straight lines over a period.
     fine = np.linspace(-gap / 2, gap / 2, 401)
     smooth = [np.interp(t[:, None] - 1.5 * gap + fine, TIMES, x).mean(axis=1) for x in TARGETS.T]
-    close(found["spline"], np.stack(smooth, axis=1), atol=1e-4)
-    for kind, path in found.items():
-        changed = TARGETS.copy()
-        changed[20:] += 1.0
-        other = sampled(ck.resampled(TIMES, changed, kind=kind), t)
-        known = t < TIMES[20]
-        close(other[known], path[known], atol=0)
-        assert np.abs(other - path).max() > 0.5
+    close(path, np.stack(smooth, axis=1), atol=1e-4)
+    changed = TARGETS.copy()
+    changed[20:] += 1.0
+    other, known = sampled(ck.resampled(TIMES, changed), t), t < TIMES[20]
+    close(other[known], path[known], atol=0)
+    assert np.abs(other - path).max() > 0.5
     assert not ck.resampled(TIMES, TARGETS).known
 
 
@@ -45,29 +40,28 @@ def test_a_stream_of_rotations_and_uneven_times():
     turns = np.linspace(0, 1.0, 8)
     rotations = np.stack([np.cos(turns / 2), 0 * turns, 0 * turns, np.sin(turns / 2)], axis=1)
     times = np.cumsum([0, 0.03, 0.05, 0.03, 0.04, 0.03, 0.05, 0.03])
-    stream = ck.resampled(times, None, rotations, kind="spline")
+    stream = ck.resampled(times, None, rotations)
     at = jax.vmap(lambda t: stream.curve(t)[1])(np.linspace(0, 0.5, 101))
     angle = np.arctan2(at[:, 1, 0], at[:, 0, 0])
     close(angle[[0, -1]], [0.0, 1.0], atol=1e-9)
     assert (np.diff(angle) >= -1e-12).all() and np.abs(np.diff(angle, 2)).max() < 0.02
 
 
-def test_a_smooth_stream_shakes_a_fast_loop_least():
+def test_a_smooth_stream_shakes_a_fast_loop_less_than_held_targets():
     points = X0 + np.stack([-0.3 * (1 - np.cos(2 * TIMES)), -0.2 * np.sin(3 * TIMES)], axis=1)
-    shaken = {}
-    for kind in ("hold", "ramp", "spline"):
-        run = ck.solve(LAW, ck.resampled(TIMES, points, kind=kind), Q0, TS, 450, "EE")
-        shaken[kind] = np.abs(np.diff(np.asarray(run.qdot), axis=0)[100:]).max() / TS
-    assert shaken["spline"] < 0.5 * shaken["hold"] and shaken["spline"] < 0.5 * shaken["ramp"]
+    held = ck.path(lambda t: jnp.asarray(points)[jnp.clip((t * 30 + 1e-6).astype(int), 0, len(points) - 1)])
+    shaken = []
+    for stream in (ck.resampled(TIMES, points), held):
+        run = ck.solve(LAW, stream, Q0, TS, 450, "EE")
+        shaken.append(np.abs(np.diff(np.asarray(run.qdot), axis=0)[100:]).max() / TS)
+    assert shaken[0] < 0.5 * shaken[1]
 
 
 @pytest.mark.parametrize(
     ("made", "words"),
     [
-        (lambda: ck.resampled([0.0, 1.0], kind="ramp"), "`positions` must be given, or `rotations`"),
+        (lambda: ck.resampled([0.0, 1.0]), "`positions` must be given, or `rotations`"),
         (lambda: ck.resampled([0.0, 0.0], np.zeros((2, 2))), "`times` must increase"),
-        (lambda: ck.resampled([0.0, 1.0], np.zeros((2, 2)), kind="ramps"), "`kind` must be one of hold, ramp, spline"),
-        (lambda: ck.resampled([0.0, 1.0], np.zeros((2, 2)), delay=1.0), "`delay` must be at least 1.5 s, for spline"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_a_line(made, words):

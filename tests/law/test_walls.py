@@ -14,9 +14,8 @@ from cnclik.law.bounded import Bounded
 from cnclik.record import record
 from tests.law.test_bounded import RATE, draws
 from tests.robot.test_trees import ARMS, G1
-from tests.task.test_shapes import DOWN, FRANKA, G1_PAIRS, HUMANOID, PANDA, coal_distances
+from tests.task.test_shapes import FRANKA, HUMANOID
 
-INNER = ck.sphere(None, 0.1)
 ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
 GANTRY = ck.from_screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
 ARM = ck.planar_arm([0.5, 0.4, 0.3])
@@ -52,7 +51,7 @@ def problems(name, count, seed, k=4, beyond=0.0, none=0.2):
 
 def acts(damping, rows, velocity, low, high, walls, floor):
     """What `bounded` makes of it, at q = 0 of a chain whose velocities have these bounds."""
-    far, rate, damping = (jnp.asarray(v, low.dtype) for v in (jnp.inf, RATE, damping))
+    far, rate, damping = map(jnp.asarray, (jnp.inf, RATE, damping))
     bounds = {"lower": low / RATE, "upper": high / RATE, "velocity_limit": far + 0 * low}
     chain = SimpleNamespace(bounded=True, slowed=True, **bounds)
     made = tuple(Given(gradient=walls[i], h=-floor[i] / rate) for i in range(len(walls)))
@@ -67,9 +66,9 @@ def each(damping, of):
     return made.qdot, made.walls, made.limited
 
 
-def made_of(damping, drawn, walls, floor, dtype=float):
+def made_of(damping, drawn, walls, floor):
     of = (drawn.rows, drawn.velocity, drawn.low, drawn.high, walls, floor)
-    return map(np.asarray, each(np.asarray(damping, dtype), [v.astype(dtype) for v in of]))
+    return map(np.asarray, each(damping, of))
 
 
 def check_least(name, damping, count, k):
@@ -94,21 +93,6 @@ def check_least(name, damping, count, k):
 def test_it_is_the_least_behind_walls(name, damping, count):
     room = check_least(name, damping, count, 4)
     assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["panda", "g1"])
-def test_it_is_the_least_behind_walls_of_many(name):
-    check_least(name, 0.05, 3000, 9)
-
-
-@pytest.mark.slow
-def test_single_precision():
-    drawn, walls, floor = problems("panda", 200, seed=2)
-    wide, narrow = (next(made_of(0.05, drawn, walls, floor, dtype)) for dtype in (np.float64, np.float32))
-    assert narrow.dtype == np.float32
-    off = np.abs(wide - narrow).max(1) / np.abs(wide).max(1)
-    assert np.median(off) < 1e-4 and np.mean(off < 1e-2) > 0.97
 
 
 def test_walls_that_contradict_share_what_is_missing():
@@ -247,134 +231,6 @@ def test_rows_of_several_coordinates_count_by_a_normal():
 
 # --- together with everything -------------------------------------------------------------------------
 
-HAND = ck.sphere("panda_hand", 0.08)
-PAIRS = [(HAND, ck.half_space((0, 0, 1), 0.05)), (HAND, ck.capsule("panda_link2", 0.09, *DOWN))]
-PAIRS += [(HAND, ck.capsule(None, 0.1, (0.5, 0.3, 0), (0.5, 0.3, 0.6)))]
-
-
-@functools.cache
-def crowded():
-    """The Panda over a table, with its hand off its base and a pillar."""
-    walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in PAIRS]
-    walls += [ck.wall(ck.position("z", tip="panda_link4"), above=0.3), ck.wall(ck.joints(["panda_joint4"]), below=-0.5)]
-    robot = ck.replace(FRANKA, velocity_limit=(2.0,) * 7)
-    limits = ck.bounded(walls=walls)
-    return ck.Law(robot, ck.position(tip="panda_hand"), alpha=8.0, inverse=ck.damped(0.05), limits=limits)
-
-
-def starts_and_targets(law, count, seed):
-    """Postures behind no wall, and targets that may be anywhere."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(law.chain.lower, law.chain.upper, (12 * count, law.chain.n))
-    q = q[ck.wall_distance(law, q).min(1) > 0.0][:count]
-    return q, rng.uniform([-0.6, -0.6, -0.1], [0.8, 0.7, 0.8], (len(q), 3))
-
-
-def in_the_crowd(q, aim, method="EE"):
-    return ck.solve(crowded(), ck.hold(aim), q, 0.005, 200, method)
-
-
-@functools.cache
-def runs_of(method="EE"):
-    return ck.lanes(functools.partial(in_the_crowd, method=method), cores=1)
-
-
-def check_runs(count, seed, dtype):
-    """No run crosses a wall by more than the margin, and rounding."""
-    law, Ts = crowded(), 0.005
-    q0, aims = starts_and_targets(law, count, seed)
-    assert len(q0) == count
-    runs = runs_of()(q0.astype(dtype), aims.astype(dtype))
-    h, q = ck.wall_distance(law, np.asarray(runs.q, float)), np.asarray(runs.q, float)
-    told = np.asarray(runs.status) & ck.Status.WALLS_CONTRADICT != 0
-    wide = ck.replace(runs, q=q, qdot=np.diff(q, axis=1) / Ts, t=np.asarray(runs.t, float))
-    margin = np.asarray(ck.wall_margin(law, wide))
-    kept = ~told.any(1)
-    beyond = -h.min(1) - 1.02 * margin
-    near = np.abs(np.asarray(runs.walls)).min(axis=(1, 2)) < 1e-4
-    assert np.mean(np.asarray(runs.status) & ck.Status.NOT_CONVERGED != 0) < 1e-3
-    return beyond[kept].max(), told.any(1).mean(), near.mean()
-
-
-@pytest.mark.slow
-def test_random_runs_between_walls():
-    beyond, told, near = check_runs(1000, 0, np.float64)
-    assert beyond < 1e-6 and told < 0.05 and near > 0.5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_random_runs_between_walls_of_10_000(dtype):
-    beyond, told, near = check_runs(10_000, 1, dtype)
-    assert beyond < (1e-6 if dtype is np.float64 else 1e-4) and told < 0.05 and near > 0.5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "most"), [("EE", 4e-4), ("EXP-MIDPOINT", 1e-5)])
-def test_random_runs_between_walls_without_a_margin(method, most):
-    law = crowded()
-    runs = runs_of(method)(*starts_and_targets(law, 1000, 0))
-    told = np.any(np.asarray(runs.status) & ck.Status.WALLS_CONTRADICT, axis=1)
-    assert 1e-6 < -ck.wall_distance(law, runs.q)[~told].min() < most
-
-
-@pytest.mark.slow
-def test_no_run_of_the_panda_collides_by_coal():
-    """At the posture of each run that is nearest to a wall, by coal's distances of its hand, base, table and pillar."""
-    law = crowded()
-    runs = runs_of()(*starts_and_targets(law, 100, 3))
-    h, margin = ck.wall_distance(law, runs.q), ck.wall_margin(law, runs)
-    for i, pair in enumerate(PAIRS):
-        nearest = np.asarray(runs.q)[np.arange(100), h[..., i].argmin(1)]
-        found = np.array(list(coal_distances(FRANKA, PANDA, "panda_link0", pair, nearest)))
-        np.testing.assert_allclose(found, 0.01 + h[..., i].min(1), atol=1e-6)
-        assert np.all(found > 0.01 - 1.02 * margin[:, i] - 1e-6) and np.any(found < 0.011)
-
-
-@pytest.mark.slow
-def test_no_arm_of_g1_collides_by_coal():
-    """Both hands are told to go into each other, and then into the chest: hands, forearms and torso stay apart."""
-    task = ck.stack(one=ck.position(tip=ARMS[0]), other=ck.position(tip=ARMS[1]), rest=ck.joints())
-    walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in G1_PAIRS.values()]
-    law = ck.Law(HUMANOID, task, alpha=5.0, inverse=ck.levels(["one", "other"], ["rest"], damping=(0.02, 0.5)),
-                 limits=ck.bounded(walls=walls))  # fmt: skip
-    q0, least = np.zeros(HUMANOID.n), []
-    for x in (0.3, 0.15, 0.0):
-        aim = ck.hold([x, 0.0, 0.15])
-        run = ck.solve(law, ck.hold_at(HUMANOID, task, q0, one=aim, other=aim), q0, 0.01, 300)
-        assert not np.any(run.status & ck.Status.WALLS_CONTRADICT)
-        for i, pair in enumerate(G1_PAIRS.values()):
-            found = np.array(list(coal_distances(HUMANOID, G1, "pelvis", pair, np.asarray(run.q)[::10])))
-            np.testing.assert_allclose(found, 0.01 + ck.wall_distance(law, run.q)[::10, i], atol=1e-6)
-            least.append(found[15:].min())  # a forearm starts in the torso
-    assert 0.0099 < min(least) < 0.011, least
-
-
-def test_lanes_are_the_same():
-    q0, aims = starts_and_targets(crowded(), 20, 2)
-    made, wanted = runs_of()(q0, aims), jax.jit(jax.vmap(in_the_crowd))(q0, aims)
-    for name in ("q", "walls", "status"):
-        np.testing.assert_allclose(getattr(made, name), getattr(wanted, name), atol=1e-7)
-
-
-@pytest.mark.slow
-def test_derivatives_are_differences():
-    drawn, walls, floor = problems("panda", 30, seed=4, none=0.0)
-    rng = np.random.default_rng(4)
-    of = (drawn.rows, drawn.velocity, drawn.low, drawn.high, walls, floor)
-    toward = [rng.normal(size=v.shape) for v in of]
-
-    def qdot(s, of, toward):
-        return acts(0.05, *(v + s * t for v, t in zip(of, toward, strict=True))).qdot
-
-    slope = jax.jit(jax.vmap(jax.jacfwd(qdot), (None, 0, 0)))(0.0, list(of), toward)
-    ahead, behind = (jax.jit(jax.vmap(qdot, (None, 0, 0)))(s, list(of), toward) for s in (1e-7, -1e-7))
-    wanted = np.asarray(ahead - behind) / 2e-7
-    np.testing.assert_allclose(slope, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
-    back = jax.jit(jax.vmap(jax.grad(lambda of, t: jnp.sum(qdot(0.0, of, t))), (0, 0)))(list(of), toward)
-    along = sum(np.sum(np.asarray(g) * t, axis=tuple(range(1, t.ndim))) for g, t in zip(back, toward, strict=True))
-    np.testing.assert_allclose(along, np.sum(slope, 1), rtol=1e-6, atol=1e-8 * np.abs(slope).max())
-
 
 def test_a_wall_that_holds_has_the_derivatives_of_an_equation():
     """∂(G q̇)/∂floor = 1: breaks where its softness enters them."""
@@ -410,8 +266,7 @@ def test_walls_that_contradict_have_the_derivatives_of_their_shares():
     np.testing.assert_allclose(slope.reshape(2, 9), wanted, atol=2e-6)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
-def test_hands_stay_apart(dtype):
+def test_hands_stay_apart():
     """G1's hands, told to meet: at rest what walls push and the task pulls is large beside the velocities."""
     pair = ck.sphere(ARMS[0], 0.08), ck.sphere(ARMS[1], 0.08)
     task = ck.stack(one=ck.position(tip=ARMS[0]), other=ck.position(tip=ARMS[1]), rest=ck.joints())
@@ -423,12 +278,12 @@ def test_hands_stay_apart(dtype):
         inverse=ck.levels(["one", "other"], ["rest"], damping=(0.02, 0.5)),
         limits=ck.bounded(walls=walls),
     )
-    q0 = np.zeros(HUMANOID.n, dtype)
+    q0 = np.zeros(HUMANOID.n)
     middle = ck.hold([0.3, 0.0, 0.1])
     run = ck.solve(law, ck.hold_at(HUMANOID, task, q0, one=middle, other=middle), q0, 0.01, 300, "EE")
     h = ck.wall_distance(law, np.asarray(run.q, float))[:, 0]
-    assert -1e-4 < h.min() < 1e-3 and abs(run.walls[-1, 0]) < (1e-6 if dtype is np.float64 else 1e-4)
-    assert np.all(run.status == ck.Status.AT_LIMIT) and run.q.dtype == dtype
+    assert -1e-4 < h.min() < 1e-3 and abs(run.walls[-1, 0]) < 1e-6
+    assert np.all(run.status == ck.Status.AT_LIMIT)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,9 @@
-"""Files of results: tables that stay tables, datasets that come back, numbers in one line."""
+"""Files of results: tables that stay tables, and datasets that come back."""
 
 import numpy as np
-import pytest
 import xarray as xr
 
 from cnclik.measure import markdown, save_netcdf
-from cnclik.record import in_words
 
 
 def test_markdown_escapes_what_would_end_a_cell():
@@ -24,15 +22,3 @@ def test_netcdf_is_packed_and_comes_back(tmp_path):
     assert (tmp_path / "data.nc").stat().st_size < 60_000  # 170 kB as they are
     with xr.open_dataset(tmp_path / "data.nc") as back:
         xr.testing.assert_identical(back.load(), data)
-
-
-@pytest.mark.parametrize(
-    "value, text",
-    [
-        ([1.0, 0.123456789], "[1, 0.12346]"),
-        ([[1.0, 2.0], [3.0, 4.0]], "[[1, 2], [3, 4]]"),
-        (np.float32(2.5), "2.5"),
-    ],
-)
-def test_numbers_are_one_line(value, text):
-    assert in_words(value) == text

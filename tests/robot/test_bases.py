@@ -13,7 +13,7 @@ from tests.robot.test_mjcf import HUMANOID
 from tests.robot.test_trees import ROBOTS
 from tests.robot.test_urdf import ROOT, long_chain
 
-ON_BASES = ["g1", "talos", "tiago", "icub", "anymal"]
+ON_BASES = ["g1", "tiago", "anymal"]
 JOINTS = {"free": pin.JointModelFreeFlyer, "planar": pin.JointModelPlanar}
 DOG = f'<robot name="dog"><link name="world"/>{{}}{long_chain(3).partition(">")[2]}'
 JOINT = '<joint name="{}" type="{}"><parent link="world"/><child link="l0"/>{}</joint>'

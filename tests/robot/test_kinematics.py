@@ -13,8 +13,6 @@ from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, assemble
 from cnclik.robot.fixed import Offset
 from tests.oracles import close, pinocchio_pose_and_jacobian, transform
 
-KINDS = ["R", "P", "RPRRPRR", "PRRPRRR", "RRRRRRR"]
-
 
 def random_robot(kinds, seed):
     """Joints (kind, axis, origin) with random axes and offsets, and a tip."""
@@ -53,8 +51,9 @@ def leaf(v):
     return tuple(jnp.asarray(v)[i] for i in range(len(v)))
 
 
-@pytest.mark.parametrize("form", [literal, leaf])
-@pytest.mark.parametrize("kinds", KINDS)
+@pytest.mark.parametrize(
+    ("kinds", "form"), [("R", literal), ("P", literal), ("RPRRPRR", literal), ("RPRRPRR", leaf), ("RRRRRRR", leaf)]
+)
 def test_against_pinocchio(kinds, form):
     for seed in range(1 if form is literal else 5):  # leaves: five robots, one program
         joints, tip = random_robot(kinds, seed)

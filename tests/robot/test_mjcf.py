@@ -46,13 +46,9 @@ HUMANOID = """<mujoco><worldbody><body name="pelvis" pos="0 0 1"><freejoint name
 </body></worldbody></mujoco>"""
 URDFS = {
     "panda": "panda_description/urdf/panda.urdf",
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
     "g1": "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
     "baxter": "baxter_description/urdf/baxter.urdf",
     "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
-    "talos": "talos_data/robots/talos_full_v2.urdf",
-    "z1": "z1_description/urdf/z1.urdf",
-    "solo": "solo_description/robots/solo12.urdf",
 }
 
 

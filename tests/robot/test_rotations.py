@@ -30,7 +30,6 @@ def quaternion(r):
     return rot.quaternion_from_rotation(r)
 
 
-quaternion_slope = jax.jit(jax.jacfwd(quaternion))
 derivative_of_exp = jax.jit(jax.jvp, static_argnums=0)
 there_and_back = jax.jit(lambda w: log(exp(w)))
 slope_there_and_back = jax.jit(jax.jacfwd(there_and_back))

@@ -50,9 +50,7 @@ def limits(panel):
     )
 
 
-@pytest.mark.parametrize(
-    "kind, panels", [("overview", 4), ("joints", 2), ("velocities", 2), ("error", 1), ("status", 1), ("tip", 1)]
-)
+@pytest.mark.parametrize("kind, panels", [("overview", 4), ("joints", 2), ("velocities", 2), ("tip", 1)])
 def test_every_kind_is_a_figure(kind, panels, tmp_path):
     figure = pictures.plot(run(), LAW, kind)
     assert isinstance(figure, plt.Figure) and len(figure.axes) == panels
@@ -99,7 +97,7 @@ def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
 def test_what_is_lost_is_red_and_a_warning_amber():
     status = np.zeros(N, int)
     status[:2] = ck.Status.DIVERGED, ck.Status.AT_LIMIT
-    shown = pictures.status(to_dataset(run(status=status), LAW)).axes[0]
+    shown = pictures.plot(run(status=status), LAW).axes[3]
     names = [label.get_text() for label in shown.get_yticklabels()]
     colors = [to_rgb(bars.get_facecolor()[0][:3]) for bars in shown.collections if len(bars.get_paths())]
     rows = ("at limit", "diverged")
@@ -111,13 +109,13 @@ def test_status_has_a_row_for_every_bit():
     status = np.zeros(N, int)
     status[3:6] = BITS[0].value
     status[5:] |= BITS[-1].value
-    panel = pictures.status(to_dataset(run(status=status), LAW)).axes[0]
+    panel = pictures.plot(run(status=status), LAW).axes[3]
     assert [t.get_text() for t in panel.get_yticklabels()] == [b.name.replace("_", " ").lower() for b in BITS]
     bars = [[box.get_extents() for box in row.get_paths()] for row in panel.collections]
     assert [len(row) for row in bars] == [1, *[0] * (len(BITS) - 2), 1]  # neighbouring steps are one bar
     np.testing.assert_allclose([bars[0][0].x0, bars[0][0].x1], [0.3, 0.6])
     assert not panel.texts
-    assert "every step OK" in pictures.status(to_dataset(run(), LAW)).axes[0].texts[0].get_text()
+    assert "every step OK" in pictures.plot(run(), LAW).axes[3].texts[0].get_text()
 
 
 def test_methods_are_lines_of_their_own():

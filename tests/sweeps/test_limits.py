@@ -62,21 +62,6 @@ def test_the_limit_is_over_the_axes_on_which_it_depends():
     np.testing.assert_allclose(values[0, 1, 1], stable(Drive(lag=0.3)), rtol=1e-9)
 
 
-@pytest.mark.slow
-def test_loops_that_are_late_end_where_theory_says():
-    """At 0.95 and 1.05 of the largest stable z, `limit` in a spec; exponential Euler has none with one sample."""
-    of = spec(["final_error"], 400, {"alpha": "share*limit/Ts"}, delay=[0, 1, 3], share=[0.95, 1.05])
-    found = run_spec(of)
-    assert found.delay.values.tolist() == [0, 1, 3] and [len(a) for a in of.grid().outer] == [3]
-    np.testing.assert_allclose(found.limit, [2, 1, stable(Drive(delay=3))], rtol=1e-9)
-    assert (found.final_error.sel(share=0.95) < 0.2 * SHIFT).all()
-    assert (found.final_error.sel(share=1.05) > 2 * SHIFT).all()
-    of = spec(["final_error"], 400, {"method": "EXP-EE", "alpha": "z/Ts"}, delay=[1, 2], z=[0.92, 1.01, 2.5])
-    found = run_spec(of)
-    np.testing.assert_array_equal(found.final_error > SHIFT, [[False, False, False], [False, True, True]])
-    np.testing.assert_allclose(found.limit, [np.inf, stable(Drive(delay=2), "EXP-EE")], rtol=1e-9)
-
-
 def test_noise_at_rest_is_as_large_as_theory_says():
     """e[k+1] = e[k] − r(e[k] + n[k]) has variance r/(2 − r) σ²: r = z of explicit, 1 − e^{−z} of exponential Euler."""
     sigma, z = 1e-6, np.array([0.3, 1.0, 1.6])
@@ -99,13 +84,3 @@ def test_loops_through_a_lag_end_where_theory_says():
     bound = min(stable(Drive(lag=lag, delay=1)) for lag in (0.05, 0.3))
     found = run_spec(spec(["final_error"], 400, {"alpha": 0.95 * bound / 0.1, "delay": 1}, lag=[0.05, 0.3]))
     assert (found.final_error < 0.2 * SHIFT).all()
-
-
-def test_what_is_not_asked_for_changes_nothing():
-    """Without noise and delay the loop is `solve`'s own program; noise of 0 and a delay of 0 give its numbers."""
-    alone = spec(["final_error"], 20, alpha=[5.0])
-    made = alone.build({})
-    assert made.noise is None and made.drive.prompt
-    without = run_spec(alone).final_error.values
-    quiet = run_spec(spec(["final_error"], 20, {"alpha": 5.0}, noise=[0.0, 1e-3])).final_error.values
-    assert quiet[0] == pytest.approx(without[0], rel=1e-9) and quiet[1] > 1e-5

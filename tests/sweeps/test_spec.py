@@ -113,9 +113,7 @@ def test_changes_on_the_command_line(tmp_path):
 
 
 TABLES = [
-    {},
-    {"start": [1, 1], "target": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5},
-    {"reference": "circle", "radius": 0.1, "period": -2.0, "posture": [0.1, 0.2], "alpha": [2.0, 3.0]},
+    {"start": [1, 1], "target": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "alpha": [2.0, 3.0]},
     {"reference": "lissajous", "frequency": [1, 2], "error_clamp": [0.1, 0.5], "damping": 0.1, "stage": "chord"},
     {"target": [1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "limits": "velocity_scaling", "future": "unknown"},
 ]
@@ -181,14 +179,9 @@ def test_units_follow_the_task(fixed, axes, unit):
     ("changes", "words"),
     [
         ({"qestion": 1}, "`SPEC` must hold known keys, but holds 'qestion' (did you mean 'question'?)"),
-        ({"question": 3}, "`question` must be a text, but is int"),
-        ({"fixed__dampin": 0.1}, "`fixed` must hold known keys, but holds 'dampin' (did you mean 'damping'?)"),
         ({"axes__alpah": [1.0]}, "holds 'alpah' (did you mean 'alpha'?)"),
-        ({"axes__law": {"a": {"dampin": 0.1}}}, "`axes.law.a` must hold known keys, but holds 'dampin'"),
         ({"fixed__alpha": "zz/Ts"}, "`alpha` must use names that have a value, but uses 'zz' (did you mean 'z'?)"),
-        ({"axes__z": ["(zz/3)", "1"]}, "`z` must use names that have a value, but uses 'zz'"),
         ({"fixed__metrics": ["mean_error"]}, "`fixed.metrics` must stand above all tables, but is in [fixed]"),
-        ({"fixed__alpha": "z/"}, "`alpha` must be a number or a short expression"),
         ({"fixed__alpha": "__import__('os')"}, "`alpha` must be a number or a short expression"),
         ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
         ({"fixed__Ts": "alpha*1"}, "not depend on itself, but does, through"),
@@ -197,27 +190,16 @@ def test_units_follow_the_task(fixed, axes, unit):
             {f"fixed__z{k}": f"z{k - 1} + 1" for k in range(1, 60)} | {"fixed__z0": 1.0, "fixed__alpha": "z*z59"},
             "from numbers in fewer than 30 steps",
         ),
-        ({"fixed__Ts": 0}, "`Ts` must be positive"),
         ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
         ({"fixed__N": 2.5}, "`N` must be an integer"),
         ({"fixed__robot": None}, "`robot` must be given in [fixed] or [axes]"),
-        ({"fixed__q0": [0.0]}, "`q0` must"),
         ({"fixed__q0": ["(-1)**0.5", 0]}, "the result is complex"),
-        ({"fixed__q0": [[0], [0, 0]]}, "`q0` must hold numbers or vectors of one length"),
         ({"fixed__q0": [True, 0]}, "`q0` must hold numbers or vectors of one length"),
-        ({"fixed__robot": "plnar:1"}, "`robot` must"),
         ({"fixed__threshold": 0.1}, "`threshold` must come with `damping`"),
         ({"axes__method": ["EE", "RK5"]}, "`method` must be one of"),
-        ({"axes__method": ["EE", 3]}, "`axes.method` must hold names"),
-        ({"axes__M": [True, 2]}, "`axes.M` must hold numbers"),
-        ({"axes__M": [[1, 2]]}, "`axes.M` must hold one whole number each"),
         ({"axes__M": [1.5]}, "`axes.M` must hold one whole number each"),
-        ({"axes__M": [-1, 2]}, "at least 0"),
         ({"axes__z": 3}, "`axes.z` must be a list, labelled tables, or a table with one of linspace, geomspace"),
-        ({"axes__z": {"linspase": [0, 1, 2]}}, "`axes.z` must be a list, labelled tables, or a table with one of"),
         ({"axes__z": {"geomspace": [0, 1, 2]}}, "; geomspace has no 0"),
-        ({"axes__z": {"linspace": [0, 1]}}, "[first, last, count]"),
-        ({"axes__z": {"linspace": ["a", 1, 3]}}, "`axes.z` must be numbers, but refers to 'a'"),
         ({"axes__z": {"linspace": [0, 1, 10**12]}}, "at most 10,000,000 values, but asks for 1,000,000,000,000"),
         ({"axes__z": {"linspace": [-1e308, 1e308, 5]}}, "`axes.z` must hold finite values"),
         ({"axes__z": []}, "`axes.z` must hold at least one value"),
@@ -229,30 +211,20 @@ def test_units_follow_the_task(fixed, axes, unit):
         ({"axes__law": {"a": {"N": 3}}, "axes__n": {"b": {"N": 4}}}, "`axes.n` must leave to law what that gives"),
         ({"axes__alpha": {"a": {}}, "fixed__alpha": None}, "`axes.alpha` must have a name of its own"),
         ({"axes__limit": [1.0], "fixed__alpha": "limit/Ts"}, "`axes.limit` must have another name"),
-        ({"fixed__limit": 2.0}, "`fixed.limit` must have another name"),
-        ({"fixed__delay": -1}, "`delay` must be at least 0"),
         ({"fixed__noise": [1e-3] * 3}, "`noise` must"),
-        ({"metrics": ["mean_eror"]}, "did you mean 'mean_error'"),
         ({"metrics": ["rms_rotation_error"]}, "be ones of the task"),
         ({"units": {"z": 3}}, "`units.z` must be a text"),
         ({"fixed__N": None, "axes__N": {"linspace": [1, 10000, 10000]}}, "span at most 1,000 programs"),
         ({"lanes": 1, "axes__z": {"linspace": [0.1, 1, 10**6]}}, "span at most 1,000,000 blocks"),
         ({"fixed__delay": "34kg"}, "but is '34kg' (units: s, ms, us, sample, samples)"),
         ({"fixed__q0": "100mm 200mm"}, "joint 'q1' is in rad, and m is given"),
-        ({"fixed__q0": ["100mm", 1]}, "joint 'q1' is in rad, and m is given"),
         ({"fixed__mine": "4ms"}, "`mine` must be a number or a short expression"),
         ({"figure": [3]}, "`figure` must be a list of tables"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
-        ({"figure": [{"kind": ["heat"]}]}, "`figure[0].kind` must be one of"),
-        ({"figure": [{"kind": "heat", "select": 3}]}, "`figure[0].select` must be a table"),
         ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must be [least, greatest]"),
-        ({"figure": [{"kind": "heat", "reduce": "sum"}]}, "`figure[0].reduce` must be one of median, mean"),
         ({"figure": [{"kind": "heat", "xx": "z"}]}, "`figure[0].table` must hold known keys, but holds 'xx'"),
         ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
         ({"figure": [{"kind": "heat", "select": {"z": 1e9}}]}, "`figure[0].select.z` must lie between"),
-        ({"figure": [{"kind": "heat", "select": {"z": "a"}}]}, "`figure[0].select.z` must be a number, but is 'a'"),
-        ({"figure": [{"kind": "heat", "x": "zz"}]}, "`figure[0].x` must be one of"),
-        ({"figure": [{"kind": "heat", "value": "rms_error"}]}, "`figure[0].value` must be one of"),
     ],
 )
 def test_everything_wrong_is_said_in_one_line(changes, words):
@@ -277,15 +249,6 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path):
         read(path, ["alpha=" + "{a=" * 500 + "1" + "}" * 500])
 
 
-def test_an_axis_may_have_any_name():
-    """Those of the functions' own arguments, too."""
-    for name in ("program", "spec", "self"):
-        given = written(fixed__N=None, fixed__alpha=f"{name} + 1", axes__N=[4], axes__z=None, figure=[])
-        given["axes"][name] = [4, 5]
-        spec = parse(given)
-        assert float(spec.build(spec.grid().programs[0]).law.alpha) == 5.0
-
-
 def test_no_grid_beyond_what_can_be_stored():
     with pytest.raises(ArgumentError, match=r"span at most 10,000,000,000 points, but span .* 9,000,000 of a × "):
         Grid(tuple(axis(name, np.arange(9e6)) for name in "ab"), 1)
@@ -307,19 +270,7 @@ def test_expressions_are_arithmetic():
         with pytest.raises(ArgumentError, match="worked out"):
             expression.evaluate("x", huge, known)
     assert np.isnan(expression.evaluate("x", "a*z", {"a": np.float64(np.inf), "z": 0}.__getitem__))
-    for bad in (
-        "a.b",
-        "a[0]",
-        "lambda: 1",
-        "f(a)",
-        "sin(a, a)",
-        "a if a else a",
-        "'s'",
-        "1j",
-        "sin",
-        "a and a",
-        "0in a",
-    ):
+    for bad in ("a.b", "a[0]", "lambda: 1", "f(a)", "sin(a, a)", "a if a else a", "'s'", "1j", "a and a", "0in a"):
         with pytest.raises(ArgumentError, match="be a number or a short expression"):
             expression.evaluate("x", bad, known)
     for long in ("1" + "0" * 600, "(" * 250 + "a" + ")" * 250):
@@ -341,9 +292,10 @@ def test_numbers_have_units_as_on_the_command_line():
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "sweeps").glob("*.toml")), ids=lambda path: path.stem)
-def test_the_studies_are_those_whose_results_are_committed(path):
+def test_every_study_is_read_and_built_and_its_results_are_committed(path):
     spec = read(path)
     pictures.check(spec)
+    assert spec.build(spec.grid().programs[0]).N > 0
     config = json.loads((ROOT / "results" / path.stem / "config.json").read_text())
     about = spec.data()
     about.pop("files", None)

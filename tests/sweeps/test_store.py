@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -85,7 +84,7 @@ def stop_at(count):
     return progress
 
 
-@pytest.mark.parametrize(("count", "wide"), [(16, True), (80, False), pytest.param(147, True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "wide"), [(16, True), (80, False)])
 def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path, count, wide):
     with pytest.raises(Stopped):
         store.run(read(path), tmp_path, progress=stop_at(count))
@@ -125,24 +124,15 @@ def test_a_changed_spec_is_refused_unless_fresh(path, undisturbed, tmp_path):
     assert not np.array_equal(store.read(tmp_path / "copy").final_error, store.read(undisturbed).final_error)
 
 
-def test_a_folder_with_something_else_is_left_alone(path, tmp_path):
-    (tmp_path / "data.zarr").mkdir()
-    (tmp_path / "data.zarr" / "mine").write_text("precious")
-    with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
-        store.run(read(path), tmp_path)
-    assert (tmp_path / "data.zarr" / "mine").read_text() == "precious"
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ArgumentError, match="folder that can be written"):
-        store.run(read(path), tmp_path / "file")
-
-
 def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
     names = ("data.zarr", "data.zarr.old", "data.zarr.new")
     for name in names:
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine").write_text("precious")
-    with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
-        store.run(read(path), tmp_path, fresh=True)
+    for fresh in (True, False):
+        with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
+            store.run(read(path), tmp_path, fresh=fresh)
+        assert (tmp_path / "data.zarr" / "mine").read_text() == "precious"
     shutil.rmtree(tmp_path / "data.zarr")
     zarr.open_group(tmp_path / "data.zarr", mode="w").attrs["config"] = "{}"  # a store, but some other program's
     with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
@@ -155,17 +145,6 @@ def test_only_what_is_a_sweeps_is_deleted(path, undisturbed, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
 
 
-@pytest.mark.slow
-def test_several_writers_of_one_store_end_with_the_same_bytes(path, undisturbed, tmp_path):
-    """Nobody told them of each other: each makes the store or finds it, and writes what is missing."""
-    line = [sys.executable, "-m", "cnclik", "sweep", str(path), "--out", str(tmp_path / "out"), "--no-figures"]
-    writers = [subprocess.Popen(line, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    ended = [(*w.communicate(timeout=300), w.returncode) for w in writers]
-    assert all(code == 0 for *_, code in ended), ended
-    assert_same(tmp_path / "out", undisturbed)
-    assert not [p for p in (tmp_path / "out").rglob("*") if "partial" in p.name]
-
-
 def test_a_store_that_another_made_meanwhile_stays(path, undisturbed, tmp_path):
     s = read(path)
     shutil.copytree(undisturbed / "data.zarr", tmp_path / "data.zarr")
@@ -175,9 +154,7 @@ def test_a_store_that_another_made_meanwhile_stays(path, undisturbed, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["data.zarr"]
 
 
-@pytest.mark.parametrize(
-    ("name", "damage"), [("alpha", "empty"), ("method", "gone"), ("Ts", "other"), ("limit", "empty")]
-)
+@pytest.mark.parametrize(("name", "damage"), [("alpha", "empty"), ("method", "gone"), ("Ts", "other")])
 def test_damaged_coordinates_are_refused(path, undisturbed, tmp_path, name, damage):
     shutil.copytree(undisturbed, tmp_path / "copy")
     data = tmp_path / "copy/data.zarr"
@@ -217,13 +194,6 @@ def test_a_reader_gets_no_damaged_block(path, undisturbed, tmp_path):
     assert_same(tmp_path / "copy", undisturbed)
 
 
-def test_many_may_look_at_a_new_folder_at_once(path, tmp_path):
-    s = read(path)
-    with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(lambda _: store.prepare(s, tmp_path), range(200))) == [None] * 200
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_process_that_cannot_begin_tells_the_others(path, tmp_path):
     said = []
 
@@ -257,27 +227,6 @@ def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
     assert_same(tmp_path, undisturbed)
 
 
-def test_a_small_tmpfs(path, undisturbed, tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", disk], capture_output=True, text=True)
-    if mounted.returncode:
-        pytest.skip(f"a tmpfs can't be mounted here: {mounted.stderr.strip()}")
-    try:
-        with pytest.raises(ArgumentError, match="No space left on device"):
-            store.run(read(path), disk / "out")
-        done = 12 - store.blocks_missing(disk / "out")
-        assert 0 < done < 12
-        found, wanted = store.read(disk / "out").load(), store.read(undisturbed).load()
-        known = np.isfinite(found.final_error.values)
-        np.testing.assert_array_equal(found.final_error.values[known], wanted.final_error.values[known])
-        subprocess.run(["mount", "-o", "remount,size=8m", disk], check=True)  # room again
-        assert store.run(read(path), disk / "out")
-        assert_same(disk / "out", undisturbed)
-    finally:
-        subprocess.run(["umount", disk], check=True)
-
-
 # --- processes that die -------------------------------------------------------------------------------
 
 
@@ -300,30 +249,20 @@ def wait_for(folder, count, process, limit=300):
         time.sleep(0.001)
 
 
-def kill_and_resume(path, tmp_path, undisturbed, kills, seed):
-    dice = random.Random(seed)
-    died = 0
-    for _ in range(kills):
+@pytest.mark.slow
+def test_twenty_kills(path, undisturbed, tmp_path):
+    dice, died = random.Random(2), 0
+    for _ in range(20):
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(command(path, tmp_path), env=ENVIRONMENT, **quiet)
         wait_for(tmp_path, blocks_done(tmp_path) + dice.randint(1, 2), process)
         time.sleep(dice.random() * 0.02)
         process.send_signal(signal.SIGKILL)
         died += process.wait() == -signal.SIGKILL
-    assert died >= min(kills, 5)
+    assert died >= 5
     subprocess.run(command(path, tmp_path), env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
     assert_same(tmp_path, undisturbed)
     assert (tmp_path / "summary.csv").exists() and (tmp_path / "config.json").exists()
-
-
-@pytest.mark.slow
-def test_two_kills(path, undisturbed, tmp_path):
-    kill_and_resume(path, tmp_path, undisturbed, 2, seed=1)
-
-
-@pytest.mark.slow
-def test_twenty_kills(path, undisturbed, tmp_path):
-    kill_and_resume(path, tmp_path, undisturbed, 20, seed=2)
 
 
 def start_together(path, out, count):
@@ -346,16 +285,8 @@ def test_two_processes_make_one_store(path, undisturbed, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_processes_end_where_one_cannot_begin(path, tmp_path):
-    (tmp_path / "file").write_text("")
-    done = finish(start_together(path, tmp_path / "file", 2))
-    assert [code for _, code in done] == [2, 2], done
-    assert "folder that can be written" in done[0][0] and "another one failed" in done[1][0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("victim", [0, 2])
-def test_a_lost_process_of_four_is_made_good_by_a_rerun(path, undisturbed, tmp_path, victim):
+def test_a_lost_process_of_four_is_made_good_by_a_rerun(path, undisturbed, tmp_path):
+    victim = 2
     processes = start_together(path, tmp_path, 4)
     wait_for(tmp_path, 2, processes[victim])
     processes[victim].send_signal(signal.SIGKILL)

@@ -96,14 +96,6 @@ def test_the_best_loop_is_safe_and_judged_by_its_worst_start():
     assert summary.best(judged().drop_vars("final_error")) == []
 
 
-def test_gains_of_several_coordinates_are_a_choice():
-    """The best is named, as of numbers; they are no starts of which the worst counts."""
-    data = judged().isel(case=0, alpha=0, drop=True).rename(Ts="alpha").drop_vars("alpha")
-    data = data.assign_coords(alpha_value=(("alpha", "k"), [[1.0, 1.0], [1.0, 0.25]]))
-    data = data.assign_coords(alpha=("alpha", [0, 1], {"units": "1"}))
-    assert summary.best(data) == [f"2 of 2 loops are safe ({SAFE}), the best by final_error (5 m): alpha [1, 1]."]
-
-
 def test_a_loop_beyond_the_linear_limit_is_not_safe():
     """Of a sweep that measures an error alone, a short run may end before it shows that it diverges."""
     data = judged(final_error=16.0 - np.arange(16.0).reshape(2, 2, 2, 2)).drop_vars(["over_velocity", "stable"])

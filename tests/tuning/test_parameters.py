@@ -14,17 +14,14 @@ READ = {
     "damping": lambda law: law.inverse.damping,
     "posture_rate": lambda law: law.null_velocity.rate,
     "feedforward": lambda law: law.feedforward,
-    "links": lambda law: [float(o.position[1]) for o in (law.chain.joints[1].origin, law.chain.tip)],
-    "tool": lambda law: [float(v) for v in law.chain.tip.position],
 }
 
 
 @pytest.mark.parametrize("name", READ)
 def test_every_parameter_goes_where_it_belongs(name):
     (p,) = pm.chosen(name, LAW, {}, GAINS)
-    value = 0.9 * p.start + (1e-3 if name == "tool" else 0.0)
-    got = READ[name](pm.put(LAW, (p,), value.ravel()))
-    np.testing.assert_allclose(got, value[1:] if name == "links" else value, rtol=1e-12)
+    value = 0.9 * p.start
+    np.testing.assert_allclose(READ[name](pm.put(LAW, (p,), value.ravel())), value, rtol=1e-12)
     assert set(READ) == set(pm.KNOWN)
 
 
@@ -63,20 +60,16 @@ def test_alpha_of_a_stack_is_a_gain_for_each_task_but_postures():
     ("law", "over", "bounds", "told"),
     [
         (STACK, "hnad.alpha", {}, r"one of hand, turn, rest, but is 'hnad' \(did you mean 'hand'"),
-        (STACK, "hand.alhpa", {}, "did you mean 'alpha'"),
         (STACK, "damping", {}, "name damping for a law that has it"),
         (ck.replace(LAW, null_velocity=None), "posture_rate", {}, "name posture_rate for a law that has it"),
         (LAW, "gain", {}, "`over` must be one of alpha, .* but is 'gain'"),
-        (LAW, 3, {}, "`over` must be one of"),
         (LAW, (), {}, "name something"),
         (LAW, ("alpha", "alpha"), {}, "each once"),
         (LAW, "alpha", {"alpha": (5, 1)}, "bounds of alpha` must increase"),
         (LAW, "alpha", {"alpha": 3}, r"be \(lower, upper\)"),
-        (LAW, "alpha", {"alpha": ("a", 2)}, "bounds of alpha"),
         (LAW, "alpha", {"alpha": (0.0, 2)}, "be above 0"),
         (LAW, "alpha", {"alpha": (1, 60)}, "at most the largest stable gain, 50 1/s, but are 1 and 60"),
         (LAW, "alpha", {"damping": (1, 2)}, "`bounds` must be one of alpha"),
-        (LAW, "alpha", [1, 2], "be a table"),
     ],
 )
 def test_what_does_not_fit_is_named(law, over, bounds, told):

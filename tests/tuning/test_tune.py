@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.method import DEFAULT
-from cnclik.tuning import Parameter, tune
+from cnclik.tuning import Parameter, scaled_links, tune
 from cnclik.tuning.descent import Bounds, evaluate
 from cnclik.tuning.parameters import chosen
 from cnclik.tuning.tune import objective_of
@@ -33,12 +33,6 @@ def test_reach_with_explicit_euler_finds_the_dead_beat_gain():
     found = at(NEAR, **FREE)
     assert abs(found.values["alpha"] - 10) < 1e-2  # R = 1 − z; what moves z off 1 is curvature, of the size of e0
     assert found.status == "converged" and found.satisfied and "recommended gain: alpha" in found.why
-
-
-@pytest.mark.slow
-def test_reach_with_the_trapezoid_finds_two():
-    found = at(NEAR, method="TRAPEZOID", stage=ck.chord(1), bounds={"alpha": (0.1, 100.0)})
-    assert abs(0.1 * found.values["alpha"] - 2) < 1e-3  # R = (1 − z/2)/(1 + z/2)
 
 
 def test_the_papers_feedforward_is_three_times_too_large():
@@ -79,7 +73,7 @@ def test_the_posture_rate_is_dead_beat_too():
     assert bound.values["posture_rate"] == pytest.approx(2.5) and "At the upper bound: posture_rate" in bound.why
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2])
+@pytest.mark.parametrize("delay", [0, 2])
 def test_by_default_a_sample_of_dead_time_is_to_spare(delay):
     """On error alone this line asks for z = 1.888, with which an error changes its sign every step."""
     found, d = at(drive=ck.Drive(delay=delay)), delay + 1
@@ -91,31 +85,18 @@ def test_by_default_a_sample_of_dead_time_is_to_spare(delay):
         assert abs(0.1 * ringing.values["alpha"] - 1.888) < 1e-2 and ringing.losses[1] < found.losses[1]
 
 
-def test_unknown_drives_are_assumed_slow():
-    found = at(drive=None)
-    assert found.advice.gains.assumed and found.drive.lag == 0.1
-    assert found.values["alpha"] == pytest.approx(ck.gains(Ts=0.1, method="EE").recommended)
-    run = ck.solve(*found.loop, drive=found.drive)
-    np.testing.assert_allclose(run.q, found.after.q, atol=1e-5)
-
-
-def test_a_far_start_is_brought_within_the_bounds():
-    found = at(law=ck.replace(LAW, alpha=1e4), **FREE)
-    assert not np.isfinite(found.losses[0]) or found.losses[0] > 1
-    assert np.isfinite(found.losses[1]) and found.values["alpha"] < 20
-
-
 # --- what comes back ----------------------------------------------------------------------------------
 
 
 def test_what_was_tuned_is_what_solve_runs():
     """With nobody naming a method: `tune`, then `solve` with its defaults."""
     with jax.enable_x64(True):
-        found = tune(LAW, LINE, Q0, Ts=0.1, N=30, drive=ck.Drive(delay=1), steps=4)
+        found = tune(LAW, LINE, Q0, Ts=0.1, N=30, steps=4)  # and drives that are assumed slow
         law, reference, q0, Ts, N, method, stage = found.loop
         run = ck.solve(law, reference, q0, Ts, N, drive=found.drive)
     np.testing.assert_allclose(run.q, found.after.q, rtol=0, atol=1e-12)
     assert (method, N, Ts) == (DEFAULT, 30, 0.1) and str(stage) == "picard(5)"
+    assert found.advice.gains.assumed and found.drive.lag == 0.1
     assert found.losses[1] == pytest.approx(np.sqrt(np.mean(np.sum(run.e[1:] ** 2, -1))))
 
 
@@ -150,12 +131,6 @@ def test_the_loss_is_the_mean_over_paths_and_starts():
     apart = [at(path, q0=q0, steps=4).losses[0] for path, q0 in zip(paths, starts, strict=True)]
     assert both.losses[0] == pytest.approx(np.mean(apart)) and both.loop[1] == LINE
     np.testing.assert_array_equal(both.loop[2], Q0)
-
-
-def test_one_of_several_starts_is_at_least_as_good_as_the_first():
-    noise = 0.01 * np.random.default_rng(0).standard_normal((30, 2))
-    one, several = (at(noise=noise, over=("alpha", "feedforward"), starts=starts) for starts in (1, 3))
-    assert several.losses[1] <= one.losses[1] * (1 + 1e-9) and several.evaluations > one.evaluations
 
 
 def test_a_parameter_and_an_optimizer_of_your_own():
@@ -227,14 +202,9 @@ RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command
     [
         ({"loss": "trakcing"}, "did you mean 'tracking'"),
         ({"loss": {"tracking": 0.0}}, "weight of tracking` must be positive"),
-        ({"loss": {}}, "`loss` must be a name"),
         ({"velocity_limit": -1.0}, "velocity_limit"),
         ({"noise": np.ones((30, 3))}, r"`noise` must have shape \(30, 2\) or \(n, 30, 2\)"),
-        ({"noise": np.ones((3, 30, 2)), "q0": np.ones((2, 2))}, "one for each of 3 runs"),
         ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
-        ({"drive": 1}, "drive"),
-        ({"steps": 1}, "steps"),
-        ({"starts": 0}, "starts"),
         ({"progress": 5}, "`progress` must be a function or None"),
         ({"N": 2}, "`N` must be at least 3"),
         ({"drive": RUNS_AWAY}, "`drive` must allow a gain, but each position command starts at the measured joints"),
@@ -267,23 +237,23 @@ def test_noise_and_delay_run_as_in_plain_numpy():
     np.testing.assert_allclose(run.e, errors, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("over", ["alpha", ("alpha", "links", "feedforward")], ids=["forward", "reverse"])
-@pytest.mark.parametrize(
-    "method, stage",
-    [
-        ("EE", ck.picard(5)),
-        pytest.param("CN", ck.picard(2), marks=pytest.mark.slow),
-        pytest.param("CN", ck.chord(6, implicit=True), marks=pytest.mark.slow),
-    ],
-    ids=["explicit", "pass by pass", "implicit"],
+LINKS = Parameter(
+    name="links",
+    start=np.ones(6),
+    lower=0.5,
+    upper=2.0,
+    put=lambda law, v: ck.replace(law, chain=scaled_links(law.chain, v)),
 )
-def test_derivatives_are_those_of_differences(method, stage, over):
+
+
+@pytest.mark.parametrize("over", ["alpha", ("alpha", LINKS, "feedforward")], ids=["forward", "reverse"])
+def test_derivatives_are_those_of_differences(over):
     with jax.enable_x64(True):
         arm, q0 = ck.planar_arm([1.0] * 5, clockwise=True), np.array([0.0, 1.2, 0.3, -0.2, 0.4])
         law = ck.Law(arm, ck.position("xy"), alpha=np.array([5.0, 3.0]))
         path = ck.line((tip := np.asarray(ck.forward(arm, q0).position)[:2]) + 0.05, tip - 0.2, duration=3.0)
         found = chosen(over, law, {}, ck.gains(Ts=0.05, drive=ck.Drive(), method="EE"))
-        how, loss = (4, ck.METHODS[method], stage), {"tracking": 1.0, "jerk": 1e-5}
+        how, loss = (4, ck.EE, ck.picard(5)), {"tracking": 1.0, "jerk": 1e-5}
         objective = objective_of(law, found, [path], q0, 0.05, how, loss=loss, drive=ck.Drive(), limit=1e6)
         lower, upper, start = (
             np.concatenate([getattr(p, k).ravel() for p in found]) for k in ("lower", "upper", "start")

@@ -1,4 +1,4 @@
-"""Kinds: a value over a plane or along an axis, which of several is best, and distributions."""
+"""Kinds: a value over a plane or along an axis, which method is best, and distributions."""
 
 import numpy as np
 import xarray
@@ -32,12 +32,12 @@ def heat(view, layout):
 
 
 def best(view, layout):
-    """Draw which of several has the least value over a plane; grey where no loop ends well: there it is chance."""
-    value, among = view[layout.value], layout.among
-    grid, names = Panels(view, layout), [text(v) for v in value[among].values]
+    """Draw which method has the least value over a plane; grey where no loop ends well: there it is chance."""
+    value = view[layout.value]
+    grid, names = Panels(view, layout), value["method"].values.tolist()
     looks = [look["color"] for look in style.looks(names)]
     for ax, part in grid.each(value):
-        z = part.transpose(among, layout.y, layout.x).values
+        z = part.transpose("method", layout.y, layout.x).values
         finite = np.where(np.isfinite(z), z, np.inf)
         chance = ~np.isfinite(finite.min(axis=0)) | beyond_every_limit(part, layout)
         winner = np.ma.masked_where(chance, finite.argmin(axis=0))
@@ -108,7 +108,7 @@ def beyond_every_limit(part, layout):
         return np.zeros([part.sizes[dim] for dim in plane], bool)
     z = part["z"] if "z" in plane else part["alpha"] * part["Ts"]
     beyond = z > limit.max([dim for dim in limit.dims if dim not in plane])
-    return beyond.broadcast_like(part.isel({layout.among: 0})).transpose(*plane).values
+    return beyond.broadcast_like(part.isel({"method": 0})).transpose(*plane).values
 
 
 def slices(view, layout):

@@ -12,12 +12,12 @@ from cnclik.sweeps.summary import main_value, scalars
 LONGEST = 8  # a longer dimension gets no panels
 KINDS = {
     "heat": ("x", "y"),
-    "best": ("x", "y", "among"),
+    "best": ("x", "y"),
     "slices": ("x", "over", "lines"),
     "distribution": ("over", "lines"),
 }
-ROLES = ("x", "y", "among", "over", "lines", "panels", "rows", "across")  # keys that name a dimension
-REDUCE = ("median", "mean", "min", "max")
+ROLES = ("x", "y", "over", "lines", "panels", "rows", "across")  # keys that name a dimension
+REDUCE = ("median", "mean", "min")
 KEYS = ("kind", "name", "title", "value", "panels", "rows", "across", "reduce", "select", "log", "limits")
 
 
@@ -28,7 +28,6 @@ class Layout(NamedTuple):
     value: str  # name of the variable shown
     x: str | None  # a dimension, or of slices a variable
     y: str | None
-    among: str | None  # dimension whose best value is shown
     over: str | None  # dimension along which a line or a sample runs that has no axis
     lines: str | None
     panels: str | None
@@ -93,7 +92,7 @@ def arrange(data, table: dict) -> Layout:
     roles: dict[str, Any] = dict.fromkeys(ROLES)
     roles |= {role: errors.one_of(role, table[role], known.get(role, dims)) for role in ROLES if role in table}
     _choose_axes(kind, roles, [d for d in axes if d not in drawn], drawn, dims)
-    free = [d for d in dims if d not in roles.values()]
+    free = [d for d in dims if d not in (*roles.values(), *["method"] * (kind == "best"))]
     reduced = tuple(d for d in dims if d == roles["across"] or (d in free and d in drawn))
     # The rest: methods and stages first, then M.
     free = sorted((d for d in free if d not in reduced), key=lambda d: (d not in ("method", "stage"), d != "M"))
@@ -112,8 +111,8 @@ def _choose_axes(kind, roles, axes, drawn, dims):
             roles[role] = roles[role] or next((d for d in axes if d != roles[other]), None)
         if None in (roles["x"], roles["y"]):
             raise errors.fail("kind", "be 'slices' for one numeric axis", f"is {kind!r}, and the axes are {axes}")
-    if kind == "best":
-        roles["among"] = errors.one_of("among", roles["among"] or "method", dims)
+    if kind == "best" and ("method" not in dims or "method" in roles.values()):
+        raise errors.fail("kind", "be 'heat' for a single method", "is 'best'")
     if kind == "slices":
         roles["x"] = roles["x"] or next(iter(axes), None)
         if roles["x"] is None:

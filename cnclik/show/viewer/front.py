@@ -4,9 +4,6 @@ import contextlib
 import html
 import importlib.util
 import io
-import json
-import os
-import pathlib
 import threading
 import time
 
@@ -16,13 +13,12 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.status import names
 from cnclik.integrate.trajectory import Trajectory, one_lane
+from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
-from cnclik.problem.build import Problem, problem_from
-from cnclik.reading import read_bytes
+from cnclik.problem.build import Problem
 from cnclik.robot.files import file_of
 from cnclik.show.motion import error_parts, motion_of
 
-RUN = "trajectory.nc"
 RATE = 30.0  # frames a second
 
 
@@ -45,7 +41,6 @@ class Viewer:
         self.caption = gui.add_html("")
         self.slider = gui.add_slider("time [s]", begin, end, (end - begin) / 1000, begin)
         self.playing = gui.add_checkbox("play", True)
-        self.speed = gui.add_slider("speed", 0.1, 5.0, 0.1, 1.0)
         self.slider.on_update(lambda event: self.show(self.slider.value) if event.client is not None else None)
         self._busy, self._ended = threading.Lock(), threading.Event()
         self.show(begin)
@@ -63,9 +58,8 @@ class Viewer:
         while not self._ended.wait(1 / RATE):
             now = time.perf_counter()
             if self.playing.value and self.server.get_clients():
-                t = self.slider.value + self.speed.value * (now - last)
-                if self.slider.value >= self.slider.max:
-                    t = self.slider.min
+                ended = self.slider.value >= self.slider.max
+                t = self.slider.min if ended else self.slider.value + now - last
                 self.slider.value = min(t, self.slider.max)
                 self.show(self.slider.value)
             last = now
@@ -84,8 +78,7 @@ def view(what, law=None, *, robot=None, host="localhost", port=8080) -> Viewer:
     """Play a run in a browser: `ck.show.view(run, law)`.
 
     Args:
-      what: a `Trajectory` with its law, one lane; a `Problem`, which is run; or a folder or trajectory.nc of
-        `cnclik solve`.
+      what: a `Trajectory` with its law, one lane; or a `Problem`, which is run.
       law: of a `Trajectory`.
       robot: URDF file with the robot's meshes; without it, cylinders stand for links and joints.
       host, port: where to listen; on the next free port.
@@ -96,57 +89,25 @@ def view(what, law=None, *, robot=None, host="localhost", port=8080) -> Viewer:
     if not has_viser():
         install = "pip install 'cnclik[viewer]'"
         raise errors.ArgumentError(f"The viewer needs the package viser, which is not installed: {install}")
-    if isinstance(what, (str, os.PathLike)):
-        data, law, name, robot = read_run(what)
-    elif isinstance(what, Problem):
-        data, law, name = to_dataset(jax.tree.map(np.asarray, what.run()), what.law), what.law, what.name
+    if isinstance(what, Problem):
+        run, law, name, robot = jax.tree.map(np.asarray, what.run()), what.law, what.name, robot or what.robot
     else:
-        errors.kind("run", what, Trajectory)
-        if law is None:
-            raise errors.fail("law", "be given with a Trajectory", "is not")
-        one_lane(what)
-        data, name = to_dataset(what, law), f"{law.chain.n} joints"
+        run = errors.kind("run", what, Trajectory)
+        law = errors.kind("law", law, Law)
+        one_lane(run)
+        name = f"{law.chain.n} joints"
     file = None if robot is None or hasattr(robot, "joints") else file_of(str(robot))
-    walls = getattr(law.limits, "walls", ())
-    return Viewer(motion_of(data, law.chain), name=name, walls=walls, robot=file, host=host, port=port)
-
-
-def is_run(text) -> bool:
-    """Return whether a text names a run of `cnclik solve`, and no robot."""
-    return str(text).lower().endswith(".nc") or os.path.exists(os.path.join(str(text), RUN))
-
-
-def read_run(path) -> tuple:
-    """Return (dataset, law, name, robot) of a folder or trajectory.nc of `cnclik solve`."""
-    import xarray as xr
-
-    path = pathlib.Path(path) / RUN if os.path.isdir(path) else pathlib.Path(path)
-    content = io.BytesIO(read_bytes("FILE", path, "a run of `cnclik solve`"))
-    try:
-        with xr.open_dataset(content, engine="h5netcdf") as data:
-            data.load()
-        config = json.loads(data.attrs["config"])
-        del config["verb"]
-    except Exception as error:  # damaged files raise all kinds of errors in HDF5 and xarray
-        raise errors.fail("FILE", "be a run of `cnclik solve`", f"{path.name} is not: {error}") from None
-    if str(config["robot"]).endswith(".py"):
-        again = f"view {config['robot']}"
-        raise errors.fail("FILE", f"be played by `cnclik {again}`, whose robot is defined there", f"is {path.name!r}")
-    made = problem_from(**config)
-    if data.sizes.get("joint") != made.law.chain.n:
-        raise errors.fail("FILE", f"hold joint values of {made.name}'s joints", f"holds {data.sizes.get('joint')}")
-    return data, made.law, made.name, config["robot"]
+    motion, walls = motion_of(to_dataset(run, law), law.chain), getattr(law.limits, "walls", ())
+    return Viewer(motion, name=name, walls=walls, robot=file, host=host, port=port)
 
 
 def caption(name, data, k) -> str:
     """Return what is shown now, as HTML: name, time, errors, status."""
     status = data.status.values[min(k, data.sizes["step"] - 1)] if data.sizes["step"] else 0
-    sizes = []
-    for task, unit, some in error_parts(data):
-        sizes.append(f"{task} {np.linalg.norm(data.e.values[k, some]):.3g} {unit}".strip())
-    lines = f"t = {data.time.values[k]:.3f} s", f"error {', '.join(sizes)}", names(status).replace("|", ", ")
-    text = "<br>".join(map(html.escape, lines))
-    return f"<div style='padding:0.1em 1em;font-size:0.85em'><b>{html.escape(name)}</b><br>{text}</div>"
+    parts = [(task, np.linalg.norm(data.e.values[k, some]), unit) for task, unit, some in error_parts(data)]
+    sizes = ", ".join(f"{task} {size:.3g} {unit}".strip() for task, size, unit in parts)
+    lines = name, f"t = {data.time.values[k]:.3f} s", f"error {sizes}", names(status).replace("|", ", ")
+    return f"<div style='padding:0.1em 1em;font-size:0.85em'>{'<br>'.join(map(html.escape, lines))}</div>"
 
 
 def _server(host, port):

@@ -22,57 +22,48 @@ class Scene:
     def __init__(self, server, motion, *, walls=(), robot=None):
         """Args: walls: of the run's law. robot: URDF file with the robot's meshes."""
         self.server, self.motion, scene, chain = server, motion, server.scene, motion.chain
-        self.thick, self.first = thickness(chain), motion.poses.shape[1] - len(chain.tips)
-        self.levels = level(np.append(motion.data.status.values, motion.data.status.values[-1:]))[: len(motion.poses)]
+        thick, count = thickness(chain), len(motion.poses)
+        status = motion.data.status.values
+        self.levels = level(np.append(status, status[-1:]))[:count]
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
-        solid, every = ([], motion.poses) if robot is None else meshes_of(robot, motion)
-        size = (0.6 if solid else 1.1) * self.thick
-        solid = solid or shapes_of(chain)
+        meshes, every = ([], motion.poses) if robot is None else meshes_of(robot, motion)
         self.places, self.turns = every[:, :, :3, 3], poses.quaternions(every[:, :, :3, :3])
         self.frames = [scene.add_frame(f"/{i}", show_axes=False) for i in range(every.shape[1])]
-        for k, shape in enumerate(solid):
-            color = rgb(shape.color)
-            scene.add_mesh_simple(f"/{shape.frame}/{k}", shape.mesh.vertices, shape.mesh.faces, color=color)
-        for k, (frame, mesh, color) in enumerate(shapes_of_walls(walls, chain)):
-            look = {"color": rgb(color), "opacity": 0.2, "side": "double"}
-            scene.add_mesh_simple(f"/{frame}/wall{k}", mesh.vertices, mesh.faces, **look)
-        every_tip = range(self.first, motion.poses.shape[1])
-        self.tips = [scene.add_icosphere(f"/{i}/tip", size, rgb(style.FINE)) for i in every_tip]
-        self._draw_paths()
-        self._look()
+        solid = [(*shape, {}) for shape in meshes or shapes_of(chain)]
+        solid += [(*shape, {"opacity": 0.2, "side": "double"}) for shape in shapes_of_walls(walls, chain)]
+        for k, (frame, mesh, color, look) in enumerate(solid):
+            scene.add_mesh_simple(f"/{frame}/{k}", mesh.vertices, mesh.faces, color=rgb(color), **look)
+        size = (0.6 if meshes else 1.1) * thick
+        tips = range(motion.poses.shape[1] - len(chain.tips), motion.poses.shape[1])
+        self.tips = [scene.add_icosphere(f"/{i}/tip", size, rgb(style.FINE)) for i in tips]
+        self.goals = {i: target for i, target in enumerate(motion.targets) if target is not None}
+        self.balls = {i: scene.add_icosphere(f"/goal{i}", 0.8 * thick, rgb(style.BLACK)) for i in self.goals}
+        self._draw_paths(np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)), thick)
+        self._look(self.places.reshape(-1, 3), thick)
         self.show(0)
 
-    def _draw_paths(self):
-        """Draw paths of tips in green, amber or red, those of targets in grey, and a ball for each target."""
-        motion, add = self.motion, self.server.scene.add_line_segments
-        count = len(motion.poses)
-        some = np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int))
-        worst, paths = np.maximum.reduceat(self.levels, some)[:-1], _segments(motion.paths[:, some])
+    def _draw_paths(self, some, thick):
+        """Draw paths of tips in green, amber or red, and those of targets in grey."""
+        add, paths = self.server.scene.add_line_segments, _segments(self.motion.paths[:, some])
+        worst = np.maximum.reduceat(self.levels, some)[:-1]
         for kind in np.unique(worst):  # a line for each colour: with several it would be lighter
             lines = paths[:, worst == kind].reshape(-1, 2, 3)
-            add(f"/path{kind}", lines, rgb(style.LEVELS[kind]), thickness=0.3 * self.thick)
-        self.goals, self.lines = {}, {}
-        for i, target in enumerate(motion.targets):
-            if target is None:
-                continue
+            add(f"/path{kind}", lines, rgb(style.LEVELS[kind]), thickness=0.3 * thick)
+        for i, target in self.goals.items():
             if np.ptp(target, axis=0).max() > 0:
-                lines = _segments(target[None, some]).reshape(-1, 2, 3)
-                add(f"/wanted{i}", lines, rgb(GREY), thickness=0.12 * self.thick)
-            self.goals[i] = self.server.scene.add_icosphere(f"/goal{i}", 0.8 * self.thick, rgb(style.BLACK))
-            self.lines[i] = add(f"/error{i}", np.zeros((1, 2, 3)), rgb(style.LOST), thickness=0.3 * self.thick)
+                add(f"/wanted{i}", _segments(target[None, some])[0], rgb(GREY), thickness=0.12 * thick)
 
-    def _look(self):
+    def _look(self, points, thick):
         """Look from above at a planar arm, from a corner otherwise, at all that moves; draw a floor below it."""
-        chain, points = self.motion.chain, self.places.reshape(-1, 3)
-        low, high, flat = points.min(0), points.max(0), is_planar(chain)
-        span = 1.3 * max(np.linalg.norm(high - low), float(arm_length(chain)))
+        low, high, flat = points.min(0), points.max(0), is_planar(self.motion.chain)
+        span = 1.3 * max(np.linalg.norm(high - low), float(arm_length(self.motion.chain)))
         away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.83, 0.48, 0.37])
         right = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 0.87, 0.0])
         middle = (low + high) / 2 + 0.2 * span * right  # the panel covers the right of the page
         cell = 10.0 ** np.floor(np.log10(span / 2)) / 2
+        floor = (*middle[:2], min(low[2], 0.0) - 2 * thick)
         look = {"cell_size": cell, "section_size": 5 * cell, "cell_thickness": 0.7}
-        floor = (*middle[:2], min(low[2], 0.0) - 2 * self.thick)
         self.server.scene.add_grid("/floor", 4 * span, 4 * span, position=floor, **look)
         camera = self.server.initial_camera
         camera.position, camera.look_at = tuple(middle + span * away), tuple(middle)
@@ -83,12 +74,10 @@ class Scene:
         with self.server.atomic():
             for i, frame in enumerate(self.frames):
                 frame.position, frame.wxyz = self.places[k, i], self.turns[k, i]
-            for i, ball in enumerate(self.tips):
+            for ball in self.tips:
                 ball.color = rgb(style.LEVELS[self.levels[k]])
-                if i in self.goals:
-                    at, to = self.places[k, self.first + i], self.motion.targets[i][k]
-                    self.goals[i].position = to
-                    self.lines[i].points = np.stack([at, to])[None].astype(np.float32)
+            for i, ball in self.balls.items():
+                ball.position = self.goals[i][k]
 
 
 def _segments(paths):

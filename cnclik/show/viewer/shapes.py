@@ -10,7 +10,7 @@ import trimesh
 
 from cnclik.reading import read_bytes
 from cnclik.robot.bases import BALL
-from cnclik.robot.chain import PRISMATIC, REVOLUTE
+from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.files import is_mjcf
 from cnclik.robot.posture import arm_length
 from cnclik.robot.tree import read_urdf
@@ -31,9 +31,6 @@ class Shape(NamedTuple):
     color: str
 
 
-# --- from a chain -------------------------------------------------------------------------------------
-
-
 def thickness(chain) -> float:
     """Return the radius of a drawn link [m]."""
     return 0.028 * float(arm_length(chain))
@@ -48,11 +45,10 @@ def shapes_of(chain) -> list:
         if np.linalg.norm(end) > 0.2 * thick:
             found.append(Shape(frame, rod(np.zeros(3), end, thick), style.SKY if frame else GREY))
     for i, joint in enumerate(chain.joints, 1):
-        axis, unbounded = np.array(joint.axis, float), np.isinf(chain.lower[joint.coordinate])
-        if joint.kind == BALL or (joint.kind == PRISMATIC and unbounded):  # joints of a base have no shape
-            continue
-        long, wide = (1.2, 1.3) if joint.kind == REVOLUTE else (2.0, 1.4)
-        found.append(Shape(i, rod(-long * thick * axis, long * thick * axis, wide * thick), style.BLUE))
+        of_base = joint.kind == PRISMATIC and np.isinf(chain.lower[joint.coordinate])
+        if joint.kind != BALL and not of_base:  # joints of a base have no shape
+            along = 1.2 * thick * np.array(joint.axis, float)
+            found.append(Shape(i, rod(-along, along, 1.3 * thick), style.BLUE))
     return found
 
 
@@ -62,11 +58,11 @@ def rod(start, end, radius, *, round_ends=False) -> trimesh.Trimesh:
         return trimesh.creation.cylinder(radius, segment=[start, end])
     along = np.subtract(end, start)
     mesh = trimesh.creation.capsule(np.linalg.norm(along), radius)
-    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along))
-    return mesh.apply_translation(np.add(start, end) / 2)
+    return _turned(mesh, along).apply_translation(np.add(start, end) / 2)
 
 
-# --- from a file --------------------------------------------------------------------------------------
+def _turned(mesh, z):
+    return mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], z))
 
 
 def meshes_of(file, motion) -> tuple:
@@ -110,22 +106,21 @@ def link_meshes(file, link) -> list:
 def _mesh(file, element):
     """Return the mesh of a <visual> or <collision> in its link's frame, or None."""
     try:
-        (kind,), origin = element.find("geometry"), element.find("origin")
-        if kind.tag == "box":
-            mesh = trimesh.creation.box(_numbers(kind, "size"))
-        elif kind.tag == "cylinder":
-            mesh = trimesh.creation.cylinder(float(kind.get("radius")), float(kind.get("length")))
-        elif kind.tag == "sphere":
-            mesh = trimesh.creation.icosphere(2, float(kind.get("radius")))
-        elif (path := _file_of(file, kind.get("filename"))) is None:
-            return None
+        (shape,), origin = element.find("geometry"), element.find("origin")
+        if shape.tag == "box":
+            mesh = trimesh.creation.box(_numbers(shape, "size"))
+        elif shape.tag == "cylinder":
+            mesh = trimesh.creation.cylinder(float(shape.get("radius")), float(shape.get("length")))
+        elif shape.tag == "sphere":
+            mesh = trimesh.creation.icosphere(2, float(shape.get("radius")))
         else:
-            mesh = trimesh.load(path, force="mesh").apply_scale(_numbers(kind, "scale", "1 1 1"))
+            path = _file_of(file, shape.get("filename"))
+            mesh = trimesh.load(path, force="mesh").apply_scale(_numbers(shape, "scale", "1 1 1"))
         if origin is not None:
             mesh.apply_transform(trimesh.transformations.euler_matrix(*_numbers(origin, "rpy", "0 0 0")))
             mesh.apply_translation(_numbers(origin, "xyz", "0 0 0"))
         return mesh if len(mesh.faces) else None
-    except Exception:  # damaged files raise all kinds of errors in a dozen readers
+    except Exception:  # damaged files raise all kinds of errors in a dozen readers, as do those that aren't there
         return None
 
 
@@ -151,38 +146,40 @@ def _file_of(file, name):
     return next((place for place in inside if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
 
 
-# --- of walls -----------------------------------------------------------------------------------------
-
-
 def shapes_of_walls(walls, chain) -> list:
     """Return shapes of walls that are of positions or of distances: planes, and what is kept off each other."""
-    first, found = 1 + len(chain.joints), []
-
-    def frame(tip):
-        return 0 if tip is None else first + chain.tip_number(tip)
-
+    found = []
     for wall in walls:
         part = wall.task.parts[0]
         if hasattr(part, "one"):
-            for shape in (part.one, part.other):
-                if hasattr(shape, "normal"):
-                    found.append(Shape(0, _plane(shape.normal, shape.offset, chain), style.LOST))
-                else:
-                    ends = np.asarray(shape.ends, float)
-                    mesh = rod(ends[0], ends[-1], float(shape.radius), round_ends=True) if len(ends) > 1 else None
-                    mesh = mesh or trimesh.creation.icosphere(3, float(shape.radius)).apply_translation(ends[0])
-                    found.append(Shape(frame(shape.tip), mesh, style.LOST))
+            found += [_solid(shape, chain) for shape in (part.one, part.other)]
         elif hasattr(part, "axes"):
             normal = np.zeros(3)
             normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
             size = np.linalg.norm(normal)
-            found.append(Shape(frame(part.to), _plane(normal / size, wall.offset / size, chain), style.LOST))
+            mesh = _plane(normal / size, wall.offset / size, chain)
+            found.append(Shape(_frame(part.to, chain), mesh, style.LOST))
     return found
+
+
+def _solid(shape, chain) -> Shape:
+    """Return a half space, a capsule or a sphere of a distance."""
+    if hasattr(shape, "normal"):
+        return Shape(0, _plane(shape.normal, shape.offset, chain), style.LOST)
+    ends, radius = np.asarray(shape.ends, float), float(shape.radius)
+    if len(ends) > 1:
+        mesh = rod(ends[0], ends[-1], radius, round_ends=True)
+    else:
+        mesh = trimesh.creation.icosphere(3, radius).apply_translation(ends[0])
+    return Shape(_frame(shape.tip, chain), mesh, style.LOST)
+
+
+def _frame(tip, chain) -> int:
+    return 0 if tip is None else 1 + len(chain.joints) + chain.tip_number(tip)
 
 
 def _plane(normal, offset, chain):
     """Return a thin square at normal · x = offset."""
     size = float(arm_length(chain))
-    mesh = trimesh.creation.box((size, size, 0.002 * size))
-    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], normal))
+    mesh = _turned(trimesh.creation.box((size, size, 0.002 * size)), normal)
     return mesh.apply_translation(np.asarray(normal, float) * float(offset))
