@@ -1,7 +1,7 @@
 """`python -m tests.bench.reach`: what `cnclik.reach` solves, whether its answers are right, and how soon, as tables.
 
 Eight real robots, a Z1, a planar arm and Baxter's two arms; random reachable poses, every answer of the eight checked
-by Pinocchio's kinematics; and Pinocchio's own search in C++. All times are CPU times of one process on one core, of
+by Pinocchio's kinematics. All times are CPU times of one process on one core, of
 rounds in turn; medians. `--against TREE` has another checkout of cnclik in the same rounds: ratios are times of this
 one over that. `docs/reach.md` has its tables.
 
@@ -18,7 +18,6 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 
 import numpy as np
 
@@ -27,7 +26,8 @@ from cnclik.reaching.result import count as counts
 from cnclik.reaching.starts import spans
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
-from tests.bench.reach_peers import ROBOTS, PinocchioReach, Robot
+from tests.bench import timing
+from tests.bench.reach_peers import ROBOTS, Robot
 from tests.integrate.test_real_robots import folder
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
@@ -144,41 +144,25 @@ def measured(name, count, trees, rounds):
     return row, (counts(status) if (status != 0).any() else None)
 
 
-def pinocchio(name, count):
-    """µs a target of Pinocchio in C++, with the best of a grid of options, and how many it finds."""
-    robot = Robot(name)
-    targets, peer = robot.pose(robot.drawn(count)), PinocchioReach(robot)
-    options, times = peer.best(targets[:200]), []
-    for _ in range(ROUNDS):
-        begun = time.process_time()
-        q, _, _ = peer.run(targets, options)
-        times.append(time.process_time() - begun)
-    right = int(robot.right(q, targets).sum())
-    return f"{name}: Pinocchio C++ {1e6 * statistics.median(times) / count:.3g} µs, {right:,} of {count:,}; {options}"
-
-
 COLUMNS = ["robot", "solved", "right by Pinocchio", "evaluations", "µs", "µs of 2000", "µs alone", "first call s"]
 MORE = ["solved before", "µs over before", "of 2000", "alone", "first call before s"]
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", choices=[*ROBOTS, *OTHERS, "peers"], metavar="ROBOT")
+    parser.add_argument("--only", nargs="*", choices=[*ROBOTS, *OTHERS], metavar="ROBOT")
     parser.add_argument("--targets", type=int, default=20_000, metavar="N")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--against", type=pathlib.Path, metavar="TREE")
     args = parser.parse_args()
     here = pathlib.Path(__file__).parents[2]
     trees = [here, args.against.resolve()] if args.against else [here]
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])
+    timing.one_core()
     columns = COLUMNS + MORE * (args.against is not None)
     print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}", flush=True)
     for name in args.only or [*ROBOTS, *OTHERS]:
-        if name != "peers":
-            row, missed = measured(name, args.targets, trees, args.rounds)
-            print(f"| {' | '.join(row)} |", *([missed] if missed else []), flush=True)
-    for name in ("Panda", "UR5") if not args.only or "peers" in args.only else ():
-        print(pinocchio(name, SOME), flush=True)
+        row, missed = measured(name, args.targets, trees, args.rounds)
+        print(f"| {' | '.join(row)} |", *([missed] if missed else []), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,9 @@
-"""Robots, targets and checks by Pinocchio's kinematics for `tests.bench.reach`; Pinocchio's search in C++."""
-
-import ctypes
-import time
-from typing import NamedTuple
+"""Robots, targets and checks by Pinocchio's kinematics for `tests.bench.reach`."""
 
 import numpy as np
 import pinocchio as pin
 
 import cnclik as ck
-from cnclik.robot.chain import REVOLUTE
-from tests.bench.cases import matrix
-from tests.bench.pinocchio_cpp import HERE, compiled
 from tests.integrate.test_real_robots import ROBOTS, folder
 
 TOLERANCE = 1e-6  # [m], [rad]
@@ -76,63 +69,3 @@ class Robot:
         for joint, v in zip(self._joints, q, strict=True):
             full[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(v), np.sin(v)] if joint.nq == 2 else v
         return full
-
-    def about_z(self):
-        """(origins (n, 4, 4), tip (4, 4)) of the same arm with every joint about the z of its own frame."""
-        origins, before = [], np.eye(4)
-        for joint in self.chain.joints:
-            assert joint.kind == REVOLUTE and joint.multiplier == 1 and joint.offset == 0
-            turned = np.eye(4)
-            turned[:3, :3] = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(joint.axis)).matrix()
-            origins.append(before.T @ matrix(joint.origin) @ turned)
-            before = turned
-        return np.stack(origins), before.T @ matrix(self.chain.tip)
-
-
-class PinocchioOptions(NamedTuple):
-    """λ² = damping + of_error ‖e‖², at most so many iterations from each of so many random starts."""
-
-    damping: float
-    of_error: float
-    iterations: int
-    starts: int = 50
-
-
-class PinocchioReach:
-    """Inverse kinematics of an arm of 6 or 7 revolute joints in C++."""
-
-    def __init__(self, robot):
-        library, self._n = ctypes.CDLL(str(compiled(HERE / "pinocchio_reach.cpp"))), robot.chain.n
-        new, self._run = (getattr(library, f"reach_{self._n}_{verb}") for verb in ("new", "run"))
-        pointer, real, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
-        new.restype, new.argtypes = pointer, [pointer] * 4
-        self._run.restype = None
-        self._run.argtypes = [pointer, *[real] * 4, whole, whole, ctypes.c_uint64, whole, *[pointer] * 5]
-        self._kept = [np.ascontiguousarray(a, float) for a in (*robot.about_z(), *robot.range())]
-        self._solver = new(*(a.ctypes.data for a in self._kept))  # lives as long as the process
-
-    def run(self, targets, options: PinocchioOptions, tolerance=(TOLERANCE, TOLERANCE), seed=1):
-        """(q (B, n), found (B,), evaluations (B,)) for targets (B, 4, 4)."""
-        B = len(targets)
-        where, turn = np.ascontiguousarray(targets[:, :3, 3]), np.ascontiguousarray(targets[:, :3, :3])
-        q, found, looks = np.empty((B, self._n)), np.empty(B, np.uint8), np.empty(B, np.int64)
-        arrays = (a.ctypes.data for a in (where, turn, q, found, looks))
-        damped = options.damping, options.of_error, *tolerance, options.iterations, options.starts
-        self._run(self._solver, *damped, seed, B, *arrays)
-        return q, found.astype(bool), looks
-
-    def best(self, targets) -> PinocchioOptions:
-        """Of a grid, the options that take the least time, of those that find (but for 0.5 %) the most."""
-        grid = [
-            PinocchioOptions(damping, of_error, iterations)
-            for damping in (1e-9, 1e-6, 1e-4, 1e-2)
-            for of_error in (0.0, 0.01, 0.1, 1.0)
-            for iterations in (20, 40, 100)
-        ]
-        tried = []
-        for options in grid:
-            begun = time.perf_counter()
-            _, found, _ = self.run(targets, options)
-            tried.append((found.mean(), time.perf_counter() - begun, options))
-        most = max(share for share, *_ in tried)
-        return min((seconds, options) for share, seconds, options in tried if share >= most - 0.005)[1]

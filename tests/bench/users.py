@@ -1,10 +1,8 @@
-"""What a user writes for a stack of poses in pink, mink, mjinx, Placo and cnclik, and how soon and how fast it answers.
+"""What a user writes for a stack of poses in pink, mink, Placo and cnclik, and how soon and how fast it answers.
 
 Each text runs in a process of its own, as Python's main module: from a URDF file to joint values after 200 steps. It
 tells when it had answered, what a step takes then, and how far the tips are from their targets. Lines are those of the
-text. PLACO_PYTHON is an interpreter that has Placo, which needs another Pinocchio than pink; MJINX_PYTHON one that has
-mjinx 0.1.1, jaxopt and chex. The Jacobian of its FrameTask is that of another error (log of T_d⁻¹ T⁻¹ for T_d⁻¹ T) and
-does not arrive; the text takes the one that the library derives for all tasks.
+text. PLACO_PYTHON is an interpreter that has Placo, which needs another Pinocchio than pink.
 """
 
 import json
@@ -37,7 +35,9 @@ for _ in range(N):
     step()
 """
 
-_MODEL = """spec = mujoco.MjSpec.from_file(URDF)
+MINK = """
+import numpy as np, mink, mujoco
+spec = mujoco.MjSpec.from_file(URDF)
 if BASE == "free":
     spec.body(ROOT).add_freejoint()
 if BASE == "planar":
@@ -45,14 +45,7 @@ if BASE == "planar":
         spec.body(ROOT).add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
     spec.body(ROOT).add_joint(name="yaw", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
 model = spec.compile()
-"""
-
-MINK = (
-    """
-import numpy as np, mink, mujoco
-"""
-    + _MODEL
-    + """robot = mink.Configuration(model)
+robot = mink.Configuration(model)
 q = robot.q.copy()
 for name, value in START.items():
     q[model.joint(name).qposadr] = value
@@ -67,7 +60,6 @@ def step():
 for _ in range(N):
     step()
 """
-)
 
 PLACO = """
 import numpy as np, placo
@@ -90,45 +82,6 @@ for _ in range(N):
     step()
 """
 
-MJINX = (
-    """
-import jax, jax.numpy as jnp, jaxlie, mujoco, mujoco.mjx as mjx, numpy as np
-from mjinx.components._base import JaxComponent
-from mjinx.components.barriers import JointBarrier
-from mjinx.components.tasks import FrameTask, JointTask
-from mjinx.configuration import integrate, update
-from mjinx.problem import Problem
-from mjinx.solvers import LocalIKSolver
-jax.config.update("jax_enable_x64", True)
-FrameTask.JaxComponentType.compute_jacobian = JaxComponent.compute_jacobian
-"""
-    + _MODEL
-    + """robot = mjx.put_model(model)
-q = model.qpos0.copy()
-for name, value in START.items():
-    q[model.joint(name).qposadr] = value
-top = np.array([SPEEDS.get(model.joint(i).name, 1e3) for i in model.dof_jntid]) if LIMITS else 1e3
-problem = Problem(robot, -top, top)
-rest = JointTask("rest", cost=DAMPING, gain=0.0, floating_base=BASE == "free")
-problem.add_component(rest)
-rest.target_q = jnp.zeros(rest.dim)
-if LIMITS:
-    problem.add_component(JointBarrier("limits", gain=1 / TS, floating_base=BASE == "free"))
-for tip, target in zip(TIPS, TARGETS):
-    task = FrameTask(tip, cost=np.repeat(WEIGHTS, 3), gain=ALPHA, obj_name=tip)
-    problem.add_component(task)
-    task.target_frame = jaxlie.SE3.from_matrix(jnp.array(target))
-solver = LocalIKSolver(robot, tol=1e-8, sigma=1e-9)
-begun, data = solver.init(), problem.compile()
-next = jax.jit(lambda q: integrate(robot, q, solver.solve(q, begun, data)[0].v_opt, TS))
-def step():
-    global q
-    q = jax.block_until_ready(next(q))
-for _ in range(N):
-    step()
-"""
-)
-
 CNCLIK = """
 import jax, numpy as np, cnclik as ck
 jax.config.update("jax_enable_x64", True)
@@ -150,11 +103,10 @@ for _ in range(N):
 WHERE = {  # of a tip
     "pink": "robot.get_transform_frame_to_world(tip).translation",
     "mink": 'robot.get_transform_frame_to_world(tip, "body").translation()',
-    "mjinx": "update(robot, q).xpos[model.body(tip).id]",
     "Placo": "robot.get_T_world_frame(tip)[:3, 3]",
     "cnclik": "ck.forward(robot, q, tip=tip).position",
 }
-TEXTS = {"cnclik": CNCLIK, "pink": PINK, "mink": MINK, "mjinx": MJINX, "Placo": PLACO}
+TEXTS = {"cnclik": CNCLIK, "pink": PINK, "mink": MINK, "Placo": PLACO}
 _BEFORE = "import json, sys\nglobals().update(json.load(open(sys.argv[1])))\n"
 _AFTER = """
 import json, resource, time
@@ -185,7 +137,7 @@ def lines(name) -> int:
 
 def run(name, given, rounds=3) -> Told | None:
     """A user's text with these values (`Case.given`); None where the library is not installed, or has no such base."""
-    python = os.environ.get(f"{name.upper()}_PYTHON") if name in ("mjinx", "Placo") else sys.executable
+    python = os.environ.get("PLACO_PYTHON") if name == "Placo" else sys.executable
     if python is None or (name, given["BASE"]) == ("Placo", "planar"):
         return None
     firsts, told = [], []
