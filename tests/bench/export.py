@@ -16,7 +16,6 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.measure.files import markdown
-from cnclik.record import on_device
 from tests.bench import cases, timing
 from tests.bench.pinocchio_cpp import PinocchioCpp
 from tests.export.native import built, native
@@ -72,7 +71,7 @@ def main():
     (free, seconds), (fixed, _) = exported(given, False), exported(given, True)
     solver = PinocchioCpp(*cases.panda_matrices(), "float64")
     settings = dict(alpha=cases.ALPHA, Ts=cases.TS, damping=cases.DAMPING, M=None, N=IN_A_ROW)
-    law, reference, q = on_device(cases.case().law), on_device(ck.hold(*given[1:])), jax.numpy.asarray(given[0])
+    law, reference, q = *jax.device_put((cases.case().law, ck.hold(*given[1:]))), jax.numpy.asarray(given[0])
 
     def by_jax():
         for _ in range(FEW):
