@@ -37,7 +37,7 @@ def tests(session):
 def lowest(session):
     """The suite with the oldest dependencies that are allowed."""
     session.install(
-        "-e", ".[test]", "jax==0.10.*", "jaxlib==0.10.*", "numpy==2.0.*", "optax==0.2.4", "matplotlib==3.9.*"
+        "-e", ".[test]", "jax==0.10.0", "jaxlib==0.10.0", "numpy==2.0.*", "optax==0.2.4", "matplotlib==3.9.*"
     )
     session.run("pytest", "-m", "not slow", *session.posargs)
 

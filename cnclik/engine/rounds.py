@@ -12,6 +12,11 @@ import numpy as np
 
 from cnclik.engine.graph import UnsupportedError
 
+try:
+    from jax.errors import InconclusiveDimensionOperation
+except ImportError:  # JAX 0.10.0
+    from jax.extend.core import InconclusiveDimensionOperation
+
 
 class RoundsError(UnsupportedError):
     """It has no C form for any number of rounds; for one that is known it may have one."""
@@ -33,8 +38,8 @@ def known_rounds():
     """Context manager: what cannot be decided inside without the number of rounds is a RoundsError."""
     try:
         yield
-    except (jax.errors.InconclusiveDimensionOperation, TypeError) as error:
-        if "_DimExpr" not in str(error) and not isinstance(error, jax.errors.InconclusiveDimensionOperation):
+    except (InconclusiveDimensionOperation, TypeError) as error:
+        if "_DimExpr" not in str(error) and not isinstance(error, InconclusiveDimensionOperation):
             raise
         raise RoundsError(f"it depends on the number of rounds: {str(error).splitlines()[0]}") from None
 
