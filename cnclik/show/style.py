@@ -12,7 +12,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
-LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
 LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
 
@@ -187,19 +186,6 @@ def legend(figure, panel, columns=None) -> None:
     figure.legend(
         handles, labels, loc="outside upper center", ncols=columns or legend_columns(labels, figure.get_figwidth())
     )
-
-
-def fixed_grid(width, height, rows, columns) -> dict:
-    """Keyword arguments of `subplots` for many panels with short labels: room for these measured out beforehand.
-
-    Laying them out automatically, every label is drawn three times, which is most of the time such a figure takes.
-    """
-    left, right, below, above = 0.72, 0.08, 0.38, 0.2  # [inch]
-    between, beside = 0.26, 0.76
-    high = (height - below - above - (rows - 1) * between) / rows
-    wide = (width - left - right - (columns - 1) * beside) / columns
-    edges = dict(left=left / width, right=1 - right / width, bottom=below / height, top=1 - above / height)
-    return dict(layout="none", gridspec_kw=edges | dict(hspace=between / high, wspace=beside / wide))
 
 
 def save(figure, path, about: dict) -> None:
