@@ -12,7 +12,7 @@ _ROUNDING = 1e-13  # [m, rad] what is smaller is left out of logarithmic axes
 
 def joints(run, name):
     """Joint paths (name "q") or velocities ("qdot"), a panel for each joint, a line per method (Figs. 1, 3 …)."""
-    n, values = run.sizes["joint"], run[name].values
+    n = run.sizes["joint"]
     rows, columns = (n, 1) if n <= 3 else (-(-n // 2), 2)
     size = (style.COLUMN if columns == 1 else style.PAGE, 0.5 + 0.95 * rows)
     figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size)
@@ -22,7 +22,6 @@ def joints(run, name):
         panels[n - 1].tick_params(labelbottom=True)
         panels[n - 1].set_xlabel("time $t$ [s]")
     for i, panel in enumerate(panels[:n]):
-        still = np.ptp(values[..., i]) <= 1e-9 * max(np.abs(values).max(), 1.0)  # rounding would fill the panel
         for k, method in enumerate(run.method.values):
             one, look = run[name].sel({"method": method}).values[:, i], style.line(method, markevery=(2 * k, 6))
             if name == "q":
@@ -34,9 +33,6 @@ def joints(run, name):
         panel.set_ylabel({"q": "$q$ [rad]", "qdot": r"$\dot q$ [rad/s]"}[name])
         panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
         panel.margins(x=0.01, y=0.12)
-        if still:
-            middle, room = np.median(values[..., i]), 0.1 if name == "q" else 0.1 * np.abs(values).max()
-            panel.set_ylim(middle - room, middle + room)
         if i % rows == rows - 1:
             panel.set_xlabel("time $t$ [s]")
     figure.align_ylabels(grid)

@@ -103,15 +103,15 @@ def series(i: int, **changes) -> dict:
 
 def looks(names) -> list:
     """Return keyword arguments of `plot` for lines of one panel: those of methods, and others that differ from them."""
-    methods = [METHODS[name] for name in names if name in METHODS]
-    free_colors = [c for c in COLORS if c not in {method.color for method in methods}] or COLORS
-    free_marks = [m for m in MARKERS if m not in {method.marker for method in methods}] or MARKERS
+    taken = [METHODS[name] for name in names if name in METHODS]
+    colors = [c for c in COLORS if c not in {look.color for look in taken}] or COLORS
+    marks = [m for m in MARKERS if m not in {look.marker for look in taken}] or MARKERS
     others = [name for name in names if name not in METHODS]
-    found = {name: line(name) for name in names if name in METHODS}
-    for k, name in enumerate(others):
-        own = {"color": free_colors[k % len(free_colors)], "marker": free_marks[k % len(free_marks)]}
-        found[name] = series(k, label=name, **own)
-    return [found[name] for name in names]
+    free = {
+        name: series(k, label=name, color=colors[k % len(colors)], marker=marks[k % len(marks)])
+        for k, name in enumerate(others)
+    }
+    return [line(name) if name in METHODS else free[name] for name in names]
 
 
 def sparse(i: int, points: int):
