@@ -27,7 +27,7 @@ class Args(ComputeOptions, ProblemOptions):
     """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedy."""
 
 
-_FIGURES = ("overview", "joints", "velocities", "tip")
+_FIGURES = ("overview", "tip")
 
 
 def run(args: Args) -> None:

@@ -10,13 +10,12 @@ from cnclik.measure.dataset import as_json
 from cnclik.paper import claims, plots
 from cnclik.paper import readings as paper
 from cnclik.paper.choices import DEFAULT
-from cnclik.show import run as single
 
 _CASES = {"reach": "Case I, reaching a point", "track": "Case II, tracking a line"}
 _KINDS = {
-    "joint paths": single.joint_paths,
+    "joint paths": functools.partial(plots.joints, name="q"),
     "error of the end effector: x, y, and norm": plots.errors,
-    "joint velocities": single.joint_velocities,
+    "joint velocities": functools.partial(plots.joints, name="qdot"),
 }
 PICARD_READINGS = ("on-path/once/consistent", "on-path/twice/consistent")
 

@@ -1,7 +1,4 @@
-"""Figures of the paper's experiments and of what stands beside them: data -> Figure.
-
-Joint paths and velocities are those of `cnclik.show.run`, a line per method.
-"""
+"""Figures of the paper's experiments and of what stands beside them: data -> Figure."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,6 +8,36 @@ from cnclik.paper.readings import ARMS
 from cnclik.show import style
 
 _ROUNDING = 1e-13  # [m, rad] what is smaller is left out of logarithmic axes
+
+
+def joints(run, name):
+    """Joint paths (name "q") or velocities ("qdot"), a panel for each joint, a line per method (Figs. 1, 3 …)."""
+    n = run.sizes["joint"]
+    rows, columns = (n, 1) if n <= 3 else (-(-n // 2), 2)
+    size = (style.COLUMN if columns == 1 else style.PAGE, 0.5 + 0.95 * rows)
+    figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size)
+    panels = grid.T.ravel()
+    for panel in panels[n:]:  # an odd joint's neighbour; the panel above it has the time axis
+        panel.set_axis_off()
+        panels[n - 1].tick_params(labelbottom=True)
+        panels[n - 1].set_xlabel("time $t$ [s]")
+    for i, panel in enumerate(panels[:n]):
+        for k, method in enumerate(run.method.values):
+            one, look = run[name].sel({"method": method}).values[:, i], style.line(method, markevery=(2 * k, 6))
+            if name == "q":
+                panel.plot(run.time, one, **look)
+            else:
+                plain = {key: value for key, value in look.items() if not key.startswith("mark")}
+                panel.stairs(one, run.time.values, baseline=None, **plain | {"linewidth": 1.0})
+        panel.set_title(str(run.joint.values[i]), loc="left", pad=2)
+        panel.set_ylabel({"q": "$q$ [rad]", "qdot": r"$\dot q$ [rad/s]"}[name])
+        panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
+        panel.margins(x=0.01, y=0.12)
+        if i % rows == rows - 1:
+            panel.set_xlabel("time $t$ [s]")
+    figure.align_ylabels(grid)
+    style.legend(figure, panels[0])
+    return figure
 
 
 def errors(run):

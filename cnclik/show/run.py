@@ -1,7 +1,6 @@
-"""One loop in pictures: joint values, error, joint velocities, status, tips. Each function draws one dataset.
+"""One loop in pictures: joint values, error, joint velocities, status, and the paths of its tips.
 
-Datasets are those of `cnclik.measure.dataset.to_dataset`; where they have a dimension `method`, joint paths and
-velocities have a line for each method.
+Each function draws a dataset of `cnclik.measure.dataset.to_dataset`.
 """
 
 import matplotlib.pyplot as plt
@@ -33,7 +32,7 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
 
     Args:
       run: `Trajectory` of solve(law, ...), one lane.
-      kind: "overview" (joint values, error, velocities, status), "joints", "velocities" or "tip".
+      kind: "overview" (joint values, error, joint velocities, status) or "tip" (its path).
 
     Returns: a matplotlib Figure.
     Raises: ArgumentError for another kind, or a batch of runs.
@@ -42,47 +41,6 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
     one_lane(run)
     with style.style():
         return draw(to_dataset(run, law), law.chain)
-
-
-def joint_paths(data, chain=None):
-    """Draw joint values over time, a panel for each joint, with the chain's limits where a joint comes near them."""
-
-    def draw(panel, i):
-        q = data.q.values[..., i]
-        for look, one in _methods(data):
-            panel.plot(data.time, one.q.values[:, i], **look)
-        room = max(np.ptp(q), 0.1)
-        if np.ptp(q) <= 1e-9:  # rounding would fill the panel
-            panel.set_ylim(np.median(q) - room, np.median(q) + room)
-        if chain is not None:
-            _limits(panel, q, (chain.lower[i], chain.upper[i]), room)
-
-    return _per_joint(data, draw, "$q$")
-
-
-def joint_velocities(data, chain=None):
-    """Draw joint velocities, constant during each step, with the chain's limits where a joint comes near them."""
-    fastest = np.nanmax(np.abs(data.qdot.values), initial=0.0) or 1.0
-
-    def draw(panel, i):
-        every = np.nan_to_num(data.qdot.values[..., i], nan=0.0)
-        if rounding := np.max(np.abs(every), initial=0.0) <= 1e-9 * fastest:  # it would fill the panel
-            panel.set_ylim(-0.1 * fastest, 0.1 * fastest)
-        for look, one in _methods(data, linewidth=1.0):
-            v = np.nan_to_num(one.qdot.values[:, i]) if rounding else one.qdot.values[:, i]
-            panel.stairs(v, data.time.values, baseline=None, **_unmarked(look))
-        if chain is not None:
-            limit = chain.velocity_limit[i]
-            _limits(panel, every, (-limit, limit), 0.5 * limit)
-
-    return _per_joint(data, draw, r"$\dot q$", per="/s")
-
-
-def _limits(panel, values, bounds, room):
-    """Draw the bounds that values come nearer to than `room`."""
-    for bound in bounds:
-        if np.min(values, initial=np.inf) - room < bound < np.max(values, initial=-np.inf) + room:
-            panel.axhline(bound, label="limit", **style.LIMIT)
 
 
 def tuned(found):
@@ -159,12 +117,15 @@ def overview(data, chain):
         every = style.sparse(i, data.sizes["time"])
         joints.plot(data.time, data.q.values[:, i], label=str(name), markevery=every, **look)
         v = data.qdot.values[:, i] / (limits[i] if limited else 1.0)
-        speed.stairs(v, data.time.values, baseline=None, **_unmarked(look))
+        unmarked = {key: value for key, value in look.items() if not key.startswith("mark")}
+        speed.stairs(v, data.time.values, baseline=None, **unmarked)
     joints.set_ylabel(f"joint value [{data.q.units}]")
     speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
-    if limited:
-        _limits(speed, np.nan_to_num(data.qdot.values / limits, nan=0.0), (-1, 1), 0.5)
-    _name_limits([speed])
+    for side in (-1, 1) if limited else ():
+        if np.nanmax(side * data.qdot.values / limits, initial=0.0) > 0.5:
+            label = None if speed.get_legend_handles_labels()[0] else "limit"
+            speed.axhline(side, label=label, **style.LIMIT)
+            speed.legend(loc="best", fontsize=6.5)
     _draw_error(size, data)
     size.legend(loc="best")
     _draw_status(flags, data)
@@ -174,65 +135,7 @@ def overview(data, chain):
     return figure
 
 
-KINDS = {"overview": overview, "joints": joint_paths, "velocities": joint_velocities, "tip": tip}
-
-
-def _methods(data, **changes):
-    """(keywords of a line, the run that it shows) for each method, or for the one run there is."""
-    if "method" not in data.dims:
-        return [({"color": style.BLACK, "linewidth": 1.2} | changes, data)]
-    names = [str(name) for name in data.method.values]
-    # Markers staggered, so that coinciding lines stay distinguishable.
-    every = [(2 * i, 6) if len(names) <= 3 else (i, 7) for i in range(len(names))]
-    return [
-        (style.line(name, **{"markevery": some} | changes), data.sel({"method": name}))
-        for name, some in zip(names, every, strict=True)
-    ]
-
-
-def _unmarked(look):
-    """The keywords of a line that `stairs` takes too."""
-    return {name: look[name] for name in look if not name.startswith("mark")}
-
-
-def _name_limits(panels):
-    """A legend for the dashed lines, in the first of the panels that has one."""
-    for panel in panels:
-        lines = [line for line in panel.get_lines() if line.get_label() == "limit"]
-        if lines:
-            panel.legend(handles=lines[:1], loc="best", fontsize=6.5)
-            return
-
-
-def _per_joint(data, draw, symbol, per=""):
-    """A panel for each joint, drawn by draw(panel, i); its unit is that of the joint, `per` a time."""
-    n = data.sizes["joint"]
-    columns = 1 if n <= 3 else 2
-    rows = -(-n // columns)
-    size = (style.COLUMN if columns == 1 else style.PAGE, 0.5 + 0.95 * rows)
-    fixed = {} if "method" in data.dims else style.fixed_grid(*size, rows, columns)
-    figure, grid = plt.subplots(rows, columns, sharex=True, squeeze=False, figsize=size, **fixed)
-    panels = grid.T.ravel()
-    for i, panel in enumerate(panels):
-        if i >= n:  # an odd joint's neighbour; the panel above it has the time axis
-            panel.set_axis_off()
-            panels[i - 1].tick_params(labelbottom=True)
-            panels[i - 1].set_xlabel(_TIME)
-            continue
-        draw(panel, i)
-        panel.set_title(str(data.joint.values[i]), loc="left", pad=2)
-        panel.set_ylabel(f"{symbol} [{data.joint_unit.values[i]}{per}]")
-        if fixed:
-            panel.yaxis.set_label_coords(style.LABEL_AT, 0.5)
-        panel.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
-        panel.margins(x=0.01, y=0.12)
-        if i % rows == rows - 1:
-            panel.set_xlabel(_TIME)
-    _name_limits(panels)
-    if "method" in data.dims:
-        figure.align_ylabels(grid)
-        style.legend(figure, panels[0])
-    return figure
+KINDS = {"overview": overview, "tip": tip}
 
 
 def _draw_error(panel, data):

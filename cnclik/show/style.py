@@ -12,7 +12,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 COLUMN, PAGE = 3.5, 7.16  # widths of a column and of a page of a two-column journal [inch]
 DPI = 300
-LABEL_AT = -0.2  # of the width of a panel of `fixed_grid`: where the labels of its left axis stand
 
 LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
 
@@ -104,15 +103,15 @@ def series(i: int, **changes) -> dict:
 
 def looks(names) -> list:
     """Return keyword arguments of `plot` for lines of one panel: those of methods, and others that differ from them."""
-    methods = [METHODS[name] for name in names if name in METHODS]
-    free_colors = [c for c in COLORS if c not in {method.color for method in methods}] or COLORS
-    free_marks = [m for m in MARKERS if m not in {method.marker for method in methods}] or MARKERS
+    taken = [METHODS[name] for name in names if name in METHODS]
+    colors = [c for c in COLORS if c not in {look.color for look in taken}] or COLORS
+    marks = [m for m in MARKERS if m not in {look.marker for look in taken}] or MARKERS
     others = [name for name in names if name not in METHODS]
-    found = {name: line(name) for name in names if name in METHODS}
-    for k, name in enumerate(others):
-        own = {"color": free_colors[k % len(free_colors)], "marker": free_marks[k % len(free_marks)]}
-        found[name] = series(k, label=name, **own)
-    return [found[name] for name in names]
+    free = {
+        name: series(k, label=name, color=colors[k % len(colors)], marker=marks[k % len(marks)])
+        for k, name in enumerate(others)
+    }
+    return [line(name) if name in METHODS else free[name] for name in names]
 
 
 def sparse(i: int, points: int):
@@ -187,19 +186,6 @@ def legend(figure, panel, columns=None) -> None:
     figure.legend(
         handles, labels, loc="outside upper center", ncols=columns or legend_columns(labels, figure.get_figwidth())
     )
-
-
-def fixed_grid(width, height, rows, columns) -> dict:
-    """Keyword arguments of `subplots` for many panels with short labels: room for these measured out beforehand.
-
-    Laying them out automatically, every label is drawn three times, which is most of the time such a figure takes.
-    """
-    left, right, below, above = 0.72, 0.08, 0.38, 0.2  # [inch]
-    between, beside = 0.26, 0.76
-    high = (height - below - above - (rows - 1) * between) / rows
-    wide = (width - left - right - (columns - 1) * beside) / columns
-    edges = dict(left=left / width, right=1 - right / width, bottom=below / height, top=1 - above / height)
-    return dict(layout="none", gridspec_kw=edges | dict(hspace=between / high, wspace=beside / wide))
 
 
 def save(figure, path, about: dict) -> None:

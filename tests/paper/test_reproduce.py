@@ -46,7 +46,7 @@ def decided(trajectories):
 
 @pytest.mark.parametrize(
     "arm, case, method",
-    [("2dof", "reach", "EE"), ("2dof", "track", "CN"), ("2dof", "track", "IE"), ("5dof", "track", "EE")],
+    [("2dof", "reach", "EE"), ("2dof", "track", "CN"), ("5dof", "track", "EE")],
 )
 def test_a_run_by_itself_is_the_committed_one(arm, case, method, results):
     run = paper.experiment(arm, case, method)
@@ -65,11 +65,6 @@ def test_a_figure_of_others_in_the_way_is_named_before_the_work(tmp_path, monkey
         (tmp_path / name).write_text("mine")
         with pytest.raises(ArgumentError, match=f"{name} there is not cnclik's own"):
             paper.reproduce(tmp_path)
-
-
-@pytest.mark.slow
-def test_writes_everything_and_nothing_else(fresh):
-    assert {p.name for p in fresh.iterdir()} - {LIST} == {*FIGURES, *DATA} == {p.name for p in COMMITTED.iterdir()}
 
 
 @pytest.mark.slow
@@ -97,12 +92,12 @@ def test_committed_data_are_what_the_code_gives(ours, results):
 
 
 @pytest.mark.slow
-def test_committed_verdicts_are_what_the_code_gives(fresh):
+def test_committed_files_and_verdicts_are_what_the_code_gives(fresh):
+    assert {p.name for p in fresh.iterdir()} - {LIST} == {*FIGURES, *DATA} == {p.name for p in COMMITTED.iterdir()}
     ours, theirs = (json.loads((folder / "claims.json").read_text()) for folder in (fresh, COMMITTED))
-    assert [(r["arm"], r["case"], r["reading"], r["holds"]) for r in ours["rows"]] == [
-        (r["arm"], r["case"], r["reading"], r["holds"]) for r in theirs["rows"]
-    ]
-    assert [r["holds"] for r in ours["picard"]] == [r["holds"] for r in theirs["picard"]]
+    for name in ("rows", "picard"):
+        keys = ("arm", "case", "reading", "holds")
+        assert [[r[k] for k in keys] for r in ours[name]] == [[r[k] for k in keys] for r in theirs[name]]
 
 
 def test_committed_claims_follow_from_committed_data(results):
@@ -157,12 +152,6 @@ def test_fingerprint_sees_the_last_bit(results):
     assert pictures.fingerprint(data) != pictures.fingerprint(results.methods)
 
 
-def test_pages_show_what_is_committed():
-    top = COMMITTED.parents[1]
-    assert "](results/paper/claims.md)" in (top / "README.md").read_text(encoding="utf-8")
-    assert "](../results/paper/overview.png)" in (top / "docs" / "paper.md").read_text(encoding="utf-8")
-
-
 class OneRun(dict):
     """The same run, whose last error is not a number, wherever one is asked for."""
 
@@ -189,11 +178,9 @@ def test_a_run_that_ends_in_nan_has_no_mean():
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--reading", "on-path/once"], "Option `--reading` must be one of"),
         (["--reading", "printed/twise/printed"], "did you mean 'printed/twice/printed'"),
         (["--ot", "x"], "did you mean --out?"),
-        (["--out"], "Option `--out` must be given a path"),
-        (["stray"], "is 'stray'"),
+        (["--out", __file__], "Option `--out` must be a folder that can be written into"),
     ],
 )
 def test_bad_input_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
@@ -204,18 +191,6 @@ def test_bad_input_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and says in err
     assert not list(tmp_path.iterdir())
-
-
-def test_unwritable_folder_is_one_line_before_any_work(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(paper_data, "everything", lambda progress: pytest.fail("worked first"))
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    for out in (blocked, blocked / "inside"):
-        with pytest.raises(SystemExit) as left:
-            main(["reproduce", "--out", str(out)])
-        assert left.value.code == 2
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1 and "Option `--out` must be a folder that can be written into" in err
 
 
 def test_an_interrupted_run_leaves_what_was(tmp_path, monkeypatch):
@@ -251,10 +226,7 @@ def test_a_figure_that_fails_costs_no_data(capsys, tmp_path, monkeypatch, result
 
 def test_from_python_without_a_folder(monkeypatch, results):
     monkeypatch.setattr(paper_data, "everything", lambda progress: results)
-    found = paper.reproduce()
-    assert found is results and paper.judge(found.trajectories, found.passes)["rows"]
-    with pytest.raises(ArgumentError, match="did you mean 'on-path/once/consistent'"):
-        paper.reproduce(reading="on-path/once/consistant")
+    assert paper.reproduce() is results
 
 
 def test_whoever_interrupts_does_not_wait_for_a_compiler(monkeypatch):

@@ -158,11 +158,11 @@ def view(data, layout: Layout):
     """Return the part of the data that the figure shows."""
     shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
     for dim, wanted in layout.select.items():
-        numbers = shown[dim].dtype.kind == "f"
+        labels = shown[dim].values
         at = (
-            abs(shown[dim].values - wanted).argmin()
-            if numbers
-            else list(map(str, shown[dim].values)).index(str(wanted))
+            abs(labels - wanted).argmin()
+            if labels.dtype.kind == "f"
+            else labels.astype(str).tolist().index(str(wanted))
         )
         shown = shown.isel({dim: int(at)})
     if layout.reduced:
