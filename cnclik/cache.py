@@ -134,16 +134,16 @@ def give_back():
 MOST_BYTES = 1 << 30  # of all programs kept; what was used longest ago goes first
 
 
-def use_cache(folder: str | os.PathLike | None = None, *, most_bytes: int = MOST_BYTES) -> pathlib.Path | None:
+def use_cache(folder: str | os.PathLike | None = None) -> pathlib.Path | None:
     """Keep compiled programs in a folder, and take them from there; the command line calls this.
 
     The environment has the last word: JAX_ENABLE_COMPILATION_CACHE=0 switches it off, and where
-    JAX_COMPILATION_CACHE_DIR (or `jax.config`) names a folder and `folder` is None, that is used as it is, without a
-    limit of its size. A folder that can't be written, or that others may write, is no error: nothing is kept.
+    JAX_COMPILATION_CACHE_DIR (or `jax.config`) names a folder and `folder` is None, that is used as it is, of any size.
+    All others are cut to 1 GiB here, by what was used longest ago. A folder that can't be written, or that others may
+    write, is no error: nothing is kept.
 
     Args:
       folder: by default `cnclik` in the user's cache folder (XDG_CACHE_HOME, ~/.cache; ~/Library/Caches on macOS).
-      most_bytes: size down to which the folder is cut now, by leaving out what was used longest ago.
 
     Returns: where programs are kept, or None.
     """
@@ -161,7 +161,7 @@ def use_cache(folder: str | os.PathLike | None = None, *, most_bytes: int = MOST
         place = _private(own / machine())
     except (OSError, RuntimeError):  # RuntimeError: there is no home
         return None
-    cut(own, most_bytes)
+    cut(own, MOST_BYTES)
     if str(place) != named:
         from jax.experimental.compilation_cache import compilation_cache
 

@@ -78,16 +78,7 @@ class Literals:
         return f"Literals{tuple(v for v in self.values if v is not HOLE)}"
 
 
-class _Hole:
-    """Marks, among the literals, the place of an array."""
-
-    __slots__ = ()
-
-    def __repr__(self):
-        return "·"
-
-
-HOLE = _Hole()
+HOLE = object()  # marks, among the literals, the place of an array
 
 
 def partition(tree):

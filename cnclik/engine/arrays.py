@@ -83,14 +83,17 @@ def _pad(g, eqn, x, value):
 
 
 def _dot_general(g, eqn, x, y):
-    (left, right), (left_batch, right_batch) = eqn.params["dimension_numbers"]
     out = eqn.outvars[0].aval
-    x, y = (array_of([g.apply("convert_element_type", (c,), out.dtype) for c in v.flat], v.shape) for v in (x, y))
-    rows, columns = _folded(x, left_batch, left), _folded(y, right_batch, right)
-    if not rows.shape[-1]:
-        return [array_of([g.const(0, out.dtype)] * out.size, out.shape)]
+    return [contracted(g, x, y, *eqn.params["dimension_numbers"], out.dtype).reshape(out.shape)]
+
+
+def contracted(g, x, y, summed, batch, dtype):
+    """Sums of products of two arrays' cells, flat; `summed` and `batch` are pairs of axes."""
+    x, y = (array_of([g.apply("convert_element_type", (c,), dtype) for c in v.flat], v.shape) for v in (x, y))
+    rows, columns = _folded(x, batch[0], summed[0]), _folded(y, batch[1], summed[1])
     every = [(a, b) for one, two in zip(rows.tolist(), columns.tolist(), strict=True) for a in one for b in two]
-    return [array_of(sums(g, "add", [None] * len(every), every), out.shape)]
+    made = sums(g, "add", [None] * len(every), every) if rows.shape[-1] else [g.const(0, dtype)] * len(every)
+    return array_of(made, (len(made),))
 
 
 def _folded(x, batch, axes):

@@ -146,23 +146,8 @@ def _lu(g, eqn, a):
     return [a, array_of(pivots, (len(pivots),)), order]
 
 
-def _lu_pivots_to_permutation(g, eqn, pivots):
-    size, kind = eqn.params["permutation_size"], eqn.outvars[0].aval.dtype
-    lead = pivots.shape[:-1]
-    out = np.empty((*lead, size), object)
-    for at in np.ndindex(*lead):
-        order = array_of([g.const(i, kind) for i in range(size)], (size,))
-        for j, best in enumerate(pivots[at]):
-            for i in range(j + 1, size):
-                here = g.op("eq", best, g.const(i, best.dtype))
-                order[i], order[j] = g.select(here, order[j], order[i]), g.select(here, order[i], order[j])
-        out[at] = order
-    return [out]
-
-
 MATRICES = {
     "cholesky": each_matrix(_cholesky),
     "triangular_solve": each_matrix(_triangular_solve),
     "lu": each_matrix(_lu, EXCHANGED),
-    "lu_pivots_to_permutation": _lu_pivots_to_permutation,
 }

@@ -138,25 +138,8 @@ def _dot(g, eqn, x, y):
     out = eqn.outvars[0].aval
     if bx or by or not isinstance(x, Rows) or not is_cells(y) or 0 in left:
         return None
-    cells = np.tensordot(_Sum.of(g, x.cells, out.dtype), _Sum.of(g, y, out.dtype), ([a - 1 for a in left], right))
-    return [Rows(array_of([c.node for c in np.asarray(cells, object).flat], out.shape[1:]), x.length)]
-
-
-class _Sum:
-    """A node with + and *, so that NumPy's tensordot applies."""
-
-    def __init__(self, g, node):
-        self.g, self.node = g, node
-
-    @staticmethod
-    def of(g, cells, dtype):
-        return array_of([_Sum(g, c) for c in cells.flat], cells.shape)
-
-    def __add__(self, other):
-        return _Sum(self.g, self.g.op("add", self.node, other.node))
-
-    def __mul__(self, other):
-        return _Sum(self.g, self.g.op("mul", self.node, other.node))
+    cells = arrays.contracted(g, x.cells, y, ([a - 1 for a in left], right), ((), ()), out.dtype)
+    return [Rows(cells.reshape(out.shape[1:]), x.length)]
 
 
 def reduced(g, x, axes, name, dtype):

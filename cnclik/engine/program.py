@@ -71,15 +71,10 @@ class Program:
 
         Args: leaves: arrays (size, ...), or (...) for what all lanes share.
         """
-        made = [_empty((size, *s.shape), s.dtype) for s in self.shapes]
-        rounds = ctypes.c_int32(self.rounds)
-        given = Bound(self, ()), leaves, made, size, [ctypes.addressof(rounds)]
         if cores == 1 or size <= FEW_TILES * self.lanes:
-            Bound.run(*given)
-            return made
+            return Bound(self, ())(leaves, size)
         with side_by_side(cores) as pool:
-            Bound.run(*given, pool, cores)
-        return made
+            return Bound(self, ())(leaves, size, pool, cores)
 
 
 class Bound:
@@ -92,21 +87,17 @@ class Bound:
         self.places, self.zeros = [x.ctypes.data for x in self.kept], [0] * len(kept)
 
     def __call__(self, leaves, size, pool=None, cores=1) -> list:
-        """Return the results of a batch, as `Program` does, without their alignment. Args: leaves: the others."""
-        made = [np.empty((size, *s.shape), s.dtype) for s in self.program.shapes]
-        self.run(leaves, made, size, (0,), pool, cores)
-        return made
-
-    def run(self, leaves, made, size, more, pool=None, cores=1):
-        """Fill the results, on the threads of a pool. Args: more: the address of what else the C has."""
-        program, given = self.program, self.given
+        """Return the results of a batch, as `Program` does, on the threads of a pool. Args: leaves: the others."""
+        program, given, rounds = self.program, self.given, ctypes.c_int32(self.program.rounds)
+        made = [_empty((size, *s.shape), s.dtype) for s in program.shapes]
         leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, given, strict=True)]
         strides = [size_ if x.ndim > rank else 0 for x, (_, rank, size_) in zip(leaves, given, strict=True)]
-        ins = array("Q", [*self.places, *[x.ctypes.data for x in leaves], *more])  # quicker than arrays of ctypes
-        strides, out = array("q", self.zeros + strides), array("Q", [x.ctypes.data for x in made])
+        ins = [*self.places, *[x.ctypes.data for x in leaves], ctypes.addressof(rounds)]
+        ins, out = array("Q", ins), array("Q", [x.ctypes.data for x in made])  # quicker than arrays of ctypes
+        strides = array("q", self.zeros + strides)
         places = [v.buffer_info()[0] for v in (ins, strides, out)]
 
-        held = leaves, made, ins, strides, out  # for as long as threads work, also after an exception
+        held = leaves, made, ins, strides, out, rounds  # for as long as threads work, also after an exception
 
         def part(start, end, held=held):
             memory = np.empty(program.work, np.uint8)
@@ -114,15 +105,16 @@ class Bound:
 
         if pool is None:
             part(0, size)
-            return
+            return made
         step = -(-size // (CALLS * cores * program.lanes)) * program.lanes
         for _ in pool.map(lambda start: part(start, min(start + step, size)), range(0, size, step)):
             pass
+        return made
 
 
 def _empty(shape, dtype):
     """Return an array aligned to 64 bytes, as JAX's are, or to a huge page if it is large."""
-    size = int(np.prod(shape)) * dtype.itemsize
+    size = math.prod(shape) * dtype.itemsize
     unit = 64 if size < HUGE else HUGE
     whole = np.empty(-(-size // unit) * unit + unit, np.uint8)
     return whole[-whole.ctypes.data % unit :][:size].view(dtype).reshape(shape)

@@ -37,19 +37,18 @@ class Writer(RowTexts):
 
     prefix = ""
     beside = 4  # entries stored at once
+    piece = 0  # statements of one function; 0: all in one
 
-    def __init__(self, graph, given, outs, main, reads, writes, *, piece=0, shared=(), head=()):
+    def __init__(self, graph, given, outs, main, reads, writes, *, head=()):
         """Args:
         given: input nodes. outs: results: cells, rows or nodes.
         main: the type that sets the number of lanes of a vector.
         reads: per input, a function from an index to the text of that entry. writes: per result, a function that
           returns the statement storing texts at an index.
-        piece: statements of one function; 0: all in one.
-        shared: inputs that are the same in all lanes.
         head: lines at the head of each function.
         """
-        self.graph, self.given, self.outs, self.main, self.piece = graph, given, outs, main, piece
-        self.reads, self.writes, self.shared, self.head = reads, writes, shared, head
+        self.graph, self.given, self.outs, self.main = graph, given, outs, main
+        self.reads, self.writes, self.head = reads, writes, head
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
         self.kept: dict = {}  # {number of a node: its place in the work memory, for all pieces}
         self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
@@ -312,24 +311,7 @@ class Writer(RowTexts):
         self.active.append(asked)
         self.block(r.block, r.then)
         self.active.pop()
-        self.move_on(r, names, None if not self.active and self.is_shared(r.begins) else asked)
-
-    def is_shared(self, node) -> bool:
-        """Whether a node is the same in all lanes."""
-        queue, seen = [node], set()
-        while queue:
-            n = queue.pop()
-            if n.known or n.number in seen or n in self.shared:
-                continue
-            seen.add(n.number)
-            if n.op == "carry":
-                r, _, i = n.value
-                queue += [r.first[i], r.then[i], *([r.begins] if isinstance(r, While) else [])]
-            elif is_operation(n):
-                queue += n.args
-            else:
-                return False
-        return True
+        self.move_on(r, names, asked)
 
     def choice(self, r):
         alive, which, names = [i for i, o in enumerate(r.outs) if o.number in self.needed], self.new(), {}
