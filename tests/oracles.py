@@ -118,13 +118,6 @@ def pinocchio_pose_and_jacobian(joints, tip, q):
     return data.oMf[frame].homogeneous.copy(), jacobian.reshape(6, -1).copy()
 
 
-def discrete(a, b, Ts):
-    """Φ and Γ of ẋ = a x + b u over a step Ts in which u is constant."""
-    n, m = b.shape
-    whole = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * Ts)
-    return whole[:n, :n], whole[:n, n:]
-
-
 # --- loops --------------------------------------------------------------------------------------------
 
 

@@ -71,7 +71,7 @@ def test_results_of_other_types_have_derivatives(dtype):
     assert jax.grad(lambda x: ck.native(squared)(x.astype(dtype)).real.astype(float))(0.5) == 4
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, pytest.param(np.int16, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16])
 def test_places_of_a_small_type_reach_all_of_a_long_array(dtype):
     def placed(x, k):
         changed = jax.lax.dynamic_update_slice(x, x[:2], (k,))

@@ -22,13 +22,6 @@ def arm(n):
     return ck.replace(made, lower=(-2.0,) * n, upper=(2.0,) * n, velocity_limit=(1.5,) * n)
 
 
-ROBOTS = {
-    "planar3": (lambda: arm(3), lambda: ck.position("xy")),
-    "planar4": (lambda: arm(4), lambda: ck.pose("xy", "z")),
-    "planar2": (lambda: arm(2), lambda: ck.position("xy")),
-    "ur5": (ck.ur5, ck.pose),
-    "panda": (ck.panda, ck.pose),
-}
 INVERSES = {
     "pseudoinverse": ck.pseudoinverse,
     "damped": lambda: ck.damped(0.1),
@@ -63,7 +56,7 @@ class Combination(NamedTuple):
 
     def parts(self):
         """(law, method, stage)."""
-        chain, task = (make() for make in ROBOTS[self.robot])
+        chain, task = arm(int(self.robot[-1])), ck.position("xy")
         law = ck.Law(
             chain,
             task,

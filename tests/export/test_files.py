@@ -180,10 +180,10 @@ def test_loops_that_stack_up_what_they_find_are_written_out():
     def wanted(q):
         return lax.scan(lambda total, x: (total + x, 2.0 * total + x), 0.0 * q[0], q)[1]
 
-    law = a_law(null_velocity=wanted)
+    law = a_law(task=of_q(wanted))
     q = np.array([0.3, 0.5, -0.4])
-    made = native(law, method="EE")(q, [0.9, 1.2], Ts=0.01)
-    assert np.allclose(made.q, ck.step(law, ck.hold([0.9, 1.2]), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
+    made = native(law, method="EE")(q, [0.9], Ts=0.01)
+    assert np.allclose(made.q, ck.step(law, ck.hold(values=[0.9]), q, 0.0, 0.01, "EE").q, rtol=0, atol=1e-13)
 
 
 def test_a_robots_own_names_stay_in_the_comment(tmp_path):
@@ -210,16 +210,15 @@ def builds(folder, *compilers):
         assert done.returncode == 0 and "8 of 8 vectors agree" in done.stdout, done.stderr[:2000]
 
 
-@pytest.mark.parametrize("name", NAMES[7::9])
+@pytest.mark.parametrize("name", NAMES[7::15])
 def test_any_name_will_do(name, tmp_path):
     builds(ck.export.c(arm(2), out=tmp_path, name=name))
     assert (tmp_path / f"clik_{name.removeprefix('clik_')}.c").exists()
 
 
-@pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])])
-def test_any_name_will_do_for_a_step(name, tmp_path):
+def test_any_name_will_do_for_a_step(tmp_path):
     law = ck.Law(arm(2), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
-    builds(ck.export.c(law, out=tmp_path, name=name, dtype="float32", method="EXP-MIDPOINT"), "gcc", "g++")
+    builds(ck.export.c(law, out=tmp_path, name="NULL", dtype="float32", method="EXP-MIDPOINT"), "gcc", "g++")
 
 
 def joints(*kinds):
@@ -234,15 +233,13 @@ def joints(*kinds):
     return f'<robot name="r">{text}<link name="l{len(kinds)}"/></robot>'
 
 
-@pytest.mark.parametrize("kinds", ["px", "rz", "px py pz rz"])
-def test_every_kind_of_joint_compiles_without_a_warning(kinds, tmp_path):
-    kinds = kinds.split()
+def test_every_kind_of_joint_compiles_without_a_warning(tmp_path):
+    kinds = ["px", "py", "pz", "rz"]
     (tmp_path / "arm.urdf").write_text(joints(*kinds))
     chain = ck.load_urdf(tmp_path / "arm.urdf")
     builds(ck.export.c(chain, out=tmp_path / "kinematics", dtype="float32"))
-    for axes in {kind[1] for kind in kinds if kind[0] == "p"} or ("x", "z"):
-        law = ck.Law(chain, ck.position(axes), alpha=5.0, inverse=ck.damped(0.1))
-        builds(ck.export.c(law, out=tmp_path / f"step-{axes}", method="EE"))
+    law = ck.Law(chain, ck.position("xz"), alpha=5.0, inverse=ck.damped(0.1))
+    builds(ck.export.c(law, out=tmp_path / "step", method="EE"))
 
 
 def test_what_a_users_record_calls_its_numbers_is_no_word_of_c():

@@ -1,7 +1,5 @@
 """The exported step against JAX: laws, inverses, limits, methods, stages and precisions in turn."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -13,29 +11,13 @@ from tests.export.native import native
 pytestmark = NEEDS_C
 
 SPREAD = [
-    Combination("planar3"),
-    Combination("planar2", dtype="float32"),
     Combination("planar3", "pseudoinverse"),
     Combination("planar2", "singular-damped", "bounded", method="TRAPEZOID", stage="chord"),
-    Combination("planar2", "pseudoinverse", method="EXP-RK4"),
     Combination("planar2", "damped", method="IE", stage="newton"),
     Combination("planar3", "damped", "bounded", "posture"),
     Combination("planar3", "singular-damped", "velocity-scaling", "posture", method="EXP-MIDPOINT"),
-    Combination("planar2", "damped", method="HEUN", dtype="float32"),
-    Combination("planar2", "damped", method="EXP-EE", dtype="float32"),
     Combination("planar2", "damped", method="CN", dtype="float32"),
 ]
-
-
-def every() -> list:
-    """All combinations, on the smallest arm that has a null space where there is a term for it."""
-    found = []
-    for inverse, limits, null, method in itertools.product(INVERSES, LIMITS, NULL, ck.METHODS):
-        stages = STAGES if ck.METHODS[method].implicit else ("picard",)
-        robot = "planar2" if null == "none" else "planar3"
-        for stage, dtype in itertools.product(stages, ("float64", "float32")):
-            found.append(Combination(robot, inverse, limits, null, method, stage, dtype))
-    return found
 
 
 @pytest.mark.parametrize("combination", SPREAD, ids=str)
@@ -44,26 +26,11 @@ def test_the_exported_step_is_jaxs(combination):
     assert off <= 1 and others == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("combination", every()[::60], ids=str)
-def test_every_name_goes_through_with_every_other(combination):
-    off, others = compare(combination, 5)
-    assert off <= 1 and others == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", ["ur5", "panda"])
-def test_a_pose_step_is_jaxs_for_a_hundred_thousand_inputs(robot):
-    off, others = compare(Combination(robot), 100_000)
-    assert off <= 1 and others == 0
-
-
-@pytest.mark.parametrize("count", [5, 300])  # of five, repeats nearby are looked at as well
-def test_a_gain_that_is_off_in_its_ninth_digit_is_found(count):
+def test_a_gain_that_is_off_in_its_ninth_digit_is_found():
     combination = Combination("planar3", "pseudoinverse")
     law, method, stage = combination.parts()
     wrong = native(ck.replace(law, alpha=5.0 * (1 + 1e-9)), method=method, stage=stage, dtype=combination.dtype)
-    off, _ = compare(combination, count, step=wrong)
+    off, _ = compare(combination, 300, step=wrong)
     assert off > 1
 
 
@@ -91,9 +58,9 @@ def test_nan_is_told():
     assert step(q, [0.9, 1.2], np.zeros(2)).status == 0
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_kinematics_are_the_librarys(dtype):
-    chain, near = ck.panda(), {"float64": 1e-15, "float32": 1e-6}[dtype]
+@pytest.mark.parametrize(("dtype", "near"), [("float64", 1e-15), ("float32", 1e-6)])
+def test_kinematics_are_the_librarys(dtype, near):
+    chain = ck.panda()
     q = np.linspace(-1, 1, 7)
     made, wanted = native(chain, dtype=dtype)(q), ck.forward(chain, q)
     np.testing.assert_allclose(made.position, wanted.position, rtol=0, atol=near)

@@ -212,6 +212,14 @@ def run(method, stage, inverse, limits, drive, dtype):
     return ck.solve(law, circle, Q0.astype(dtype), TS, N, method, stage, drive=drive)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_quickly():
+    """A program of eight steps is not worth optimising; other tests have those that are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CFLAGS", "-O0")
+        yield
+
+
 @pytest.mark.parametrize(("method", "stage", "inverse", "limits", "drive", "dtype"), TABLE, ids=str)
 def test_a_combination_is_the_loop_written_apart(method, stage, inverse, limits, drive, dtype):
     found = run(method, stage, inverse, limits, drive, dtype)

@@ -44,32 +44,6 @@ def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
     assert float(made.residual) < tolerance * 10
 
 
-FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
-START = jnp.array([0.0, np.pi / 2, 0.0, 0.0, 0.0])
-
-
-def paper(z, method, stage, N):
-    """The paper's 5-dof arm reaching (3, 1)."""
-    arm = ck.Law(FIVE, ck.position("xy"), alpha=jnp.asarray(z / Ts))
-    return ck.solve(arm, ck.hold([3.0, 1.0]), START, Ts, N, method, stage)
-
-
-def test_measured_values_on_the_papers_arm():
-    """‖e‖ on the 5-dof Case I with 5 passes, computed independently in NumPy (two digits)."""
-    run = paper(2.0, ck.IE, ck.chord(5), 10)
-    assert np.linalg.norm(run.e[10]) == pytest.approx(2.0e-5, rel=0.05)
-    run = paper(20.0, ck.IE, ck.chord(5), 10)
-    assert np.linalg.norm(run.e[5]) == pytest.approx(3.3e-7, rel=0.05)
-    for z in (2.0, 20.0):  # where the fixed-point iteration wanders
-        assert np.linalg.norm(paper(z, ck.IE, ck.picard(5), 10).e[-1]) > 0.5
-
-
-def test_trapezoid_is_nearly_dead_beat_at_two():
-    run = paper(2.0, ck.TRAPEZOID, ck.chord(5), 3)
-    assert np.linalg.norm(run.e[2]) < 1e-2
-    assert np.linalg.norm(run.e[3]) < 1e-5  # R(2) = 0: what is left is curvature, squared each step
-
-
 def test_contraction_does_not_depend_on_z():
     """Near a target the fixed-point iteration contracts with z, the chord iteration with the curvature."""
     for z in (1.5, 15.0):

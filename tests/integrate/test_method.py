@@ -45,37 +45,6 @@ def test_amplification_with_picard_passes(method):
             close(amplification(method, z, 1.0, stage), wanted, atol=1e-12 * max(1, z**M))
 
 
-@pytest.mark.parametrize(("method", "M"), [("IE", 0), ("IE", 5), ("CN", 1), ("TRAPEZOID", 1)])
-def test_amplification_with_a_static_number_of_passes(method, M):
-    close(amplification(method, 0.5, 1.0, ck.picard(M)), picard_amplification(method, 0.5, M), atol=1e-14)
-
-
-def test_picard_converges_to_the_exact_method_for_small_z():
-    for method, z in (("IE", 0.3), ("CN", 0.3), ("TRAPEZOID", 0.6)):
-        stage = ck.picard(jnp.asarray(40), maximum=40)
-        close(amplification(method, z, 1.0, stage), AMPLIFICATION[method](z), atol=1e-14)
-
-
-# Largest stable z on the real axis, theory.md.
-@pytest.mark.parametrize(
-    ("M", "IE", "CN"), [(0, 2, 2), (1, 1, 2), (2, 1.353, 1.478), (3, 1, 1.353), (4, 1.215, 1.304), (5, 1, 1.215)]
-)
-def test_picard_stability_limits(M, IE, CN):
-    stage = ck.picard(jnp.asarray(M), maximum=MAXIMUM)
-    for method, limit in (("IE", IE), ("CN", CN), ("TRAPEZOID", 2)):
-        inside, outside = (abs(amplification(method, limit + d, 1.0, stage)) for d in (-0.002, 0.002))
-        assert inside < 1 < outside
-
-
-def test_limits_of_the_exact_methods():
-    exact = functools.partial(amplification, Ts=1.0, stage=ck.chord(1))
-    for method, limit in (("EE", 2), ("HEUN", 2), ("MIDPOINT", 2), ("RK4", 2.7852935634), ("CN", 1 + np.sqrt(5))):
-        assert abs(exact(method, limit)) == pytest.approx(1, abs=1e-9)
-        assert abs(exact(method, limit + 1e-3)) > 1 > abs(exact(method, limit - 1e-3))
-    assert abs(exact("IE", 1e6)) < 1e-5
-    assert abs(exact("TRAPEZOID", 1e6)) < 1
-
-
 # --- whole loops --------------------------------------------------------------------------------------
 
 

@@ -57,10 +57,6 @@ def test_step_by_step_is_solve():
         close(q, made.q[k + 1], atol=1e-14)
 
 
-def test_methods_by_name_and_by_record():
-    np.testing.assert_array_equal(run(method="RK4").q, run(method=ck.RK4).q)
-
-
 def test_a_coordinate_that_no_joint_moves():
     """A planar arm asked for z as well: rank deficient, but a law like any other; z stays."""
     flat = ck.Law(ARM, ck.position("xyz"), alpha=4.0)

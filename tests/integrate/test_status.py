@@ -235,9 +235,3 @@ def test_require_ok_allows_what_is_allowed():
     assert ck.require_ok(made, allow=S.NEAR_SINGULAR | S.AT_LIMIT) is made
     with pytest.raises(ck.StepError, match=r"Step 2 .* AT_LIMIT"):
         ck.require_ok(made, allow=S.NEAR_SINGULAR)
-
-
-def test_status_survives_jit_and_vmap():
-    q = jnp.array([[0.2, 1.2], [0.2, 1e-4]])
-    many = jax.jit(jax.vmap(lambda q: run(q=q, target=HERE, method="EE", N=1).status))(q)
-    assert many[0, 0] == S.OK and many[1, 0] & S.NEAR_SINGULAR

@@ -58,14 +58,6 @@ def test_one_program_for_all_types_of_numbers(dtype, monkeypatch):
     assert len({tuple(v) for v in found}) == 1
 
 
-def test_a_control_loop_of_mixed_types_compiles_once():
-    ck.step(LAW, WAVE, Q32, 0, 0.1)
-    with compiled() as meanwhile:
-        for t in [*np.arange(0, 1, 0.1), *range(3), 0.25]:
-            ck.step(LAW, WAVE, Q32, t, 0.1)
-    assert not meanwhile
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -107,16 +107,6 @@ def test_the_clamp_shortens_metres_and_radians_of_a_part_separately():
         np.testing.assert_allclose(made.qdot, np.multiply(2.0, shortened), rtol=1e-6)
 
 
-def test_chatter_counts_what_is_taken_back():
-    from cnclik.measure.metrics import chatter
-
-    alternating = np.array([[1.0], [-1.0]] * 10)
-    assert chatter(alternating) == pytest.approx(1.0)
-    assert chatter(np.geomspace(1, 1e-9, 20)[:, None]) == 0
-    assert chatter(alternating * [1, 0.5] + [0, 2]) == pytest.approx(1.0)  # only the first joint turns back
-    assert chatter(np.ones((1, 3))) == 0
-
-
 @pytest.mark.parametrize("dtype", [np.float64, np.float32], ids=["double", "single"])
 def test_damping_below_rounding_is_no_division_by_zero(dtype):
     """As small as it may be, with J of any rank and joints that a limit has taken out: finite, and near J#."""

@@ -176,6 +176,10 @@ XY = ck.position("xy")
         ),
         (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),
         (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
+        (
+            lambda: ck.Law(ARM, XY, alpha=1, null_velocity=ck.posture([0, 1])),
+            "`rest` must have 3 joint values, but has",
+        ),
         (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
         (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
         (

@@ -99,20 +99,6 @@ def test_hold():
     close(at(ck.hold(ck.forward(arm, [0.1, 0.2])), 0.0, "pose")[1], ck.forward(arm, [0.1, 0.2]).rotation)
 
 
-def test_hold_takes_a_whole_pose_in_any_form():
-    import pinocchio as pin
-
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R1.as_matrix(), [1.0, 2, 3]
-    for target in (matrix, matrix.tolist(), jnp.asarray(matrix), pin.SE3(matrix)):
-        position, rotation, _ = at(ck.hold(target), 0.0, "pose")
-        close(position, [1, 2, 3])
-        close(rotation, R1.as_matrix())
-    way = ck.line(matrix, ck.Pose(position=jnp.ones(3), rotation=jnp.eye(3)), duration=1.0)
-    close(at(way, 0.0, "pose")[1], R1.as_matrix(), atol=1e-15)
-    close(at(way, 2.0, "pose")[0], 1.0, atol=1e-15)
-
-
 def test_motion_bounds_what_the_target_moves():
     """From above: positions exactly, turns by their chord, π/2 too large at most."""
     t = jnp.linspace(0.0, 4.0, 9)

@@ -89,7 +89,7 @@ def check_least(name, damping, count, k):
     return room
 
 
-@pytest.mark.parametrize(("name", "damping", "count"), [("panda", 0.05, 200), ("panda", 1e-3, 200), ("g1", 0.05, 40)])
+@pytest.mark.parametrize(("name", "damping", "count"), [("panda", 0.05, 200), ("panda", 1e-3, 200)])
 def test_it_is_the_least_behind_walls(name, damping, count):
     room = check_least(name, damping, count, 4)
     assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
@@ -192,16 +192,15 @@ def test_an_exponential_rate_never_overshoots(alpha, method):
     assert slope == pytest.approx(np.exp(-0.3))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_contradicting_walls_are_told_in_the_status(dtype):
+def test_contradicting_walls_are_told_in_the_status():
     """Two walls of one coordinate share what they miss."""
     z = ck.position("z")
     walls = [ck.wall(z, above=0.1), ck.wall(z, below=-0.1), ck.wall(ck.position("x"), below=0.2)]
     law = ck.Law(GANTRY, ck.position(), alpha=5.0, inverse=ck.damped(0.01), limits=ck.bounded(walls=walls))
-    run = ck.solve(law, ck.hold([0.4, 0.3, 0.0]), np.zeros(3, dtype), 0.01, 300, "EE")
+    run = ck.solve(law, ck.hold([0.4, 0.3, 0.0]), np.zeros(3), 0.01, 300, "EE")
     assert np.all(run.status & ck.Status.WALLS_CONTRADICT) and np.all(run.status & ck.Status.AT_LIMIT)
     missed = [-1.0, -1.0, 0.0]  # half of 10/s times 0.2 m each; and the third holds
-    np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6 if dtype is np.float64 else 1e-4)
+    np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(run.x[-1], [0.2, 0.3, 0.0], atol=1e-3)
     with pytest.raises(ck.StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)

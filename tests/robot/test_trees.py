@@ -64,20 +64,6 @@ def test_all_tips_are_pinocchios(name):
         np.testing.assert_allclose(ck.jacobian(robot, q[0], tip=tip), found[2][0][i], atol=1e-12)
 
 
-@pytest.mark.parametrize(("path", "tips"), [(BAXTER, GRIPPERS), (ROOT / ROBOTS["allegro"], None)], ids=["arms", "hand"])
-def test_each_tip_is_that_of_its_own_arm(path, tips):
-    tree = read_urdf(path)
-    robot = chain(tree, tips=tips or tree.tips())
-    (q,) = postures(robot, 1)
-    for tip in robot.tips:
-        arm = chain(tree, tip.name)
-        columns = [robot.joint_names.index(name) for name in arm.joint_names]
-        np.testing.assert_allclose(ck.forward(robot, q, tip=tip.name).rotation, ck.forward(arm, q[columns]).rotation)
-        j = np.asarray(ck.jacobian(robot, q, tip=tip.name))
-        np.testing.assert_allclose(j[:, columns], ck.jacobian(arm, q[columns]), atol=1e-15)
-        assert not np.delete(j, columns, axis=1).any()
-
-
 def test_one_tip_of_a_list_is_the_tip():
     one, other = ck.load_urdf(G1, tips=ARMS[:1]), ck.load_urdf(G1, tip=ARMS[0])
     assert jax.tree.all(jax.tree.map(lambda a, b: (np.asarray(a) == b).all(), modelled(one), modelled(other)))

@@ -160,18 +160,6 @@ def test_a_way_through_the_root(file, base, tip):
     )
 
 
-def test_a_base_in_the_middle():
-    path = ROOT / "talos_data/robots/talos_reduced.urdf"
-    arm = ck.load_urdf(path, tip="gripper_left_base_link", base="torso_2_link")
-    assert arm.joint_names == tuple(f"arm_left_{i}_joint" for i in range(1, 8))
-    model, _ = oracle(path)
-    q = np.random.default_rng(0).uniform(arm.lower, arm.upper)
-    position, rotation, j = Pinocchio(path, model).at(arm.joint_names, q, "gripper_left_base_link", "torso_2_link")
-    np.testing.assert_allclose(ck.forward(arm, q).position, position, atol=1e-12)
-    np.testing.assert_allclose(ck.forward(arm, q).rotation, rotation, atol=1e-12)
-    np.testing.assert_allclose(ck.jacobian(arm, q), j, atol=1e-12)
-
-
 def test_limits_are_pinocchios():
     for file, tip in (
         ("panda_description/urdf/panda.urdf", "panda_link8"),

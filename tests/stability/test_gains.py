@@ -58,31 +58,32 @@ def test_a_fast_loop_through_a_servo_is_stable_to_twice_its_damping():
 
 
 @pytest.mark.parametrize("name", DRIVES)
-@pytest.mark.parametrize(("method", "M"), CASES)
-def test_every_method_and_drive_has_the_limits_of_its_true_map(method, M, name):
-    """One joint: the map written apart is stable just below the limit, and not just above."""
+def test_every_method_and_drive_has_the_limits_of_its_true_map(name):
+    """One joint: the map written apart is stable just below the limit, and not just above; a run passes by 1 %."""
     drive = DRIVES[name]
     inside = within(drive) if drive.filters != "target" else dataclasses.replace(drive, cutoff=None)
-    stable, smooth, _ = (min(share and gain_removing(share, method, M), 1e3) for share in limits(drive, Ts))
-    own = ck.gains(Ts=Ts, drive=drive, method=method, M=M)
-    assert min(own.largest_stable * Ts, 1e3) == pytest.approx(stable, rel=1e-12)
-    assert min(own.without_overshoot * Ts, 1e3) == pytest.approx(smooth, rel=1e-12)
+    shares = limits(drive, Ts)
 
-    def radius(z):
+    def radius(method, M, z):
         S = np.array([[np.exp(-z) if method.startswith("EXP") else plant.march(method, M, 1.0, np.array([[z]]))[0, 0]]])
         return plant.radius(S, [inside], Ts)
 
-    for z in (0.999 * stable, 0.5 * stable, 0.01 * stable):
-        assert radius(z) < 1 + 1e-9
-    if stable < 1e3:
-        assert radius(1.001 * stable) > 1
-    for z, passes in ((smooth * 0.999, False), (min(smooth * 1.3, 0.99 * stable), True)):
-        loop, share = scalar_loop(drive, Ts), float(removed(method, z, M))
-        x, worst = loop.displaced, 0.0
-        for _ in range(4000):  # the motion, sample by sample
-            x = loop.matrix(share) @ x
-            worst = max(worst, -float(loop.q @ x))
-        assert worst <= 0.0101 or passes
+    for k, (method, M) in enumerate(CASES):
+        stable, smooth, _ = (min(share and gain_removing(share, method, M), 1e3) for share in shares)
+        if k % 6 == 0:
+            own = ck.gains(Ts=Ts, drive=drive, method=method, M=M)
+            assert min(own.largest_stable * Ts, 1e3) == pytest.approx(stable, rel=1e-12)
+            assert min(own.without_overshoot * Ts, 1e3) == pytest.approx(smooth, rel=1e-12)
+        for z in (0.999 * stable, 0.5 * stable, 0.01 * stable):
+            assert radius(method, M, z) < 1 + 1e-9, (method, M)
+        if stable < 1e3:
+            assert radius(method, M, 1.001 * stable) > 1, (method, M)
+    loop = scalar_loop(drive, Ts)
+    matrix, x, worst = loop.matrix(float(removed("EE", 0.999 * shares[1]))), loop.displaced, 0.0
+    for _ in range(4000):  # the motion, sample by sample
+        x = matrix @ x
+        worst = max(worst, -float(loop.q @ x))
+    assert worst <= 0.0101
 
 
 @pytest.mark.parametrize("name", [n for n in DRIVES if DRIVES[n].order < 2 and not DRIVES[n].filters])
@@ -126,7 +127,7 @@ def test_a_response_is_that_of_a_run(smoothed):
 
 def test_no_more_than_one_per_cent_is_passed_without_overshoot():
     rng = np.random.default_rng(11)
-    for _ in range(40):
+    for _ in range(20):
         drive = Drive(
             delay=float(rng.integers(0, 5)), natural_frequency=float(10 ** rng.uniform(0.8, 2.2)),
             damping_ratio=float(rng.uniform(0.2, 1.5)), command=str(rng.choice(["velocity", "position"])),
@@ -200,7 +201,7 @@ def _map(method, passes, M, z, Ts):
     return plant.march(method, passes, Ts, z / Ts * M)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_random_loop_is_unstable_below_the_scalar_limit(seed):
     """Robots, postures, weights, levels, dampings, gains, postures, held joints, methods and drives at random."""
     rng, Ts = np.random.default_rng(100 + seed), 0.01

@@ -52,12 +52,14 @@ def test_stability_functions_are_those_of_nodepy(method):
     np.testing.assert_allclose(amplification(method, PLANE), expected, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("method", METHODS, ids=str)
-@pytest.mark.parametrize("stage", [ck.picard(0), ck.picard(3), ck.picard(5), ck.chord(0), ck.newton(1)], ids=str)
+@pytest.mark.parametrize(
+    ("method", "stage"),
+    [(m, s) for m in METHODS for s in (ck.picard(0), ck.picard(3), ck.chord(0), ck.newton(1))
+     if m.implicit or str(s) == "picard(0)"],
+    ids=str,
+)  # fmt: skip
 def test_the_library_steps_by_the_same_factor(method, stage):
     """Its own stepping over q̇ = −z q, in the field's words for an implicit stage."""
-    if not method.implicit and str(stage) != "picard(0)":
-        pytest.skip("no stages to be solved")
 
     class Field:
         def __init__(self, z, q):

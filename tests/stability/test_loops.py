@@ -15,6 +15,7 @@ PANDA = ck.panda()
 Q = np.array([0.2, -0.785, 0.1, -2.2, 0.1, 1.6, 0.785])
 PLANAR = ck.planar_arm([1.0, 1.0, 1.0])
 QP = np.array([0.3, 0.9, -0.5])
+Q2 = np.array([0.3, 0.9])
 
 
 # --- advice ---------------------------------------------------------------------------------------------
@@ -78,7 +79,7 @@ def test_different_drives_and_different_gains_have_no_limit():
 # --- the spectrum, and the gains as its bound -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["EE", "CN", "RK4", "EXP-MIDPOINT"])
+@pytest.mark.parametrize("method", ["CN", "EXP-MIDPOINT"])
 def test_with_an_exact_inverse_the_radius_is_that_of_the_method(method):
     law = ck.Law(PANDA, ck.pose(), alpha=40.0)
     for Ts in (0.01, 0.045):
@@ -86,36 +87,38 @@ def test_with_an_exact_inverse_the_radius_is_that_of_the_method(method):
         assert spectral_radius(law, None, Q, Ts, method, ck.picard(5)) == pytest.approx(expected, abs=1e-9)
 
 
+LAWS = {
+    "damped": ck.Law(PLANAR, ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3)),
+    "posture": ck.Law(PLANAR, ck.position("xy"), alpha=[20.0, 7.0], null_velocity=ck.posture(np.zeros(3), 5.0)),
+    "levels": ck.Law(
+        PLANAR, ck.stack(tip=ck.position("xy"), rest=ck.joints()), alpha={"tip": 20.0, "rest": 9.0},
+        inverse=ck.levels(["tip"], ["rest"], damping=(1e-2, 0.1)),
+    ),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    "law",
-    [
-        ck.Law(PLANAR, ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3)),
-        ck.Law(PLANAR, ck.position("xy"), alpha=[20.0, 7.0], null_velocity=ck.posture(np.zeros(3), 5.0)),
-        ck.Law(
-            PLANAR, ck.stack(tip=ck.position("xy"), rest=ck.joints()), alpha={"tip": 20.0, "rest": 9.0},
-            inverse=ck.levels(["tip"], ["rest"], damping=(1e-2, 0.1)),
-        ),
-    ],
-    ids=["damped", "posture", "levels"],
+    ("name", "method", "stage"),
+    [("damped", "EE", None), ("damped", "IE", 4), ("posture", "CN", 5), ("posture", "EXP-EE", None),
+     ("levels", "RK4", None), ("levels", "EE", None)],
 )  # fmt: skip
-@pytest.mark.parametrize(("method", "stage"), [("EE", None), ("CN", 5), ("IE", 4), ("RK4", None), ("EXP-EE", None)])
-def test_no_gain_below_the_limit_is_unstable_by_the_loops_own_step(law, method, stage):
+def test_no_gain_below_the_limit_is_unstable_by_the_loops_own_step(name, method, stage):
     limit = min(stability_limit(method, stage), 10.0)
     Ts = 0.999 * limit / 20.0
-    assert spectral_radius(law, None, QP, Ts, method, ck.picard(stage or 0)) < 1 + 1e-9
+    assert spectral_radius(LAWS[name], None, QP, Ts, method, ck.picard(stage or 0)) < 1 + 1e-9
 
 
 def test_it_is_differentiable_and_checks_rest():
-    law = ck.Law(PLANAR, ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3))
+    law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3))
     with jax.enable_x64(True):
-        slope = jax.grad(lambda Ts: spectral_radius(law, None, jnp.asarray(QP), Ts, "EE"))(0.09)
+        slope = jax.grad(lambda Ts: spectral_radius(law, None, jnp.asarray(Q2), Ts, "EE"))(0.09)
     step = 1e-6
-    ends = [float(spectral_radius(law, None, QP, Ts, "EE")) for Ts in (0.09 - step, 0.09 + step)]
+    ends = [float(spectral_radius(law, None, Q2, Ts, "EE")) for Ts in (0.09 - step, 0.09 + step)]
     assert slope == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
     with pytest.raises(ArgumentError, match="`q` must be at rest"):
-        spectral_radius(law, ck.hold([1.0, 1.0]), QP, 0.01, "EE")
+        spectral_radius(law, ck.hold([1.0, 1.0]), Q2, 0.01, "EE")
     with pytest.raises(ArgumentError, match="`Ts` must be positive"):
-        spectral_radius(law, None, QP, 0.0, "EE")
+        spectral_radius(law, None, Q2, 0.0, "EE")
 
 
 # --- maps -----------------------------------------------------------------------------------------------

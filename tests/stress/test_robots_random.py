@@ -9,6 +9,7 @@ import cnclik as ck
 from cnclik.integrate.status import Status
 from cnclik.problem.names import task_from
 
+pytestmark = pytest.mark.slow
 SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 ANY = st.floats(allow_nan=True, allow_infinity=True, width=64)
 WORD = st.text("abcxyz<>&\"' \n", max_size=6)
@@ -87,9 +88,7 @@ def dh(values):
 
 
 @pytest.mark.parametrize("name", LAWS)
-@pytest.mark.parametrize(
-    "task", ["xy", pytest.param("pose", marks=pytest.mark.slow), pytest.param("rz", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("task", ["xy", "pose", "rz"])
 def test_no_nan_without_a_status(name, task):
     made = task_from(task)
     if name == "pseudoinverse" and made.m > 4:  # more rows than joints only with damping

@@ -1,0 +1,121 @@
+"""A bank of loops that tests share: eight programs, whose gains, sampling times, starts and targets are arrays.
+
+A literal arm, a task, a method or a dtype is a program to trace and to compile; other numbers are not. A test that
+needs a loop of no special kind takes one of these, and asks it for numbers.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import cnclik as ck
+from tests.oracles import damped_inverse, planar_law, robot_file
+
+N, LANES, DAMPING = 5, 7, 0.1
+LENGTHS = np.array([1.0, 0.8, 0.6, 0.5, 0.4])
+HANDS = ["left_rubber_hand", "right_rubber_hand"]
+FILES = {"panda": (robot_file("panda"), ["panda_hand"]), "g1": (robot_file("g1"), HANDS)}
+
+
+@functools.cache
+def robot(name):
+    """planar2, planar3 and planar5, the Panda, two planar arms on one trunk, or G1 above the pelvis."""
+    if name.startswith("planar"):
+        return ck.planar_arm(LENGTHS[: int(name[-1])].tolist())
+    if name == "two arms":
+        trunk, arm = (ck.planar_arm(v.tolist()) for v in (LENGTHS[:2], LENGTHS[2:4]))
+        both = ck.join(trunk, arm, prefix="one_", keep=True)
+        return ck.join(both, arm, at="tip", prefix="two_")
+    file, tips = FILES[name]
+    return ck.load_urdf(file, tips=tips)
+
+
+@functools.cache
+def law(name):
+    """Positions of all tips, damped; the plane's x and y for planar arms."""
+    axes = "xyz" if name in FILES else "xy"
+    each = [ck.position(axes, tip=tip.name) for tip in robot(name).tips]
+    return ck.Law(robot(name), functools.reduce(lambda a, b: a & b, each), alpha=1.0, inverse=ck.damped(DAMPING))
+
+
+def places(name, q):
+    """Coordinates of the task, (m,), at joint values."""
+    count = 3 if name in FILES else 2
+    tips = [ck.forward(robot(name), q, tip=tip.name) for tip in robot(name).tips]
+    return np.concatenate([np.asarray(at.position, float)[:count] for at in tips])
+
+
+@functools.cache
+def numbers(name):
+    """Gain, sampling time, start and target of each lane: all that differs between runs of one program."""
+    rng, chain = np.random.default_rng(len(name)), robot(name)
+    low, high = (np.clip(bound, -1.5, 1.5) for bound in (chain.lower, chain.upper))
+    low = np.where(np.isinf(chain.lower), 0.2, low)  # bent: planar arms are singular where they are straight
+    q0 = rng.uniform(low + 0.3 * (high - low), high - 0.3 * (high - low), (LANES, chain.n))
+    target = np.array([places(name, q + 0.1 * np.cos(np.arange(chain.n))) for q in q0])
+    return rng.uniform(2, 8, LANES), rng.uniform(0.01, 0.05, LANES), q0, target
+
+
+class Loop(NamedTuple):
+    """One program of the bank."""
+
+    name: str
+    method: str
+    dtype: str
+
+    def run(self, alpha, Ts, q0, target):
+        """A run of N steps, of one lane."""
+        changed, tips = ck.replace(law(self.name), alpha=alpha), robot(self.name).tips
+        size = len(target) // len(tips)
+        if len(tips) == 1:
+            aims = ck.hold(target)
+        else:
+            aims = ck.references(**{t.name: ck.hold(target[i * size : (i + 1) * size]) for i, t in enumerate(tips)})
+        run = ck.solve(changed, aims, q0, Ts, N, self.method, ck.picard(3))
+        return {name: getattr(run, name) for name in ("q", "e", "x", "qdot", "residual", "status")}
+
+    def numbers(self):
+        """`numbers` in the dtype of the loop."""
+        return [v.astype(self.dtype) for v in numbers(self.name)]
+
+
+@functools.cache
+def lanes(loop):
+    """The loop over a batch of numbers, as its users run it."""
+    return jax.jit(jax.vmap(loop.run))
+
+
+def field(name, alpha, target):
+    """f(q, t) of a loop in NumPy: closed forms for planar arms, Pinocchio's kinematics for the others; or None."""
+    if name.startswith("planar"):
+        lengths = LENGTHS[: int(name[-1])]
+        still = lambda t: np.zeros(2)  # noqa: E731
+        return planar_law(lengths, lambda t: target, still, alpha, inverse=damped_inverse(DAMPING))
+    if name not in FILES:
+        return None
+    from tests.robot.test_urdf import Pinocchio, oracle
+
+    file, tips = FILES[name]
+    where, names = Pinocchio(file, oracle(file)[0]), robot(name).joint_names
+    base = {"panda": "panda_link0", "g1": "pelvis"}[name]
+
+    def slope(q, t):
+        each = [where.at(names, q, tip, base) for tip in tips]
+        e = target - np.concatenate([at[0] for at in each])
+        return damped_inverse(DAMPING)(np.vstack([at[2][:3] for at in each])) @ (alpha * e)
+
+    return slope
+
+
+LOOPS = [
+    Loop("planar2", "EE", "float64"),
+    Loop("planar2", "CN", "float32"),
+    Loop("planar3", "EXP-MIDPOINT", "float64"),
+    Loop("planar3", "CN", "float64"),
+    Loop("planar5", "EXP-MIDPOINT", "float32"),
+    Loop("panda", "EE", "float64"),
+    Loop("two arms", "EXP-MIDPOINT", "float64"),
+    Loop("g1", "EE", "float64"),
+]

@@ -1,0 +1,39 @@
+"""Loops as C, as the engine's scalars and as their source, and by an oracle: NumPy, with Pinocchio for real robots.
+
+No other test asks the engines about loops of no special kind. Oracles have no exponential steps: those are in
+tests/integrate/test_combinations.py.
+"""
+
+import jax
+import numpy as np
+import pytest
+
+from engine.compare import check
+from tests import bank
+from tests.oracles import clik, close
+
+LARGE = ("panda", "g1")  # for which XLA takes seconds, once for the source and once for scalars
+
+
+@pytest.mark.parametrize("loop", bank.LOOPS, ids=lambda loop: "-".join(loop))
+def test_c_scalars_source_and_oracle_are_one(loop):
+    given = loop.numbers()
+    with jax.enable_x64(loop.dtype == "float64"):
+        small = loop.name not in LARGE
+        found = check(loop.run, *given, ulps=3e3, derived_too=small, scalar_too=loop.name == "planar2")
+    assert found["q"].dtype == loop.dtype and not found["status"].any()
+    if loop.method.startswith("EXP") or loop.name == "two arms":
+        return
+    alpha, Ts, q0, target = map(np.float64, given)
+    for k in range(bank.LANES):
+        wanted = clik(loop.method, bank.field(loop.name, alpha[k], target[k]), q0[k], Ts[k], bank.N, M=3)
+        close(found["q"][k], wanted, atol=1e-11 if loop.dtype == "float64" else 2e-5)
+
+
+def test_a_lane_with_no_number_is_told_alone():
+    loop = bank.LOOPS[0]
+    alpha, Ts, q0, target = loop.numbers()
+    q0 = q0.copy()
+    q0[3, 0] = np.nan
+    status = bank.lanes(loop)(alpha, Ts, q0, target)["status"]
+    assert (np.asarray(status) != 0).any(1).tolist() == [k == 3 for k in range(bank.LANES)]
