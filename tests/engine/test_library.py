@@ -80,17 +80,16 @@ def squares(q0, x, **around):
     return jnp.sum(solve(q0, x, **around).e ** 2)
 
 
-IMPLICIT = dict(method="CN", stage=ck.newton(2, implicit=True))
 SLOPES = {
     "long": dict(N=90),
     "CN": dict(method="CN"),
-    "CN implicit": IMPLICIT,
+    "CN by newton": dict(method="CN", stage=ck.newton(2)),
     "EXP-MIDPOINT": dict(method="EXP-MIDPOINT"),
     "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
 }
 # For most, XLA takes seconds to compile the derived form: by default that of "long" and "J#" alone.
-QUICK = [("long", True), ("J#", True), ("CN implicit", False), ("drive", False)]
+QUICK = [("long", True), ("J#", True), ("CN by newton", False), ("drive", False)]
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ METHODS = (
     (ck.TRAPEZOID, ck.newton(1)),
     (ck.HEUN, ck.picard(0)),
     (ck.RK4, ck.picard(0)),
-    (ck.IE, ck.chord(2, implicit=True)),
+    (ck.IE, ck.chord(2)),
 )
 QUICK = [  # every part once
     ("position", "damped", "bounded", "none", 0),

@@ -273,9 +273,9 @@ def test_noise_and_delay_run_as_in_plain_numpy():
     [
         ("EE", ck.picard(5)),
         pytest.param("CN", ck.picard(2), marks=pytest.mark.slow),
-        pytest.param("CN", ck.chord(6, implicit=True), marks=pytest.mark.slow),
+        pytest.param("CN", ck.chord(6), marks=pytest.mark.slow),
     ],
-    ids=["explicit", "pass by pass", "implicit"],
+    ids=["explicit", "picard", "chord"],
 )
 def test_derivatives_are_those_of_differences(method, stage, over):
     with jax.enable_x64(True):
