@@ -195,13 +195,13 @@ def test_drives_move_a_base():
 
 def test_rest_is_judged_in_the_chart():
     """Breaks for a loop that is differentiated by the rotation vector: R(z) is then another in each posture."""
-    assert ck.spectral_radius(LAW, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
+    assert ck.spectral_radius(LAW, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
 
 
 @pytest.mark.slow
 def test_rest_of_other_methods_and_what_is_said_of_a_run():
     for method, factor in (("EXP-MIDPOINT", np.exp(-0.4)), ("RK4", 1 - 0.4 + 0.08 - 0.064 / 6 + 0.0256 / 24)):
-        assert ck.spectral_radius(LAW, None, start(), 0.1, method) == pytest.approx(factor, abs=1e-12)
+        assert ck.spectral_radius(LAW, start(), 0.1, method) == pytest.approx(factor, abs=1e-12)
     law = ck.replace(LAW, alpha=230.0)
     said = ck.verdict(law, PATH, ck.solve(law, PATH, start(0.1), 0.01, 50, "EE"), Ts=0.01, method="EE")
     assert said.kind == "growing" and said.change == {"alpha": pytest.approx(25.0)}
