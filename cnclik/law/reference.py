@@ -37,13 +37,6 @@ class Reference:
         """Whether the target is constant, whatever feed-forward is given."""
         return isinstance(self.curve, Hold)
 
-    @property
-    def duration(self) -> float:
-        """Time that the path takes, once around or from end to end [s]; 0 of a held one, or where nobody knows."""
-        if hasattr(self.curve, "times"):
-            return float(self.curve.times[-1] - self.curve.times[0])
-        return abs(float(getattr(self.curve, "period", getattr(self.curve, "duration", 0.0))))
-
     def __repr__(self):
         words = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
         return f"Reference: {brief(self.curve)}{words}{'' if self.known else ', future unknown'}"
@@ -68,11 +61,6 @@ class References:
     @property
     def still(self) -> bool:
         return all(one.still for one in self.each)
-
-    @property
-    def duration(self) -> float:
-        """That of the longest [s]."""
-        return max(one.duration for one in self.each)
 
     def __getitem__(self, name):
         return self.each[self.names.index(errors.one_of("name", name, self.names))]

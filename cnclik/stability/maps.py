@@ -238,22 +238,13 @@ def plane_page(data) -> str:
     return "\n".join([*head, markdown(header, rows, left=2)])
 
 
-def endings_about():
-    """Return the attributes of a variable of endings: what its numbers mean."""
+def _variables(loops: Outcome, dims):
+    flags = {"flag_values": [e.value for e in Ending], "flag_meanings": " ".join(e.name for e in Ending)}
     return {
-        "units": "1",
-        "long_name": "how the loop ended",
-        "flag_values": [e.value for e in Ending],
-        "flag_meanings": " ".join(e.name for e in Ending),
-    }
-
-
-def _variables(made: Outcome, dims):
-    return {
-        "ending": (dims, made.ending, endings_about()),
-        "rate": (dims, made.rate, {"units": "1", "long_name": "mean factor of the error per step"}),
-        "steps": (dims, made.steps, {"units": "1", "long_name": "steps to the tolerance"}),
-        "final": (dims, made.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
-        "near_singular": (dims, made.near_singular, {"units": "1"}),
-        "stage_not_converged": (dims, made.stage_not_converged, {"units": "1", "long_name": "a stage not converged"}),
+        "ending": (dims, loops.ending, {"units": "1", "long_name": "how the loop ended"} | flags),
+        "rate": (dims, loops.rate, {"units": "1", "long_name": "mean factor of the error per step"}),
+        "steps": (dims, loops.steps, {"units": "1", "long_name": "steps to the tolerance"}),
+        "final": (dims, loops.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
+        "near_singular": (dims, loops.near_singular, {"units": "1"}),
+        "stage_not_converged": (dims, loops.stage_not_converged, {"units": "1", "long_name": "a stage not converged"}),
     }
