@@ -6,10 +6,8 @@ reaches it is (1 − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more tha
 The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
 law gives Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. The feedback at an instant within
 the step is thus k e^{−k·s} T(s) e_R. A constant one is, to second order in the turn, the mean of T(s) at both ends
-times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
-
-This is the law's solution if the controller knows the target's whole velocity and no error is clamped. Otherwise the
-error is the one measured at the step's start, and unknown motion of the target is not predicted.
+times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R. This
+is the law's solution if the controller knows the target's velocity and no error is clamped.
 """
 
 from typing import NamedTuple
