@@ -103,7 +103,7 @@ def _iterate(stage, improve, start, h) -> Solved:
     # The start counts as the first change, from rest, so that M = 0 has a meaningful residual.
     size = safe_norm(start)
 
-    def one(carry, i):
+    def one_pass(carry, i):
         slope, change, before = carry
         new = improve(slope)
         moved = safe_norm(new - slope)
@@ -115,7 +115,7 @@ def _iterate(stage, improve, start, h) -> Solved:
         return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
 
     passes = stage.M if counted else stage.maximum
-    (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
+    (slope, change, before), _ = lax.scan(one_pass, (start, size, zero), jnp.arange(passes))
     change, before = lax.stop_gradient((change, before))
     # Two changes of rounding size, of the slope or of the joints, mean convergence: the contraction is 0.
     rounding = 8 * jnp.finfo(zero.dtype).eps

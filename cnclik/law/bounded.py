@@ -124,8 +124,8 @@ class Newton(NamedTuple):
         return jnp.where(self.shut, 0.0, slopes)[..., ::-1]
 
     def __call__(self, slope):
-        made = dense.factored_solve(self.factor, lambda x: self.hessian @ x, self.free(slope))
-        return jnp.where(self.shut, 0.0, made[::-1])
+        step = dense.factored_solve(self.factor, lambda x: self.hessian @ x, self.free(slope))
+        return jnp.where(self.shut, 0.0, step[::-1])
 
     def between(self, a, b):
         """Return A H⁻¹ Bᵀ of slopes (k, n), or of one."""
@@ -146,10 +146,10 @@ def nearest(slope, curvature, most, missing, goes, soft):
     The derivative is linear between kinks, where a wall starts or stops pushing.
     """
     kink = jnp.clip(jnp.where(goes != 0, missing / jnp.where(goes != 0, goes, 1.0), 0.0), 0.0, most)
-    at = jnp.concatenate([jnp.stack([jnp.zeros_like(most), most]), kink])
-    rate = at * curvature - slope - jnp.maximum(missing - at[:, None] * goes, 0.0) @ (goes / soft)
-    falls = (rate <= 0) | (at == 0)
-    low, high = jnp.max(jnp.where(falls, at, 0.0)), jnp.min(jnp.where(falls, most, at))
+    times = jnp.concatenate([jnp.stack([jnp.zeros_like(most), most]), kink])
+    rate = times * curvature - slope - jnp.maximum(missing - times[:, None] * goes, 0.0) @ (goes / soft)
+    falls = (rate <= 0) | (times == 0)
+    low, high = jnp.max(jnp.where(falls, times, 0.0)), jnp.min(jnp.where(falls, most, times))
     before, after = jnp.max(jnp.where(falls, rate, -jnp.inf)), jnp.min(jnp.where(falls, jnp.inf, rate))
     return low + (high - low) * before / (before - after)
 
@@ -173,14 +173,14 @@ class _Pass(NamedTuple):
 def swept(of: Problem, hessian, qdot, slope):
     """Move one joint after the other to its least within bounds (Gauss-Seidel)."""
 
-    def one(at, joint):
-        (qdot, slope), (row, on, per_size, low, high) = at, joint
+    def moved(state, joint):
+        (qdot, slope), (row, on, per_size, low, high) = state, joint
         here, push = (jnp.sum(jnp.where(on, x, 0.0)) for x in (qdot, slope))
         there = jnp.clip(here + push * per_size, low, high)
         return (jnp.where(on, there, qdot), slope - (there - here) * row), None
 
     joints = hessian, np.eye(len(qdot), dtype=bool), 1.0 / jnp.diagonal(hessian), of.low, of.high
-    return lax.scan(one, (qdot, slope), joints)[0]
+    return lax.scan(moved, (qdot, slope), joints)[0]
 
 
 def descent(of: Problem, start, passes) -> _Pass:

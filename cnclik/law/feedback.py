@@ -109,9 +109,9 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     means: list = []
     turns: list = []
     every, motions = law.task, law.task.motions
-    for one, task in by_target(reference, law.task):
-        given = one.feedforward is not None
-        foreseen = None if given or one.still or isinstance(one.curve, Tangent) else aims_of(one, task, t + Ts)
+    for path, task in by_target(reference, law.task):
+        told = path.feedforward is not None
+        foreseen = None if told or path.still or isinstance(path.curve, Tangent) else aims_of(path, task, t + Ts)
         for k, part in enumerate(task.parts):
             i = len(means)
             xdot, turn = at.motion[motions[i]], None
@@ -119,7 +119,7 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                 went, turn = part.mean(foreseen[k], at.aims[i])
                 means.append(jnp.where(still, xdot, went / safe))
             else:
-                if part.turns and part.whole and (given or not one.still):
+                if part.turns and part.whole and (told or not path.still):
                     turn = exp_so3(Ts * xdot)
                 means.append(xdot)
             turns.append(turn)

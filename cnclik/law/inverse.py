@@ -130,13 +130,13 @@ class Levels:
 
     def __call__(self, rows) -> Factored:
         level, shifts = np.array(self.level), []
-        sizes = jnp.stack([jnp.asarray(one.damping, rows.dtype) for one in self.damping])
+        sizes = jnp.stack([jnp.asarray(damping.damping, rows.dtype) for damping in self.damping])
         # The others keep their ratio to the least: it is what makes them levels.
         floors = self.floor * lax.stop_gradient(jnp.sum(rows[level == 0] ** 2) * (sizes / jnp.min(sizes)) ** 2)
-        for i, one in enumerate(self.damping):
-            own = np.flatnonzero(level == i)
-            one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
-            shift = jnp.asarray(one.shift(rows[own])[0], rows.dtype)
+        for i, damping in enumerate(self.damping):
+            which = np.flatnonzero(level == i)
+            damping = replace(damping, e=self.e[which]) if isinstance(damping, ErrorDamped) else damping
+            shift = jnp.asarray(damping.shift(rows[which])[0], rows.dtype)
             shifts.append(jnp.maximum(shift, floors[i]) if self.floor else shift)
         return by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
 

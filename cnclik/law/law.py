@@ -142,8 +142,8 @@ def _gains(task: Task, alpha):
 def check_loop(law, *references) -> None:
     """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
     errors.kind("law", law, Law)
-    for one in references:
-        ref.check(errors.kind("reference", one, ref.REFERENCE, ref.A_REFERENCE), law.task)
+    for reference in references:
+        ref.check(errors.kind("reference", reference, ref.REFERENCE, ref.A_REFERENCE), law.task)
 
 
 class Evaluation(NamedTuple):

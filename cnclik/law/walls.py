@@ -193,21 +193,21 @@ def _walls_of(law):
 def apart_from(walls, chain, q):
     """Return h (..., k)."""
 
-    def one(q):
+    def distances(q):
         return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
 
-    return jnp.vectorize(one, signature="(n)->(k)")(q)
+    return jnp.vectorize(distances, signature="(n)->(k)")(q)
 
 
 @one_off
 def _bent(walls, chain, q, qdot):
     """Return q̇ᵀ ∇²h q̇ (..., k)."""
 
-    def one(q, qdot):
+    def curvature(q, qdot):
         def along(s):
             robot = At(chain, chart.moved(chain, q, s * qdot))
             return jnp.stack([wall.row(robot) @ qdot for wall in walls])
 
         return jax.jvp(along, (0.0,), (1.0,))[1]
 
-    return jnp.vectorize(one, signature="(n),(n)->(k)")(q, qdot)
+    return jnp.vectorize(curvature, signature="(n),(n)->(k)")(q, qdot)

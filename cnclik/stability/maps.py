@@ -84,19 +84,19 @@ def outcomes(
         M = flat(M, int)
         stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))  # type: ignore[attr-defined]
 
-    def one(q0, factor, Ts, M, model):
+    def ended(q0, factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
         passes = stage if M is None else replace(stage, M=M)
         through = dict(drive=drive, model=model)
         return outcome(scaled, reference, q0, Ts, N, method, passes, **through, tolerance=tolerance, scale=scale)
 
-    run, done = lanes(one, block=LOOPS_PER_CALL), []
+    run, endings = lanes(ended, block=LOOPS_PER_CALL), []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023
-        done.append(jax.tree.map(np.asarray, run(*part)))
+        endings.append(jax.tree.map(np.asarray, run(*part)))
         if progress is not None:
             progress(min(i + chunk, count), count)
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
 
 
 def _alike(n, **given) -> tuple:

@@ -50,10 +50,10 @@ def spectral_radius(
     Ts = 1.0 * errors.number("Ts", Ts, positive=True)
     check_loop(law)
     q = as_joint_values(law.chain, q, finite=True)
-    given = *at_rest(law, q), q, Ts
-    if all(map(errors.concrete, jax.tree.leaves(given))):
-        return np.float64(_radius_of_numbers(*given, method, stage))
-    return _radius(*given, method, stage)
+    arguments = *at_rest(law, q), q, Ts
+    if all(map(errors.concrete, jax.tree.leaves(arguments))):
+        return np.float64(_radius_of_numbers(*arguments, method, stage))
+    return _radius(*arguments, method, stage)
 
 
 def _radius(law, reference, q, Ts, method, stage):
