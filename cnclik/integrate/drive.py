@@ -323,12 +323,12 @@ def _held(a, b, h, xp):
     whole = xp.concatenate([a, b[..., None]], -1)
     whole = h * xp.concatenate([whole, xp.zeros_like(whole[..., :1, :])], -2)
     if xp is np:
-        made = _exponential(whole)
+        exponential = _exponential(whole)
     else:
         import jax
 
-        made = jax.scipy.linalg.expm(whole)
-    return made[..., :-1, :-1], made[..., :-1, -1]
+        exponential = jax.scipy.linalg.expm(whole)
+    return exponential[..., :-1, :-1], exponential[..., :-1, -1]
 
 
 def _exponential(a):

@@ -31,21 +31,21 @@ def resting(chain, drive: Drive, model: Sampled, q, late=(), smooth=None) -> Dri
     return Driven(x, jnp.tile(held, (model.remembered, 1)), q, late, held if drive.filters == "command" else smooth)
 
 
-def driven(chain, drive: Drive, model: Sampled, at: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
+def driven(chain, drive: Drive, model: Sampled, drives: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
     """Return the joint values (n,) one sample after q (n,), and the drives then.
 
     Args: seen, step: (n,) the joint values that the controller used, and its step from there.
     """
-    sent = chart.moved(chain, seen if drive.feedback == "rebased" else at.sent, step)
-    command, smooth = sent if drive.steps_positions else step / Ts, at.smooth
+    sent = chart.moved(chain, seen if drive.feedback == "rebased" else drives.sent, step)
+    command, smooth = sent if drive.steps_positions else step / Ts, drives.smooth
     if drive.filters == "command":
         command = smooth = averaged(drive.kept(Ts), smooth, command)
-    line = jnp.concatenate([command[None], at.line])[: len(at.line)]
-    x = model.moved(at.x, at.line, command)
+    line = jnp.concatenate([command[None], drives.line])[: len(drives.line)]
+    x = model.moved(drives.x, drives.line, command)
     after = chart.out(chain, q, x[:, 0])
     if chain.balls:
         x = x.at[:, 0].set(chart.centre(chain, after))
-    return after, at._replace(x=x, line=line, sent=sent, smooth=smooth)
+    return after, drives._replace(x=x, line=line, sent=sent, smooth=smooth)
 
 
 def averaged(kept, before, new):

@@ -116,17 +116,17 @@ def tiled(fn, tile, *args, block=DEVICE_BLOCK, count=None):
     size = _size(jax.tree.leaves(args))
     tile = min(tile if jax.default_backend() == "cpu" else block, size)
 
-    def one(start):
+    def results_from(start):
         return jax.vmap(fn)(*jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile), args))
 
     if size == tile:
-        return one(0)
+        return results_from(0)
 
     def put(i, out):
         start = jnp.minimum(i * tile, size - tile)  # the last tile overlaps the one before instead of being padded
-        return jax.tree.map(lambda o, y: lax.dynamic_update_slice_in_dim(o, y, start, 0), out, one(start))
+        return jax.tree.map(lambda o, y: lax.dynamic_update_slice_in_dim(o, y, start, 0), out, results_from(start))
 
-    shapes = jax.eval_shape(lambda: one(0))
+    shapes = jax.eval_shape(lambda: results_from(0))
     empty = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
     return lax.fori_loop(0, ((size if count is None else count) + tile - 1) // tile, put, empty)
 

@@ -81,7 +81,7 @@ def _looped(field, q, Ts, method, first, at):
     count = len(method.b)
     weights = [(*row, *(0.0,) * (count - len(row))) for row in method.A]
 
-    def one(slopes, stage):
+    def next_slope(slopes, stage):
         i, row, at = stage
         slope = field(at, q + Ts * combine([row[j] for j in range(count)], slopes)).qdot
         return tuple(jnp.where(i == j, slope, k) for j, k in enumerate(slopes)), None
@@ -91,7 +91,7 @@ def _looped(field, q, Ts, method, first, at):
         lambda *v: jnp.stack([jnp.asarray(x, dtype) for x in v]), *zip(weights[1:], at[1:], strict=True)
     )
     start = (first.qdot, *(jnp.zeros_like(q),) * (count - 1))
-    slopes, _ = lax.scan(one, start, (jnp.arange(1, count), rows, ats))
+    slopes, _ = lax.scan(next_slope, start, (jnp.arange(1, count), rows, ats))
     qdot, zero = combine(method.b, slopes), jnp.zeros((), q.dtype)
     return Moved(q + Ts * qdot, qdot, first, zero, zero)
 

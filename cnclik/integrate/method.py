@@ -149,9 +149,9 @@ def exponential(method: MethodLike) -> Method:
       kᵢ = J#(qᵢ) (ẋ_d(t + cᵢ·Ts) + w) + (I − J#J) q̇₀(qᵢ),   qᵢ = q + Ts Σⱼ Aᵢⱼ kⱼ,   q⁺ = q + Ts Σᵢ bᵢ kᵢ
       w  = (I − exp(−K·Ts)) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)
 
-    R(z) = exp(−z) for every z and every tableau. For orders above two, w follows the decay within the step, see
-    `cnclik.law.feedback.feedback_within`. With exact J# the order is that of the method. With a damped J# the error
-    decays more slowly than assumed, and the order is one. Rotations are explained in `cnclik.law.feedback`.
+    R(z) = exp(−z) for every z and every tableau. For orders above two, w follows the decay within the step; that, and
+    rotations, are explained in `cnclik.law.feedback`. With exact J# the order is that of the method, with a damped J#,
+    where the error decays more slowly than assumed, it is one.
 
     Args:
       method: an explicit `Method`, or its name.

@@ -64,14 +64,8 @@ class _FromPrediction(_Passes):
     (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
     """
 
-    implicit: bool
-
     def __call__(self, g, first, h, ahead) -> Solved:
-        def iterate(k):
-            return _iterate(self, lambda k: self.improved(g, h, k), k, h)
-
-        start = first.newton(h, -ahead)
-        return _with_implicit_derivative(g, start, iterate) if self.implicit else iterate(start)
+        return _iterate(self, lambda k: self.improved(g, h, k), first.newton(h, -ahead), h)
 
 
 @record
@@ -109,7 +103,7 @@ def _iterate(stage, improve, start, h) -> Solved:
     # The start counts as the first change, from rest, so that M = 0 has a meaningful residual.
     size = safe_norm(start)
 
-    def one(carry, i):
+    def one_pass(carry, i):
         slope, change, before = carry
         new = improve(slope)
         moved = safe_norm(new - slope)
@@ -121,7 +115,7 @@ def _iterate(stage, improve, start, h) -> Solved:
         return (new, jnp.where(live, moved, change), jnp.where(live, change, before)), None
 
     passes = stage.M if counted else stage.maximum
-    (slope, change, before), _ = lax.scan(one, (start, size, zero), jnp.arange(passes))
+    (slope, change, before), _ = lax.scan(one_pass, (start, size, zero), jnp.arange(passes))
     change, before = lax.stop_gradient((change, before))
     # Two changes of rounding size, of the slope or of the joints, mean convergence: the contraction is 0.
     rounding = 8 * jnp.finfo(zero.dtype).eps
@@ -133,20 +127,6 @@ def _iterate(stage, improve, start, h) -> Solved:
 def _matrix(linear, like):
     """Return the matrix (n, n) of a linear map of vectors over the joints, by mapping all unit vectors at once."""
     return jax.vmap(linear, out_axes=1)(jnp.eye(len(like), dtype=like.dtype))
-
-
-def _with_implicit_derivative(g, start, iterate) -> Solved:
-    """Return the iteration's value with the derivative of the exact root of k − g(k) (implicit function theorem)."""
-
-    def solve(_, k):
-        solved = iterate(k)
-        return solved.slope, (solved.residual, solved.contraction)
-
-    slope, (residual, contraction) = lax.custom_root(
-        lambda k: k - g(k).qdot, start, solve, lambda linear, b: jnp.linalg.solve(_matrix(linear, b), b), has_aux=True
-    )
-    residual, contraction = lax.stop_gradient((residual, contraction))
-    return Solved(slope=slope, residual=residual, contraction=contraction)
 
 
 # --- public -------------------------------------------------------------------------------------------
@@ -166,33 +146,27 @@ def picard(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> 
     return Picard(**_passes(M, maximum, tolerance))
 
 
-def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, implicit: bool = False) -> Chord:
+def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Chord:
     """Chord (simplified Newton) iteration k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, converging at any z.
 
-    −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; the law knows
-    it, see `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. With exact J# and
-    scalar gain, (I + h J#KJ)⁻¹ r = r − (a z/(1 + a z)) J#(J r). It starts from the law linearised at q, and costs
-    M evaluations of f and as many products with J and J#. Gains per axis, damping, weights and a
-    posture are in it.
+    −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; see
+    `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. It starts from the law
+    linearised at q, and costs M evaluations of f and as many products with J and J#.
 
-    Args:
-      M, maximum, tolerance: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.
-      implicit: False differentiates the M passes as they are; True differentiates the exact solution
-        (implicit function theorem, `lax.custom_root`): cheaper in reverse mode, and right only where the
-        iteration has converged.
+    Args: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.
     """
-    return Chord(**_passes(M, maximum, tolerance), implicit=bool(implicit))
+    return Chord(**_passes(M, maximum, tolerance))
 
 
-def newton(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3, implicit: bool = False) -> Newton:
+def newton(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Newton:
     """Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, with the whole derivative by `jax.jvp`.
 
     Curvature included, so it converges quadratically where the start is near enough; a pass costs one evaluation
     of f and n directional derivatives of it (counted as n evaluations), and an n×n solve.
 
-    Args: as for `chord`.
+    Args: as for `picard`.
     """
-    return Newton(**_passes(M, maximum, tolerance), implicit=bool(implicit))
+    return Newton(**_passes(M, maximum, tolerance))
 
 
 def _passes(M, maximum, tolerance):

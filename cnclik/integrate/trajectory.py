@@ -56,11 +56,11 @@ class Trajectory:
         if not names:
             raise errors.fail("name", "be left out: the run is of no stack, see ck.stack", f"is {name!r}")
         i = names.index(errors.one_of("name", name, names))
-        own = slice(*self.tasks[i][1:])
+        columns = slice(*self.tasks[i][1:])
         status = self.status
         if self.task_status is not None:
             status = (status & ~int(OWN)) | self.task_status[..., i]
-        return replace(self, x=self.x[..., own], e=self.e[..., own], status=status, tasks=(), task_status=None)
+        return replace(self, x=self.x[..., columns], e=self.e[..., columns], status=status, tasks=(), task_status=None)
 
     def __repr__(self):
         *lanes, N = np.shape(self.status)

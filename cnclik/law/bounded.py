@@ -124,8 +124,8 @@ class Newton(NamedTuple):
         return jnp.where(self.shut, 0.0, slopes)[..., ::-1]
 
     def __call__(self, slope):
-        made = dense.factored_solve(self.factor, lambda x: self.hessian @ x, self.free(slope))
-        return jnp.where(self.shut, 0.0, made[::-1])
+        step = dense.factored_solve(self.factor, lambda x: self.hessian @ x, self.free(slope))
+        return jnp.where(self.shut, 0.0, step[::-1])
 
     def between(self, a, b):
         """Return A H⁻¹ Bᵀ of slopes (k, n), or of one."""
@@ -146,10 +146,10 @@ def nearest(slope, curvature, most, missing, goes, soft):
     The derivative is linear between kinks, where a wall starts or stops pushing.
     """
     kink = jnp.clip(jnp.where(goes != 0, missing / jnp.where(goes != 0, goes, 1.0), 0.0), 0.0, most)
-    at = jnp.concatenate([jnp.stack([jnp.zeros_like(most), most]), kink])
-    rate = at * curvature - slope - jnp.maximum(missing - at[:, None] * goes, 0.0) @ (goes / soft)
-    falls = (rate <= 0) | (at == 0)
-    low, high = jnp.max(jnp.where(falls, at, 0.0)), jnp.min(jnp.where(falls, most, at))
+    times = jnp.concatenate([jnp.stack([jnp.zeros_like(most), most]), kink])
+    rate = times * curvature - slope - jnp.maximum(missing - times[:, None] * goes, 0.0) @ (goes / soft)
+    falls = (rate <= 0) | (times == 0)
+    low, high = jnp.max(jnp.where(falls, times, 0.0)), jnp.min(jnp.where(falls, most, times))
     before, after = jnp.max(jnp.where(falls, rate, -jnp.inf)), jnp.min(jnp.where(falls, jnp.inf, rate))
     return low + (high - low) * before / (before - after)
 
@@ -173,24 +173,23 @@ class _Pass(NamedTuple):
 def swept(of: Problem, hessian, qdot, slope):
     """Move one joint after the other to its least within bounds (Gauss-Seidel)."""
 
-    def one(at, joint):
-        (qdot, slope), (row, on, per_size, low, high) = at, joint
+    def moved(state, joint):
+        (qdot, slope), (row, on, per_size, low, high) = state, joint
         here, push = (jnp.sum(jnp.where(on, x, 0.0)) for x in (qdot, slope))
         there = jnp.clip(here + push * per_size, low, high)
         return (jnp.where(on, there, qdot), slope - (there - here) * row), None
 
     joints = hessian, np.eye(len(qdot), dtype=bool), 1.0 / jnp.diagonal(hessian), of.low, of.high
-    return lax.scan(one, (qdot, slope), joints)[0]
+    return lax.scan(moved, (qdot, slope), joints)[0]
 
 
 def descent(of: Problem, start, passes) -> _Pass:
     """Find the minimum within bounds, by at most `passes` passes from a start; the cost falls in each.
 
-    Sweeps over the joints find most that are at a bound in the end; walls are not in them.
-
     A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds. If
     that lowers the cost too little, it takes the step up to the first bound. After that no joint is unlocked before a
-    whole step, or a clipped one that is enough: otherwise some would unlock and lock for ever.
+    whole step, or a clipped one that is enough: otherwise some would unlock and lock for ever. Without walls, sweeps
+    over the joints first find most that are at a bound in the end.
     """
     hessian, eps = of.hessian(), jnp.finfo(start.dtype).eps
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
@@ -358,26 +357,23 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
     task asks for.
 
     Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
-    possible, in a direction that may differ. With `levels` the lower levels give way first, and the first level by
-    about (λ₁/λ₂)². The minimum is found by a descent from face to face of the box, by projected Newton steps (Bertsekas
-    1982); derivatives are those of the minimum on its face.
+    possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
+    (λ₁/λ₂)². Derivatives are those of the minimum on its face of the box.
 
-    It needs an inverse with damping, best a constant one, or levels. A damping that depends on the singular value of
-    the whole arm vanishes where joints at their bounds leave the others singular, and joints may then jump between
-    bounds. λ² is at least 1e-10 of the trace of J Jᵀ, where rounding is as large. For `levels` this holds for the least
-    λ and the first level's trace, and the others keep their ratios to it.
+    It needs an inverse with damping, best a constant one, or levels: `singular_damped` has none where joints at their
+    bounds leave the others singular, and joints may then jump between bounds. λ² is at least 1e-10 of the trace of
+    J Jᵀ (of `levels`, of the first one's).
 
     A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit, see `exponential_rate`.
-      passes: largest number of Newton steps. Up to three are usual; of 60,000 postures of an arm and of a humanoid none
-        took more than 13, and at levels of λ = 1e-4 and 0.1 none of 8,000 more than 19. With too few passes the
-        velocities are still within bounds and cost no more than clipped ones, but are not the minimum.
-      walls: walls that no part of the robot may cross, see `wall`. They come before all levels of the task.
-        `Trajectory.walls` shows which of them are active, and by how much contradicting walls are missed.
+      passes: largest number of Newton steps. Three are usual; of 60,000 postures of an arm and a humanoid none took
+        more than 13, at levels none of 8,000 more than 19. With too few the velocities are still within bounds.
+      walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
+        which are active, and by how much contradicting ones are missed.
     """
-    if not isinstance(walls, Sequence) or not all(isinstance(one, Wall) for one in walls):
+    if not isinstance(walls, Sequence) or not all(isinstance(item, Wall) for item in walls):
         raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")
     passes = errors.integer("passes", passes, at_least=1)
     return Bounded(rate=positive("rate", rate), passes=passes, walls=tuple(walls))

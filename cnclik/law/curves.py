@@ -211,11 +211,11 @@ def _running(xp, fn, state, rows):
     """Return all states of a recursion over the rows of some arrays, stacked."""
     if xp is jnp:
         return lax.scan(lambda state, row: (fn(state, row),) * 2, state, rows)[1]
-    made = []
+    states = []
     for row in zip(*rows, strict=True):
         state = fn(state, row)
-        made.append(state)
-    return tuple(map(np.stack, zip(*made, strict=True))) if made and isinstance(state, tuple) else np.array(made)
+        states.append(state)
+    return tuple(map(np.stack, zip(*states, strict=True))) if states and isinstance(state, tuple) else np.array(states)
 
 
 def timed(times, positions, rotations) -> tuple:

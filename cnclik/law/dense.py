@@ -122,7 +122,7 @@ def _factored_batch(_, __, matrices):
 def _factors(matrices):
     every = np.arange(matrices.shape[-1])
 
-    def one(matrix):
+    def lower_of(matrix):
         def eliminate(rest, i):
             column = jnp.where(every >= i, rest[:, i], 0.0)
             scaled = column / rest[i, i]
@@ -130,7 +130,7 @@ def _factors(matrices):
 
         return lax.scan(eliminate, matrix, every, unroll=len(every) <= _WRITTEN_OUT or 1)[1].T
 
-    return jax.vmap(one)(matrices)
+    return jax.vmap(lower_of)(matrices)
 
 
 @jax.custom_batching.custom_vmap

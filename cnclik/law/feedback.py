@@ -6,10 +6,8 @@ reaches it is (1 − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more tha
 The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
 law gives Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. The feedback at an instant within
 the step is thus k e^{−k·s} T(s) e_R. A constant one is, to second order in the turn, the mean of T(s) at both ends
-times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
-
-This is the law's solution if the controller knows the target's whole velocity and no error is clamped. Otherwise the
-error is the one measured at the step's start, and unknown motion of the target is not predicted.
+times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R. This
+is the law's solution if the controller knows the target's velocity and no error is clamped.
 """
 
 from typing import NamedTuple
@@ -111,9 +109,9 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     means: list = []
     turns: list = []
     every, motions = law.task, law.task.motions
-    for one, task in by_target(reference, law.task):
-        given = one.feedforward is not None
-        foreseen = None if given or one.still or isinstance(one.curve, Tangent) else aims_of(one, task, t + Ts)
+    for path, task in by_target(reference, law.task):
+        told = path.feedforward is not None
+        foreseen = None if told or path.still or isinstance(path.curve, Tangent) else aims_of(path, task, t + Ts)
         for k, part in enumerate(task.parts):
             i = len(means)
             xdot, turn = at.motion[motions[i]], None
@@ -121,7 +119,7 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                 went, turn = part.mean(foreseen[k], at.aims[i])
                 means.append(jnp.where(still, xdot, went / safe))
             else:
-                if part.turns and part.whole and (given or not one.still):
+                if part.turns and part.whole and (told or not path.still):
                     turn = exp_so3(Ts * xdot)
                 means.append(xdot)
             turns.append(turn)

@@ -130,13 +130,13 @@ class Levels:
 
     def __call__(self, rows) -> Factored:
         level, shifts = np.array(self.level), []
-        sizes = jnp.stack([jnp.asarray(one.damping, rows.dtype) for one in self.damping])
+        sizes = jnp.stack([jnp.asarray(damping.damping, rows.dtype) for damping in self.damping])
         # The others keep their ratio to the least: it is what makes them levels.
         floors = self.floor * lax.stop_gradient(jnp.sum(rows[level == 0] ** 2) * (sizes / jnp.min(sizes)) ** 2)
-        for i, one in enumerate(self.damping):
-            own = np.flatnonzero(level == i)
-            one = replace(one, e=self.e[own]) if isinstance(one, ErrorDamped) else one
-            shift = jnp.asarray(one.shift(rows[own])[0], rows.dtype)
+        for i, damping in enumerate(self.damping):
+            which = np.flatnonzero(level == i)
+            damping = replace(damping, e=self.e[which]) if isinstance(damping, ErrorDamped) else damping
+            shift = jnp.asarray(damping.shift(rows[which])[0], rows.dtype)
             shifts.append(jnp.maximum(shift, floors[i]) if self.floor else shift)
         return by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
 
@@ -232,15 +232,14 @@ def error_damped(damping: Number) -> ErrorDamped:
 def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
     """Put each task of a stack on a priority level, of which the first comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
 
-    D holds λ² of each row's level. This equals the recursion of Siciliano & Slotine (1991) with damped inverses and the
-    matching projectors, as the block LDLᵀ factorization of J Jᵀ + D. A conflict disturbs level 1 by a share of about
-    (λ₁/λ₂)². Near a singularity of its own, level 1 moves the joints by up to |v|/(2λ₁).
+    D holds λ² of each row's level: the recursion of Siciliano & Slotine (1991) with damped inverses and the matching
+    projectors. A conflict disturbs level 1 by a share of about (λ₁/λ₂)². Near a singularity of its own, level 1 moves
+    the joints by up to |v|/(2λ₁).
 
     Args:
       names: names of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
-      damping: for each level λ (not λ²), or its own damped(...), singular_damped(...) or error_damped(...). It grows
-        from level to level, as a smaller damping is what makes a level come first. singular_damped has none away from
-        singularities: it fits the first level alone.
+      damping: for each level λ (not λ²), or its own damped(...), error_damped(...) or, of the first level,
+        singular_damped(...). It grows from level to level: a smaller damping is what makes a level come first.
 
     Raises: ArgumentError if the damping does not grow from one level to the next.
     """
@@ -266,9 +265,8 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
 def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
     """Damp only where the least singular value σ_m of J is below a threshold.
 
-    λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m
-    comes from powers of (J Jᵀ)⁻¹, without a decomposition that would have to be differentiated: exact where it is
-    alone, and up to 3 % less where others of six rows are as small.
+    λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m is exact
+    where it is alone, and up to 3 % less where others of six rows are as small.
 
     Args:
       damping: λ_max (not λ_max²), reached at the singularity; in the unit of J's singular values; positive.

@@ -142,8 +142,8 @@ def _gains(task: Task, alpha):
 def check_loop(law, *references) -> None:
     """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
     errors.kind("law", law, Law)
-    for one in references:
-        ref.check(errors.kind("reference", one, ref.REFERENCE, ref.A_REFERENCE), law.task)
+    for reference in references:
+        ref.check(errors.kind("reference", reference, ref.REFERENCE, ref.A_REFERENCE), law.task)
 
 
 class Evaluation(NamedTuple):
@@ -253,9 +253,8 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
 
     With the weighted rows B = WJ, A = B# and a posture's rate r, the slope is −A K B − r (I − A B). With s = 1 + h r
     and C = (h/s)(K − r), the push-through identity (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s leaves an m×m
-    system. Without a posture, and with scalar gain, f = A v and A = Bᵀ (B Bᵀ + λ² I)⁻¹, the whole is
-    Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k), t = 1/(1 + h alpha): one factor and one solve. For exact J# it is
-    A (t v + (1 − t) B k).
+    system. With a scalar gain and no posture it is one factor and one solve, t = 1/(1 + h alpha):
+    Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k).
 
     Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
     """

@@ -178,10 +178,10 @@ def waypoints(
       closed: the last waypoint equals the first; the path passes through it smoothly and repeats.
     """
     closed = errors.truth("closed", closed)
-    times, *given = timed(times, positions, rotations)
+    times, *points = timed(times, positions, rotations)
     names = "positions", "rotations"
     position, quaternion = (
-        None if v is None else cubic(times, v, closed, name) for name, v in zip(names, given, strict=True)
+        None if v is None else cubic(times, v, closed, name) for name, v in zip(names, points, strict=True)
     )
     times = jnp.asarray(times)
     return Reference(curve=Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed))
@@ -265,13 +265,13 @@ def hold_at(
         q = np.asarray(q, float)  # NumPy compiles nothing
     robot = At(modelled(chain), q)
 
-    def one(_, parts):
-        found: dict = {"position": None, "rotation": None}
+    def held_for(_, parts):
+        target: dict = {"position": None, "rotation": None}
         for part in parts.parts:
-            found["rotation" if part.turns else "position"] = part.here(robot)
-        return Reference(curve=Hold(**found))
+            target["rotation" if part.turns else "position"] = part.here(robot)
+        return Reference(curve=Hold(**target))
 
-    held = of_each(one, None, task)
+    held = of_each(held_for, None, task)
     if not others:
         return held
     if isinstance(held, Reference):
@@ -295,12 +295,12 @@ def _period(period):
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
     """Return a target's position and rotation, from a whole pose or given separately; both checked."""
-    if (found := poses.whole(name, target)) is not None:
+    if (whole := poses.whole(name, target)) is not None:
         if rotation is not None:
             raise errors.fail(called, f"be left out where `{name}` is a whole pose", "is given")
-        if found[0].ndim != 1:
-            raise errors.fail(name, "be one pose", f"holds {len(found[0])}")
-        return found
+        if whole[0].ndim != 1:
+            raise errors.fail(name, "be one pose", f"holds {len(whole[0])}")
+        return whole
     if target is not None:
         target = errors.array(name, target, (None,))
         if not 1 <= target.shape[0] <= 3:

@@ -37,13 +37,6 @@ class Reference:
         """Whether the target is constant, whatever feed-forward is given."""
         return isinstance(self.curve, Hold)
 
-    @property
-    def duration(self) -> float:
-        """Time that the path takes, once around or from end to end [s]; 0 of a held one, or where nobody knows."""
-        if hasattr(self.curve, "times"):
-            return float(self.curve.times[-1] - self.curve.times[0])
-        return abs(float(getattr(self.curve, "period", getattr(self.curve, "duration", 0.0))))
-
     def __repr__(self):
         words = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
         return f"Reference: {brief(self.curve)}{words}{'' if self.known else ', future unknown'}"
@@ -68,11 +61,6 @@ class References:
     @property
     def still(self) -> bool:
         return all(one.still for one in self.each)
-
-    @property
-    def duration(self) -> float:
-        """That of the longest [s]."""
-        return max(one.duration for one in self.each)
 
     def __getitem__(self, name):
         return self.each[self.names.index(errors.one_of("name", name, self.names))]
@@ -122,9 +110,9 @@ def _of_each(fn, reference, targets):
 
 def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
     """Return the reference of each target of a task, with the parts it is for."""
-    found: list = []
-    of_each(lambda *pair: found.append(pair), reference, task)
-    return found
+    pairs: list = []
+    of_each(lambda *pair: pairs.append(pair), reference, task)
+    return pairs
 
 
 # --- sampling -----------------------------------------------------------------------------------------
@@ -136,20 +124,20 @@ def sample(reference, task: Task, t):
     The motion holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
     aims, motions = [], []
-    for one, parts in by_target(reference, task):
-        found, rates = _moving(one, parts, t)
-        aims += found
-        if one.feedforward is not None:
-            motions.append(one.feedforward)
+    for path, parts in by_target(reference, task):
+        targets, rates = _moving(path, parts, t)
+        aims += targets
+        if path.feedforward is not None:
+            motions.append(path.feedforward)
         else:
-            motions += [part.motion(*v) for part, *v in zip(parts.parts, found, rates, strict=True)]
+            motions += [part.motion(*v) for part, *v in zip(parts.parts, targets, rates, strict=True)]
     return tuple(aims), jnp.concatenate(motions)
 
 
 def aims_of(reference, task: Task, t) -> tuple:
     """Return the target of each part of a task at time t."""
-    found = [(parts.parts, one.curve(t)) for one, parts in by_target(reference, task)]
-    return tuple(part.aim(*target) for parts, target in found for part in parts)
+    targets = [(parts.parts, path.curve(t)) for path, parts in by_target(reference, task)]
+    return tuple(part.aim(*target) for parts, target in targets for part in parts)
 
 
 def _moving(reference, parts, t):
@@ -169,19 +157,19 @@ def _moving(reference, parts, t):
 def tangent(reference, task: Task, t):
     """Return the reference extrapolated from time t with its velocity, or with the given feed-forward."""
 
-    def one(reference, task):
+    def extrapolated(reference, task):
         aims, rates = _moving(reference, task, t)
         position = velocity = rotation = turning = None
         for part, where, aim, rate in zip(task.parts, task.motions, aims, rates, strict=True):
-            given = None if reference.feedforward is None else reference.feedforward[where]
+            told = None if reference.feedforward is None else reference.feedforward[where]
             if part.turns:
-                rotation, turning = aim, spin(aim, rate) if given is None else part.spread(given)
+                rotation, turning = aim, spin(aim, rate) if told is None else part.spread(told)
             else:
-                position, velocity = aim, rate if given is None else given
+                position, velocity = aim, rate if told is None else told
         curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning)
         return replace(reference, curve=curve)
 
-    return of_each(one, reference, task)
+    return of_each(extrapolated, reference, task)
 
 
 def of_each_instant(fn, x, reference, task: Task):
@@ -199,9 +187,9 @@ def motion(reference, task: Task, t):
 
     (before, after), (begin, end) = neighbours(of_each_instant(chart, t, reference, task)), neighbours(t)
     moved = safe_sqrt(jnp.sum((after - before) ** 2, axis=1))
-    for one, _ in by_target(reference, task):
-        if one.feedforward is not None:
-            moved = moved + (end - begin) * safe_norm(one.feedforward)
+    for path, _ in by_target(reference, task):
+        if path.feedforward is not None:
+            moved = moved + (end - begin) * safe_norm(path.feedforward)
     return moved
 
 

@@ -84,14 +84,10 @@ def wall(
 ) -> Wall:
     """Keep the coordinate of a task above, or below, a number: a wall for `bounded(walls=[...])`.
 
-    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)`
-    keeps a knee bent, `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` keeps a hand off
-    a leg, and `wall(function(...), above=0.0)` keeps a signed distance of your own positive. Joint velocities satisfy
-    ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and from behind it the robot
-    comes back.
-
-    As a velocity is constant over Ts, a step may pass the wall by κv²Ts/(2 rate), see `wall_margin`. Methods of second
-    order, as EXP-MIDPOINT, take distance and row within the step, and pass it by far less.
+    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)` a
+    knee bent, and `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` a hand off a leg.
+    Joint velocities satisfy ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and
+    from behind it the robot comes back. A velocity that is constant over Ts may pass it, see `wall_margin`.
 
     Args:
       task: a task of one coordinate, or of several with a normal: positions, joints, distances, functions.
@@ -135,8 +131,7 @@ def support_polygon(
 ) -> tuple[Wall, ...]:
     """Keep the centre of mass above the feet: a wall for each edge of the convex hull of their corners.
 
-    The robot does not tip while it stands still with its centre of mass above this polygon. The polygon is in the plane
-    z = 0 of the base, or of a tip such as a foot.
+    The polygon is in the plane z = 0 of the base, or of a tip such as a foot.
 
     Args:
       corners: (k, 2) corners of all feet on the ground [m], in any order.
@@ -172,9 +167,8 @@ def support_polygon(
 def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
     """Return how far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
 
-    κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. In steady motion and to first order in Ts the wall is passed by
-    this much by explicit Euler and EXP-EE; otherwise the value is an upper bound, to second order in Ts. Move a wall
-    that must not be crossed by this distance.
+    κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. Explicit Euler and EXP-EE pass a wall by this much in steady motion;
+    methods of second order, such as EXP-MIDPOINT, by far less. Move a wall that must not be crossed by this distance.
 
     Args:
       law: with `bounded(walls=...)`.
@@ -199,21 +193,21 @@ def _walls_of(law):
 def apart_from(walls, chain, q):
     """Return h (..., k)."""
 
-    def one(q):
+    def distances(q):
         return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
 
-    return jnp.vectorize(one, signature="(n)->(k)")(q)
+    return jnp.vectorize(distances, signature="(n)->(k)")(q)
 
 
 @one_off
 def _bent(walls, chain, q, qdot):
     """Return q̇ᵀ ∇²h q̇ (..., k)."""
 
-    def one(q, qdot):
+    def curvature(q, qdot):
         def along(s):
             robot = At(chain, chart.moved(chain, q, s * qdot))
             return jnp.stack([wall.row(robot) @ qdot for wall in walls])
 
         return jax.jvp(along, (0.0,), (1.0,))[1]
 
-    return jnp.vectorize(one, signature="(n),(n)->(k)")(q, qdot)
+    return jnp.vectorize(curvature, signature="(n),(n)->(k)")(q, qdot)

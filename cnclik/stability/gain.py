@@ -150,7 +150,7 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
     drive = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
     shares = limits(drive, Ts)
     stable, smooth, recommended = (s and gain_removing(s, method, M) for s in shares)
-    found = Gains(
+    answer = Gains(
         largest_stable=stable / Ts,
         without_overshoot=smooth / Ts,
         recommended=min(recommended, MOST_Z) / Ts,
@@ -161,7 +161,7 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
         assumed=assumed,
         response=None,
     )
-    return replace(found, response=found.at(found.recommended) if found.recommended else None)
+    return replace(answer, response=answer.at(answer.recommended) if answer.recommended else None)
 
 
 def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DEFAULT, M: int | None = None):
@@ -321,13 +321,13 @@ def settled_by(loop: ScalarLoop, s: float) -> int:
 # --- what a gain does ---------------------------------------------------------------------------------
 
 
-def _worst(found: Gains, alpha: float) -> Response:
+def _worst(gains: Gains, alpha: float) -> Response:
     """The worst of the responses of all joints."""
-    s = float(removed(found.method, alpha * found.Ts, found.M))
-    each = [respond(one, found.Ts, s, alpha, found.largest_stable / alpha) for one in found.drive.joints]
+    s = float(removed(gains.method, alpha * gains.Ts, gains.M))
+    each = [respond(joint, gains.Ts, s, alpha, gains.largest_stable / alpha) for joint in gains.drive.joints]
     least = {"damping_ratio", "gain_margin", "delay_margin"}
     names = [field.name for field in dataclasses.fields(Response)]
-    return Response(**{k: (min if k in least else max)(getattr(one, k) for one in each) for k in names})
+    return Response(**{k: (min if k in least else max)(getattr(joint, k) for joint in each) for k in names})
 
 
 def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float) -> Response:
@@ -409,7 +409,7 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
         "gain per step of {}, dt = Ts, where the configuration is measured"
         + f"; {OWN_COMMANDS} where it is the last command"
     )
-    made = {
+    elsewhere = {
         "pink": Setting(z, first.format("FrameTask and PostureTask")),
         "mink": Setting(z, first.format("FrameTask and PostureTask")),
         "Placo": Setting(z, "share of the way from the measured state to the target at which each solve's target lies"),
@@ -425,17 +425,17 @@ def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
     else:
         k_val = gain(replace(safe, command="position", feedback="rebased")) if safe.order else MOST_Z
         why = why.removesuffix(", and ") if k_val else why + "this servo may then swing or run away"
-    made["Isaac Lab"] = Setting(k_val, f"k_val of DifferentialIKControllerCfg: {why}")
+    elsewhere["Isaac Lab"] = Setting(k_val, f"k_val of DifferentialIKControllerCfg: {why}")
     if drive is not None and drive.order and drive.command == "velocity":
-        made["UR servoj"] = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
+        elsewhere["UR servoj"] = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
     else:
         z = gain(_of_servoj(drive, Ts))
         meaning = (
             "alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, "
             f"lookahead_time {LOOKAHEAD}"
         )
-        made["UR servoj"] = Setting(z and z / Ts, meaning)
-    return made
+        elsewhere["UR servoj"] = Setting(z and z / Ts, meaning)
+    return elsewhere
 
 
 def _of_servoj(drive: Drive | None, Ts: float) -> Drive:

@@ -84,19 +84,19 @@ def outcomes(
         M = flat(M, int)
         stage = replace(stage, M=None, maximum=max(stage.maximum, int(np.max(M))))  # type: ignore[attr-defined]
 
-    def one(q0, factor, Ts, M, model):
+    def ended(q0, factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
         passes = stage if M is None else replace(stage, M=M)
         through = dict(drive=drive, model=model)
         return outcome(scaled, reference, q0, Ts, N, method, passes, **through, tolerance=tolerance, scale=scale)
 
-    run, done = lanes(one, block=LOOPS_PER_CALL), []
+    run, endings = lanes(ended, block=LOOPS_PER_CALL), []
     for i in range(0, count, chunk):
         part = jax.tree.map(lambda v: v[i : i + chunk], (start, factor, time, M, models))  # noqa: B023
-        done.append(jax.tree.map(np.asarray, run(*part)))
+        endings.append(jax.tree.map(np.asarray, run(*part)))
         if progress is not None:
             progress(min(i + chunk, count), count)
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *done)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
 
 
 def _alike(n, **given) -> tuple:
@@ -238,22 +238,13 @@ def plane_page(data) -> str:
     return "\n".join([*head, markdown(header, rows, left=2)])
 
 
-def endings_about():
-    """Return the attributes of a variable of endings: what its numbers mean."""
+def _variables(loops: Outcome, dims):
+    flags = {"flag_values": [e.value for e in Ending], "flag_meanings": " ".join(e.name for e in Ending)}
     return {
-        "units": "1",
-        "long_name": "how the loop ended",
-        "flag_values": [e.value for e in Ending],
-        "flag_meanings": " ".join(e.name for e in Ending),
-    }
-
-
-def _variables(made: Outcome, dims):
-    return {
-        "ending": (dims, made.ending, endings_about()),
-        "rate": (dims, made.rate, {"units": "1", "long_name": "mean factor of the error per step"}),
-        "steps": (dims, made.steps, {"units": "1", "long_name": "steps to the tolerance"}),
-        "final": (dims, made.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
-        "near_singular": (dims, made.near_singular, {"units": "1"}),
-        "stage_not_converged": (dims, made.stage_not_converged, {"units": "1", "long_name": "a stage not converged"}),
+        "ending": (dims, loops.ending, {"units": "1", "long_name": "how the loop ended"} | flags),
+        "rate": (dims, loops.rate, {"units": "1", "long_name": "mean factor of the error per step"}),
+        "steps": (dims, loops.steps, {"units": "1", "long_name": "steps to the tolerance"}),
+        "final": (dims, loops.final, {"units": "m or rad", "long_name": "largest error in the last quarter"}),
+        "near_singular": (dims, loops.near_singular, {"units": "1"}),
+        "stage_not_converged": (dims, loops.stage_not_converged, {"units": "1", "long_name": "a stage not converged"}),
     }

@@ -78,8 +78,8 @@ class At:
         between = self._number(tip), to
         if between not in self._rows:
             alone, every = to is None, (0, 1, 2)
-            made = jacobian_rows(self.chain, self.frames(tip), every, every) if alone else self._relative(tip, to)
-            self._rows[between] = made
+            jacobian = jacobian_rows(self.chain, self.frames(tip), every, every) if alone else self._relative(tip, to)
+            self._rows[between] = jacobian
         return self._rows[between]
 
     def _relative(self, tip, to):

@@ -117,13 +117,13 @@ def end_point(z, stage):
     return ck.step(ck.Law(ARM, ck.position("xy"), alpha=z / Ts), TARGET, Q, 0.0, Ts, ck.IE, stage).q
 
 
-def slopes(exact, stage):
-    """Of the end point by z: by differences with one stage, forward and reverse with the other."""
+def slopes(stage):
+    """Of the end point by z: by differences, forward and in reverse."""
     d = 1e-5
 
     @jax.jit
     def three(z):
-        numeric = (end_point(z + d, exact) - end_point(z - d, exact)) / (2 * d)
+        numeric = (end_point(z + d, stage) - end_point(z - d, stage)) / (2 * d)
         return numeric, *(turn(lambda z: end_point(z, stage))(z) for turn in (jax.jacfwd, jax.jacrev))
 
     return three(1.5)
