@@ -15,18 +15,22 @@ from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, evaluate
+from cnclik.law.law import Law, check_loop, evaluate, observe
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64_if_known
 from cnclik.record import ArrayLike, Float, Number, cast, replace
 from cnclik.robot import chart
 from cnclik.robot.model import as_joint_values, modelled, one_off
+from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import safe_sqrt
+
+REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
 
 
 @in_float64_if_known
 def spectral_radius(
     law: Law,
+    reference: ref.Reference | None,
     q: Float[ArrayLike, " n"],
     Ts: Number,
     method: MethodLike = DEFAULT,
@@ -41,19 +45,19 @@ def spectral_radius(
 
     Args:
       law: the right-hand side, see `Law`. A posture term is taken with its rest at q.
-      q: (n,) joint values at rest, where the target is held [rad, m].
+      reference: a constant `Reference` with e = 0 at q, or None: hold the pose at q.
+      q: (n,) joint values at rest [rad, m].
       Ts: sampling time [s].
       method, stage: as for `solve`.
-    Raises: ArgumentError for values that do not fit.
+    Raises: ArgumentError where q is not at rest on the target, or Ts is not a positive number.
     """
     method = named(method)
     Ts = 1.0 * errors.number("Ts", Ts, positive=True)
-    check_loop(law)
-    q = as_joint_values(law.chain, q, finite=True)
-    arguments = *at_rest(law, q), q, Ts
-    if all(map(errors.concrete, jax.tree.leaves(arguments))):
-        return np.float64(_radius_of_numbers(*arguments, method, stage))
-    return _radius(*arguments, method, stage)
+    law, held = at_rest(law, reference, q)
+    given = law, held, as_joint_values(law.chain, q), Ts
+    if all(map(errors.concrete, jax.tree.leaves(given))):
+        return np.float64(_radius_of_numbers(*given, method, stage))
+    return _radius(*given, method, stage)
 
 
 def _radius(law, reference, q, Ts, method, stage):
@@ -83,9 +87,26 @@ def one_step(law, reference, q, Ts, method, stage):
     return jax.jacfwd(move)(chart.centre(law.chain, q)), evaluate(law, reference, t, q).rows
 
 
-def at_rest(law, q) -> tuple[Law, ref.Reference]:
-    """Return the law and a constant reference of a loop at rest at q; a posture term with its rest there."""
+# --- rest ---------------------------------------------------------------------------------------------
+
+
+def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
+    """Return the law and a constant reference of a loop at rest at q; a posture term with its rest there.
+
+    Raises: ArgumentError where `reference` (None: any) is elsewhere at t = 0 by more than REST.
+    """
+    check_loop(law, *(() if reference is None else (reference,)))
+    q = as_joint_values(law.chain, q, finite=True)
+    if reference is not None and all(map(errors.concrete, jax.tree.leaves((law, reference, q)))):
+        size = float(np.linalg.norm(_error_of_numbers(law, reference, q)))
+        if not size < REST * (1 + arm_length(law.chain)):
+            raise errors.fail("q", "be at rest on the target", f"leaves an error of {size:.3g}")
     if law.null_velocity is not None:
         law = replace(law, null_velocity=replace(law.null_velocity, rest=q))
     held, dtype = hold_at(law.chain, law.task, q), q.dtype
     return law, ref.of_each(lambda one, parts: replace(one, feedforward=np.zeros(parts.width, dtype)), held, law.task)
+
+
+@one_off
+def _error_of_numbers(law, reference, q):
+    return observe(modelled(law), reference, jnp.zeros_like(q[0]), q).e

@@ -84,7 +84,7 @@ def test_with_an_exact_inverse_the_radius_is_that_of_the_method(method):
     law = ck.Law(PANDA, ck.pose(), alpha=40.0)
     for Ts in (0.01, 0.045):
         expected = abs(amplification(method, 40.0 * Ts, 5))
-        assert spectral_radius(law, Q, Ts, method, ck.picard(5)) == pytest.approx(expected, abs=1e-9)
+        assert spectral_radius(law, None, Q, Ts, method, ck.picard(5)) == pytest.approx(expected, abs=1e-9)
 
 
 LAWS = {
