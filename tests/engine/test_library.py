@@ -80,7 +80,7 @@ def squares(q0, x, **around):
 
 SLOPES = {
     "long": dict(N=90),
-    "CN implicit": dict(method="CN", stage=ck.newton(2, implicit=True)),
+    "CN by newton": dict(method="CN", stage=ck.newton(2)),
     "J#": dict(law=ck.replace(LAW, inverse=ck.pseudoinverse())),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
 }
