@@ -25,6 +25,7 @@ from cnclik.record import replace
 from tests.bench import document, loops_advice, loops_models, loops_mujoco, loops_page, loops_peers, loops_tools
 from tests.bench.loops_arms import POSTURES, SERVOS, Arm
 from tests.bench.loops_mujoco import SHIFT, Setup
+from tests.oracles import late_by
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "loops"
 RATES = (500, 200, 100)  # [Hz]
@@ -104,7 +105,7 @@ def feedbacks(arm, inertia, servo, rate) -> list:
             row = {"robot": arm.name, "servo": servo, "rate": rate, "delay": delay, "feedback": feedback}
             row |= {"largest": float(largest[i]), "predicted": loops_models.predicted(setup, drive)[0]}
             row |= {"alpha": float(gains[i]), "lag": float(lags[i]), "lag_predicted": float(told[i])}
-            rows.append(row | {"late": float(np.max(drive.late_by(setup.Ts)))})
+            rows.append(row | {"late": float(np.max(late_by(drive, setup.Ts)))})
     return rows
 
 
