@@ -220,3 +220,10 @@ def central_differences(f, x, h=2e-4):
 def close(found, wanted, atol=0.0, rtol=0.0):
     """|found − wanted| ≤ atol + rtol·|wanted| in every entry; NumPy's own default adds rtol = 1e-7 unasked."""
     np.testing.assert_allclose(found, wanted, rtol=rtol, atol=atol)
+
+
+def late_by(drive, Ts):
+    """The delay of a motion at constant speed behind its command [s]: the dead time, the lag or 2ζ/ω₀, the filter's."""
+    lag, kept = 2 * drive.damping_ratio / drive.natural_frequency if drive.order == 2 else drive.lag, drive.kept(Ts)
+    late = drive.delay * Ts + lag - 0.5 * Ts * drive.steps_positions
+    return late + Ts * kept / (1 - kept) * (drive.filters in ("command", "target"))

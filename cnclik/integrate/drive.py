@@ -158,21 +158,6 @@ class Drive:
         """The drive with all delays lumped into the dead time; stability is the same."""
         return replace(self, delay=self.delay + self.measurement_delay, measurement_delay=0)
 
-    def late_by(self, Ts):
-        """Return the delay of a motion at constant speed behind its command [s]: the dead time plus the lag or 2ζ/ω₀.
-
-        For stepping positions it is half a sample less, as each is sent at the start of its sample. A filter of the
-        command or the target adds Ts ρ/(1 − ρ).
-        """
-        lag = 2 * self.damping_ratio / self.natural_frequency if self.order == 2 else self.lag
-        late = self.delay * Ts + lag - 0.5 * Ts * self.steps_positions
-        return late + self.filter_lag(Ts) if self.filters in ("command", "target") else late
-
-    def filter_lag(self, Ts):
-        """Delay of a ramp through the filter, Ts ρ/(1 − ρ) [s]; 0 without a filter."""
-        kept = self.kept(Ts) if self.filters else 0.0
-        return Ts * kept / (1 - kept)
-
     @property
     def joints(self) -> list[Drive]:
         """One drive for each joint whose numbers differ; equal ones once."""

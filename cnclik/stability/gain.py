@@ -332,12 +332,12 @@ def _worst(gains: Gains, alpha: float) -> Response:
 
 def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float) -> Response:
     """Return the response of a loop that removes a share s of an error in each step."""
-    loop, inside = scalar_loop(drive, Ts), scalar_loop(within(drive), Ts)
+    loop, inside, kept = scalar_loop(drive, Ts), scalar_loop(within(drive), Ts), float(drive.kept(Ts))
     N = settled_by(loop, s)
     noisy = loop.disturbed - s * loop.b * loop.noise
     away, fed, noise = loop.response(s, loop.q, np.stack([loop.displaced, loop.b, noisy], -1), N).T
     asked = np.r_[-s * loop.noise, loop.response(s, -s * loop.C, noisy[:, None], N - 2)[:, 0]]
-    if drive.filters == "command" and (kept := float(drive.kept(Ts))):
+    if drive.filters == "command" and kept:
         weights = (1 - kept) * kept ** np.arange(min(len(asked), int(np.log(TINY) / np.log(kept)) + 1))
         asked = np.convolve(asked, weights)[: len(asked)]
     poles = inside.poles(s)
@@ -345,7 +345,7 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
     outside = np.flatnonzero(~(np.abs(away) <= WITHIN))
     behind, forward = np.cumsum(away[:N]) * Ts, np.cumsum((away - fed)[:N]) * Ts  # a ramp is a sum of steps
     start_error = float(np.abs(forward).max())
-    later = float(drive.filter_lag(Ts)) if drive.filters == "target" else 0.0
+    later = Ts * kept / (1 - kept) if drive.filters == "target" else 0.0  # a ramp comes late through the filter
     return Response(
         alpha=alpha,
         damping_ratio=float((-slowest.real / np.abs(slowest)).min()),

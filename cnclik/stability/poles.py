@@ -93,7 +93,10 @@ class ScalarLoop:
         if model.late is not None:
             force = force + model.late * zeta[..., None] ** -(model.whole + 1)
         resolvent = zeta[..., None, None] * np.eye(model.size) - model.phi
-        return np.linalg.solve(resolvent, force[..., None])[..., 0, 0]
+        try:
+            return np.linalg.solve(resolvent, force[..., None])[..., 0, 0]
+        except np.linalg.LinAlgError:  # a point is a pole of the drive, to the last digit
+            return self._transfer(zeta * (1 + 1e-12))
 
     def delay_margin(self, s) -> float:
         """Return the dead time [s] that may be added: the least phase margin over its frequency; inf if |L| < 1."""

@@ -18,6 +18,7 @@ import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
 from cnclik.stability.gain import ASSUMED_DELAY, LOOKAHEAD, OWN_COMMANDS, gains
 from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.oracles import late_by
 
 FILE, TIP, _ = ROBOTS["Panda"]
 Q = np.array([0.1, -0.7, 0.1, -2.2, 0.1, 1.7, 0.8])
@@ -237,7 +238,7 @@ def _measured(tool, case):
     if tool in MADE:
         for way, posture_gain in (("as given", value), ("posture at its default, 1", 1.0)):
             yield row(way, value, ran(MADE[tool](value, posture_gain, Ts), real, Ts, 2.5 * settles))
-        seconds, own = 40 * Ts + 12 * real.late_by(Ts), OWN_COMMANDS
+        seconds, own = 40 * Ts + 12 * late_by(real, Ts), OWN_COMMANDS
         yield row(f"{own} of the last command", own, ran(MADE[tool](own, own, Ts), real, Ts, seconds, own=True), None)
     elif tool == "Isaac Lab" and value is None:
         return

@@ -10,6 +10,7 @@ from cnclik.diagnosis.fit import fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive, sampled
 from tests.diagnosis.recordings import servo
+from tests.oracles import late_by
 
 TS = 0.004
 
@@ -186,7 +187,7 @@ def test_small_and_large_logs_take_little_time():
         command = size * (0.5 + np.outer(np.arange(20) >= 5, [0.1, 0.05, -0.1]))
         motion = np.stack([servo(c, TS, 2.0, lag=0.01) for c in command.T], 1)
         fit = fit_drive(None, command, motion + 1e-3 * size * rng.standard_normal((20, 3)), TS)
-        assert fit.drive.late_by(TS) / TS == pytest.approx(4.0, abs=0.6)
+        assert late_by(fit.drive, TS) / TS == pytest.approx(4.0, abs=0.6)
     k = np.arange(1500)
     command = 0.1 * np.outer((k >= 50) * np.sign(np.sin(k / 200 + 0.1)), rng.uniform(0.5, 1, 7))
     motion = np.stack([servo(c, TS, 2.3, omega=30 + 2 * j, zeta=0.8) for j, c in enumerate(command.T)], 1)

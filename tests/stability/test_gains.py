@@ -339,3 +339,10 @@ def test_rebased_servos_that_run_away_are_refused():
 def test_bad_input_is_named(call, words):
     with pytest.raises(ArgumentError, match=words):
         call()
+
+
+def test_a_search_may_meet_a_pole_of_the_drive():
+    servo = dict(delay=3, command="position", feedback="rebased")
+    near, exact = (ck.gains(Ts=0.01, drive=Drive(natural_frequency=w, **servo)) for w in (20.0001, 20.0))
+    assert exact.without_overshoot == pytest.approx(near.without_overshoot, rel=1e-3)
+    assert exact.recommended == pytest.approx(near.recommended, rel=1e-3)
