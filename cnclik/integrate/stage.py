@@ -67,6 +67,10 @@ class _FromPrediction(_Passes):
     def __call__(self, g, first, h, ahead) -> Solved:
         return _iterate(self, lambda k: self.improved(g, h, k), first.newton(h, -ahead), h)
 
+    def improved(self, g, h, k):
+        """Return the next iterate."""
+        raise NotImplementedError
+
 
 @record
 class Picard(_Passes):
