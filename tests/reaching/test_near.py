@@ -1,7 +1,4 @@
-"""Whatever `near`, `jump` and the arm's size: what forward kinematics leads to within the limits is found.
-
-The instances of a table: of the eight robots in full they are slow, and few by default.
-"""
+"""Whatever `near`, `jump` and the arm's size: what forward kinematics leads to within the limits is found."""
 
 import numpy as np
 import pytest
@@ -9,10 +6,10 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
-from cnclik.reaching.starts import spans, turned
+from cnclik.reaching.starts import spans
 from cnclik.reaching.units import unit_of
 from tests.integrate.test_real_robots import ROBOTS, folder
-from tests.reaching.test_reach import both_ways, by_xla, drawn, tips
+from tests.reaching.test_reach import drawn, tips
 
 SIZES = (1e-4, 1e-2, 30.0, 1e4, 1e6)
 
@@ -63,11 +60,9 @@ def wrong(chain, count):
     return found
 
 
-@pytest.mark.parametrize("way", ["c", by_xla], indirect=True)
 @pytest.mark.parametrize("robot", [ck.ur5, ck.panda])
-def test_near_is_where_the_search_begins_and_not_where_it_ends(robot, request):
-    slower = request.node.callspec.params["way"] == "xla"
-    assert wrong(robot(), 60 if slower else 300) == {}
+def test_near_is_where_the_search_begins_and_not_where_it_ends(robot):
+    assert wrong(robot(), 300) == {}
 
 
 @pytest.mark.slow
@@ -77,7 +72,6 @@ def test_near_of_eight_robots(name):
     assert wrong(ck.load_urdf(folder() / file, tip, base), 10_000) == {}
 
 
-@pytest.mark.parametrize("way", ["c", "xla"], indirect=True)
 def test_a_minimum_at_a_limit_next_to_near_hides_no_answer():
     """There the error is 5 µm: in float32 that is an answer, and the one nearest to `near`."""
     arm = ck.replace(ck.planar_arm([1.0, 0.8]), lower=(-3.0, -3.0), upper=(3.0, 1.2))
@@ -99,15 +93,6 @@ def test_arms_of_any_size(size):
     assert wrong(sized(size), 150) == {}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES)
-def test_many_targets_of_arms_of_any_size(size):
-    assert wrong(sized(size), 10_000) == {}
-    twisted = ck.from_dh([size] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
-    if size < 1e5:  # for a larger one the tolerance is 1e-12 of its length, see below
-        assert wrong(twisted, 10_000) == {}
-
-
 def cornered(kind):
     """An arm whose limits allow for little else: a chain of right angles, or of offsets and twists at random."""
     if kind == "twisted":
@@ -127,12 +112,11 @@ def at_limits(chain, count):
     return np.where(held, np.where(side, low, high), q)
 
 
-@pytest.mark.parametrize("way", ["c", by_xla], indirect=True)
 @pytest.mark.parametrize("kind", ["twisted", 1, 14])
-def test_an_answer_with_several_joints_at_their_limits_is_found(kind, request):
+def test_an_answer_with_several_joints_at_their_limits_is_found(kind):
     """It has hardly any posture about it from which a search within the limits arrives."""
     chain = cornered(kind)
-    q = at_limits(chain, 100 if request.node.callspec.params["way"] == "xla" else 1000)
+    q = at_limits(chain, 1000)
 
     def right(made):
         known = np.isin(made.status, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET])
@@ -151,29 +135,14 @@ def test_an_answer_with_several_joints_at_their_limits_is_found(kind, request):
     assert np.isin(alone, [ReachStatus.SOLVED, ReachStatus.OUT_OF_BUDGET]).all()
 
 
-@pytest.mark.parametrize("way", ["c", pytest.param(by_xla, marks=pytest.mark.slow)], indirect=True)
-@pytest.mark.parametrize(
-    ("kind", "some"),
-    [(16, [846, 917, 952, 1361, 4442])]
-    + [pytest.param(kind, [i], marks=pytest.mark.slow) for kind, i in ((4, 3299), (14, 2675))],
-)
-def test_an_answer_with_all_joints_at_limits_is_found_from_beyond_them(kind, some, way):
+def test_an_answer_with_all_joints_at_limits_is_found_from_beyond_them():
     """AT_LIMIT falsely: of a freedom that is left only one end is within the limits, where all joints are.
 
-    Or 512 tries were not enough, though the nearest pose was 0.012 (2675) and 0.25 (952) of a unit off.
+    Or 512 tries were not enough, though the nearest pose was 0.25 (952) of a unit off.
     """
-    chain = cornered(kind)
-    assert ck.reach(chain, tips(chain, at_limits(chain, 5000)[some])).solved.all()
-
-
-@pytest.mark.slow
-def test_of_many_arms_hardly_any_answer_at_limits_is_missed():
-    found = []
-    for kind in ["twisted", *range(45)]:
-        chain = cornered(kind)
-        found.append(ck.reach(chain, tips(chain, at_limits(chain, 5000))).status)
-    counts = {s.name: int(np.sum(np.array(found) == s)) for s in ReachStatus}
-    assert counts["SOLVED"] >= 229_995 and counts["AT_LIMIT"] + counts["OUT_OF_REACH"] == 0, counts
+    chain = cornered(16)
+    some = at_limits(chain, 5000)[[846, 917, 952, 1361, 4442]]
+    assert ck.reach(chain, tips(chain, some)).solved.all()
 
 
 ELBOW = 2.0  # [rad] its limit
@@ -197,7 +166,6 @@ def bordering(size, count):
     return arm, where, away - outer, inner - away
 
 
-@pytest.mark.parametrize("way", ["c", by_xla], indirect=True)
 @pytest.mark.parametrize("size", [1e-4, 1.0, 30.0, 1e6])
 def test_on_the_border_only_what_is_known_is_said(size):
     """By the law of cosines. Searches end there at errors of a billionth of the arm's length: those are near misses."""
@@ -220,7 +188,6 @@ def test_on_the_border_only_what_is_known_is_said(size):
     assert (beyond[made.status == ReachStatus.OUT_OF_REACH] > 1e-14 * size).all()
 
 
-@pytest.mark.parametrize("way", ["c", by_xla], indirect=True)
 def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach(way):
     """Postures with joints at 0, whose poses are reached: what `jump` forbids is never called out of reach."""
     arm = ck.from_dh([1.0] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
@@ -232,7 +199,6 @@ def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach(way):
         assert np.isin(made.status, [ReachStatus.JUMP, ReachStatus.OUT_OF_BUDGET]).all()
 
 
-@both_ways
 @pytest.mark.parametrize("size", [16.0**-3, 16.0**4])
 def test_an_arm_that_is_another_in_other_units_has_its_answers(size):
     """Also with joints that slide, tolerances and `accept`: number for number; with `near` it is as near."""
@@ -268,32 +234,6 @@ def test_the_unit_is_near_the_arms_size():
         assert 0.24 < size / unit < 4.1 and (unit == 1.0) == (0.25 <= size <= 4)
 
 
-def test_turns_stay_within_the_bounds():
-    low, high = np.array([-np.pi, -2.0, -np.inf, 0.0]), np.array([np.pi, 2.0, np.inf, 13.0])
-    periodic = np.array([True, True, True, False])
-    rng = np.random.default_rng(1)
-    q, about = np.clip(rng.uniform(-7, 13, (500, 4)), low, high), rng.uniform(-40, 40, (500, 4))
-    found = turned(q, about, periodic, low, high)
-    assert ((found >= low - 1e-12) & (found <= high + 1e-12)).all()
-    np.testing.assert_allclose(np.cos(found[:, :3]), np.cos(q[:, :3]), atol=1e-12)
-    assert (found[:, 3] == q[:, 3]).all() and (np.abs(found - about)[:, 2] <= np.pi + 1e-9).all()
-    assert (np.abs(found - about) <= np.abs(q - about) + 1e-9).all()
-
-
-@both_ways
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("far", [1e20, 1e155, 1e300])
-def test_the_nearest_pose_to_a_target_beyond_all_squares_points_there(far):
-    arm = ck.planar_arm([1.0, 1.0])
-    made = ck.reach(arm, [[far, 0.0, 0.0], [-far, far, 0.0], [0.9, 0.4, 0.0]] * 3, task=ck.position("xy"))
-    alone = ck.reach(arm, [far, 0.0, 0.0], task=ck.position("xy"))
-    assert made.status.tolist() == [3, 3, 0] * 3 and alone.status == 3
-    np.testing.assert_allclose(made.position_error[:2], [far, np.hypot(far, far)], rtol=1e-12)
-    there = tips(arm, made.q[:2])[:, :2, 3]
-    np.testing.assert_allclose(there, [[2.0, 0.0], [-np.sqrt(2), np.sqrt(2)]], atol=1e-3)
-
-
-@both_ways
 def test_at_limit_names_a_joint():
     held = ck.replace(ck.ur5(), lower=(-1.0,) * 6, upper=(1.5,) * 6)
     where = np.concatenate(
