@@ -9,6 +9,7 @@ import cnclik as ck
 from cnclik.cli import main
 from cnclik.diagnosis import diagnose_tasks
 from tests.diagnosis.recordings import monotone, stable
+from tests.oracles import robot_file
 
 TS, DELAY = 0.005, 4
 
