@@ -151,30 +151,6 @@ def test_a_stack_has_it(leaning):
     close(run["tip"].x[-1], 0.3, atol=1e-3)
 
 
-SOLE = np.array([[-0.05, -0.03], [-0.05, 0.03], [0.12, -0.03], [0.12, 0.03]])
-
-
-@pytest.mark.slow
-def test_a_humanoid_that_reaches_ahead_stays_over_its_feet():
-    """A hand reaches far ahead while both feet stand: free it falls over, with walls it stays 1 cm inside."""
-    robot, foot = ck.load_urdf(G1, tips=[*FEET, ARMS[0]]), FEET[0]
-    hand = ck.position(tip=ARMS[0], relative_to=foot)
-    task = ck.stack(feet=ck.pose(tip=FEET[1], relative_to=foot), hand=hand, rest=ck.joints())
-    q0 = np.zeros(robot.n)
-    apart = np.asarray(ck.forward(robot, q0, tip=FEET[1]).position - ck.forward(robot, q0, tip=foot).position)[:2]
-    walls = ck.support_polygon([*SOLE, *(SOLE + apart)], relative_to=foot, margin=0.01)
-    paths = ck.hold_at(robot, task, q0, hand=ck.hold([0.7, 0.0, 0.9]))
-    found = []
-    for limits in (ck.bounded(), ck.bounded(walls=walls)):
-        levels = ck.levels(["feet"], ["hand"], ["rest"], damping=(0.01, 0.05, 0.5))
-        law = ck.Law(robot, task, alpha={"feet": 20.0, "hand": 5.0, "rest": 1.0}, inverse=levels, limits=limits)
-        run = ck.solve(law, paths, q0, 0.02, 100, "EE")
-        found.append(np.array([ck.com(robot, q, relative_to=foot)[:2] for q in np.asarray(run.q)[::10]]))
-    free, kept = found
-    assert free[-1, 0] > 0.12 and kept[:, 0].max() < 0.1101
-    assert np.max(kept[:, 1]) < 0.0201 and np.min(kept[:, 1]) > apart[1] - 0.0201
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [

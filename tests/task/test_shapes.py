@@ -1,5 +1,7 @@
 """Distances of shapes on links: against coal, of the Panda and of G1's arms; rows against differences; refusals."""
 
+import functools
+
 import jax
 import numpy as np
 import pytest
@@ -56,9 +58,11 @@ def by_coal(coal, shape, pose):
     return coal.Capsule(float(shape.radius), length), coal.Transform3s(turn, ends.mean(0))
 
 
-def seen(robot, task):
+@functools.cache
+def seen(of, name):
     """A call to the distance and its row at joint values."""
-    chain = modelled(robot)
+    robot, _, _, pair = case(of, name)
+    task, chain = ck.distance(*pair).on(robot), modelled(robot)
     return jax.jit(lambda q: (coordinates(task, At(chain, q))[0], rows(task, At(chain, q))[0]))
 
 
@@ -73,8 +77,8 @@ def coal_distances(robot, path, base, pair, each):
 
 @pytest.mark.parametrize(("robot", "name"), CASES)
 def test_distances_are_those_of_coal(robot, name):
-    robot, path, base, pair = case(robot, name)
-    made, each = seen(robot, ck.distance(*pair).on(robot)), postures(robot, 40, seed=2)
+    made, (robot, path, base, pair) = seen(robot, name), case(robot, name)
+    each = postures(robot, 40, seed=2)
     for q, wanted in zip(each, coal_distances(robot, path, base, pair, each), strict=True):
         close(made(q)[0], wanted, atol=1e-6)  # where shapes overlap coal iterates to that
 
@@ -98,8 +102,7 @@ def test_distances_of_almost_parallel_capsules(dtype):
 
 @pytest.mark.parametrize(("robot", "name"), CASES)
 def test_rows_are_derivatives(robot, name):
-    robot, _, _, pair = case(robot, name)
-    made, rng = seen(robot, ck.distance(*pair).on(robot)), np.random.default_rng(3)
+    made, robot, rng = seen(robot, name), case(robot, name)[0], np.random.default_rng(3)
     for q in postures(robot, 5, seed=3):
         along = rng.normal(size=robot.n)
         wanted = (made(q + 1e-6 * along)[0] - made(q - 1e-6 * along)[0]) / 2e-6
@@ -107,10 +110,10 @@ def test_rows_are_derivatives(robot, name):
 
 
 def test_a_distance_is_controlled():
-    task = ck.stack(apart=ck.distance(*G1_PAIRS["hands"]), rest=ck.joints(weights=np.full(HUMANOID.n, 0.1)))
-    law = ck.Law(HUMANOID, task, alpha=5.0, inverse=ck.damped(0.01))
-    q0 = 0.2 * np.ones(HUMANOID.n)
-    paths = ck.hold_at(HUMANOID, task, q0, apart=ck.hold([0.3]))
+    task = ck.stack(apart=ck.distance(*PANDA_PAIRS["sphere, capsule"]), rest=ck.joints(weights=np.full(7, 0.1)))
+    law = ck.Law(FRANKA, task, alpha=5.0, inverse=ck.damped(0.01))
+    q0 = np.array([0.0, -0.3, 0.1, -2.0, 0.1, 1.8, 0.5])
+    paths = ck.hold_at(FRANKA, task, q0, apart=ck.hold([0.3]))
     run = ck.solve(law, paths, q0, 0.01, 200, "EE")
     close(run["apart"].x[-1], 0.3, atol=0.01)
 
