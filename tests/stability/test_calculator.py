@@ -1,4 +1,4 @@
-"""The site's calculator against `gains`: 80 drives drawn at random, in a headless Chromium, as the page runs it."""
+"""The site's calculator against `gains`: 200 drives drawn at random, in a headless Chromium, as the page runs it."""
 
 import json
 import pathlib
@@ -13,10 +13,10 @@ import cnclik as ck
 SCRIPT = pathlib.Path(__file__).parents[2] / "docs" / "_static" / "calculator.js"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PAGE = """<!doctype html><meta charset="utf-8"><pre id="out"></pre><script src="{script}"></script><script>
-const rows = {loops}.map(([drive, Ts, method, M]) => {{
+const rows = {loops}.map(([drive, Ts, method, M], i) => {{
   const found = cnclik.gains(drive, Ts, method, M), z = found.recommended;
   const did = z ? cnclik.response(drive, Ts, z, method, M) : {{ settling: 0, overshoot: 0 }};
-  const tools = cnclik.elsewhere(drive, Ts).map((row) => row[1]);
+  const tools = i < 50 ? cnclik.elsewhere(drive, Ts).map((row) => row[1]) : [];  // it searches four loops more
   return [found.stable, found.smooth, z, did.settling, did.overshoot, ...tools];
 }});
 document.getElementById("out").textContent = JSON.stringify(rows, (_, x) => (x === Infinity ? "inf" : x));
@@ -47,11 +47,11 @@ def test_the_page_answers_as_gains_does(tmp_path):
     rng, loops, wanted = np.random.default_rng(20261129), [], []
     names = dict(natural_frequency="frequency", damping_ratio="damping")
     rest = dict(lag=0, frequency=0, damping=1, command="velocity", feedback="measured", smoothing=0, smoothed="error")
-    for drive, Ts, method, M in (drawn(rng) for _ in range(80)):
+    for drive, Ts, method, M in (drawn(rng) for _ in range(200)):
         found = ck.gains(Ts=Ts, drive=ck.Drive(**drive), method=method, M=M)
-        elsewhere = {name: setting.value or 0.0 for name, setting in found.elsewhere.items()}
+        elsewhere = {name: one.value or 0.0 for name, one in (found.elsewhere if len(loops) < 50 else {}).items()}
         did = (found.response.settling_time, found.response.overshoot) if found.response else (0, 0)
-        tools = [elsewhere[name] for name in ("pink", "Placo", "MoveIt Servo", "Isaac Lab", "UR servoj")]
+        tools = [elsewhere[name] for name in ("pink", "Placo", "MoveIt Servo", "Isaac Lab", "UR servoj") if elsewhere]
         wanted.append([found.largest_stable, found.without_overshoot, found.recommended, *did, *tools])
         loops.append([rest | {names.get(k, k): v for k, v in drive.items()}, Ts, method, M])
     page = tmp_path / "page.html"
@@ -61,5 +61,5 @@ def test_the_page_answers_as_gains_does(tmp_path):
         [CHROMIUM, *flags, page.as_uri()], capture_output=True, text=True, timeout=300, check=True
     ).stdout
     rows = json.loads(text.split('<pre id="out">')[1].split("</pre>")[0])
-    found = np.array([[0.0 if value is None else float(value) for value in row] for row in rows])
-    np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-9)
+    for row, numbers in zip(rows, wanted, strict=True):
+        np.testing.assert_allclose([0.0 if x is None else float(x) for x in row], numbers, rtol=1e-6, atol=1e-9)
