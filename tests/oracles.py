@@ -11,6 +11,18 @@ import scipy.linalg
 
 # --- robots -------------------------------------------------------------------------------------------
 
+# file, tip, base: robots people own, 6 to 8 joints, prismatic and continuous ones among them.
+ARMS = {
+    "Panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp", None),
+    "UR5": ("ur_description/urdf/ur5_robot.urdf", "tool0", None),
+    "UR10": ("ur_description/urdf/ur10_robot.urdf", "tool0", None),
+    "iCub arm": ("icub_description/robots/icub.urdf", "l_hand", "chest"),
+    "Talos arm": ("talos_data/robots/talos_reduced.urdf", "gripper_left_base_link", "torso_2_link"),
+    "PR2 arm": ("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame", None),
+    "Kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector", None),
+    "xArm7": ("xarm_description/urdf/xarm7.urdf", None, None),
+}
+
 
 def robots() -> pathlib.Path:
     """Folder of the robots of the example-robot-data wheel."""

@@ -33,7 +33,7 @@ FEWER = {
 }
 SMALLER = {"reach": {"--random": ["--random", "12"]}}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
-ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py"}
+ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py", "check": "tests/diagnosis/test_check.py"}
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
 LONG = [
     "drives",

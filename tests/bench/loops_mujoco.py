@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 import cnclik as ck
-from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.oracles import ARMS, robots
 
 STEP = 1e-3  # of the physics [s]
 ARMATURE = 0.1  # [kg m²] of each joint's motor, seen behind its gears
@@ -53,9 +53,9 @@ class Arm:
     """An arm at rest in its posture; its loop holds the pose of its tip."""
 
     def __init__(self, name):
-        file, tip, _ = ROBOTS[name]
+        file, tip, _ = ARMS[name]
         self.tip = tip or TIPS[name]
-        self.name, self.path = name, folder() / file
+        self.name, self.path = name, robots() / file
         self.q = np.array(POSTURES[name])
         self.chain = ck.load_urdf(self.path, self.tip)
         self.n = self.chain.n

@@ -17,10 +17,9 @@ import pinocchio as pin
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
 from cnclik.stability.gain import ASSUMED_DELAY, LOOKAHEAD, OWN_COMMANDS, gains
-from tests.integrate.test_real_robots import ROBOTS, folder
-from tests.oracles import late_by
+from tests.oracles import ARMS, late_by, robots
 
-FILE, TIP, _ = ROBOTS["Panda"]
+FILE, TIP, _ = ARMS["Panda"]
 Q = np.array([0.1, -0.7, 0.1, -2.2, 0.1, 1.7, 0.8])
 SHIFT, TURN = np.array([0.02, -0.015, 0.02]), np.array([0.04, 0.05, -0.06])  # of the target [m], [rad]
 AWAY = 0.2  # of the posture along the null space [rad]
@@ -35,10 +34,10 @@ CASES = {  # Ts and drive; None: nothing is said, and the robot has what is assu
 @functools.cache
 def arm():
     """Pinocchio's model without the fingers, its tip's frame, and cnclik's chain."""
-    full = pin.buildModelFromUrdf(str(folder() / FILE))
+    full = pin.buildModelFromUrdf(str(robots() / FILE))
     fingers = [i for i, name in enumerate(full.names) if "finger" in name]
     model = pin.buildReducedModel(full, fingers, pin.neutral(full))
-    return model, model.getFrameId(TIP, pin.FrameType.BODY), ck.load_urdf(folder() / FILE, TIP)
+    return model, model.getFrameId(TIP, pin.FrameType.BODY), ck.load_urdf(robots() / FILE, TIP)
 
 
 @functools.cache
@@ -157,7 +156,7 @@ def with_mink(gain, posture_gain, Ts):
 
 def with_placo(gain, posture_gain, Ts):
     placo = importlib.import_module("placo")
-    robot = placo.RobotWrapper(str(folder() / FILE), placo.Flags.ignore_collisions, _without_shapes())
+    robot = placo.RobotWrapper(str(robots() / FILE), placo.Flags.ignore_collisions, _without_shapes())
     solver = placo.KinematicsSolver(robot)
     names = list(arm()[2].joint_names)
     solver.mask_fbase(True)
@@ -185,7 +184,7 @@ def with_placo(gain, posture_gain, Ts):
 
 
 def _without_shapes() -> str:
-    robot = ET.parse(folder() / FILE).getroot()
+    robot = ET.parse(robots() / FILE).getroot()
     for link in robot.findall("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)

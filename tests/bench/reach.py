@@ -28,7 +28,7 @@ from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from tests.bench import timing
 from tests.bench.reach_peers import ROBOTS, Robot
-from tests.integrate.test_real_robots import folder
+from tests.oracles import robots
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
 Z1 = "z1_description/urdf/z1.urdf"
@@ -82,11 +82,11 @@ def asked(name, count):
     """(how to build the robot, and its task, as Python; targets; the robot beside Pinocchio or None)"""
     if name in ROBOTS:
         robot, (file, tip, base) = Robot(name), ROBOTS[name]
-        build = f"ck.load_urdf({str(folder() / file)!r}, {tip!r}, {base!r})"
+        build = f"ck.load_urdf({str(robots() / file)!r}, {tip!r}, {base!r})"
         return build, "'pose'", robot.pose(robot.drawn(count)), robot
     build, task = "ck.planar_arm([0.5, 0.4, 0.3])", "ck.position('xy')"
     if name == "Z1":
-        build, task = f"ck.load_urdf({str(folder() / Z1)!r}, 'gripperStator')", "'pose'"
+        build, task = f"ck.load_urdf({str(robots() / Z1)!r}, 'gripperStator')", "'pose'"
     elif name != "planar":
         build = f"ck.load_urdf({str(BAXTER)!r}, tips={GRIPPERS!r})"
         task = "ck.stack(" + ", ".join(f"{tip}=ck.pose(tip={tip!r})" for tip in GRIPPERS) + ")"

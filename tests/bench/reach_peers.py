@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 
 import cnclik as ck
-from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.oracles import ARMS, robots
 
 TOLERANCE = 1e-6  # [m], [rad]
 SLACK = 1e-9  # [m, rad] between two forward kinematics
@@ -15,8 +15,8 @@ class Robot:
     """A robot as cnclik has it, beside Pinocchio's model of the same file."""
 
     def __init__(self, name):
-        file, tip, base = ROBOTS[name]
-        self.name, self.path = name, folder() / file
+        file, tip, base = ARMS[name]
+        self.name, self.path = name, robots() / file
         self.chain = ck.load_urdf(self.path, tip, base)
         self.model = pin.buildModelFromUrdf(str(self.path))
         self._data = self.model.createData()

@@ -1,6 +1,6 @@
 """`python -m tests.bench.starts`: from 1,000 random starts, how often does a loop arrive, whatever its gain?
 
-Eight real robots (those of tests/integrate/test_real_robots.py, which their wheel brings), the whole pose, damped
+Eight real robots (those of tests/oracles.py, which their wheel brings), the whole pose, damped
 inverse with λ = 0.01. Starts and targets are drawn within the joint limits (within ±π where there are none), so every
 target can be reached; limits are not respected on the way. Ts = 0.1 s, N = 150; arrived is who ends within 1e-3 (norm
 of position [m] and turn [rad]). Exponential steps at z = 0.1 … 100 against explicit Euler at z = 0.1 … 1.9;
@@ -21,7 +21,7 @@ import numpy as np
 import cnclik as ck
 from cnclik.measure.files import markdown
 from cnclik.sweeps.sweep import sweep
-from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.oracles import ARMS, robots
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "methods_starts"
 STARTS, TS, N, TOLERANCE, SEED = 1000, 0.1, 150, 1e-3, 13
@@ -43,8 +43,8 @@ def drawn(chain, rng):
 
 def arrivals(name, loops=LOOPS) -> list:
     """One row per loop and z of a robot: the share that arrives."""
-    file, tip, base = ROBOTS[name]
-    chain = ck.load_urdf(folder() / file, tip, base)
+    file, tip, base = ARMS[name]
+    chain = ck.load_urdf(robots() / file, tip, base)
     rng = np.random.default_rng(SEED)
     starts, goals = drawn(chain, rng), drawn(chain, rng)
     with jax.enable_x64(True):
@@ -85,13 +85,13 @@ def table(made) -> str:
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", nargs="*", choices=list(ROBOTS), default=list(ROBOTS))
+    parser.add_argument("--robots", nargs="*", choices=list(ARMS), default=list(ARMS))
     asked = parser.parse_args()
     made = []
     for name in asked.robots:
         made += arrivals(name)
         print(table(made), flush=True)
-    if asked.robots == list(ROBOTS):
+    if asked.robots == list(ARMS):
         RESULTS.mkdir(parents=True, exist_ok=True)
         (RESULTS / "tables.md").write_text(f"Share that arrives [%]\n\n{table(made)}", encoding="utf-8")
 

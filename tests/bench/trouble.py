@@ -18,12 +18,12 @@ from cnclik.cli.progress import bar
 from cnclik.measure.files import markdown
 from cnclik.problem.names import start_from
 from cnclik.robot.posture import arm_length
-from tests.integrate import test_real_robots as real
+from tests import oracles
 
 RESULTS = pathlib.Path(__file__).parents[2] / "results" / "robots"
 ORDER = ("Panda", "xArm7", "Talos arm", "iCub arm", "PR2 arm", "UR5", "UR10", "Kinova")
 # Of the PR2 the arm alone, without the column that lifts it: all joints turn, so that "past" is in rad.
-ROBOTS = {name: real.ROBOTS[name] for name in ORDER} | {"PR2 arm": (*real.ROBOTS["PR2 arm"][:2], "torso_lift_link")}
+ROBOTS = {name: oracles.ARMS[name] for name in ORDER} | {"PR2 arm": (*oracles.ARMS["PR2 arm"][:2], "torso_lift_link")}
 PATHS = {
     "singularity": "There and back through a posture where the Jacobian loses rank, reachable all the way",
     "limit": "There and back along a path that one joint could follow only 0.2 rad past its limit",
@@ -93,7 +93,7 @@ def measured(report) -> list[dict]:
     """Every robot on every path with every method, as rows in the order of the page; progress goes to `report`."""
     rows = []
     for robot, (file, tip, base) in ROBOTS.items():
-        chain = ck.load_urdf(real.folder() / file, tip, base)
+        chain = ck.load_urdf(oracles.robots() / file, tip, base)
         q0 = start_from(chain, TASK)
         ways, kinds = paths(chain, q0), methods()
         for method, (inverse, clamp, limits) in kinds.items():

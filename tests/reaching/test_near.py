@@ -8,7 +8,7 @@ import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching.starts import spans
 from cnclik.reaching.units import unit_of
-from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.oracles import ARMS, robots
 from tests.reaching.test_reach import drawn, tips
 
 SIZES = (1e-4, 1e-2, 30.0, 1e4, 1e6)
@@ -66,10 +66,10 @@ def test_near_is_where_the_search_begins_and_not_where_it_ends(robot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", ARMS)
 def test_near_of_eight_robots(name):
-    file, tip, base = ROBOTS[name]
-    assert wrong(ck.load_urdf(folder() / file, tip, base), 10_000) == {}
+    file, tip, base = ARMS[name]
+    assert wrong(ck.load_urdf(robots() / file, tip, base), 10_000) == {}
 
 
 def test_a_minimum_at_a_limit_next_to_near_hides_no_answer():

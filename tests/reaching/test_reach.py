@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching.starts import spans
-from tests.integrate.test_real_robots import ROBOTS, folder
+from tests.oracles import ARMS, robots
 from tests.robot.test_urdf import Pinocchio, oracle
 
 WRIST = ck.from_dh(
@@ -40,10 +40,10 @@ def drawn(chain, count, seed=0):
 @pytest.mark.parametrize("name", ["Panda", "UR5"])
 def test_every_answer_is_one(name):
     """By Pinocchio's forward kinematics, and within the limits."""
-    file, tip, base = ROBOTS[name]
-    chain = ck.load_urdf(folder() / file, tip, base)
-    model, _ = oracle(folder() / file)
-    other = Pinocchio(folder() / file, model)
+    file, tip, base = ARMS[name]
+    chain = ck.load_urdf(robots() / file, tip, base)
+    model, _ = oracle(robots() / file)
+    other = Pinocchio(robots() / file, model)
     tip, base = tip or "tool0", base or model.frames[1].name
     targets = tips(chain, drawn(chain, 120))
     made = ck.reach(chain, targets)

@@ -11,7 +11,7 @@ from cnclik.reaching import public, search
 from cnclik.reaching.descent import starts_of
 from cnclik.reaching.starts import COUNT, start
 from cnclik.task.build import pose
-from tests.integrate.test_real_robots import folder
+from tests.oracles import robots
 from tests.reaching.test_reach import WRIST, drawn, tips
 
 FIELDS = "q", "status", "position_error", "orientation_error", "evaluations", "at_limit"
@@ -105,7 +105,7 @@ def test_a_wound_up_joint_has_its_answers_where_it_is():
 
 def test_the_nearest_pose_is_where_a_descent_rests():
     """Of a Z1 with its tip at the gripper: 802 mm and 261 mrad were called nearest once."""
-    arm = ck.load_urdf(folder() / "z1_description/urdf/z1.urdf", "gripperStator")
+    arm = ck.load_urdf(robots() / "z1_description/urdf/z1.urdf", "gripperStator")
     made = ck.reach(arm, [-0.6076486, 0.6904791, -0.3924306, 0.6281435, 0.0735664, -0.4141221, -0.6546195])
     assert made.status == ReachStatus.OUT_OF_REACH
     assert made.position_error < 0.7705 and made.orientation_error < 0.236
