@@ -10,7 +10,7 @@ import time
 from cnclik import errors
 
 OWN = ".cnclik"  # a file in each store of a sweep
-LIST = ".cnclik-files"  # in a folder of results: when cnclik wrote each file there, and its name
+LIST = ".cnclik-files"  # in a folder of results: when cnclik wrote each file there, its size and name
 _PARTIAL = ".partial-"
 _ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
 _begun: list[pathlib.Path] = []  # hidden folders that this process writes into
@@ -30,8 +30,9 @@ def is_own(path: pathlib.Path) -> bool:
 
 
 def _line(path: pathlib.Path, name: str) -> bytes:
-    """The line of the list for a file that is going to have this name; a link has its own time, not its target's."""
-    return b"%d %s" % (os.lstat(path).st_mtime_ns, os.fsencode(name))
+    """The line of the list for a file that is going to have this name: its time and size; a link has its own."""
+    state = os.lstat(path)
+    return b"%d %d %s" % (state.st_mtime_ns, state.st_size, os.fsencode(name))
 
 
 def check_free(name: str, folder, files, *, overwrite=False) -> None:

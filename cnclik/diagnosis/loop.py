@@ -26,6 +26,8 @@ UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
+CLEAR, SURELY = 45.0, 0.9  # evidence and probability of a loop that swings
+OVERTONE = 0.12  # relative deviation of an overtone's period, which large motions shift
 GROWN = 2.0  # factor over the rows read by which a mode does not grow in a log whose steps end smaller
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
 CAREFUL, TAIL = 0.25, 0.1  # shares of the likely drives that tolerate less than the one chosen, and than those said
@@ -277,17 +279,37 @@ def slowest(dead, lag, z) -> complex:
 
 
 def read(y) -> Loop | None:
-    """The loop behind y (N, k), columns as `prepared` gives them; None if it is too short."""
+    """The loop behind y (N, k), columns as `prepared` gives them; None if it is too short.
+
+    Of the periods it may have, that with the most evidence; an overtone of a loop that clearly swings is none.
+    """
     first, last, jumped = window(y)
-    best = -np.inf, 1, np.empty((5, 0))
+    best = None
     for period in periods_of(main_parts(y[first:last])) if last - first > 15 else ():
-        m = max(1, min(int(period / PER_PERIOD), (last - first) // 40))
-        past = 0 if jumped else min(first, (int(min(DEAD, period / m / 3 + 3)) + 4) * m)
-        parts = main_parts(averaged(y[first - past : last], m))
-        loops, none = fits(parts, period / m) if len(parts) > 15 else (np.empty((5, 0)), 0.0)
-        loops = loops[:, loops[2] > 0]
-        best = max(best, (none - loops[4].min(initial=np.inf), m, loops), key=lambda one: one[0])
-    evidence, m, loops = best
+        loop = _read_at(y, period, first, last, jumped)
+        if loop is None or (best is not None and loop.evidence <= best.evidence):
+            continue
+        if best is not None and best.evidence > CLEAR and best.swings > SURELY and _is_overtone(loop, best):
+            continue
+        best = loop
+    return best
+
+
+def _is_overtone(loop, of) -> bool:
+    """Whether a loop swings twice or three times in a period of another one."""
+    ratio = of.period / loop.period
+    return any(abs(ratio / count - 1) < OVERTONE for count in (2, 3))
+
+
+def _read_at(y, period, first, last, jumped) -> Loop | None:
+    """The loop that predicts rows first to last best, on the grid of a period [rows]."""
+    m = max(1, min(int(period / PER_PERIOD), (last - first) // 40))
+    past = 0 if jumped else min(first, (int(min(DEAD, period / m / 3 + 3)) + 4) * m)
+    parts = main_parts(averaged(y[first - past : last], m))
+    if len(parts) <= 15:
+        return None
+    loops, none = fits(parts, period / m)
+    loops = loops[:, loops[2] > 0]
     if not loops.size:
         return None
     dead, lag, _, _, score = loops
@@ -306,7 +328,7 @@ def read(y) -> Loop | None:
     ends = (dead[score == least][0], near.min() - 0.25, near.max() + 0.25) if len(near) else (0.0, 0.0, DEAD)
     return Loop(
         mode=complex(modes[np.argmax(odds[likely])]),
-        evidence=float(evidence),
+        evidence=float(none - score.min()),
         swings=float(np.sum(odds[likely] * over) / np.sum(odds[likely])),
         dead=tuple(float(max((end + 0.5) * m - 0.5, 0.0)) for end in ends),
         alone=bool(least < score[~alone].min(initial=np.inf) - ALONE),

@@ -169,8 +169,8 @@ def test_what_solve_writes_can_be_read(tmp_path, capsys):
         capsys.readouterr()
         main(["diagnose", log, "--alpha", "30", "--columns", *columns, "--json"])
         found = json.loads(capsys.readouterr().out)
-        assert found["rings"] and abs(found["z"] - 0.06) < 0.01, columns
-        assert 7 < found["recommended_alpha"] < 11
+        assert found["rings"] and 0.05 < found["z"] < 0.08, columns  # 0.06, of a motion so large that it bends
+        assert 7 < found["recommended_alpha"] < 12  # 1/(e (17 + 1) Ts) is 10.2
 
 
 @pytest.mark.parametrize(

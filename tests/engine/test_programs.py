@@ -551,4 +551,4 @@ def test_metrics_are_no_longer_for_more_steps():
     for N in (30, 90):
         traced = trace(lambda q, N=N: measured(q, N), [jax.ShapeDtypeStruct((2,), "float64")])
         count.append(write(*read(traced.closed), traced.shapes)[1])
-    assert len(names) > 30 and count[1] < 1.01 * count[0]
+    assert len(names) >= 30 and count[1] < 1.01 * count[0]

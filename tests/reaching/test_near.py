@@ -188,7 +188,7 @@ def test_on_the_border_only_what_is_known_is_said(size):
     assert (beyond[made.status == ReachStatus.OUT_OF_REACH] > 1e-14 * size).all()
 
 
-def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach(way):
+def test_next_to_a_singularity_a_near_miss_is_no_lack_of_reach():
     """Postures with joints at 0, whose poses are reached: what `jump` forbids is never called out of reach."""
     arm = ck.from_dh([1.0] * 6, [1.57, -1.57] * 3, [0.0] * 6, lower=[-3.0] * 6, upper=[3.0] * 6)
     rng = np.random.default_rng(3)
