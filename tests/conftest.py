@@ -35,13 +35,10 @@ from cnclik.cache import give_back
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
-# The longest eighth of the tests (`pytest -m "not slow" --durations=0`): CI runs them after the others.
-LONG = {f"tests/{line}" for line in (pathlib.Path(__file__).parent / "long.txt").read_text().splitlines()}
 LONGEST = (
     "test_docs.py",
     "test_reach.py",
     "test_store.py",
-    "test_cli_stack.py",
     "test_walls.py",
     "test_stack.py",
     "test_tasks.py",
@@ -56,10 +53,7 @@ LONGEST = (
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """The longest files first: no worker waits for one alone. Tests in long.txt are marked."""
-    for item in items:
-        if item.nodeid in LONG:
-            item.add_marker("long")
+    """The longest files first: no worker waits for one alone."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
