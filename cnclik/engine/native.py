@@ -22,7 +22,7 @@ from cnclik.engine.plan import chosen
 from cnclik.engine.program import Program, key_of
 from cnclik.engine.reader import Trace, trace
 from cnclik.engine.rounds import RoundsError
-from cnclik.engine.to_jax import Derived, for_few_lanes
+from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import engine, is_read
 
 _registered = {}  # {name of a library: its program}, kept as XLA may call it as long as the process lives
@@ -225,7 +225,6 @@ def _lowered(ctx, *args, function, batched, platform):
         fn = functools.partial(_called, form, size)
     elif batch:
         fn = jax.vmap(fn, [0 if b else None for b in batched])
-        fn = for_few_lanes(fn, size) if isinstance(form, Derived) and platform == "cpu" else fn
     with engine("plain" if isinstance(form, SlowError) else engine.value):
         return mlir.lower_fun(fn, multiple_results=True)(ctx, *args)
 

@@ -24,8 +24,6 @@ from cnclik.engine.to_c import HEAVY, weight
 
 LONGEST, BACK, WORTH = 40, 8, 4  # measured; the speed hardly depends on them
 FEWEST = 3  # operations, at least, of a stage
-FEW = 1024  # lanes, at most, of a batch that is one function of XLA; with more of them XLA:CPU may fail
-LARGE = 1 << 14  # numbers of an argument
 
 _OTHER_NAMES = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
 
@@ -46,32 +44,6 @@ class Derived:
 
     def __call__(self, *leaves) -> list:
         return self.call(*leaves)
-
-
-def for_few_lanes(fn, lanes):
-    """A function of batches as one function of XLA:CPU, if it has so few lanes.
-
-    Otherwise XLA runs each kernel of a loop through its runtime's dispatcher: a fifth of the speed. It fails where such
-    a function has a single, large result, which several threads would compute (jaxlib 0.10). So there is a second one.
-    It also fails where such a function reads a large table.
-    """
-    if lanes > FEW:
-        return fn
-
-    def inside(*args):  # the mark is for this call, not for those inside it
-        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):
-            return [*fn(*args), lax.optimization_barrier(jnp.bool_(True))]
-
-    jitted = jax.jit(inside, inline=False)
-
-    def call(*args):
-        if any(x.size > LARGE for x in args):
-            return fn(*args)
-        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            *found, sure = jitted(*args)
-        return found if len(found) > 1 else [jnp.where(sure, x, jnp.zeros_like(x)) for x in found]
-
-    return call
 
 
 class _Writer:

@@ -14,7 +14,7 @@ from cnclik.engine.plan import use_engine
 from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.reader import read, trace
 from cnclik.engine.scalar import ScalarWriter, helpers
-from cnclik.engine.to_jax import Derived, for_few_lanes
+from cnclik.engine.to_jax import Derived
 
 NEEDS_C = pytest.mark.skipif(not can_build(), reason="no C compiler")
 STRICT = "-std=c99 -O1 -pedantic -Wall -Wextra -Werror -fPIC -shared"
@@ -65,7 +65,7 @@ def derived(fn, *args):
     """Results of the function as the engine writes it for JAX, of a batch."""
     leaves, treedef = jax.tree.flatten(args)
     made = Derived(of_leaves(fn, treedef), lane_avals(leaves))
-    return jax.tree.unflatten(made.tree, jax.jit(for_few_lanes(jax.vmap(made), len(leaves[0])))(*leaves))
+    return jax.tree.unflatten(made.tree, jax.jit(jax.vmap(made))(*leaves))
 
 
 def plain(fn, *args):
