@@ -225,9 +225,9 @@ def _own(array):
     return copy
 
 
-def in_words(value, digits=5) -> str:
-    """A number, vector or matrix as text, on one line; of floats so many significant digits."""
-    shown: Any = {"float_kind": lambda v: f"{v:.{digits}g}"}
+def in_words(value) -> str:
+    """A number, vector or matrix as text, on one line; of floats five significant digits."""
+    shown: Any = {"float_kind": lambda v: f"{v:.5g}"}
     return np.array2string(np.asarray(value), separator=", ", max_line_width=10**6, formatter=shown).replace("\n", "")
 
 

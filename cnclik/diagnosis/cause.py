@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik.diagnosis.loop import COLOURS, DEAD, UNMODELLED, averaged, filtered, fits, free, path_basis, slowest, window
+from cnclik.diagnosis.recording import line
 
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
@@ -39,13 +40,13 @@ def turned(y) -> Turned | None:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    line, plain = np.linspace(-1, 1, N)[:, None] ** np.arange(2), np.inf
+    level, plain = line(N), np.inf
     found: list = []
     for theta in (0.0, *COLOURS):
         over = [1.0, -theta]
-        left, acts = free(line, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
+        left, acts = free(level, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
         for d in range(most + 1):
-            late = free(line, acts[-N - 1 - d : -1 - d])
+            late = free(level, acts[-N - 1 - d : -1 - d])
             across = -sum(left[:, b].T @ late[:, b] for b in blocks)
             u, _, vt = np.linalg.svd(across)
             u[:, -1] *= np.sign(np.linalg.det(u @ vt))
@@ -80,7 +81,7 @@ def _angle(R) -> float:
 
 def _circular(y) -> bool:
     """Whether coordinates follow each other by a quarter turn: those of a loop with dead time swing in phase."""
-    free_ = free(np.linspace(-1, 1, len(y))[:, None] ** np.arange(2), y)
+    free_ = free(line(len(y)), y)
     wave = np.fft.ifft(
         np.where((np.arange(2 * len(y)) < len(y))[:, None], 2 * np.fft.fft(free_, 2 * len(y), axis=0), 0), axis=0
     )[: len(y)]

@@ -165,15 +165,11 @@ def _limits(limits, chain, k) -> dict:
 def _rows(t, moved, Ts):
     """(findings of rows, times of the rows to keep, whether a gap is before each, their indices)."""
     step = np.diff(t)
-    two = np.concatenate(
-        [[np.inf], t[2:] - t[:-2], [np.inf]]
-    )  # a single late stamp is jitter: the next one is not late
+    two = np.concatenate([[np.inf], t[2:] - t[:-2], [np.inf]])  # a single late stamp is jitter: the next is not late
     late = (step > 1.6 * Ts) & (two[:-1] > 2.6 * Ts) & (two[1:] > 2.6 * Ts)
     missing = np.sum(np.round(step[late] / Ts) - 1)
     same = step == 0
-    way = np.convolve(
-        moved, [1.0, 0.0, 0.0, 0.0, 1.0], "same"
-    )  # a stale row: a steady motion stops, and makes up for it
+    way = np.convolve(moved, [1.0, 0.0, 0.0, 0.0, 1.0], "same")  # a stale row: steady motion stops, and makes up for it
     same[2:-2] |= (moved[2:-2] == 0) & (np.abs(moved[3:-1] / np.maximum(way[2:-2], 1e-300) - 1) < 0.1)
     back = step < 0
     each = (("missing", missing, late), ("repeated", np.sum(same), same), ("reversed", np.sum(back), back))

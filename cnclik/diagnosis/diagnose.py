@@ -8,6 +8,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.diagnosis import cause, loop
+from cnclik.diagnosis.loop import EVIDENCE, SURELY
 from cnclik.diagnosis.recording import LEAST, columns
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
@@ -28,12 +29,10 @@ class Kind(enum.StrEnum):
     UNDECIDED = "undecided"
 
 
-EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's, unless its gain is known,
-EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # and that of the mode by less than this factor,
+EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # as EVIDENCE, of a loop whose gain is known, and the mode's by less than this factor,
 EVIDENCE_EXCITED, MANY = 90.0, 12.0  # or it does not decay as its mode does: then over so many periods
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
 UNKNOWN = 0.8  # confidence without alpha, at most
-SURELY = 0.9  # share of the probability that loops which swing must have
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods

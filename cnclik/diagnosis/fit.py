@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import LARGEST, LEAST, columns, sampling_time
+from cnclik.diagnosis.recording import LARGEST, LEAST, columns, line, sampling_time
 from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
@@ -145,7 +145,7 @@ class _Log:
         self.base = unit * command[0][:, None] * (self.t if velocity else 1.0 + 0 * self.t)
         self.length = 1 << (2 * len(motion) - 1).bit_length()
         self.changes = np.fft.rfft(unit * np.diff(command, axis=0, prepend=command[:1]).T, self.length)
-        self.line = np.linalg.qr(np.linspace(-1, 1, len(motion))[:, None] ** np.arange(2))[0].T  # (2, N) orthonormal
+        self.line = np.linalg.qr(line(len(motion)))[0].T  # (2, N) orthonormal
 
     def response(self, kind, values, joint):
         """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
@@ -154,8 +154,8 @@ class _Log:
 
     def free(self, a, parts):
         """Rows (..., N) without offset, and without drift where there is one."""
-        line = self.line[: 1 + parts[1]]
-        return a - (a @ line.T) @ line
+        level = self.line[: 1 + parts[1]]
+        return a - (a @ level.T) @ level
 
     def left(self, kind, values, parts, joint):
         """((..., N) residuals, (...) gains) of drives (..., p) of joints (...)."""

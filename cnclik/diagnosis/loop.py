@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cnclik.diagnosis.recording import line
 from cnclik.integrate.drive import MOST, Drive
 
 ROWS = 2000  # rows that are read, those that move most: more change no digit of a gain
@@ -26,7 +27,8 @@ UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
-CLEAR, SURELY = 45.0, 0.9  # evidence and probability of a loop that swings
+EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's
+SURELY = 0.9  # share of the probability that loops which swing must have
 OVERTONE = 0.12  # relative deviation of an overtone's period, which large motions shift
 GROWN = 2.0  # factor over the rows read by which a mode does not grow in a log whose steps end smaller
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
@@ -100,7 +102,7 @@ def window(y):
         away = np.any(np.abs(y - y[0]) > 6 * noise_of(y) + 2e-3 * span, axis=1)
         first = int(np.argmax(away)) if np.argmax(away) < 0.6 * N else 0
     tail = y[-max(N // 5, 8) :]
-    rest = free(np.linspace(-1, 1, len(tail))[:, None] ** np.arange(2), tail)
+    rest = free(line(len(tail)), tail)
     left, away = np.sqrt(np.mean(np.sum(rest**2, 1))), np.linalg.norm(y - np.median(tail, axis=0), axis=1)
     if left < 0.03 * away.max():
         moving = np.flatnonzero(away > max(4 * left, 0.01 * away.max()))[-1]
@@ -164,7 +166,7 @@ def path_basis(N, period=np.inf):
 def periods_of(y) -> list:
     """Periods [rows] that the oscillation of y (N, k) may have: of its autocovariance and of its spectrum."""
     N = len(y)
-    still = free(np.linspace(-1, 1, N)[:, None] ** np.arange(2), y)
+    still = free(line(N), y)
     shared = np.fft.irfft(np.sum(np.abs(np.fft.rfft(still, 2 * N, axis=0)) ** 2, 1))[:N]
     size = min(N // 2, N - 8)
     every = max(1, -(-size // 120))
@@ -289,7 +291,7 @@ def read(y) -> Loop | None:
         loop = _read_at(y, period, first, last, jumped)
         if loop is None or (best is not None and loop.evidence <= best.evidence):
             continue
-        if best is not None and best.evidence > CLEAR and best.swings > SURELY and _is_overtone(loop, best):
+        if best is not None and best.evidence > EVIDENCE and best.swings > SURELY and _is_overtone(loop, best):
             continue
         best = loop
     return best

@@ -19,6 +19,11 @@ def columns(name, values, door):
     return values[:, None] if values.ndim == 1 else values
 
 
+def line(N):
+    """Return an offset and a drift as columns (N, 2)."""
+    return np.linspace(-1, 1, N)[:, None] ** np.arange(2)
+
+
 def sampling_time(t, Ts) -> float:
     """Ts [s] as given or from times (N,) with jitter.
 

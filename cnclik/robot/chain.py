@@ -232,7 +232,7 @@ def from_screws(
     if len(axes) != len(points):
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
     kinds = _kinds(kinds, len(points))
-    tip = offset_of("home", home, places=True)
+    tip = offset_of("home", home)
     joints, last = [], ZERO
     for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
         joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=vsub(point, last)), coordinate=i))
@@ -324,18 +324,18 @@ def _kinds(kinds, n):
     return tuple(letters[k] for k in given)
 
 
-def offset_of(name, transform, places=False) -> Offset:
-    """Return the offset of a pose (see `poses.whole`), or where it `places` of a position (3,); None is the identity.
+def offset_of(name, transform) -> Offset:
+    """Return the offset of a pose (see `poses.whole`), or of a position (3,); None is the identity.
 
     Lists of numbers stay literal.
     """
     if transform is None or isinstance(transform, Offset):
         return transform or Offset()
     pose = poses.whole(name, transform)
-    if places and pose is None and len(poses.shape_of(transform)) == 1:
+    if pose is None and len(poses.shape_of(transform)) == 1:
         return Offset(position=_scalars(name, transform, 3))
     if pose is None or np.ndim(pose[0]) != 1:
-        must = "be one pose: " + poses.FORMS + ", or a position (3,)" * places
+        must = f"be one pose: {poses.FORMS}, or a position (3,)"
         raise errors.fail(name, must, f"has shape {np.shape(pose[0])}" if pose else f"is {transform!r}")
     if all(map(is_number, jax.tree.leaves(transform))):
         pose = [part.tolist() for part in pose]

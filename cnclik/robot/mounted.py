@@ -24,7 +24,7 @@ def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
     Args: tip: name of the tip that carries the tool; None: the only one.
     """
     before = errors.kind("chain", chain, Chain).tips[chain.tip_number(tip)].offset
-    return with_tip(chain, compose(before, offset_of("tool", tool, places=True)), tip)
+    return with_tip(chain, compose(before, offset_of("tool", tool)), tip)
 
 
 def with_base(chain: Chain, base: PoseLike) -> Chain:
@@ -32,7 +32,7 @@ def with_base(chain: Chain, base: PoseLike) -> Chain:
 
     Targets, Jacobians and tip poses are then in the world frame.
     """
-    parents, place = errors.kind("chain", chain, Chain).parents, offset_of("base", base, places=True)
+    parents, place = errors.kind("chain", chain, Chain).parents, offset_of("base", base)
     return replace(chain, joints=_placed(chain.joints, parents, place), masses=put(chain.masses, place))
 
 
@@ -69,7 +69,7 @@ def join(
     number = errors.kind("chain", chain, Chain).tip_number(at)
     errors.kind("other", other, Chain)
     carrier, count = chain.tips[number], len(chain.joints)
-    start = compose(carrier.offset, offset_of("transform", transform, places=True))
+    start = compose(carrier.offset, offset_of("transform", transform))
     joints = list(chain.joints)
     for joint, parent in zip(_placed(other.joints, other.parents, start), other.parents, strict=True):
         parent = carrier.joint if parent < 0 else count + parent

@@ -210,7 +210,7 @@ def _ends(tree, tips) -> dict:
     ends = {}
     for name, end in named.items():
         link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
-        ends[name] = link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where, places=True)
+        ends[name] = link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where)
     return ends
 
 

@@ -180,12 +180,11 @@ def legend_columns(labels, width) -> int:
     return 1
 
 
-def legend(figure, panel, columns=None) -> None:
+def legend(figure, panel) -> None:
     """One legend above all panels, with what one of them shows."""
     handles, labels = panel.get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside upper center", ncols=columns or legend_columns(labels, figure.get_figwidth())
-    )
+    columns = legend_columns(labels, figure.get_figwidth())
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
 def save(figure, path, about: dict) -> None:
