@@ -118,7 +118,7 @@ def advise(
         )
         raise errors.fail("drive", must, "differs from joint to joint")
     loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
-    euler = gains(Ts=Ts, drive=drive, method="EE") if any(kind in _OF_VELOCITIES for _, kind, _ in rates) else loop
+    euler = loop.by("EE")
     return Advice(
         gains=loop,
         rates=tuple(Rate(*one, euler if one[1] in _OF_VELOCITIES else loop) for one in rates),
