@@ -14,7 +14,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "ending": ["Behaviour", "Verdict", "verdict"],
         "gain": ["Gains", "Response", "Setting", "gain_table", "gains"],
         "linear": ["amplification", "stability_limit"],
-        "maps": ["outcomes", "plane", "stability_map"],
+        "maps": ["plane", "stability_map"],
         "spectrum": ["spectral_radius"],
     },
 )

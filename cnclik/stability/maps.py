@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
@@ -13,7 +12,7 @@ from cnclik.integrate.lanes import lanes
 from cnclik.integrate.method import DEFAULT, MethodLike, evaluations_per_step, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import check_loop
-from cnclik.measure.outcome import Ending, Outcome, outcome
+from cnclik.measure.outcome import Ending, outcome
 from cnclik.precision import in_float64
 from cnclik.record import replace
 from cnclik.stability.gain import mixed_share
@@ -33,7 +32,7 @@ RESULTS = {
 
 
 @in_float64
-def outcomes(
+def stability_map(
     law,
     reference,
     q0,
@@ -48,129 +47,95 @@ def outcomes(
     tolerance=1e-3,
     scale=None,
     progress=None,
-) -> Outcome:
-    """Run a loop for every given combination and classify how each ended, see `outcome`. In float64.
+):
+    """Return how simulated loops end over gains, sampling times and passes, and the linear limit. In float64.
 
     Args:
-      law, reference: the loop; a gain that is not a number is scaled so that its largest entry is alpha.
-      q0: (..., n) start; alpha, Ts, M: (...). All are broadcast against each other, one loop each.
-      M: passes in place of the stage's own, or None.
+      law, reference, q0: the loop; the reference must be constant. A gain that is not a number is scaled so that its
+        largest entry is alpha.
+      alpha: [1/s]. Ts: [s]. M: passes of an implicit method, or None: the stage's own. Each a number, or (k,) and then
+        an axis of the map.
+      N, tolerance, scale: number of steps, and what counts as converged, see `outcome`.
+      method, stage: as for `solve`.
       drive: what lies between command and motion; its dead time is in samples, all else in seconds.
-      N, tolerance, scale: number of steps, and what counts as converged.
       progress: called as progress(loops done, loops in all), or None.
-    Returns: `Outcome` of NumPy arrays (...).
+    Returns: an xarray.Dataset over (M, Ts, alpha), or those that are axes, of the fields of `Outcome`, and `limit` over
+      (M, Ts): the largest gain that is stable at any posture, exact for J# without damping, see `gains`.
     """
-    method, n, largest = named(method), law.chain.n, float(np.max(np.asarray(law.alpha)))
+    import xarray as xr
+
+    method, largest = named(method), float(np.max(np.asarray(law.alpha)))
     check_loop(law, reference)
     check_drive(drive, law.chain)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
     errors.progress(progress)
-    given = {"q0": q0, "alpha": alpha, "Ts": Ts, "M": 0 if M is None else M}
-    q0, alpha, Ts, passes = (np.asarray(errors.array(name, value), float) for name, value in given.items())
-    if not np.all(Ts > 0):
-        raise errors.fail("Ts", "be positive", f"is {Ts.tolist()}")
-    if np.any((passes < 0) | (passes > 1_000_000) | (np.round(passes) != passes)):
-        raise errors.fail("M", "be whole, at least 0 and at most a million", f"is {passes.tolist()}")
-    if q0.shape[-1:] != (n,):
-        raise errors.fail("q0", f"have shape (..., {n})", f"has shape {q0.shape}")
-    if not largest > 0:
-        raise errors.fail("alpha", "not be 0", f"is {largest:g}")
-    shapes = q0.shape[:-1], alpha.shape, Ts.shape, passes.shape
-    try:
-        shape = np.broadcast_shapes(*shapes)
-    except ValueError:
-        shape = (0,)
-    if not math.prod(shape):
-        raise errors.fail("q0, alpha, Ts, M", "go with each other, one loop at least", f"have the shapes {shapes}")
-    count = math.prod(shape)
-    factor, time, passes = (np.broadcast_to(v, shape).ravel() for v in (alpha / largest, Ts, passes.astype(int)))
-    start = np.broadcast_to(q0, (*shape, n)).reshape(count, n)
-    # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
-    times, which = np.unique(time, return_inverse=True)
-    models = None
-    if not drive.prompt:
-        models = jax.tree.map(lambda *each: np.stack(each)[which], *(sampled(drive, float(T)) for T in times))
-    if M is not None:
-        stage = replace(stage, M=None, maximum=max(stage.maximum, int(passes.max())))  # type: ignore[attr-defined]
-
-    def ended(q0, factor, Ts, M, model):
-        scaled = replace(law, alpha=law.alpha * factor)
-        own = stage if M is None else replace(stage, M=M)
-        through = dict(drive=drive, model=model, tolerance=tolerance, scale=scale)
-        return outcome(scaled, reference, q0, Ts, N, method, own, **through)
-
-    run, size, endings = lanes(ended, block=LOOPS_PER_CALL), min(CHUNK, count), []
-    for i in range(0, count, size):
-        ids = np.minimum(np.arange(i, i + size), count - 1)  # one shape, one compilation
-        loops = start, factor, time, None if M is None else passes, models
-        endings.append(jax.tree.map(np.asarray, run(*jax.tree.map(lambda v: v[ids], loops))))  # noqa: B023
-        if progress is not None:
-            progress(min(i + size, count), count)
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
-
-
-@in_float64
-def stability_map(
-    law,
-    reference,
-    q0,
-    *,
-    alpha,
-    Ts,
-    M=None,
-    method: MethodLike = DEFAULT,
-    stage: Stage = picard(5),
-    drive=Drive(),
-    N=100,
-    **options,
-):
-    """Return how simulated loops end over gains, sampling times and passes, and the linear limit. In float64.
-
-    Args:
-      law, reference, q0: the loop; the reference must be constant.
-      alpha: [1/s]. Ts: [s]. M: passes of an implicit method, or None: the stage's own. Each a number, or (k,) and then
-        an axis of the map.
-      method, stage: as for `solve`. drive: as for `outcomes`.
-      N, options: as for `outcomes`.
-    Returns: an xarray.Dataset over (M, Ts, alpha), or those that are axes, with `limit` over (M, Ts): the largest gain
-      that is stable at any posture, exact for J# without damping, see `gains`.
-    """
-    import xarray as xr
-
-    method = named(method)
     if M is not None and not method.implicit:
         raise errors.fail("method", "be implicit where M is given, such as CN", f"is {method}")
     given = {"M": M, "Ts": Ts, "alpha": alpha}
     values = {k: np.asarray(errors.array(k, v, (), (None,)), float) for k, v in given.items() if v is not None}
+    q0 = np.asarray(errors.array("q0", q0, (law.chain.n,)), float)
     axes = [name for name, value in values.items() if value.ndim]
-    if not axes:
-        raise errors.fail("alpha, Ts, M", "hold several values, one of them at least", "are numbers")
-    grid = values | dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
-    loops = outcomes(law, reference, q0, **grid, method=method, stage=stage, drive=drive, N=N, **options)
-    loop = xr.Dataset(coords={name: (name if value.ndim else (), value) for name, value in values.items()})
+    if not axes or not all(value.size for value in values.values()):
+        raise errors.fail("alpha, Ts, M", "hold several values, one of them at least", "do not")
+    if not np.all(values["Ts"] > 0):
+        raise errors.fail("Ts", "be positive", f"is {values['Ts'].min():g}")
+    passes = values.get("M", np.zeros(()))
+    if np.any((passes < 0) | (passes > 1_000_000) | (np.round(passes) != passes)):
+        raise errors.fail("M", "be whole, at least 0 and at most a million", f"is {passes.tolist()}")
+    if not largest > 0:
+        raise errors.fail("law", "have a gain above 0", f"has {largest:g}")
+
+    shape = [values[name].size for name in axes]
+    each = dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
+    each = {name: np.broadcast_to(value, shape).ravel() for name, value in (values | each).items()}
+    factor, passes = each["alpha"] / largest, None if M is None else each["M"].astype(int)
+    inner = stage if M is None else replace(stage, M=None, maximum=max(stage.maximum, int(passes.max())))
+    # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
+    times, which = np.unique(each["Ts"], return_inverse=True)
+    models = None
+    if not drive.prompt:
+        models = jax.tree.map(lambda *each: np.stack(each)[which], *(sampled(drive, float(T)) for T in times))
+
+    def ended(factor, Ts, M, model):
+        scaled = replace(law, alpha=law.alpha * factor)
+        own = inner if M is None else replace(inner, M=M)
+        through = dict(drive=drive, model=model, tolerance=tolerance, scale=scale)
+        return outcome(scaled, reference, jnp.asarray(q0), Ts, N, method, own, **through)
+
+    run, count, endings = lanes(ended, block=LOOPS_PER_CALL), len(factor), []
+    size = min(CHUNK, count)
+    for i in range(0, count, size):
+        ids = np.minimum(np.arange(i, i + size), count - 1)  # one shape, one compilation
+        loops = jax.tree.map(lambda v: v[ids], (factor, each["Ts"], passes, models))  # noqa: B023
+        endings.append(jax.tree.map(np.asarray, run(*loops)))
+        if progress is not None:
+            progress(min(i + size, count), count)
+    loops = jax.tree.map(lambda *parts: np.concatenate(parts)[:count].reshape(shape), *endings)
 
     def limit(Ts, M=None):
         return largest_stable(method, stage if M is None else int(M), drive, Ts=Ts)
 
-    of_limit = [loop[name] for name in ("Ts", "M") if name in values]
-    made = loop.assign(
-        limit=xr.apply_ufunc(limit, *of_limit, vectorize=True),
-        **{name: (axes, getattr(loops, name)) for name in RESULTS},
-    ).transpose(*axes)
+    made = xr.Dataset(
+        {name: (axes, getattr(loops, name)) for name in RESULTS},
+        coords={name: (name if value.ndim else (), value) for name, value in values.items()},
+        attrs={
+            "method": method.name,
+            "stage": type(stage).__name__.lower() if M is not None else str(stage),
+            "q0": q0,
+            "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
+            "N": N,
+            "tolerance": tolerance,
+        }
+        | ({} if scale is None else {"scale": scale}),
+    )
+    of_limit = [made[name] for name in ("Ts", "M") if name in values]
+    made = made.assign(limit=xr.apply_ufunc(limit, *of_limit, vectorize=True)).transpose(*axes)
     made.limit.attrs = {"units": "1/s", "long_name": "largest gain stable at any posture"}
     for name, (unit, words) in (RESULTS | {name: AXES[name] for name in values}).items():
         made[name].attrs = {"units": unit, "long_name": words}
     made.ending.attrs |= {"flag_values": [e.value for e in Ending], "flag_meanings": " ".join(e.name for e in Ending)}
-    about = {
-        "method": method.name,
-        "stage": type(stage).__name__.lower() if M is not None else str(stage),
-        "q0": np.asarray(q0, float).ravel(),
-        "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
-        "N": N,
-        "tolerance": options.get("tolerance", 1e-3),
-    }
-    return made.assign_attrs(about | ({"scale": options["scale"]} if options.get("scale") is not None else {}))
+    return made
 
 
 def largest_stable(method, stage, drive=Drive(), *, Ts: float) -> float:

@@ -150,7 +150,8 @@ def opened(folder, name):
         return data.load()
 
 
-def test_chart_has_the_recommended_gains(tmp_path, capsys):
+def test_chart_has_the_recommended_gains(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("cnclik.cli.stability.CHART_POINTS", 5)
     main(["stability", "--Ts", "10ms", "--delay", "2", "--lag", "50ms", "--draw", "gains", "--out", str(tmp_path)])
     assert {p.name for p in tmp_path.iterdir()} == {LIST, "gains.nc", "gains.png"}
     data = opened(tmp_path, "gains.nc")

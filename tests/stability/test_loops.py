@@ -109,7 +109,7 @@ def test_no_gain_below_the_limit_is_unstable_by_the_loops_own_step(name, method,
 def test_it_is_differentiable_and_checks_rest():
     law = ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=20.0, inverse=ck.damped(0.3))
     with jax.enable_x64(True):
-        slope = jax.grad(lambda Ts: spectral_radius(law, None, jnp.asarray(Q2), Ts, "EE"))(0.09)
+        slope = jax.jit(jax.grad(lambda Ts: spectral_radius(law, None, jnp.asarray(Q2), Ts, "EE")))(0.09)
     step = 1e-6
     ends = [float(spectral_radius(law, None, Q2, Ts, "EE")) for Ts in (0.09 - step, 0.09 + step)]
     assert slope == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
