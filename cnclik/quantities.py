@@ -98,9 +98,9 @@ def read(text: str, unit: str, Ts: float | None = None, *, marked=False) -> Quan
                       [known[w][1] if w else None for w in written])  # fmt: skip
 
 
-def read_each(values, unit: str, Ts: float | None = None) -> Quantities:
+def read_each(values, unit: str, Ts: float | None = None, *, marked=True) -> Quantities:
     """The numbers of a list of texts, each with its unit, as for `read`, and of numbers in the option's own unit."""
-    each = [read(v, unit, Ts, marked=True) if isinstance(v, str) else Quantities([v], [None]) for v in values]
+    each = [read(v, unit, Ts, marked=marked) if isinstance(v, str) else Quantities([v], [None]) for v in values]
     return Quantities([v for one in each for v in one], [w for one in each for w in one.written])
 
 
