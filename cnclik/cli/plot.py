@@ -22,8 +22,8 @@ def run(args: Args) -> None:
     """Draw the figures and print their names."""
     from cnclik.sweeps import spec, store
 
-    data, missing = store.read_and_missing(args.folder)
-    if missing:
+    data = store.read(args.folder)
+    if missing := store.blocks_missing(args.folder):
         print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
     tables = None if args.spec is None else spec.read(args.spec).figures
     draw(data, args.folder, tables=tables, form=args.format, overwrite=args.overwrite)
