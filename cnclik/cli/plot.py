@@ -16,8 +16,8 @@ def run(folder: str, *, format: Literal["png", "pdf", "svg"] = "png", overwrite:
     prepare()
     from cnclik.sweeps import store
 
-    data, missing = store.read_and_missing(folder)
-    if missing:
+    data = store.read(folder)
+    if missing := store.blocks_missing(folder):
         print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
     draw(data, Path(folder), form=format, overwrite=overwrite)
 

@@ -1,7 +1,6 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
 import functools
-import time
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -39,8 +38,8 @@ def run(
     names = dict(files=[*files, *pictures * figures], replaces=["trajectory.csv", *pictures])
     with output_folder(Path(out), overwrite=overwrite, **names) as folder:
         with progress.bar("steps"):
-            trajectory, time_per_step = _march(made)
-        _answer(made, trajectory, time_per_step, out if json else None)
+            trajectory = made.run()
+        _answer(made, trajectory, out if json else None)
         from cnclik.measure.dataset import to_dataset
         from cnclik.measure.files import save_csv, save_netcdf
 
@@ -56,17 +55,7 @@ def run(
         print(f"Wrote {', '.join(sorted(written))} to {out}/.")
 
 
-def _march(made):
-    """The trajectory, and the time per step without compiling, in words."""
-    import jax
-
-    trajectory = jax.block_until_ready(made.run())  # compiles
-    begun = time.perf_counter()
-    jax.block_until_ready(made.run())
-    return trajectory, f"{plainly(1e6 * (time.perf_counter() - begun) / made.N)} µs"
-
-
-def _answer(made, trajectory, time_per_step, out) -> None:
+def _answer(made, trajectory, out) -> None:
     """Print what was asked, the verdict and the numbers, as JSON where `out` is a folder."""
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
@@ -79,7 +68,7 @@ def _answer(made, trajectory, time_per_step, out) -> None:
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     asked = [title, heading.loop_in_words(made), *heading.start_and_target(made)]
-    answer, facts = f"{judged.sentence[0].upper()}{judged.sentence[1:]}", _summary(made, trajectory, time_per_step)
+    answer, facts = f"{judged.sentence[0].upper()}{judged.sentence[1:]}", _summary(made, trajectory)
     if out is not None:
         verdict_ = plain(judged) | {"sentence": answer}
         print_json({"asked": asked, "facts": dict(facts), "verdict": verdict_, "out": out})
@@ -122,7 +111,7 @@ def _figures(data, made) -> dict:
     }
 
 
-def _summary(made, trajectory, time_per_step):
+def _summary(made, trajectory):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
@@ -141,7 +130,6 @@ def _summary(made, trajectory, time_per_step):
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
-    rows.append(("time per step", time_per_step))
     return rows
 
 

@@ -63,9 +63,7 @@ def run(
     if not draw:
         return
     figures = Figures(asked, given, made, robot, N)
-    files = [f"{name}.{end}" for name in figures.names(draw) for end in ("nc", "png")] + ["plane.md"] * (
-        "plane" in draw
-    )
+    files = [f"{name}.{end}" for name in figures.names(draw) for end in ("nc", "png")]
     with output_folder(pathlib.Path(out), overwrite=overwrite, files=files) as folder:
         drawn: dict = {}
         for kind in dict.fromkeys(draw):
@@ -101,7 +99,7 @@ def _answer(loop, given, made, speed, json) -> None:
     from cnclik.stability.linear import describe
 
     found = gains(**loop)
-    euler = found if found.method.name == "EE" else gains(**loop | {"method": "EE"})
+    euler = found if found.method.name == "EE" else found.by("EE")
     alpha = given.get("alpha", ())
     asked = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
     responses = {alpha: found.at(alpha) for alpha in asked if alpha > 0}
@@ -240,11 +238,10 @@ class Figures:
         out.write(file, functools.partial(save_netcdf, data.assign_attrs(about)))
 
     def plane(self, out) -> dict:
-        from cnclik.stability.maps import limit_table, plane, plane_page
+        from cnclik.stability.maps import limit_table, plane
 
         data = plane(METHODS, PASSES)
         self._write(out, "plane.nc", data)
-        out.write_text("plane.md", plane_page(data))
         print_table(*limit_table(data), title="Limits of z = alpha·Ts on the real axis", left=2)
         return {"plane.png": (drawn_by("stability", "plane", data), {"Title": "stability regions"})}
 

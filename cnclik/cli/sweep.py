@@ -98,7 +98,6 @@ def _join(place) -> dict:
 
 def _dead_time(spec) -> str:
     """Return the shortest and the longest dead time of the loops at the ends of all axes: "2 samples (8 ms)"."""
-    ends = [(program, spec.first(last)) for program in spec.grid().programs for last in (False, True)]
-    loops = (spec.loop(*end) for end in ends)
+    loops = (spec.loop(program | spec.first(last)) for program in spec.grid().programs for last in (False, True))
     late = sorted((float(v["delay"]) * float(v["Ts"]), float(v["delay"]), float(v["Ts"])) for v in loops)
     return " to ".join(dict.fromkeys(in_samples(delay, Ts) for _, delay, Ts in (late[0], late[-1])))
