@@ -5,8 +5,8 @@ The first sixteen tries begin at postures whose tips are near the target. The fi
 go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
-import copy
 import functools
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -158,16 +158,15 @@ class Targets(NamedTuple):
     pose: Float[np.ndarray, "B t"]
     near: Float[np.ndarray, "B n"] | None
     inside: Float[np.ndarray, "B n"] | None  # `near`, turned into the limits
+    pool: Executor | None = None  # threads for more than a few tries
 
     def some(self, ids):
         """Return some of them, or each several times."""
-        return Targets(*(None if v is None else v[ids] for v in self))
+        return Targets(*(None if v is None else v[ids] for v in self[:3]), self.pool)
 
 
 class Search:
     """The search for a chain's targets, with all that they share; made once for an `Asked`."""
-
-    pool = None  # threads, of a copy that is searching
 
     def __init__(self, asked: Asked):
         self.asked, self.attempts = asked, attempts(asked.chain, asked.task)
@@ -180,15 +179,14 @@ class Search:
 
     def rows(self, pose, near) -> np.ndarray:
         """Return the rows (B, width) of targets (B, t), near (B, n) or None."""
+        of = self.targets(pose, near)
         if len(pose) * ROUND <= MANY or cores() == 1:
-            return self.found(self.targets(pose, near))
+            return self.found(of)
         with side_by_side() as pool:
-            own = copy.copy(self)
-            own.pool = pool
-            return own.found(self.targets(pose, near))
+            return self.found(of._replace(pool=pool))
 
     def found(self, of: Targets) -> np.ndarray:
-        """Return the rows of targets, with the threads that the search has."""
+        """Return the rows of targets."""
         asked, finite = self.asked, self.asked.finite(*of[:2])
         usable = finite if asked.downhill else finite & ~asked.too_far(of.pose)  # nothing is tried for the others
         if not usable.all():
@@ -276,7 +274,7 @@ class Search:
         given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
         targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
         numbers = away[which], k[which], most[ids, which]
-        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=self.pool)
+        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=of.pool)
         if len(ids) == shape[0] * shape[1]:
             return made.reshape(*shape, made.shape[-1])
         rows = np.tile(blank(self.n), (*shape, 1))
