@@ -16,7 +16,8 @@ from cnclik.reaching.asked import SURE, Asked
 from cnclik.reaching.descent import CAREFUL, CLOSE, DOWNHILL, FREE, PLAIN, Terms, attempts
 from cnclik.reaching.result import ReachStatus, row_of, width
 from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins, turned
-from cnclik.record import AnyArray, Float, memoized
+from cnclik.record import AnyArray, Float, memoized, replace
+from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
 ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
@@ -24,6 +25,7 @@ MANY = 512  # tries at once, at least, if there are as many
 AT_ONCE = 1 << 15  # tries at once, at most
 CLOSER, LONGER = (0.3, 2e-2), (4, 16)  # [rad, units] a target missed by less gets so many times the tries
 ANEW = 512  # tries after which the islands are left for others
+AHEAD = 64  # targets that one call goes along a path
 FREELY, NEAREST = 128, 64  # tries without limits, and descents to the nearest pose
 
 
@@ -280,6 +282,32 @@ class Search:
         rows = np.tile(blank(self.n), (*shape, 1))
         rows[ids, which] = made
         return rows
+
+
+def path(search: Search, pose, progress=None) -> np.ndarray:
+    """Return rows (B, width) of targets (B, t), each from the answer before it; the first one is free to jump.
+
+    One program goes along the targets, until there is none CLOSE to the answer before it; that one is searched for.
+    """
+    asked, n, B = search.asked, search.n, len(pose)
+    free = search if asked.jump is None else Search(replace(asked, jump=None))
+    along = search.attempts.along(search.stages[0].terms, AHEAD)
+    rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
+    while k < B:
+        rows[k] = (search if k else free).rows(pose[k : k + 1], q[None])[0]
+        row, k = row_of(rows[k], n), k + 1
+        q, count = row.q if row.status <= ReachStatus.ACCEPTED else q, AHEAD
+        while k < B and count == AHEAD:
+            ahead = pose[np.minimum(np.arange(k, k + AHEAD), B - 1)]
+            made = along((ahead, q), 1)[0, : B - k]
+            row = row_of(made, n)
+            close = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE)
+            count = len(made) if close.all() else int(np.argmin(close))
+            rows[k : k + count] = made[:count]
+            q, k = made[count - 1, :n] if count else q, k + count
+        if progress is not None:
+            progress(k, B)
+    return rows
 
 
 def search_of(asked: Asked) -> Search:
