@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import time
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -38,14 +37,14 @@ def run(args: Args) -> None:
 
     made = problem(args)
     load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
-    trajectory, time_per_step, data, written, refused = _kept(made, args)
+    trajectory, data, written, refused = _kept(made, args)
     with progress.bar("verdict"):
         loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
         judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     asked = [title, heading.loop_in_words(made), *heading.start_and_target(made)]
-    facts = _summary(made, trajectory, time_per_step)
+    facts = _summary(made, trajectory)
     answer = f"{judged.sentence[0].upper()}{judged.sentence[1:]}"
     if args.json:
         about = {"asked": asked, "facts": dict(facts), "verdict": plain(judged) | {"sentence": answer}}
@@ -63,7 +62,7 @@ def run(args: Args) -> None:
 
 
 def _kept(made, args):
-    """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
+    """(trajectory, dataset, names of the written files, the refusal of one of them or None)."""
     from cnclik.measure.files import save_csv, save_netcdf
 
     files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _FIGURES]
@@ -73,7 +72,7 @@ def _kept(made, args):
     try:
         with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
             with progress.bar("steps"):
-                trajectory, time_per_step = _march(made)
+                trajectory = made.run()
             from cnclik.measure.dataset import to_dataset
 
             data = to_dataset(trajectory, made.law, config=config)
@@ -84,17 +83,7 @@ def _kept(made, args):
         if data is None:
             raise
         refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
-    return trajectory, time_per_step, data, folder.made, refused
-
-
-def _march(made):
-    """The trajectory, and the time per step without compiling, in words."""
-    import jax
-
-    trajectory = jax.block_until_ready(made.run())  # compiles
-    begun = time.perf_counter()
-    jax.block_until_ready(made.run())
-    return trajectory, f"{plainly(1e6 * (time.perf_counter() - begun) / made.N)} µs"
+    return trajectory, data, folder.made, refused
 
 
 def _rows(data):
@@ -131,7 +120,7 @@ def _figures(data, made) -> dict:
     }
 
 
-def _summary(made, trajectory, time_per_step):
+def _summary(made, trajectory):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
@@ -150,7 +139,6 @@ def _summary(made, trajectory, time_per_step):
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
-    rows.append(("time per step", time_per_step))
     return rows
 
 

@@ -66,7 +66,7 @@ def run(args: Args) -> None:
     if not args.draw:
         return
     names = [name for name in args.draw if name != "map"] + [*_maps(loop)] * ("map" in args.draw)
-    files = [f"{name}.{end}" for name in names for end in ("nc", "png")] + ["plane.md"] * ("plane" in args.draw)
+    files = [f"{name}.{end}" for name in names for end in ("nc", "png")]
     figures = {}
     with output_folder(args.out, overwrite=args.overwrite, files=files) as out:
         for kind in dict.fromkeys(args.draw):
@@ -97,7 +97,7 @@ def _answer(args, loop, made) -> None:
     from cnclik.stability.linear import describe
 
     found = gains(**loop)
-    euler = found if found.method.name == "EE" else gains(**loop | {"method": "EE"})
+    euler = found if found.method.name == "EE" else found.by("EE")
     asked = sorted(set(args.alpha)) if "alpha" in args.written else []
     responses = {alpha: found.at(alpha) for alpha in asked if alpha > 0}
     robot = [] if made is None else _robot(args, found, made)
@@ -230,11 +230,10 @@ def _write(out, file, data, args):
 
 
 def _plane(args, out, loop, made):
-    from cnclik.stability.maps import limit_table, plane, plane_page
+    from cnclik.stability.maps import limit_table, plane
 
     data = plane(METHODS, PASSES)
     _write(out, "plane.nc", data, args)
-    out.write_text("plane.md", plane_page(data))
     print_table(*limit_table(data), title="Limits of z = alpha·Ts on the real axis", left=2)
     return {"plane.png": (drawn_by("stability", "plane", data), {"Title": "stability regions"})}
 
