@@ -99,14 +99,18 @@ def run(
 def _robot_and_task(robot, tips, near, base=None, task=None) -> tuple:
     """(chain, task of all tips, both in words)."""
     from cnclik.problem.heading import robot_and_task
-    from cnclik.problem.names import robot_and_tip, robot_name, task_from
+    from cnclik.problem.names import load, robot_and_tip, robot_name, task_from
     from cnclik.problem.options import check_units
 
     if len(tips) != len(set(tips)):
         raise errors.fail("tip", "be different names", f"is {' '.join(tips)}")
-    tip, several = (tips[0], None) if len(tips) == 1 else (None, dict.fromkeys(tips, "tip") or None)
-    chain, named = robot_and_tip(robot, tip, base, several)
-    each = [task_from(task, chain, one).on(chain) for one in (tips if several else [None])]
+    tip = tips[0] if len(tips) == 1 else None
+    if len(tips) > 1:
+        with errors.called("tips", "tip"):
+            chain, named = load(robot, base=base, tips=tips), ", ".join(tips)
+    else:
+        chain, named = robot_and_tip(robot, tip, base)
+    each = [task_from(task, chain, one).on(chain) for one in (tips if len(tips) > 1 else [None])]
     whole = functools.reduce(operator.and_, each)
     check_units(chain, whole, {} if near is None else {"near": near.written})
     return chain, whole, robot_and_task(robot_name(robot, tip), named, whole)
