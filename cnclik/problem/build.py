@@ -218,7 +218,7 @@ def _law(chain, task, v, Ts) -> Law:
     if rest is not None:
         rest = errors.array("posture", rest, (chain.n,), of="joint values")
         rest = posture(rest, 1.0 if v["posture_rate"] is None else v["posture_rate"])
-    limits = {None: None, "velocity_scaling": velocity_scaling()}
+    limits: dict[str | None, Any] = {None: None, "velocity_scaling": velocity_scaling()}
     if v["limits"] == "bounded":
         if rate is None:  # at most the rate at which one step can stop a joint at its limit
             rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
