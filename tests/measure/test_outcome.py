@@ -2,6 +2,7 @@
 
 import shlex
 
+import jax
 import numpy as np
 import pytest
 
