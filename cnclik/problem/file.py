@@ -13,7 +13,7 @@ from cnclik.law.law import Law, check_loop
 from cnclik.law.paths import hold_at
 from cnclik.problem.build import Problem, drive_from, noise_from, problem_from
 from cnclik.problem.names import stage_from, start_from
-from cnclik.problem.options import DEFAULTS, DRIVE
+from cnclik.problem.options import DEFAULTS, DRIVE, check_units, in_own_units
 from cnclik.reading import read_bytes
 
 ORDER = ("law", "reference", "q0", "drive")  # of a tuple
@@ -33,6 +33,7 @@ def problem_of(robot, **options) -> Problem:
     path = pathlib.Path(str(robot))
     if path.suffix != ".py":
         return problem_from(robot, **options)
+    options, written = in_own_units({name: value for name, value in options.items() if value is not None})
     make = _executed(path).get("problem")
     if not callable(make):
         raise errors.fail("robot", "name a Python file with a function problem()", f"{path.name} has none")
@@ -42,7 +43,11 @@ def problem_of(robot, **options) -> Problem:
             must = f"be an argument of problem() in {path.name}, or be left out"
             raise errors.fail(name, must, f"is given, and problem() takes {', '.join(takes) or 'none'}")
     made = _called(path, lambda: make(**{name: value for name, value in options.items() if name in takes}))
-    return _problem(path.stem, _fields(path, made), {k: v for k, v in options.items() if k in _LOOP and k not in takes})
+    found = _problem(
+        path.stem, _fields(path, made), {k: v for k, v in options.items() if k in _LOOP and k not in takes}
+    )
+    check_units(found.law.chain, found.law.task, written)
+    return found
 
 
 def _fields(path, made) -> dict:

@@ -163,7 +163,6 @@ def test_a_run_that_ends_in_nan_has_no_mean():
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--reading", "printed/twise/printed"], "did you mean 'printed/twice/printed'"),
         (["--ot", "x"], "did you mean --out?"),
         (["--out", __file__], "Option `--out` must be a folder that can be written into"),
     ],

@@ -224,7 +224,7 @@ def test_every_option_has_a_help_and_takes_its_units():
         ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
         ({"reference": "line", "period": 0}, "`period`"),
         ({"alpha": [1, 2]}, "alpha"),
-        ({"alpha": -5.0}, "`alpha` must not be negative"),
+        ({"alpha": -5.0}, "`alpha` must be at least 0"),
         ({"q0": [0] * 6}, "`q0` must have 7 joint values, but has 6"),
         ({"Ts": 0}, "Ts"),
         ({"N": 0}, "N"),
