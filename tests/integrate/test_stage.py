@@ -103,7 +103,7 @@ def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
     one = law(1.5)
     root = scipy.optimize.root(lambda q: q - np.asarray(Q) - Ts * slope(one, NEAR, q), Q, tol=1e-12)
     assert root.success
-    made = ck.step(one, NEAR, Q, 0.0, Ts, ck.IE, stage)
+    made = ck.step(one, NEAR, Q, 0.0, Ts, ck.METHODS["IE"], stage)
     np.testing.assert_allclose(made.q, root.x, atol=tolerance)
     assert float(made.residual) < tolerance * 10
 
@@ -152,16 +152,16 @@ def test_a_posture_passes_a_newton_step(inverse):
 
 
 def test_cost_in_evaluations():
-    assert evaluations_per_step(ck.EE, ck.chord(5), 3) == 1
-    assert evaluations_per_step(ck.IE, ck.picard(5), 3) == 6
-    assert evaluations_per_step(ck.IE, ck.chord(5), 3) == 6
-    assert evaluations_per_step(ck.CN, ck.chord(5), 3) == 6
-    assert evaluations_per_step(ck.TRAPEZOID, ck.newton(2), 3) == 1 + 2 * 4
-    assert int(ck.solve(law(1.0), NEAR, Q, Ts, 4, ck.TRAPEZOID, ck.newton(2)).evaluations) == 4 * 9
+    assert evaluations_per_step(ck.METHODS["EE"], ck.chord(5), 3) == 1
+    assert evaluations_per_step(ck.METHODS["IE"], ck.picard(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["IE"], ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["CN"], ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["TRAPEZOID"], ck.newton(2), 3) == 1 + 2 * 4
+    assert int(ck.solve(law(1.0), NEAR, Q, Ts, 4, ck.METHODS["TRAPEZOID"], ck.newton(2)).evaluations) == 4 * 9
 
 
 def test_a_stage_that_is_not_there_yet_says_so():
-    status = ck.step(law(2.0), NEAR, Q, 0.0, Ts, ck.IE, ck.chord(0)).status
+    status = ck.step(law(2.0), NEAR, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(0)).status
     assert int(status) & ck.Status.NOT_CONVERGED
-    status = ck.step(law(2.0), NEAR, Q, 0.0, Ts, ck.IE, ck.chord(8)).status
+    status = ck.step(law(2.0), NEAR, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(8)).status
     assert not int(status) & ck.Status.NOT_CONVERGED
