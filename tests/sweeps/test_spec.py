@@ -215,7 +215,7 @@ def test_units_follow_the_task(fixed, axes, unit):
         ({"fixed__mine": "4ms"}, "`mine` must be a number or a short expression"),
         ({"figure": [3]}, "`figure` must be a list of tables"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
-        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must be [least, greatest]"),
+        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must have 2 numbers, but has 1"),
         ({"figure": [{"kind": "heat", "xx": "z"}]}, "but is 'xx' (did you mean 'x'?)"),
         ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
         ({"figure": [{"kind": "heat", "select": {"z": 1e9}}]}, "`figure[0].select.z` must lie between"),
