@@ -192,7 +192,7 @@ def passes(residuals: dict) -> xr.Dataset:
     Dims arm, reading, case, method, pass, step. `residual` is the change of the joint increment in the last
     pass (pass 0: the increment it starts from).
     """
-    labels = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": list(paper.FOLLOWED)}
+    labels: dict = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": list(paper.FOLLOWED)}
     labels |= {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)}
     values = [residuals[key(*where)] for where in itertools.product(*list(labels.values())[:4])]
     data = xr.Dataset({"residual": ([*labels], np.reshape(values, [len(v) for v in labels.values()]))}, labels)
