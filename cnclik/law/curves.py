@@ -98,13 +98,13 @@ class Spline:
     def __call__(self, t):
         if self.closed:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
-        k = interval(self.times, t)
+        times, k = jnp.asarray(self.times), interval(self.times, t)  # NumPy arrays take no traced index
         inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
         # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
-        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
+        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - times[k]
 
         def at(c):
-            a, b, c, d = c[k]
+            a, b, c, d = jnp.asarray(c)[k]
             return a + dt * (b + dt * (c + dt * d))
 
         rotation = self.rotation

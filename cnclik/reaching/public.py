@@ -15,7 +15,7 @@ from cnclik.reaching.asked import asked_of
 from cnclik.reaching.path import path
 from cnclik.reaching.result import Reached, from_rows
 from cnclik.reaching.search import search_of
-from cnclik.reaching.several import several
+from cnclik.reaching.several import most_at_once, several
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
 from cnclik.reaching.units import nearer
@@ -110,10 +110,10 @@ def reach(
     elif previous:
         rows = path(search_of(asked), pose, progress)
     else:
-        rows, size = [], POOL if progress is None else REPORTED
+        rows, search, size = [], search_of(asked), POOL if progress is None else REPORTED
+        size = size if solutions == 1 else min(size, most_at_once(solutions))
         for i in range(0, len(pose), size):
             part = pose[i : i + size], None if begin is None else begin[i : i + size]
-            search = search_of(asked)
             rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
             if progress is not None:
                 progress(min(i + size, len(pose)), len(pose))

@@ -116,8 +116,8 @@ def test_paths_are_what_hold_and_line_say():
     """The explicit feed-forward of the lanes changes nothing under the consistent reading."""
     law, q0 = paper.law("2dof"), paper.start("2dof")
     for case, natural in (("reach", ck.hold([1.0, 0.0])), ("track", ck.line([1.0, 1.0], [0.0, 1.0], duration=3.0))):
-        a = ck.solve(law, paper.path("2dof", case), q0, 0.1, 30, ck.EE)
-        b = ck.solve(law, natural, q0, 0.1, 30, ck.EE)
+        a = ck.solve(law, paper.path("2dof", case), q0, 0.1, 30, ck.METHODS["EE"])
+        b = ck.solve(law, natural, q0, 0.1, 30, ck.METHODS["EE"])
         np.testing.assert_allclose(a.q, b.q, atol=1e-13)
 
 
@@ -129,9 +129,12 @@ def test_both_arms_start_on_the_path_only_with_clockwise_rotation():
 
 
 def test_twice_scales_the_diagonal_only():
-    assert paper.tableau(ck.IE, "twice").A == ((0.1,),)
-    assert paper.tableau(ck.CN, "twice").A == ((0.0,), (0.0, 0.1))
-    assert paper.tableau(ck.EE, "twice") is ck.EE and paper.tableau(ck.CN, "once") is ck.CN
+    assert paper.tableau(ck.METHODS["IE"], "twice").A == ((0.1,),)
+    assert paper.tableau(ck.METHODS["CN"], "twice").A == ((0.0,), (0.0, 0.1))
+    assert (
+        paper.tableau(ck.METHODS["EE"], "twice") is ck.METHODS["EE"]
+        and paper.tableau(ck.METHODS["CN"], "once") is ck.METHODS["CN"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -211,7 +211,7 @@ def test_gradients_are_differences():
         made = ck.reach(TWO, due, task=HANDS, near=q, tolerance=(1e-10, 1e-10))
         return jnp.sum(ck.forward(TWO, made.q, tip=RIGHT).position[:2])
 
-    close(jax.grad(elbow)(jnp.zeros(6)), [0, 0, 0, 1, 1, 0], atol=1e-6)
+    close(jax.jit(jax.grad(elbow))(jnp.zeros(6)), [0, 0, 0, 1, 1, 0], atol=1e-6)
 
 
 # --- what is refused ----------------------------------------------------------------------------------

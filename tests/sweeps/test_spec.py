@@ -62,7 +62,7 @@ def test_values_follow_from_expressions():
     assert spec.grid().shape == (2, 3, 3, 2) and spec.question == spec.expectation == ""
     made = spec.build({"method": "CN", "M": np.int64(2), "z": 0.3, "lift": 0.1})
     assert float(made.law.alpha) == pytest.approx(3.0, rel=1e-15)
-    assert (made.Ts, made.N, made.method, made.stage.M, made.stage.maximum) == (0.1, 4, ck.CN, 2, 2)
+    assert (made.Ts, made.N, made.method, made.stage.M, made.stage.maximum) == (0.1, 4, ck.METHODS["CN"], 2, 2)
     np.testing.assert_allclose(made.q0, [0, -np.pi / 2], rtol=1e-15)
     np.testing.assert_allclose(made.reference.curve.end, [0, 1.1], rtol=1e-15)
     assert float(made.reference.curve.duration) == pytest.approx(0.4)  # the run's length, when nothing is said

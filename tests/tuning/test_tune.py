@@ -244,7 +244,7 @@ def test_derivatives_in_reverse_mode_are_those_of_differences():
         law = ck.Law(arm, ck.position("xy"), alpha=np.array([5.0, 3.0]))
         path = ck.line((tip := np.asarray(ck.forward(arm, q0).position)[:2]) + 0.05, tip - 0.2, duration=3.0)
         found = chosen(("alpha", LINKS, "feedforward"), law, {}, ck.gains(Ts=0.05, drive=ck.Drive(), method="EE"))
-        how, loss = (4, ck.EE, ck.picard(5)), {"tracking": 1.0, "jerk": 1e-5}
+        how, loss = (4, ck.METHODS["EE"], ck.picard(5)), {"tracking": 1.0, "jerk": 1e-5}
         objective = objective_of(law, found, [path], q0, 0.05, how, loss=loss, drive=ck.Drive(), limit=1e6)
         lower, upper, start = ends(found)
         bounds = Bounds(lower, upper)
