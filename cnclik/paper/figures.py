@@ -11,8 +11,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocato
 from cnclik.measure.dataset import as_json
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import DEFAULT
-from cnclik.paper.readings import ARMS
+from cnclik.paper.readings import ARMS, DEFAULT
 from cnclik.show import style
 
 _ROUNDING = 1e-13  # [m, rad] what is smaller is left out of logarithmic axes
