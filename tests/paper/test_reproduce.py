@@ -109,22 +109,13 @@ def test_numbers_of_the_page_are_those_of_the_data(results):
 
 
 @pytest.mark.slow
-def test_figures_are_those_of_their_data(fresh, ours, results):
-    """Each PNG carries the fingerprint of its data; the committed ones have fewer colours."""
-    for folder, data in ((COMMITTED, results), (fresh, ours)):
-        for name, (_, about) in pictures.figures(*data, READING).items():
-            with Image.open(folder / name) as image:
-                assert image.text == {"Software": "cnclik"} | about
-                assert json.loads(image.text["Config"])["alpha"] == 5.0
-    for name in FIGURES:
-        drawn, committed = (np.asarray(Image.open(folder / name).convert("RGB"), int) for folder in (fresh, COMMITTED))
-        assert np.mean(np.abs(drawn - committed).max(axis=2) > 60) < 1e-3, name
-
-
-def test_fingerprint_sees_the_last_bit(results):
-    data = results.methods.copy(deep=True)
-    data.order[0, 0, 1] = np.nextafter(float(data.order[0, 0, 1]), 9)
-    assert pictures.fingerprint(data) != pictures.fingerprint(results.methods)
+def test_committed_figures_are_what_the_code_draws(fresh, ours):
+    """They have fewer colours."""
+    for name, (_, about) in pictures.figures(*ours, READING).items():
+        drawn, committed = (Image.open(folder / name) for folder in (fresh, COMMITTED))
+        assert drawn.text == {"Software": "cnclik"} | about == {key: committed.text[key] for key in drawn.text}
+        away = np.asarray(drawn.convert("RGB"), int) - np.asarray(committed.convert("RGB"), int)
+        assert np.mean(np.abs(away).max(axis=2) > 60) < 1e-3, name
 
 
 class OneRun(dict):
