@@ -373,7 +373,7 @@ def test_a_base_of_its_own_for_each_target():
         ),
         ({"targets": [0.3, 0.1], "task": "position"}, r"`targets` must hold 3 numbers, x y z \[m\], but holds 2"),
         ({"targets": np.zeros((2, 3))}, "holds positions alone, which are for task position"),
-        ({"targets": 2 * np.eye(4)}, "`targets` must hold a rotation, .* but holds one scaled by 2"),
+        ({"targets": 2 * np.eye(4)}, "`targets` must hold a rotation, .* but is off by 3"),
         ({"targets": (np.zeros((2, 3)), np.eye(3)[None])}, "as many positions as rotations"),
         ({"targets": np.zeros((0, 4, 4))}, "at least one target"),
         ({"task": "elbow"}, "`task` must be one of"),
@@ -389,7 +389,7 @@ def test_a_base_of_its_own_for_each_target():
         ({"chain": 3}, "`chain` must be a Chain"),
         ({"targets": np.array(np.eye(4) + np.eye(4, k=-3))}, "`targets` must have the last row 0 0 0 1"),
         ({"targets": ([0, 0, 0], np.stack([np.eye(3)] * 5))}, "as many positions as rotations, but have one and 5"),
-        ({"base": 2 * np.eye(4)}, "`base` must hold a rotation, .* scaled by 2"),
+        ({"base": 2 * np.eye(4)}, "`base` must hold a rotation, .* off by 3"),
         ({"seeds": 1 << 27}, "`seeds` must be at most 134,217,727"),  # 16 times as many overflowed
         ({"near": "previous", "solutions": 2}, "`solutions` must be 1 along a path"),
     ],
