@@ -5,11 +5,13 @@ iteration once or twice, and the feed-forward of Case II. A `Reading` settles ea
 eight on both arms and both cases, and beside the paper's methods the textbook ones.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -18,10 +20,10 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.paths import line, with_feedforward
+from cnclik.law.paths import line
 from cnclik.law.reference import Reference
 from cnclik.paper.choices import DEFAULT, Reading
-from cnclik.record import replace, stack
+from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
@@ -67,6 +69,18 @@ def start(arm: str):
     return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
 
 
+@record
+class Told:
+    """A path with another feed-forward than its own velocity: its place has no derivative, the addend of 0 has."""
+
+    path: Callable
+    velocity: Float[ArrayLike, " m"]
+
+    def __call__(self, t):
+        position, rotation = lax.stop_gradient(self.path(t))
+        return position + (t - lax.stop_gradient(t)) * self.velocity, rotation
+
+
 def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     """Reference of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (eqs. 15-16, 18-19)."""
     errors.one_of("case", case, CASES)
@@ -77,8 +91,7 @@ def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
         begin = ARMS[arm].start
         end = (begin[0] - 1.0, begin[1])
         speed = 1.0 / (N * TS) if feedforward == "consistent" else 1.0
-    # Explicit also where it is the path's own, so that all cases have one structure and can be lanes.
-    return with_feedforward(line(begin, end, duration=N * TS), (-speed, 0.0))
+    return Reference(curve=Told(path=line(begin, end, duration=N * TS).curve, velocity=np.array([-speed, 0.0])))
 
 
 def tableau(method: Method, Ts: str = "once") -> Method:

@@ -6,6 +6,8 @@ functions. It holds at one posture; the gains of `cnclik.stability.gain` hold at
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,7 @@ from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, evaluate, observe
+from cnclik.law.law import Law, check_loop, observe, weighted
 from cnclik.law.paths import hold_at
 from cnclik.precision import in_float64_if_known
 from cnclik.record import ArrayLike, Float, Number, cast, replace
@@ -84,13 +86,13 @@ def one_step(law, reference, q, Ts, method, stage):
         now = chart.out(law.chain, q, y)
         return chart.into(law.chain, q, advance(law, reference, now, t, Ts, method, stage).q)
 
-    return jax.jacfwd(move)(chart.centre(law.chain, q)), evaluate(law, reference, t, q).rows
+    return jax.jacfwd(move)(chart.centre(law.chain, q)), weighted(law.task, observe(law, reference, t, q).rows)
 
 
 # --- rest ---------------------------------------------------------------------------------------------
 
 
-def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
+def at_rest(law, reference, q) -> tuple[Law, Any]:
     """Return the law and a constant reference of a loop at rest at q; a posture term with its rest there.
 
     Raises: ArgumentError where `reference` (None: any) is elsewhere at t = 0 by more than REST.
@@ -103,8 +105,7 @@ def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
             raise errors.fail("q", "be at rest on the target", f"leaves an error of {size:.3g}")
     if law.null_velocity is not None:
         law = replace(law, null_velocity=replace(law.null_velocity, rest=q))
-    held, dtype = hold_at(law.chain, law.task, q), q.dtype
-    return law, ref.of_each(lambda one, parts: replace(one, feedforward=np.zeros(parts.width, dtype)), held, law.task)
+    return law, hold_at(law.chain, law.task, q)
 
 
 @one_off

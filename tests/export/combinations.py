@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.law.reference import tangent
+from cnclik.law.curves import Tangent
+from cnclik.law.reference import Reference
+from cnclik.task.parts import places
 from tests.export.native import native
 
 ROUNDINGS = (4, 4, 4, 32, 32, 32, 256, 256, 256)  # of joint values, by which a step is repeated
@@ -88,9 +90,16 @@ def inputs(law, count, dtype, seed=0):
 
 def target(law, position, rotation, velocity):
     """A target at t = 0, moving with a velocity of its own."""
-    held = ck.hold(position if law.task.position else None, rotation if law.task.orientation else None)
-    told = tangent(ck.replace(held, feedforward=velocity), law.task, jnp.zeros((), velocity.dtype))
-    return ck.replace(told, feedforward=None)
+    task, count = law.task, len(law.task.position)
+    spin = jnp.zeros(3, velocity.dtype).at[places(task.orientation)]
+    curve = Tangent(
+        t=jnp.zeros((), velocity.dtype),
+        position=position if task.position else None,
+        velocity=velocity[:count] if task.position else None,
+        rotation=rotation if task.orientation else None,
+        spin=spin.set(velocity[count:]) if task.orientation else None,
+    )
+    return Reference(curve=curve)
 
 
 def by_jax(combination):

@@ -86,8 +86,8 @@ def test_a_posture_passes_a_newton_step(inverse):
 
     @jax.jit
     def step(q):
-        at = evaluate(modelled(one), TARGET, jnp.zeros(()), q)
-        return at.newton(h, k), at.qdot, at.rows, jax.vmap(at.apply, out_axes=1)(jnp.eye(2))
+        at, rows = evaluate(modelled(one), TARGET, jnp.zeros(()), q), ck.jacobian(ARM, q)[:2]
+        return at.newton(h, k), at.qdot, rows, jax.vmap(inverse(rows, None).apply, out_axes=1)(jnp.eye(2))
 
     found, f, J, inverted = map(np.asarray, step(Q))
     slope = 15.0 * inverted @ J + 4.0 * (np.eye(3) - inverted @ J)

@@ -157,15 +157,15 @@ def shapes_of_walls(walls, chain) -> list:
             normal = np.zeros(3)
             normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
             size = np.linalg.norm(normal)
-            mesh = _plane(normal / size, wall.offset / size, chain)
+            wide = float(arm_length(chain))
+            mesh = _turned(trimesh.creation.box((wide, wide, 0.002 * wide)), normal / size)
+            mesh = mesh.apply_translation(normal * float(wall.offset) / size**2)
             found.append(Shape(_frame(part.to, chain), mesh, style.LOST))
     return found
 
 
 def _solid(shape, chain) -> Shape:
-    """Return a half space, a capsule or a sphere of a distance."""
-    if hasattr(shape, "normal"):
-        return Shape(0, _plane(shape.normal, shape.offset, chain), style.LOST)
+    """Return a capsule or a sphere of a distance."""
     ends, radius = np.asarray(shape.ends, float), float(shape.radius)
     if len(ends) > 1:
         mesh = rod(ends[0], ends[-1], radius, round_ends=True)
@@ -176,10 +176,3 @@ def _solid(shape, chain) -> Shape:
 
 def _frame(tip, chain) -> int:
     return 0 if tip is None else 1 + len(chain.joints) + chain.tip_number(tip)
-
-
-def _plane(normal, offset, chain):
-    """Return a thin square at normal · x = offset."""
-    size = float(arm_length(chain))
-    mesh = _turned(trimesh.creation.box((size, size, 0.002 * size)), normal)
-    return mesh.apply_translation(np.asarray(normal, float) * float(offset))
