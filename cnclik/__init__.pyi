@@ -2,7 +2,7 @@
 
 from . import (
     diagnosis as diagnosis, export as export, measure as measure, paper as paper,
-    problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
+    problem as problem, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )
 from .cache import use_cache as use_cache
@@ -14,10 +14,7 @@ from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
 from .integrate.drive import Drive as Drive
 from .integrate.lanes import lanes as lanes
-from .integrate.method import (
-    CN as CN, EE as EE, EXP_EE as EXP_EE, EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4,
-    HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
-)
+from .integrate.method import METHODS as METHODS, Method as Method, exponential as exponential
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
@@ -38,7 +35,6 @@ from .law.walls import (
     support_polygon as support_polygon, wall as wall, wall_margin as wall_margin,
 )
 from .measure.dataset import to_dataset as to_dataset
-from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .problem.names import load as load
 from .reaching.public import reach as reach

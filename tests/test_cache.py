@@ -61,18 +61,6 @@ def test_programs_of_a_function_are_few_and_right(monkeypatch):
     assert sizes[:10] == [1, 2, 3, 0, 1, 2, 3, 0, 1, 1]  # the fourth makes room, and what is asked for again is there
 
 
-def test_the_function_used_longest_ago_makes_room(monkeypatch):
-    """Never one that has just been used: what alternates with a new one would be made again and again."""
-    monkeypatch.setattr(cache, "MOST_PROGRAMS", 4)
-    old, used, new = (cache.bounded_jit(lambda x, *, k: k * x, static_argnames="k") for _ in range(3))
-    for k in range(2):
-        old(1.0, k=k), used(1.0, k=k)
-    used(1.0, k=0)
-    for k in range(2):
-        new(1.0, k=k), used(1.0, k=0)
-        assert [one._cache_size() for one in (old, used, new)] == [0, 2, k + 1]
-
-
 def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
     monkeypatch.setattr(cache, "MOST_PROGRAMS", 4)
     law = ck.Law(ck.planar_arm([0.5]), ck.position("x"), alpha=1.0)

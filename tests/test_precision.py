@@ -29,7 +29,6 @@ DOORS = {  # what is traced of each, and how it is called
     ("advise", "drive"): lambda x: st.advise(LAW, Ts=TS, drive=ck.Drive(lag=x[0])),
     ("verdict", "run"): lambda x: st.verdict(LAW, GOAL, run(x), Ts=TS),
     ("verdict", "law"): lambda x: st.verdict(law(x), GOAL, run(Q), Ts=TS),
-    ("outcomes", "q0"): lambda x: st.outcomes(LAW, GOAL, q0=x, alpha=5.0, Ts=TS, N=3),
     ("stability_map", "q0"): lambda x: st.stability_map(LAW, GOAL, x, alpha=[1.0, 2.0], Ts=TS),
     ("diagnose", "signal"): lambda x: ck.diagnose(jnp.tile(x, 20), TS),
     ("fit_drive", "command"): lambda x: ck.fit_drive(None, jnp.tile(x, 20), jnp.tile(x, 20), TS),

@@ -1,100 +1,80 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
-import dataclasses
 import functools
-import time
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, print_json, print_table
-from cnclik.cli.problem import ProblemOptions, given, problem
+from cnclik.cli.arguments import PROBLEM
+from cnclik.cli.common import numbers, print_json, print_table, problem
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
-from cnclik.writing import Refused, output_folder
+from cnclik.writing import output_folder
 
-
-@dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, ProblemOptions):
-    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did."""
-
-    out: Path = Path("solved")
-    """Folder for trajectory and figures."""
-    csv: bool = False
-    """Also write trajectory.csv."""
-    figures: bool = True
-    """Draw joint values, error, joint velocities, status and the path of the tip."""
-    json: bool = False
-    """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedy."""
-
-
+TAKES = PROBLEM
 _FIGURES = ("overview", "tip")
 
 
-def run(args: Args) -> None:
+def run(
+    robot: str,
+    *,
+    out: str = "solved",
+    csv: bool = False,
+    figures: bool = True,
+    json: bool = False,
+    overwrite: bool = False,
+    **loop,
+) -> None:
+    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did.
+
+    Args:
+      out: folder for trajectory and figures.
+      csv: also write trajectory.csv.
+      figures: draw joint values, error, joint velocities, status and the path of the tip.
+      json: print the answer as JSON: what was asked, the numbers, and the verdict with its remedy.
+    """
+    made = problem(robot, loop)
+    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * figures)
+    files, pictures = ["trajectory.nc", *["trajectory.csv"] * csv], [f"{kind}.png" for kind in _FIGURES]
+    names = dict(files=[*files, *pictures * figures], replaces=["trajectory.csv", *pictures])
+    with output_folder(Path(out), overwrite=overwrite, **names) as folder:
+        with progress.bar("steps"):
+            trajectory = made.run()
+        _answer(made, trajectory, out if json else None)
+        from cnclik.measure.dataset import to_dataset
+        from cnclik.measure.files import save_csv, save_netcdf
+
+        config = {"verb": "solve", "robot": robot} | numbers(loop)
+        data = to_dataset(trajectory, made.law, config=config)
+        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+        if csv:
+            folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
+    written = folder.made
+    with progress.bar("figures") as report:
+        written += draw(_figures(data, made) if figures else {}, out, progress=report, overwrite=overwrite)
+    if not json:
+        print(f"Wrote {', '.join(sorted(written))} to {out}/.")
+
+
+def _answer(made, trajectory, out) -> None:
+    """Print what was asked, the verdict and the numbers, as JSON where `out` is a folder."""
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
     from cnclik.problem import heading
     from cnclik.stability.ending import verdict
 
-    made = problem(args)
-    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
-    trajectory, time_per_step, data, written, refused = _kept(made, args)
     with progress.bar("verdict"):
         loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
         judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     asked = [title, heading.loop_in_words(made), *heading.start_and_target(made)]
-    facts = _summary(made, trajectory, time_per_step)
-    answer = f"{judged.sentence[0].upper()}{judged.sentence[1:]}"
-    if args.json:
-        about = {"asked": asked, "facts": dict(facts), "verdict": plain(judged) | {"sentence": answer}}
-        print_json(about | {"out": str(args.out)})
-    else:
-        print("\n".join([*asked, answer]))
-        print_table(facts, box=None, padding=(0, 2, 0, 0))
-    if refused is not None:
-        raise refused
-    with progress.bar("figures") as report:
-        figures = _figures(data, made) if args.figures else {}
-        written += draw(figures, args.out, progress=report, overwrite=args.overwrite)
-    if not args.json:
-        print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
-
-
-def _kept(made, args):
-    """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
-    from cnclik.measure.files import save_csv, save_netcdf
-
-    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _FIGURES]
-    whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
-    config = {"verb": "solve", "robot": args.robot} | given(args)
-    data = refused = None
-    try:
-        with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
-            with progress.bar("steps"):
-                trajectory, time_per_step = _march(made)
-            from cnclik.measure.dataset import to_dataset
-
-            data = to_dataset(trajectory, made.law, config=config)
-            folder.write("trajectory.nc", functools.partial(save_netcdf, data))
-            if args.csv:
-                folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
-    except Refused as error:  # the answer is printed nevertheless
-        if data is None:
-            raise
-        refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
-    return trajectory, time_per_step, data, folder.made, refused
-
-
-def _march(made):
-    """The trajectory, and the time per step without compiling, in words."""
-    import jax
-
-    trajectory = jax.block_until_ready(made.run())  # compiles
-    begun = time.perf_counter()
-    jax.block_until_ready(made.run())
-    return trajectory, f"{plainly(1e6 * (time.perf_counter() - begun) / made.N)} µs"
+    answer, facts = f"{judged.sentence[0].upper()}{judged.sentence[1:]}", _summary(made, trajectory)
+    if out is not None:
+        verdict_ = plain(judged) | {"sentence": answer}
+        print_json({"asked": asked, "facts": dict(facts), "verdict": verdict_, "out": out})
+        return
+    print("\n".join([*asked, answer]))
+    print_table(facts, box=None, padding=(0, 2, 0, 0))
 
 
 def _rows(data):
@@ -131,7 +111,7 @@ def _figures(data, made) -> dict:
     }
 
 
-def _summary(made, trajectory, time_per_step):
+def _summary(made, trajectory):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
@@ -150,7 +130,6 @@ def _summary(made, trajectory, time_per_step):
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
-    rows.append(("time per step", time_per_step))
     return rows
 
 

@@ -299,7 +299,7 @@ def _made(log, fit) -> DriveFit:
     rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
     if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
         notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
-    elif np.any(off := np.abs(gain - 1) > OFF):
+    if np.any(off := np.abs(gain - 1) > OFF):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)

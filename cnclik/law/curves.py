@@ -4,6 +4,7 @@ They are records, so that points, periods and durations are parameters; `cnclik.
 Targets are arrays: positions (d,), rotations (3, 3).
 """
 
+import contextlib
 import math
 from collections.abc import Callable
 
@@ -97,13 +98,13 @@ class Spline:
     def __call__(self, t):
         if self.closed:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
-        k = interval(self.times, t)
+        times, k = jnp.asarray(self.times), interval(self.times, t)  # NumPy arrays take no traced index
         inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
         # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
-        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
+        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - times[k]
 
         def at(c):
-            a, b, c, d = c[k]
+            a, b, c, d = jnp.asarray(c)[k]
             return a + dt * (b + dt * (c + dt * d))
 
         rotation = self.rotation
@@ -164,14 +165,12 @@ def cubic(times, values, closed, name):
             raise errors.fail(name, "end where it starts for a closed path", "does not")
         points = np.concatenate([values[:-1], sign * values[:-1], values[:1]])
         knots = np.concatenate([times[:-1], times + times[-1] - times[0]])
-    with np.errstate(all="ignore"):
-        spline = CubicSpline(knots, points, bc_type="periodic" if closed else "clamped")
-    pieces = np.moveaxis(spline.c[::-1], 0, 1)[:count]
+    pieces = np.array(np.nan)
+    with contextlib.suppress(ValueError), np.errstate(all="ignore"):  # SciPy's, of what is not finite
+        pieces = np.moveaxis(CubicSpline(knots, points, bc_type="periodic" if closed else "clamped").c[::-1], 0, 1)
     if not np.isfinite(pieces).all():
-        k = int(np.argmin(np.isfinite(pieces).all(axis=(1, 2))))
-        between = f"{values[k].tolist()} and {values[k + 1].tolist()} within {times[k + 1] - times[k]:.3g} s"
-        raise errors.fail(name, "be such that a smooth path leads through them", f"has {between}")
-    return jnp.asarray(pieces)
+        raise errors.fail(name, "be such that a smooth path leads through them", f"is {values.tolist()}")
+    return jnp.asarray(pieces[:count])
 
 
 def hermite(h, values, v):

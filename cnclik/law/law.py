@@ -280,13 +280,9 @@ def clamped(law: Law, e):
     for part, where in zip(law.task.parts, law.task.slices, strict=True):
         angles = np.array([unit == "rad" for unit in part.units])
         kinds = ((which, law.error_clamp[i]) for i, which in enumerate((~angles, angles)) if which.any())
-        parts.append(sum(_shortened(jnp.where(which, e[where], 0.0), limit) for which, limit in kinds))
+        each = ((jnp.where(which, e[where], 0.0), limit) for which, limit in kinds)
+        parts.append(sum(limit / jnp.maximum(safe_norm(some), limit) * some for some, limit in each))
     return jnp.concatenate(parts)
-
-
-def _shortened(e, limit):
-    """Return the vector, at most as long as this."""
-    return limit / jnp.maximum(safe_norm(e), limit) * e
 
 
 def null_velocity(law: Law, q):

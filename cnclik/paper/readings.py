@@ -55,7 +55,7 @@ CASES = ("reach", "track")  # Case I, Case II
 
 
 def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
-    """The loop of Section V: planar position with gain 5 1/s and the pseudoinverse.
+    """Return the law of Section V: planar position with gain 5 1/s and the pseudoinverse.
 
     `joints`: how many the arm has at least. Those beyond its own turn links of no length, so that they stand still and
     the loop is the same.
@@ -65,7 +65,7 @@ def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
 
 
 def start(arm: str):
-    """q at t = 0, (n,): (0, π/2, 0, …) [rad]."""
+    """Return q at t = 0, (n,): (0, π/2, 0, …) [rad]."""
     return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
 
 
@@ -82,20 +82,17 @@ class Told:
 
 
 def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
-    """Reference of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (eqs. 15-16, 18-19)."""
+    """Return the path of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (15-16, 18-19)."""
     errors.one_of("case", case, CASES)
-    if case == "reach":
-        begin = end = ARMS[arm].target
-        speed = 0.0
-    else:
-        begin = ARMS[arm].start
-        end = (begin[0] - 1.0, begin[1])
-        speed = 1.0 / (N * TS) if feedforward == "consistent" else 1.0
-    return Reference(curve=Told(path=line(begin, end, duration=N * TS).curve, velocity=np.array([-speed, 0.0])))
+    begin = ARMS[arm].target if case == "reach" else ARMS[arm].start
+    length = 0.0 if case == "reach" else 1.0
+    speed = length / (N * TS) if feedforward == "consistent" else length
+    straight = line(begin, (begin[0] - length, begin[1]), duration=N * TS)
+    return Reference(curve=Told(path=straight.curve, velocity=np.array([-speed, 0.0])))
 
 
 def tableau(method: Method, Ts: str = "once") -> Method:
-    """The method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
+    """Return the method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
 
     Eq. 7 moves by Ts times an increment that holds a factor Ts already: θ̃ = θ + Ts·(Ts·slope). The slope is
     then taken at a·Ts = Ts² instead of Ts.
@@ -107,7 +104,7 @@ def tableau(method: Method, Ts: str = "once") -> Method:
 
 
 def experiment(arm: str, case: str, method: Method | str = CN, reading: Reading = DEFAULT) -> Trajectory:
-    """One run of Section V by itself: `experiment("5dof", "track", "CN").e`.
+    """Run one experiment of Section V: `experiment("5dof", "track", "CN").e`.
 
     Args:
       arm: "2dof" or "5dof".
@@ -156,8 +153,7 @@ LANES = (*_PAPER_LANES, *_NUDGED_LANES, *_WORK_LANES, *_ORDER_LANES)
 
 # What is run in each lane: (Ts once or twice, method).
 METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"), ("twice", "CN"))
-# Where the Picard iteration is followed. IE's stage is CN's second: it is the same iteration, from the states
-# of either run.
+# Where the Picard iteration is followed: IE's stage is CN's second, the same iteration from the states of either.
 FOLLOWED = ("IE", "CN")
 
 
@@ -194,49 +190,42 @@ def _program(laws, references, q0, Ts, M, *, method, h, N_max):
     return run, jnp.moveaxis(found, 0, -1)
 
 
-class Readings(NamedTuple):
-    """What one program gave, or all of them, by (arm, Ts, method, lane), Ts being "once" or "twice"."""
+def run_method(Ts: str, name: str) -> tuple[dict, dict]:
+    """Run one method in all lanes on both arms, by one compiled program; `Ts` is "once" or "twice".
 
-    runs: dict  # of `Trajectory`s
-    # Of (PASSES + 1, N): from the state before each step of a run, the change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment
-    # (eq. 9) in the last of 0, 1, … passes [rad].
-    residuals: dict
-
-
-def run_method(Ts: str, name: str) -> Readings:
-    """All runs of one method on both arms, by one compiled program; `Ts` is "once" or "twice"."""
+    Returns: {(arm, Ts, method, lane): value} of two values, the `Trajectory`, and where the iteration is followed
+      (PASSES + 1, N): from the state before each step of a run, the change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment
+      (eq. 9) in the last of 0, 1, … passes [rad].
+    """
     todo = [(arm, lane) for arm in ARMS for lane in LANES]
     followed = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
-    run, residuals = _program(
-        stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
-        stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
-        np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
-        np.array([TS / 2**lane.halving for _, lane in todo]),
-        np.array([lane.M for _, lane in todo]),
-        method=tableau(METHODS[name], Ts),
-        h=followed,
-        N_max=max(lane.N for lane in LANES),
+    run, residuals = jax.device_get(
+        _program(
+            stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
+            stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
+            np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
+            np.array([TS / 2**lane.halving for _, lane in todo]),
+            np.array([lane.M for _, lane in todo]),
+            method=tableau(METHODS[name], Ts),
+            h=followed,
+            N_max=max(lane.N for lane in LANES),
+        )
     )
-    run, residuals = jax.device_get((run, residuals))
-    found = Readings({}, {})
+    runs, changes = {}, {}
     for i, (arm, lane) in enumerate(todo):
-        found.runs[arm, Ts, name, lane] = _cut(jax.tree.map(lambda a, i=i: a[i], run), ARMS[arm].n, name, lane)
+        n, cost = ARMS[arm].n, lane.N * evaluations_per_step(METHODS[name], picard(lane.M), ARMS[arm].n)
+        own = truncate(jax.tree.map(lambda a, i=i: a[i], run), lane.N)  # its own steps and joints
+        own = replace(own, q=own.q[:, :n], qdot=own.qdot[:, :n], evaluations=np.asarray(cost))
+        runs[arm, Ts, name, lane] = own
         if followed is not None and lane in _PAPER_LANES:
-            found.residuals[arm, Ts, name, lane] = residuals[i]
-    return found
+            changes[arm, Ts, name, lane] = residuals[i]
+    return runs, changes
 
 
 def _start(arm, nudge):
-    """Where a lane starts, (JOINTS,) [rad]."""
+    """Return where a lane starts, (JOINTS,) [rad]."""
     n, q = ARMS[arm].n, np.zeros(JOINTS)
     q[:n] = start(arm)
     if nudge:
         q[:n] += NUDGE * np.random.default_rng(0).standard_normal((NUDGES, n))[nudge - 1]
     return q
-
-
-def _cut(run, n, name, lane) -> Trajectory:
-    """The steps and joints of a run that are the lane's own, and what they cost."""
-    cost = lane.N * evaluations_per_step(METHODS[name], picard(lane.M), n)
-    run = truncate(run, lane.N)
-    return replace(run, q=run.q[:, :n], qdot=run.qdot[:, :n], evaluations=np.asarray(cost))

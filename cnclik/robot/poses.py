@@ -99,7 +99,7 @@ def _from_quaternions(name, value):
     with np.errstate(over="ignore", invalid="ignore"):
         norm = xp.sqrt(xp.sum(value * value, axis=-1, keepdims=True))
         if xp is np:
-            several = "unit quaternions" if value.ndim > 1 else "a unit quaternion"
+            several = "unit quaternions" if value.size > 4 else "a unit quaternion"
             wrong = np.isfinite(value).all(axis=-1) & ~(np.abs(norm[..., 0] - 1) <= NORM)
             _refuse(name, wrong, f"hold {several} w x y z", lambda k: f"has one of norm {norm.ravel()[k]:.6g}")
         value = xp.where(xp.isfinite(norm), value / norm, xp.nan)
@@ -116,7 +116,7 @@ def _from_matrices(name, value):
         mirrored = ~(np.einsum("...i,...i", np.cross(value[..., 0, :], value[..., 1, :]), value[..., 2, :]) > 0)
         if np.all(gap <= _EXACT) and not mirrored.any():
             return value
-        several = "rotations" if value.ndim > 2 else "a rotation"
+        several = "rotations" if value.size > 9 else "a rotation"
         wrong = np.isfinite(value).all(axis=(-2, -1)) & ((gap > ROUGH) | mirrored)  # a status reports others
         must = f"hold {several}, with rows of length 1 at right angles"
         off = gap.ravel()
@@ -141,4 +141,4 @@ def _refuse(name, wrong, must, found):
     """Raise ArgumentError if something of one or several is wrong. Args: found: of an index, what is there."""
     if np.any(wrong):
         k = int(np.argmax(wrong))
-        raise errors.fail(name, must, found(k) + (f" at index {k}" if np.ndim(wrong) else ""))
+        raise errors.fail(name, must, found(k) + (f" at index {k}" if np.size(wrong) > 1 else ""))

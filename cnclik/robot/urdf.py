@@ -246,16 +246,6 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
     return candidates[0]
 
 
-def tips_of(tree: Tree, base: str | None, named: dict) -> list[str]:
-    """Return the links of several tips, {name: the argument that names it}; all candidates if none is named."""
-    root, links = _first(tree, base), [link_of(tree, argument, link) for link, argument in named.items()]
-    for link, argument in zip(links, named.values(), strict=True):
-        if base not in ("planar", "free") and all(edge.type == "fixed" for way in tree.way(link, root) for edge in way):
-            left_out = " (leave it out for the frame of the base)" if argument.endswith("relative_to") else ""
-            raise errors.fail(argument, f"be moved by a joint{left_out}", f"is {link!r}, fixed to {root!r}")
-    return links or list(tree.tips(root)) or [tip_of(tree, None, base)]
-
-
 def _first(tree, base) -> str:
     return tree.root if base is None or base in BASES else link_of(tree, "base", base)
 

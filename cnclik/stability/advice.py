@@ -109,7 +109,7 @@ def advise(
     """
     errors.kind("law", law, Law)
     rates = rates_of(law)
-    several = {one[2] for one in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
+    several = {rate for *_, rate in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
     if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1:
         must = (
             "be the same for all joints where gains differ: no limit holds at every posture. Use one gain for all "
@@ -117,14 +117,8 @@ def advise(
         )
         raise errors.fail("drive", must, "differs from joint to joint")
     loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
-    euler = gains(Ts=Ts, drive=drive, method="EE") if any(kind in _OF_VELOCITIES for _, kind, _ in rates) else loop
-    return Advice(
-        gains=loop,
-        rates=tuple(Rate(*one, euler if one[1] in _OF_VELOCITIES else loop) for one in rates),
-    )
-
-
-_OF_VELOCITIES = ("joint limits", "wall")
+    limits = dict.fromkeys(("task", "posture"), loop) | dict.fromkeys(("joint limits", "wall"), loop.by("EE"))
+    return Advice(gains=loop, rates=tuple(Rate(name, kind, rate, limits[kind]) for name, kind, rate in rates))
 
 
 def rates_of(law) -> list[tuple[str, str, float]]:

@@ -1,6 +1,4 @@
-"""Calibrate: geometry from measured positions, by the descent of `tune`."""
-
-from __future__ import annotations
+"""Calibrate: geometry from measured positions, by nonlinear least squares."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -11,34 +9,19 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.precision import in_float64
-from cnclik.record import AnyArray, Array, ArrayLike, Float, record
+from cnclik.record import Array, ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, modelled
-from cnclik.tuning.descent import Bounds, descend, evaluate
 from cnclik.tuning.parameters import Parameter
 
 
 class Calibrated(NamedTuple):
-    """The calibrated value, RMS distances to the measured positions before and after [m], and a status of `tune`."""
+    """The calibrated value, RMS distances to the measured positions before and after [m], "converged" or "steps"."""
 
     value: np.ndarray
     rms_before: float
     rms_after: float
     status: str
-
-
-@record
-class Distance:
-    """The mean squared distance between measured positions and those of a chain built from a value."""
-
-    nominal: Parameter
-    q: Float[AnyArray, "K n"]
-    measured: Float[AnyArray, "K 3"]
-
-    def __call__(self, values):
-        chain = modelled(self.nominal.put(values.reshape(self.nominal.start.shape)))
-        away = jax.vmap(lambda q: frames(chain, q).position)(self.q) - self.measured
-        return jnp.mean(jnp.sum(away**2, axis=-1)), jnp.zeros(0), None
 
 
 @in_float64
@@ -51,7 +34,6 @@ def calibrate(
     lower: ArrayLike | None = None,
     upper: ArrayLike | None = None,
     steps: int = 200,
-    progress: Callable | None = None,
 ) -> Calibrated:
     """Estimate geometry from measured positions of the tip; computed in float64, whatever JAX's setting is.
 
@@ -61,11 +43,12 @@ def calibrate(
       start: nominal value, an array, such as link lengths [m].
       q: (K, n) joint values [rad, m]. measured: (K, 3) positions of the tip there [m].
       lower, upper: bounds; default: 0.5 below and above the start.
-      steps, progress: as for `tune`.
+      steps: evaluations, at most.
     Returns: `Calibrated`.
     Raises: ArgumentError for shapes that do not fit.
     """
-    errors.progress(progress)
+    from scipy.optimize import least_squares
+
     if not callable(build):
         raise errors.fail("build", "be a function of the value", f"is {build!r}")
     start, steps = np.asarray(errors.array("start", start), float), errors.integer("steps", steps, at_least=3)
@@ -76,11 +59,18 @@ def calibrate(
     measured = np.asarray(errors.array("measured", measured, (q.shape[0], 3)), float)
     lower, upper = (start + away if bound is None else bound for bound, away in ((lower, -0.5), (upper, 0.5)))
     p = Parameter(name="start", start=start, lower=lower, upper=upper, put=build)
-    bounds, objective = Bounds(p.lower.ravel(), p.upper.ravel()), Distance(nominal=p, q=q, measured=measured)
-    u = bounds.within(bounds.free(start.ravel()))
-    before = evaluate(objective, bounds, u).loss
+
+    @jax.jit
+    def distances(value):
+        chain = modelled(build(value.reshape(start.shape)))
+        return (jax.vmap(lambda q: frames(chain, q).position)(q) - measured).ravel() / np.sqrt(len(q))
+
+    bounds = p.lower.ravel(), p.upper.ravel()
+    value = np.clip(start.ravel(), *bounds)
+    before = float(np.linalg.norm(distances(value)))
     if not np.isfinite(before):
         raise errors.fail("start", "give finite positions", "does not")
-    best, _, status = descend(objective, bounds, u, steps=steps, progress=progress)
-    value = np.asarray(bounds.values(best.u)).reshape(start.shape)
-    return Calibrated(value, before**0.5, best.loss**0.5, status)
+    least = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-14)
+    best = least_squares(distances, value, jax.jit(jax.jacfwd(distances)), bounds, **least, max_nfev=steps)
+    status = "converged" if best.status > 0 else "steps"
+    return Calibrated(best.x.reshape(start.shape), before, float(np.linalg.norm(best.fun)), status)

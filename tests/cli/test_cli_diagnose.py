@@ -51,71 +51,10 @@ def test_a_drive_to_paste(recorded, tmp_path, capsys):
     first = capsys.readouterr().out.splitlines()[0]
     assert first == "--delay 2 --natural-frequency 23 --damping-ratio 2.3 --command position"
     assert (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
-    main(["diagnose", recorded, "--step", "--json", "--columns", "command", "position", "--kind", "second-order"])
+    main(["diagnose", recorded, "--step", "--json", "--columns", "command", "position"])
     said = json.loads(capsys.readouterr().out)
     assert said["kind"] == "second-order" and said["natural_frequency"] == pytest.approx(23, rel=1e-3)
     assert said["lag"] is None and said["explained"] > 0.999
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["--Ts", "0"], "Option `--Ts` must be positive, but is 0."),
-        (["--columns", "q3"], "Option `--columns` must be one of time, q1, q2, but is 'q3'"),
-        (["--step", "--columns", "q1"], "Option `--columns` must name as many motions as commands"),
-        (["--step", "--alpha", "3"], "Option `--alpha` must be left out with --step, but is given."),
-        (["--kind", "lag"], "Option `--kind` must come with --step, but comes without."),
-        (["--alpha", "-1"], "Option `--alpha` must be positive, but is -1."),
-        (["--out", __file__], "Option `--out` must be a folder that can be written into"),
-    ],
-)
-def test_user_errors_are_one_line(log, options, line, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["diagnose", log, *options])
-    said = capsys.readouterr().err.strip()
-    assert left.value.code == 2 and line in said and "\n" not in said
-
-
-@pytest.mark.parametrize(
-    ("rows", "options", "line"),
-    [
-        (10, [], "Argument `LOG` must have at least 16 rows, but has 10."),
-        (10, ["--tasks", "a", "b=3"], "Argument `LOG` must have at least 16 rows, but has 10."),
-        (
-            20,
-            ["--tasks", "a=-3"],
-            "Option `--tasks` must give gains as positive numbers, such as hands=20, but is 'a=-3'",
-        ),
-        (-20, [], "Argument `stamp` must increase, but the median step is -0.1 s."),
-        ("nan", [], "Argument `LOG` must hold a finite number in every row of its columns, but has none in row 3."),
-        (
-            "inf",
-            ["--tasks", "b", "a"],
-            "Argument `LOG` must hold a finite number in every row of its columns, but has none in row 3.",
-        ),
-    ],
-)
-def test_what_is_wrong_with_a_recording_is_named_as_the_user_calls_it(tmp_path, rows, options, line, capsys):
-    """`signal`, `t` and `a.alpha` were named, which are names of Python's."""
-    t = 0.1 * np.arange(20) if isinstance(rows, str) else np.sign(rows) * 0.1 * np.arange(abs(rows))
-    a, b = np.sin(9 * t), np.cos(9 * t)
-    a[2] = float(rows) if isinstance(rows, str) else a[2]
-    with pytest.raises(SystemExit):
-        main(["diagnose", write(tmp_path / "log.csv", ["stamp", "a.x", "b.x"], t, a, b), *options])
-    assert line in capsys.readouterr().err
-
-
-def test_a_recording_without_times_needs_Ts(tmp_path, capsys):
-    file = write(tmp_path / "bare.csv", ["q"], loop(1.8, 0, 60))
-    with pytest.raises(SystemExit):
-        main(["diagnose", file])
-    assert "Option `--Ts` must be given where no column is called t, time or stamp" in capsys.readouterr().err
-    main(["diagnose", file, "--Ts", "0.01"])
-    assert "ringing: period 2 samples" in capsys.readouterr().out
-    (tmp_path / "empty.csv").write_text("q\n")
-    with pytest.raises(SystemExit):
-        main(["diagnose", str(tmp_path / "empty.csv"), "--Ts", "0.01"])
-    assert "hold numbers" in capsys.readouterr().err
 
 
 def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, capsys):

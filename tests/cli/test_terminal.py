@@ -13,26 +13,23 @@ from cnclik.cli import main
 
 # A verb whose work writes a file after its first output.
 WORK = """
-import dataclasses, pathlib, signal, sys, time, types
+import signal, sys, time
 import cnclik.cli as cli
+import cnclik.cli.robots as verb
 
 signal.signal(signal.SIGINT, INTERRUPT)  # the tests themselves may run behind `&`
 
-@dataclasses.dataclass
-class Args:
-    out: pathlib.Path
-
-def run(args):
+def run(robot):
     from cnclik.writing import output_folder
-    with output_folder(args.out) as folder:
+    with output_folder(robot) as folder:
         for _ in range(4000):  # more than a pipe holds
             print("µ² → ∞ √2 α·Ts ☃ " + chr(0xDC80), flush=True)
         print("begun", file=sys.stderr, flush=True)
         time.sleep(SLEEP)
         folder.write_text("one.txt", "1")
 
-sys.modules["cnclik.cli.plot"] = types.SimpleNamespace(Args=Args, run=run)
-sys.argv = ["cnclik", "plot", "--out", sys.argv[1]]
+verb.run = run
+sys.argv = ["cnclik", "robots", sys.argv[1]]
 cli.main()
 """
 
@@ -100,7 +97,7 @@ def test_encodings_that_lack_our_letters(tmp_path, encoding):
 
 @pytest.mark.parametrize(("sent", "code", "says"), [(signal.SIGTERM, 143, "Terminated"), (signal.SIGINT, 130, "Inter")])
 def test_signals_leave_no_half_results(tmp_path, sent, code, says):
-    process = command(tmp_path, 30, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = command(tmp_path, 10, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr.readline() == "begun\n"
     process.send_signal(sent)
     found, _, err = ended(process)
@@ -111,7 +108,7 @@ def test_signals_leave_no_half_results(tmp_path, sent, code, says):
 def test_an_interrupt_leaves_no_bar_and_a_cursor(tmp_path):
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()
-    process = command(tmp_path, 30, stdout=subprocess.DEVNULL, stderr=theirs)
+    process = command(tmp_path, 10, stdout=subprocess.DEVNULL, stderr=theirs)
     os.close(theirs)
     with open(ours, "rb", buffering=0) as terminal:
         shown = terminal.read(100)

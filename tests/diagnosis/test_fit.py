@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.diagnosis.fit import fit_drive
+from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive, sampled
 from tests.diagnosis.recordings import servo
@@ -145,6 +145,8 @@ def test_what_no_drive_does_is_named():
     for u in command[:-1]:
         limited.append(limited[-1] + np.clip(0.15 * (u - limited[-1]), -0.008, 0.008))
     assert "has a structure" in str(fit_drive(None, command, noisy(np.array(limited), share=1e-3), TS))
+    more = fit_drive(None, command, noisy(1.1 * np.array(limited), share=1e-3), TS).note
+    assert "has a structure" in more and NOT_REBASED in more  # whatever else there is to say
     assert "structure" not in str(fit_drive(None, command, noisy(servo(command, TS, 2.0, lag=0.02)), TS))
 
 

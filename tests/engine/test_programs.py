@@ -545,7 +545,7 @@ def test_metrics_are_no_longer_for_more_steps():
     names = [name for name, metric in METRICS.items() if "rotation" not in name and not metric.needs]
 
     def measured(q, N):
-        found = ck.measure_run(ck.solve(law, path, q, 0.01, N, "EE"), law, path, names)
+        found = ck.measure.measure_run(ck.solve(law, path, q, 0.01, N, "EE"), law, path, names)
         return [1.0 * found[name] for name in names]
 
     for N in (30, 90):

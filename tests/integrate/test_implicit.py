@@ -39,7 +39,7 @@ def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
     one = law(1.5)
     root = scipy.optimize.root(lambda q: q - np.asarray(Q) - Ts * slope(one, TARGET, q), Q, tol=1e-12)
     assert root.success
-    made = ck.step(one, TARGET, Q, 0.0, Ts, ck.IE, stage)
+    made = ck.step(one, TARGET, Q, 0.0, Ts, ck.METHODS["IE"], stage)
     np.testing.assert_allclose(made.q, root.x, atol=tolerance)
     assert float(made.residual) < tolerance * 10
 
@@ -47,8 +47,8 @@ def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
 def test_contraction_does_not_depend_on_z():
     """Near a target the fixed-point iteration contracts with z, the chord iteration with the curvature."""
     for z in (1.5, 15.0):
-        assert float(ck.step(law(z), TARGET, Q, 0.0, Ts, ck.IE, ck.chord(4)).contraction) < 0.6
-        assert float(ck.step(law(z), TARGET, Q, 0.0, Ts, ck.IE, ck.picard(4)).residual) > 0.1
+        assert float(ck.step(law(z), TARGET, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(4)).contraction) < 0.6
+        assert float(ck.step(law(z), TARGET, Q, 0.0, Ts, ck.METHODS["IE"], ck.picard(4)).residual) > 0.1
 
 
 GAIN = jnp.array([5.0, 20.0])
@@ -98,7 +98,7 @@ def test_masked_passes_equal_compiled_ones():
     one = law(2.0)
     counts = {ck.chord: (0, 1, 3), ck.newton: (0, 2)}
 
-    step = functools.partial(ck.step, one, TARGET, Q, 0.0, Ts, ck.IE)
+    step = functools.partial(ck.step, one, TARGET, Q, 0.0, Ts, ck.METHODS["IE"])
 
     def lanes(make, many):
         return jax.vmap(lambda M: step(make(M, maximum=max(many))))(jnp.array(many))
@@ -114,7 +114,7 @@ def test_masked_passes_equal_compiled_ones():
 
 
 def end_point(z, stage):
-    return ck.step(ck.Law(ARM, ck.position("xy"), alpha=z / Ts), TARGET, Q, 0.0, Ts, ck.IE, stage).q
+    return ck.step(ck.Law(ARM, ck.position("xy"), alpha=z / Ts), TARGET, Q, 0.0, Ts, ck.METHODS["IE"], stage).q
 
 
 def slopes(stage):
@@ -136,18 +136,18 @@ def test_unrolled_derivative_is_that_of_the_passes():
 
 
 def test_cost_in_evaluations():
-    assert evaluations_per_step(ck.EE, ck.chord(5), 3) == 1
-    assert evaluations_per_step(ck.IE, ck.picard(5), 3) == 6
-    assert evaluations_per_step(ck.IE, ck.chord(5), 3) == 6
-    assert evaluations_per_step(ck.CN, ck.chord(5), 3) == 6
-    assert evaluations_per_step(ck.TRAPEZOID, ck.newton(2), 3) == 1 + 2 * 4
-    assert int(ck.solve(law(1.0), TARGET, Q, Ts, 4, ck.TRAPEZOID, ck.newton(2)).evaluations) == 4 * 9
+    assert evaluations_per_step(ck.METHODS["EE"], ck.chord(5), 3) == 1
+    assert evaluations_per_step(ck.METHODS["IE"], ck.picard(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["IE"], ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["CN"], ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["TRAPEZOID"], ck.newton(2), 3) == 1 + 2 * 4
+    assert int(ck.solve(law(1.0), TARGET, Q, Ts, 4, ck.METHODS["TRAPEZOID"], ck.newton(2)).evaluations) == 4 * 9
 
 
 def test_a_stage_that_is_not_there_yet_says_so():
-    status = ck.step(law(2.0), TARGET, Q, 0.0, Ts, ck.IE, ck.chord(0)).status
+    status = ck.step(law(2.0), TARGET, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(0)).status
     assert int(status) & ck.Status.NOT_CONVERGED
-    status = ck.step(law(2.0), TARGET, Q, 0.0, Ts, ck.IE, ck.chord(8)).status
+    status = ck.step(law(2.0), TARGET, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(8)).status
     assert not int(status) & ck.Status.NOT_CONVERGED
     with pytest.raises(ck.ArgumentError, match="`M` must be at least 0"):
         ck.chord(-1)

@@ -18,7 +18,7 @@ ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
 
 
-def _final(case, method=ck.CN):
+def _final(case, method=ck.METHODS["CN"]):
     """One loop with its own gain and start; a tree in, a tree out."""
     run = ck.solve(ck.replace(LAW, alpha=case["alpha"]), ck.hold([1.0, 0.5]), case["q0"], 0.1, 4, method, ck.picard(2))
     return {"e": run.e[-1], "status": run.status, "norm": jnp.sum(run.e[-1] ** 2)}
@@ -74,7 +74,7 @@ def test_a_bad_lane_stays_alone(tiled):
 
 
 def test_under_jit_grad_and_vmap():
-    cases, short = _cases(5), functools.partial(_final, method=ck.EE)
+    cases, short = _cases(5), functools.partial(_final, method=ck.METHODS["EE"])
     tiled, many = lanes(short, tile=2), jax.vmap(short)
     reference = _by_source(jax.jit(many))
 

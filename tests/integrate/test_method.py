@@ -163,7 +163,10 @@ TWO = dict(A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2)
         (dict(c=(0.0,)), "`c` must have shape"),
         (dict(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
         (dict(order=0), "`order` must be at least 1"),
-        (dict(A=ck.RK4.A, b=ck.RK4.b, c=ck.RK4.c, order=5), "`order` must be 4, that of the weights, but is 5"),
+        (
+            dict(A=ck.METHODS["RK4"].A, b=ck.METHODS["RK4"].b, c=ck.METHODS["RK4"].c, order=5),
+            "`order` must be 4, that of the weights, but is 5",
+        ),
     ],
 )
 def test_tableaus_that_are_none(named, message):

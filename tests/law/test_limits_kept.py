@@ -94,31 +94,6 @@ def test_kept(limits, name, dtype):
     assert status.any()
 
 
-URDF = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
-<joint name="1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
-<limit lower="0" upper="1e16" velocity="0"/></joint>
-<joint name="2" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/><origin xyz="0.5 0 0"/>
-<limit lower="-2" upper="2" velocity="3"/></joint>
-<joint name="3" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 0 1"/><origin xyz="0.5 0 0"/>
-<limit lower="0.5" upper="0.5" velocity="1"/></joint>
-<joint name="tip" type="fixed"><parent link="d"/><child link="e"/><origin xyz="0.5 0 0"/></joint></robot>"""
-
-
-def test_limits_from_a_file_and_as_numbers(tmp_path):
-    """One-sided, and a joint of one value: with the first passed, joint 1 went to −1.796."""
-    (tmp_path / "arm.urdf").write_text(URDF)
-    read = ck.load_urdf(str(tmp_path / "arm.urdf"), tip="e")
-    more = dict(lower=[0.0, -2.0, 0.5], upper=[INF, 2.0, 0.5], velocity_limit=[INF, 3.0, 1.0])
-    written = ck.from_dh([0.5] * 3, [0.0] * 3, [0.0] * 3, **more)
-    runs = []
-    for arm in (read, written):
-        law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.01), limits=ck.bounded())
-        runs.append(ck.solve(law, ck.hold([0.6, -1.0]), [0.2, 0.5, 0.5], 0.01, 300, "EE"))
-    q = np.asarray(runs[0].q)
-    np.testing.assert_allclose(q, runs[1].q, atol=1e-12)
-    assert q[:, 0].min() >= 0.0 and np.abs(q[:, 1]).max() <= 2.0 and np.all(q[:, 2] == 0.5)
-
-
 def test_a_joint_of_one_value_is_no_joint():
     """The arm moves as one whose second joint is welded, and is not at a limit all the time."""
     bend = 0.9

@@ -36,18 +36,11 @@ def rows(found):
     return [found[:3], found[3:].reshape(3, 3)]
 
 
-def inverted(found):
-    """Where the targets' frame stands, from a target at the origin as the base sees it."""
-    place, turn = rows(found)
-    return [-turn.T @ place, turn.T]
-
-
 STRAIGHT = ck.from_dh([0.0], [0.0], [0.0])  # at 0 the tip is where the base is
 DOORS = {
     "hold": lambda x: at_rest(ck.hold(x)),
     "line": lambda x: at_rest(ck.line(x, [0.0, 0.0, 0.0], duration=1.0)),
     "reach": lambda x: rows(read(x, pose())),
-    "base of reach": lambda x: inverted(read(np.eye(4), pose(), x)),
     "with_tool": lambda x: tip_of(ck.with_tool(STRAIGHT, x)),
     "with_base": lambda x: tip_of(ck.with_base(STRAIGHT, x)),
     "home": lambda x: tip_of(ck.from_screws([[0, 0, 0]], [[0, 0, 1]], x)),

@@ -25,7 +25,7 @@ def test_a_figure_that_fails_costs_only_itself(tmp_path):
 @pytest.mark.parametrize(
     ("words", "kept"),
     [
-        (["stability", "--draw", "plane", "--method", "EE"], {"plane.nc", "plane.md"}),
+        (["stability", "--draw", "plane", "--method", "EE"], {"plane.nc"}),
         (
             ["stability", "planar:1,1", "--draw", "map", "--N", "4", "--method", "EE", "--Ts", "0.1"],
             {"map.nc"},

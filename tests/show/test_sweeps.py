@@ -239,6 +239,13 @@ def test_curves_hold_the_datas_numbers():
         assert np.isnan(line.get_ydata()[-1])  # infinite: a gap
     line = drawn(found, {"kind": "distribution", "over": "Ts"}).axes[0].lines[0]
     assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
+    many = data(z=np.linspace(0.1, 3, 60), Ts=[0.1, 0.2])
+    many["lost"] = np.inf * many.max_error  # where all diverged there is no line
+    for table in (
+        {"kind": "distribution", "over": "z", "value": "lost"},
+        {"kind": "slices", "x": "z", "value": "lost"},
+    ):
+        FigureCanvasAgg(drawn(many, table)).draw()
     figure = drawn(found, WORK)
     np.testing.assert_array_equal(figure.axes[0].lines[1].get_xdata(), np.arange(1, 11) * 10)
     found.max_error[0] = 0.0  # an error of 0 lies on the axis

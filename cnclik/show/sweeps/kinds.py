@@ -26,8 +26,8 @@ def heat(view, layout):
         grid.figure.legend(limits, [words], loc="outside lower center")
     beyond = np.any(np.isfinite(value.values) & (value.values > scale.vmax))
     extend = "both" if layout.limits else "max" if beyond else "neither"
-    bar = grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02)
-    bar.set_label(axis_label(value))
+    axes = grid.axes.ravel().tolist()
+    grid.figure.colorbar(mesh, ax=axes, extend=extend, pad=0.02, label=axis_label(value))
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
 
 
@@ -64,10 +64,10 @@ def norm(values, layout):
     known = values[np.isfinite(values)]
     if not known.size:
         return colors.Normalize(0, 1)
-    if not is_logarithmic(values, layout):
-        return colors.Normalize(*(layout.limits or (known.min(), known.max())))
-    if layout.limits:
-        return colors.LogNorm(*layout.limits)
+    logarithmic = is_logarithmic(values, layout)
+    if layout.limits or not logarithmic:
+        of = colors.LogNorm if logarithmic else colors.Normalize
+        return of(*(layout.limits or (known.min(), known.max())))
     # One loop that ran away, or values at rounding, would waste the colours on decades that nobody looks at.
     positive = known[known > 0]
     staying = positive[positive <= RAN_AWAY]
@@ -82,9 +82,8 @@ def _boundary(ax, part, layout) -> list:
     """
     limit, own = part.coords.get("limit"), "z" if "z" in (layout.x, layout.y) else "alpha"
     other = layout.y if layout.x == own else layout.x
-    if limit is None or own not in (layout.x, layout.y) or not set(limit.dims) <= {other}:
-        return []
-    if not np.isfinite(limit).any() or (own == "alpha" and other != "Ts"):
+    known = limit is not None and own in (layout.x, layout.y) and set(limit.dims) <= {other}
+    if not known or not np.isfinite(limit).any() or (own == "alpha" and other != "Ts"):
         return []
     at = part[other]
     if not limit.ndim and at.dtype.kind == "f":  # a smooth line
@@ -95,9 +94,9 @@ def _boundary(ax, part, layout) -> list:
         middles = (at[1:] + at[:-1]) / 2
         at = np.repeat([1.5 * at[0] - 0.5 * at[1], *middles, 1.5 * at[-1] - 0.5 * at[-2]], 2)[1:-1]
         edge = np.repeat(edge, 2)
-    box = ax.get_xlim(), ax.get_ylim()
+    box = {"xlim": ax.get_xlim(), "ylim": ax.get_ylim()}
     drawn = ax.plot(*((edge, at) if layout.x == own else (at, edge)), **style.OUTLINED)
-    ax.set(xlim=box[0], ylim=box[1])
+    ax.set(**box)
     return drawn
 
 
@@ -122,7 +121,7 @@ def slices(view, layout):
             at, shown = along.isel(here).values.ravel(), part.isel(here).values.ravel()
             order = np.argsort(at, kind="stable")
             shown = np.where(np.isfinite(shown), shown, np.nan)[order]  # gaps where a value is not finite
-            ax.plot(at[order], shown, **{"marker": "."} | look, markevery=style.sparse(i, len(at)))
+            ax.plot(at[order], shown, **{"marker": "."} | look, markevery=_every(i, shown))
         if layout.x in view.dims:
             grid.scales(ax, view[layout.x].values)
         else:
@@ -141,11 +140,16 @@ def distribution(view, layout):
             sample = np.sort(sample[~np.isnan(sample)])
             share = np.arange(1, len(sample) + 1) / max(len(sample), 1)
             shown = np.isfinite(sample)
-            ax.step(sample[shown], share[shown], where="post", **look, markevery=style.sparse(i, 40))
+            ax.step(sample[shown], share[shown], where="post", **look, markevery=_every(i, np.resize(sample, 40)))
         if is_logarithmic(value.values, layout):
             style.log_scale(ax.xaxis, value.values)
         ax.set(ylim=(0, 1), xlim=layout.limits)
     return grid.finish(axis_label(value), "share of loops at or below")
+
+
+def _every(i, values):
+    """Return which points of the i-th line have markers; matplotlib can't stagger them where nothing is drawn."""
+    return style.sparse(i, len(values)) if np.isfinite(values).any() else None
 
 
 def _looks(view, layout) -> list:
