@@ -143,10 +143,8 @@ def test_growing_from_the_limit_of_stability_on(dtype):
     assert np.mean((status(5.0, WAVE, N=20) & S.GROWING) != 0) > 0.8
 
 
-def test_growing_where_a_velocity_is_told_and_with_a_users_function():
+def test_growing_with_a_users_function():
     law = ck.Law(SLIDER, ck.position("x"), alpha=4.0)
-    told = ck.with_feedforward(ck.hold([0.0]), [1.0])  # a false velocity: it settles with a lag
-    assert not np.any(ck.solve(law, told, [0.0], 0.1, 20, "EE").status)
 
     @jax.custom_jvp
     def host(t):
