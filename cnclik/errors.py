@@ -196,7 +196,7 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
         raise fail(name, "be finite", f"is {np.asarray(found)[where]}" + f" at index {where}" * (found.ndim > 0))
     if concrete(found) and most is not None and (np.abs(found) > most).any():
         raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(found).max():g}")
-    return as_jax_takes(found) if found.dtype.kind == "f" else found.astype(float)
+    return as_jax_takes(found if found.dtype.kind == "f" else found.astype(float))
 
 
 def _gathered(value) -> Any:

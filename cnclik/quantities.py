@@ -72,7 +72,8 @@ def read(text: str, unit: str, Ts: float | None = None, *, marked=False) -> Quan
       marked: whether there must be a unit.
     Raises: ValueError, in words that follow "but", for what are no such numbers.
     """
-    known, values, written = units(unit), [], []
+    known, values = units(unit), []
+    written: list[str | None] = []
     for word in text.split():
         found = None if word in known else _NUMBER.match(word)
         mark = word[found.end() :] if found else word

@@ -4,10 +4,3 @@
 goes along paths, `traced` makes the same tries within programs of others, `several` goes on to different answers.
 `asked` has the arguments and what a search means, `public` is the entry, `result` the record.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach(
-    __name__,
-    submod_attrs={"result": ["Reached", "ReachStatus"], "public": ["reach"]},
-)

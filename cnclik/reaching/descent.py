@@ -113,7 +113,7 @@ def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State
     downhill = e @ j
     pushes = ((s.q <= low) & (downhill < 0)) | ((s.q >= high) & (downhill > 0))
     downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, j)
-    step = dense.solved(dense.shifted(left @ left.T, damping), e) @ left
+    step = dense.cholesky_solve(dense.cholesky(dense.shifted(left @ left.T, damping)), e) @ left
     steep = downhill @ downhill / jnp.where(cost * size > 0, cost * size, 1.0)
     steep = jnp.where((trust > 1) & (damping > SHORT * size), 0.0, steep)  # at a kink
     step = jnp.asarray(per_unit(chain), step.dtype) * jnp.clip(step, -LONGEST, LONGEST)

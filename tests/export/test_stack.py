@@ -3,6 +3,7 @@
 import subprocess
 
 import numpy as np
+from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
 import cnclik as ck
 from cnclik.export.example import BUILD
@@ -13,7 +14,6 @@ from tests.engine.compare import NEEDS_C
 from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
-from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
 LEFT, RIGHT = TIPS
 TASK = ck.stack(
@@ -96,5 +96,5 @@ def test_walls_and_balance_are_described():
     named = ck.bounded(walls=[ck.wall(pair, above=0.02, name="left arm")])
     found = parameters(ck.replace(law, limits=named), None)[0]
     assert {"wall_left_arm_one_ends", "wall_left_arm_other_radius", "wall_left_arm_offset"} <= {f.name for f in found}
-    request = Request(law, None, ck.EE, ck.picard(5), np.dtype(float), None)
+    request = Request(law, None, ck.METHODS["EE"], ck.picard(5), np.dtype(float), None)
     assert "?" not in "".join(configuration(request)) and "..." in "".join(configuration(request))

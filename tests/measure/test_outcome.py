@@ -3,7 +3,6 @@
 import shlex
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -92,20 +91,3 @@ def test_map_is_labelled_and_carries_the_boundary():
 def test_strip_over_M_shows_odd_and_even_passes():
     strip = stability_map(LAW, SMALL, START, alpha=[1.1], Ts=1.0, M=np.arange(5), method="IE", N=150)
     assert list(stable(strip.ending.values[:, 0])) == [True, False, True, False, True]
-
-
-def test_measured_delay_limit_on_the_arm():
-    """The whole loop with its error measured d samples late, on both sides of 2 sin(π/(2(2d + 1)))."""
-    d, limit = 2, 2 * np.sin(np.pi / 10)
-
-    def final(z):
-        def one(history, _):
-            moved = ck.step(ck.replace(LAW, alpha=z), SMALL, history[0], 0.0, 1.0, "EE").q - history[0]
-            return jnp.concatenate([history[1:], (history[-1] + moved)[None]]), None
-
-        history, _ = jax.lax.scan(one, jnp.tile(START, (d + 1, 1)), None, length=400)
-        target = SMALL.curve(0.0)[0]
-        return jnp.hypot(*(ck.forward(TWO, history[-1]).position[:2] - jnp.stack(target)))
-
-    inside, outside = jax.jit(jax.vmap(final))(limit * jnp.array([0.9, 1.1]))
-    assert inside < 1e-10 < 1e-5 < outside

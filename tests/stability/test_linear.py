@@ -136,7 +136,7 @@ def test_gains_need_no_jax():
         "import jax\n"
         "law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position('xy'), alpha=1.0)\n"
         "drive = ck.Drive(lag=0.1, delay=1)\n"
-        "assert len(jax.tree.leaves(drive)) == 1 and not jax.tree.leaves(ck.EE)\n"
+        "assert len(jax.tree.leaves(drive)) == 1 and not jax.tree.leaves(ck.METHODS['EE'])\n"
         "ck.solve(law, ck.hold([1.0, 1.0]), [0.1, 1.0], 0.01, 3, drive=drive)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -232,7 +232,7 @@ def until_traced():
             raise Reached
 
     jax.monitoring.register_scalar_listener(begun)
-    names = ("cnclik.show.output.draw", "cnclik.show.viewer.front._server", "cnclik.sweeps.program.fit")
+    names = ("cnclik.show.output.draw", "cnclik.show.viewer.scene._server", "cnclik.sweeps.program.fit")
     try:
         with contextlib.ExitStack() as stack:
             for name in names:

@@ -47,10 +47,12 @@ def limit(fixed=(), drop=(), **axes):
 def test_the_limit_is_over_the_axes_on_which_it_depends():
     dims, values = limit()
     assert dims == ("method",)
-    np.testing.assert_allclose(values, [2, stability_limit(ck.IE, ck.picard(5))], rtol=1e-9)
+    np.testing.assert_allclose(values, [2, stability_limit(ck.METHODS["IE"], ck.picard(5))], rtol=1e-9)
     dims, values = limit(M=[1, 2, 5], method=["IE"])
     assert dims == ("method", "M")
-    np.testing.assert_allclose(values[0], [stability_limit(ck.IE, ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9)
+    np.testing.assert_allclose(
+        values[0], [stability_limit(ck.METHODS["IE"], ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9
+    )
     assert limit({"method": "EE"}, ["method"]) == ((), 2.0)
     assert limit({"N": "round(1/Ts)"})[0] == ("method",)  # Ts is compiled in, and the limit doesn't depend on it
     assert limit({"alpha": "z/Ts"}, ["alpha"], z=[0.5, 1.5])[0] == ("method",)

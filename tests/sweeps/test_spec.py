@@ -62,7 +62,7 @@ def test_values_follow_from_expressions():
     assert spec.grid().shape == (2, 3, 3, 2) and spec.question == spec.expectation == ""
     made = spec.build({"method": "CN", "M": np.int64(2), "z": 0.3, "lift": 0.1})
     assert float(made.law.alpha) == pytest.approx(3.0, rel=1e-15)
-    assert (made.Ts, made.N, made.method, made.stage.M, made.stage.maximum) == (0.1, 4, ck.CN, 2, 2)
+    assert (made.Ts, made.N, made.method, made.stage.M, made.stage.maximum) == (0.1, 4, ck.METHODS["CN"], 2, 2)
     np.testing.assert_allclose(made.q0, [0, -np.pi / 2], rtol=1e-15)
     np.testing.assert_allclose(made.reference.curve.end, [0, 1.1], rtol=1e-15)
     assert float(made.reference.curve.duration) == pytest.approx(0.4)  # the run's length, when nothing is said
@@ -215,7 +215,7 @@ def test_units_follow_the_task(fixed, axes, unit):
         ({"fixed__mine": "4ms"}, "`mine` must be a number or a short expression"),
         ({"figure": [3]}, "`figure` must be a list of tables"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
-        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must be [least, greatest]"),
+        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must have 2 numbers, but has 1"),
         ({"figure": [{"kind": "heat", "xx": "z"}]}, "but is 'xx' (did you mean 'x'?)"),
         ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
         ({"figure": [{"kind": "heat", "select": {"z": 1e9}}]}, "`figure[0].select.z` must lie between"),

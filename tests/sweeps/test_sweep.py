@@ -37,10 +37,15 @@ def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
         law, run = loop(alpha, Ts, M, method)
         return measure_run(run, law, PATH, SCALARS, tolerance=0.01)
 
-    axes = {"method": [ck.EE, ck.CN], "alpha": [2.0, 5.0, 12.0], "Ts": jnp.array([0.05, 0.1]), "M": np.array([0, 3])}
+    axes = {
+        "method": [ck.METHODS["EE"], ck.METHODS["CN"]],
+        "alpha": [2.0, 5.0, 12.0],
+        "Ts": jnp.array([0.05, 0.1]),
+        "M": np.array([0, 3]),
+    }
     # Blocks of four of the twelve points: several of them, the last of each program padded or not.
     found = sweep(study, lanes=5, **axes)
-    assert traces == [ck.EE, ck.CN]  # one trace per program
+    assert traces == [ck.METHODS["EE"], ck.METHODS["CN"]]  # one trace per program
     assert found.final_error.dims == tuple(axes)
     for place in itertools.product(*(range(len(values)) for values in axes.values())):
         at = dict(zip(axes, place, strict=True))
@@ -50,7 +55,7 @@ def test_a_sweep_is_a_plain_double_loop_over_solve_for_every_metric():
         with np.errstate(invalid="ignore"):
             wanted = plain.metrics(run, law, tangent, 0.01, np.inf, -np.inf, np.inf)
         for name in (n for n in SCALARS if n in wanted and not n.startswith(("position", "rotation"))):
-            wanted[name] = N if name == "evaluations" and method is ck.EE else wanted[name]
+            wanted[name] = N if name == "evaluations" and method is ck.METHODS["EE"] else wanted[name]
             np.testing.assert_allclose(
                 found[name].isel(at), wanted[name], rtol=1e-9, atol=1e-11, err_msg=f"{name} {at}"
             )
