@@ -170,12 +170,12 @@ def _of_walls(run, law):
     import numpy as np
 
     from cnclik.integrate.status import rounding_of
-    from cnclik.law.walls import names_of, wall_distance, wall_margin
+    from cnclik.law.walls import wall_distance, wall_margin
 
     walls, q = law.limits.walls, np.asarray(run.q, float)
     room, most = np.asarray(run.walls), rounding_of(np.asarray(run.qdot))
     away, margin = wall_distance(law, q), wall_margin(law, run)
-    for i, (name, wall) in enumerate(zip(names_of(walls), walls, strict=True)):
+    for i, wall in enumerate(walls):
         unit, missed = wall.task.units[0], int(np.sum(room[:, i : i + 1] < -most))
         said = f"active in {int(np.sum(room[:, i : i + 1] <= most))} of {len(room)} steps"
         first, least = away[0, i], away[:, i].min()
@@ -184,4 +184,4 @@ def _of_walls(run, law):
         said += f", passed by up to {aloud(-least, unit)}" if least < min(first, 0.0) else ""
         said += f"; a step may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
         said += f"; not kept in {missed} steps, by up to {aloud(-room[:, i].min(), f'{unit}/s')}" if missed else ""
-        yield f"wall {name}", said
+        yield f"wall {wall.name}", said

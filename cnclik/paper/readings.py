@@ -5,11 +5,14 @@ iteration once or twice, and the feed-forward of Case II. A `Reading` settles ea
 eight on both arms and both cases, and beside the paper's methods the textbook ones.
 """
 
+import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -18,10 +21,9 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.paths import line, with_feedforward
+from cnclik.law.paths import line
 from cnclik.law.reference import Reference
-from cnclik.paper.choices import DEFAULT, Reading
-from cnclik.record import replace, stack
+from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
@@ -32,6 +34,25 @@ TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
 
 PAPER = ("EE", "IE", "CN")
 BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT")
+
+
+class Reading(NamedTuple):
+    """One way to read the paper where its text leaves a choice."""
+
+    rotation: str
+    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
+    Ts: str
+    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
+    feedforward: str
+    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
+
+    def __str__(self):
+        return "/".join(self)
+
+
+_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
+READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
+DEFAULT = READINGS["on-path/once/consistent"]
 
 
 class Arm(NamedTuple):
@@ -67,14 +88,26 @@ def start(arm: str):
     return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
 
 
+@record
+class WithVelocity:
+    """A path with another feed-forward than its own velocity: its place has no derivative, the addend of 0 has."""
+
+    path: Callable
+    velocity: Float[ArrayLike, " m"]
+
+    def __call__(self, t):
+        position, rotation = lax.stop_gradient(self.path(t))
+        return position + (t - lax.stop_gradient(t)) * self.velocity, rotation
+
+
 def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     """Return the path of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (15-16, 18-19)."""
     errors.one_of("case", case, CASES)
     begin = ARMS[arm].target if case == "reach" else ARMS[arm].start
     length = 0.0 if case == "reach" else 1.0
     speed = length / (N * TS) if feedforward == "consistent" else length
-    # Explicit also where it is the path's own, so that all cases have one structure and can be lanes.
-    return with_feedforward(line(begin, (begin[0] - length, begin[1]), duration=N * TS), (-speed, 0.0))
+    straight = line(begin, (begin[0] - length, begin[1]), duration=N * TS)
+    return Reference(curve=WithVelocity(path=straight.curve, velocity=np.array([-speed, 0.0])))
 
 
 def tableau(method: Method, Ts: str = "once") -> Method:
@@ -89,17 +122,17 @@ def tableau(method: Method, Ts: str = "once") -> Method:
     return Method(name=method.name, A=A, b=method.b, c=method.c, order=1, source="Drexler (2016), eqs. 6-8 as printed")
 
 
-def experiment(arm: str, case: str, method: Method | str = CN, reading: Reading = DEFAULT) -> Trajectory:
+def experiment(arm: str, case: str, method: Method | str = CN, reading=DEFAULT) -> Trajectory:
     """Run one experiment of Section V: `experiment("5dof", "track", "CN").e`.
 
     Args:
       arm: "2dof" or "5dof".
       case: "reach" (Case I) or "track" (Case II).
       method: any of `METHODS`, or its name.
-      reading: how to read the text.
+      reading: how to read the text: one of `READINGS`, or its name.
     """
     errors.one_of("arm", arm, ARMS)
-    method = named(method)
+    method, reading = named(method), READINGS[errors.one_of("reading", str(reading), READINGS)]
     loop = law(arm, reading.rotation), path(arm, case, reading.feedforward), start(arm)
     return solve(*loop, TS, N, tableau(method, reading.Ts), picard(M))
 
