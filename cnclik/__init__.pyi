@@ -25,14 +25,14 @@ from .law.inverse import (
     singular_damped as singular_damped,
 )
 from .law.law import Law as Law, posture as posture
-from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
+from .law.limits import velocity_scaling as velocity_scaling
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
-    lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints, with_feedforward as with_feedforward,
+    lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints,
 )
 from .law.reference import Reference as Reference, References as References, references as references
 from .law.walls import (
-    support_polygon as support_polygon, wall as wall, wall_distance as wall_distance, wall_margin as wall_margin,
+    support_polygon as support_polygon, wall as wall, wall_margin as wall_margin,
 )
 from .measure.dataset import to_dataset as to_dataset
 from .problem.build import problem_from as problem_from
@@ -61,7 +61,7 @@ from .task.build import (
     function as function, joints as joints, orientation as orientation, pose as pose, position as position,
     stack as stack,
 )
-from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
+from .task.shapes import capsule as capsule, distance as distance, sphere as sphere
 from .task.task import Task as Task
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

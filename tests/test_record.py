@@ -145,7 +145,7 @@ def test_what_a_newcomer_prints_is_a_few_lines(loop):
     ]
     assert repr(ck.pose("xy", "z", weights=[1, 1, 2])) == "Task: x, y [m], rz [rad], weights [1, 1, 2]"
     assert repr(ck.hold([1.0, 2.0])) == "Reference: Hold(position=[1, 2], rotation=None)"
-    assert repr(ck.with_feedforward(ck.hold([1.0]), [0.0])).endswith("told velocity [0]")
+    assert repr(ck.causal(ck.hold([1.0]))).endswith("future unknown")
 
 
 def test_printing_looks_at_no_traced_value(loop):

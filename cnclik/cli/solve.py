@@ -1,6 +1,7 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
 import functools
+import itertools
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -48,9 +49,8 @@ def run(
         folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         if csv:
             folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
-    written = folder.made
     with progress.bar("figures") as report:
-        written += draw(_figures(data, made) if figures else {}, out, progress=report, overwrite=overwrite)
+        written = folder.made + draw(_figures(data, made) if figures else {}, out, progress=report, overwrite=overwrite)
     if not json:
         print(f"Wrote {', '.join(sorted(written))} to {out}/.")
 
@@ -77,26 +77,23 @@ def _answer(made, trajectory, out) -> None:
     print_table(facts, box=None, padding=(0, 2, 0, 0))
 
 
+_COLUMNS = {  # of trajectory.csv: {variable of the dataset: (prefix of the names, dimension)}
+    **{"time": ("time", None), "q": ("q_", "joint"), "x": ("x_", "axis"), "e": ("e_", "axis")},
+    **{"qdot": ("qdot_", "joint"), "status": ("status", None), "task_status": ("status_", "task")},
+    "walls": ("wall_", "wall"),
+}
+
+
 def _rows(data):
     """One row per instant; the values of a step are in the row of its beginning."""
-    import numpy as np
-
-    joints, axes = data.joint.values, data.axis.values
-    header = ["time", *(f"q_{j}" for j in joints), *(f"x_{a}" for a in axes), *(f"e_{a}" for a in axes)]
-    header += [*(f"qdot_{j}" for j in joints), "status"]
-    points = np.hstack([data.time.values[:, None], data.q.values, data.x.values, data.e.values]).tolist()
-    bits = data.status.values[:, None]
-    if "task" in data.dims:
-        header += [f"status_{name}" for name in data.task.values]
-        bits = np.hstack([bits, data.task_status.values])
-    parts = [data.qdot.values, bits]
-    if "wall" in data.dims:
-        header += [f"wall_{name}" for name in data.wall.values]
-        parts.append(data.walls.values)
-    steps = [[v for part in each for v in part] for each in zip(*(part.tolist() for part in parts), strict=True)]
-    last = [""] * (len(header) - len(points[0]))
-    yield header
-    yield from (point + step for point, step in zip(points, [*steps, last], strict=True))
+    names, columns = [], []
+    for variable, (prefix, dimension) in _COLUMNS.items():
+        if variable in data.variables:
+            labels = [""] if dimension is None else data[dimension].values
+            names += [f"{prefix}{label}" for label in labels]
+            columns += data[variable].values.reshape(data[variable].shape[0], -1).T.tolist()
+    yield names
+    yield from itertools.zip_longest(*columns, fillvalue="")
 
 
 def _figures(data, made) -> dict:
@@ -173,12 +170,12 @@ def _of_walls(run, law):
     import numpy as np
 
     from cnclik.integrate.status import rounding_of
-    from cnclik.law.walls import names_of, wall_distance, wall_margin
+    from cnclik.law.walls import wall_distance, wall_margin
 
     walls, q = law.limits.walls, np.asarray(run.q, float)
     room, most = np.asarray(run.walls), rounding_of(np.asarray(run.qdot))
     away, margin = wall_distance(law, q), wall_margin(law, run)
-    for i, (name, wall) in enumerate(zip(names_of(walls), walls, strict=True)):
+    for i, wall in enumerate(walls):
         unit, missed = wall.task.units[0], int(np.sum(room[:, i : i + 1] < -most))
         said = f"active in {int(np.sum(room[:, i : i + 1] <= most))} of {len(room)} steps"
         first, least = away[0, i], away[:, i].min()
@@ -187,4 +184,4 @@ def _of_walls(run, law):
         said += f", passed by up to {aloud(-least, unit)}" if least < min(first, 0.0) else ""
         said += f"; a step may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
         said += f"; not kept in {missed} steps, by up to {aloud(-room[:, i].min(), f'{unit}/s')}" if missed else ""
-        yield f"wall {name}", said
+        yield f"wall {wall.name}", said

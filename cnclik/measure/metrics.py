@@ -22,7 +22,7 @@ from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
 from cnclik.measure.outcome import judge, stable
-from cnclik.record import Number, cast, replace
+from cnclik.record import Number, cast
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
@@ -115,9 +115,7 @@ def _rotation(of):
 def _split(of):
     """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
     task, model = of.law.task, modelled(of.law.chain)
-    # The path's own direction, whatever is fed forward.
-    path = ref.of_each(lambda one, _: replace(one, feedforward=None), of.reference, task)
-    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
+    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
     e, v = _position(of), toward(of.run.t, of.run.q)[:, np.array(task.lengths, int)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)

@@ -6,11 +6,13 @@ eight on both arms and both cases, and beside the paper's methods the textbook o
 """
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -19,9 +21,9 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.paths import line, with_feedforward
+from cnclik.law.paths import line
 from cnclik.law.reference import Reference
-from cnclik.record import replace, stack
+from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
@@ -86,14 +88,26 @@ def start(arm: str):
     return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
 
 
+@record
+class WithVelocity:
+    """A path with another feed-forward than its own velocity: its place has no derivative, the addend of 0 has."""
+
+    path: Callable
+    velocity: Float[ArrayLike, " m"]
+
+    def __call__(self, t):
+        position, rotation = lax.stop_gradient(self.path(t))
+        return position + (t - lax.stop_gradient(t)) * self.velocity, rotation
+
+
 def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     """Return the path of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (15-16, 18-19)."""
     errors.one_of("case", case, CASES)
     begin = ARMS[arm].target if case == "reach" else ARMS[arm].start
     length = 0.0 if case == "reach" else 1.0
     speed = length / (N * TS) if feedforward == "consistent" else length
-    # Explicit also where it is the path's own, so that all cases have one structure and can be lanes.
-    return with_feedforward(line(begin, (begin[0] - length, begin[1]), duration=N * TS), (-speed, 0.0))
+    straight = line(begin, (begin[0] - length, begin[1]), duration=N * TS)
+    return Reference(curve=WithVelocity(path=straight.curve, velocity=np.array([-speed, 0.0])))
 
 
 def tableau(method: Method, Ts: str = "once") -> Method:

@@ -8,7 +8,7 @@ from cnclik.robot.bases import BALL, BASES, grounded, unfolded
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
 from cnclik.robot.masses import lumped
-from cnclik.robot.tree import MOST, Tree, read_urdf
+from cnclik.robot.tree import Tree, read_urdf
 
 _NAMED = 4  # candidates for a tip that a message names
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
@@ -185,10 +185,6 @@ def _leader(by_name, edge) -> tuple:
     while edge.mimic is not None:
         name, factor, shift = edge.mimic
         multiplier, offset = multiplier * factor, multiplier * shift + offset
-        if max(abs(multiplier), abs(offset)) > MOST:
-            raise errors.fail(
-                "path", f"have mimic joints within ±{MOST:g}", f"{next(iter(way))!r} is {multiplier:g}·q + {offset:g}"
-            )
         if name in way:
             raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*way, name))} do not")
         follower, edge = edge, by_name.get(name)

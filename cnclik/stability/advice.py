@@ -11,7 +11,6 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law
-from cnclik.law.walls import names_of, rate_of
 from cnclik.precision import of_numbers
 from cnclik.record import Number, record
 from cnclik.stability.gain import Gains, Response, gains, in_words
@@ -133,8 +132,4 @@ def rates_of(law) -> list[tuple[str, str, float]]:
     if of_limits is not None and np.isfinite([law.chain.lower, law.chain.upper]).any():
         rates.append(("joint limits", "joint limits", float(of_limits)))
     walls = getattr(law.limits, "walls", ())
-    rates += [
-        (f"wall {name}", "wall", float(rate_of(wall, of_limits)))
-        for name, wall in zip(names_of(walls), walls, strict=True)
-    ]
-    return rates
+    return rates + [(f"wall {wall.name}", "wall", float(wall.rate)) for wall in walls]

@@ -20,7 +20,6 @@ from cnclik.integrate.status import Status, rounding_of
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import Law, check_loop, evaluate
 from cnclik.law.reference import Reference
-from cnclik.law.walls import names_of
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64
 from cnclik.quantities import aloud, plainly
@@ -297,7 +296,7 @@ class _Case:
         acts = {}
         if self.walls is not None:
             held = np.asarray(self.walls, float) <= rounding_of(self.qdot)
-            acts |= {f"wall {name} held": steps for name, steps in zip(names_of(limits.walls), held.T, strict=True)}
+            acts |= {f"wall {wall.name} held": steps for wall, steps in zip(limits.walls, held.T, strict=True)}
         for steps, where in ((stopped, "at a limit"), (fast, "at its velocity limit")):
             acts |= {f"joint {name} was {where}": own for name, own in zip(chain.joint_names, steps.T, strict=True)}
         words = [f"{what} in {steps.sum()} of {self.N} steps" for what, steps in acts.items() if steps.mean() >= RARE]

@@ -14,7 +14,7 @@ from cnclik import errors
 from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
-from cnclik.law.law import Law, check_loop, evaluate, observe
+from cnclik.law.law import Law, check_loop, observe, weighted
 from cnclik.law.paths import hold_at
 from cnclik.law.reference import Reference
 from cnclik.precision import in_float64_if_known
@@ -74,7 +74,7 @@ def _radius(law, reference, q, Ts, method, stage):
     def move(y):
         return chart.into(law.chain, q, advance(law, held, chart.out(law.chain, q, y), t, Ts, method, stage).q)
 
-    moved, rows = jax.jacfwd(move)(chart.centre(law.chain, q)), evaluate(law, held, t, q).rows
+    moved, rows = jax.jacfwd(move)(chart.centre(law.chain, q)), weighted(law.task, observe(law, held, t, q).rows)
     eye = jnp.eye(len(rows), dtype=rows.dtype)
     task_map = eye + rows @ (moved - jnp.eye(len(moved), dtype=rows.dtype)) @ jnp.linalg.pinv(rows)
     eigenvalues = jnp.linalg.eigvals(task_map)

@@ -3,6 +3,7 @@
 import subprocess
 
 import numpy as np
+from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
 import cnclik as ck
 from cnclik.export.example import BUILD
@@ -13,7 +14,6 @@ from tests.engine.compare import NEEDS_C
 from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
-from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
 LEFT, RIGHT = TIPS
 TASK = ck.stack(

@@ -340,7 +340,7 @@ def test_the_forms_of_targets():
         ),
         ({"targets": [0.3, 0.1], "task": "position"}, r"`targets` must hold 3 numbers, x y z \[m\], but holds 2"),
         ({"targets": np.zeros((2, 3))}, "holds positions alone, which are for task position"),
-        ({"targets": 2 * np.eye(4)}, "`targets` must hold a rotation, .* but holds one scaled by 2"),
+        ({"targets": 2 * np.eye(4)}, "`targets` must hold a rotation, .* but is off by 3"),
         ({"targets": (np.zeros((2, 3)), np.eye(3)[None])}, "as many positions as rotations"),
         ({"targets": np.zeros((0, 4, 4))}, "at least one target"),
         ({"task": "elbow"}, "`task` must be one of"),

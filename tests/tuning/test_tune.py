@@ -11,6 +11,7 @@ from cnclik.tuning import Parameter, scaled_links, tune
 from cnclik.tuning.descent import Bounds, evaluate
 from cnclik.tuning.parameters import chosen, ends
 from cnclik.tuning.tune import objective_of
+from tests.bank import told
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])  # the tip is at (1, 1)
@@ -36,7 +37,7 @@ def test_reach_with_explicit_euler_finds_the_dead_beat_gain():
 
 
 def test_the_papers_feedforward_is_three_times_too_large():
-    found = at(ck.with_feedforward(LINE, [-1.0, 0.0]), method="CN", over="feedforward")
+    found = at(told(LINE, np.array([-1.0, 0.0])), method="CN", over="feedforward")
     # The path moves −1/(N·Ts) = −1/3 per second. The method's own error, O(Ts²), is what remains.
     assert abs(found.values["feedforward"] - 1 / 3) < 1e-3 and found.losses[1] < 2.2e-4 < 0.1 < found.losses[0]
 

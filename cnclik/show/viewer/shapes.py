@@ -144,14 +144,16 @@ def shapes_of_walls(walls, chain) -> list:
         elif hasattr(part, "axes"):
             normal = np.zeros(3)
             normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
-            shapes.append((_frame(part.to, chain), _plane(normal, wall.offset, chain)))
+            wide = float(arm_length(chain))
+            mesh = trimesh.creation.box((wide, wide, 0.002 * wide))
+            mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], normal))
+            mesh.apply_translation(normal * float(wall.offset) / (normal @ normal))
+            shapes.append((_frame(part.to, chain), mesh))
     return [Shape(frame, mesh, style.LOST) for frame, mesh in shapes]
 
 
 def _solid(shape, chain) -> tuple:
-    """Return the frame and the mesh of a half space, a capsule or a sphere of a distance."""
-    if hasattr(shape, "normal"):
-        return 0, _plane(shape.normal, shape.offset, chain)
+    """Return the frame and the mesh of a capsule or a sphere of a distance."""
     (start, *_, end), radius = np.broadcast_to(shape.ends, (2, 3)).astype(float), float(shape.radius)
     along = end - start
     mesh = trimesh.creation.capsule(np.linalg.norm(along), radius)
@@ -162,11 +164,3 @@ def _solid(shape, chain) -> tuple:
 
 def _frame(tip, chain) -> int:
     return 0 if tip is None else 1 + len(chain.joints) + chain.tip_number(tip)
-
-
-def _plane(normal, offset, chain):
-    """Return a thin square at normal · x = offset."""
-    size, normal = float(arm_length(chain)), np.asarray(normal, float)
-    mesh = trimesh.creation.box((size, size, 0.002 * size))
-    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], normal))
-    return mesh.apply_translation(normal * float(offset) / (normal @ normal))
