@@ -63,6 +63,5 @@ from .task.build import (
 )
 from .task.shapes import capsule as capsule, distance as distance, sphere as sphere
 from .task.task import Task as Task
-from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

@@ -34,7 +34,6 @@ DOORS = {  # what is traced of each, and how it is called
     ("fit_drive", "command"): lambda x: ck.fit_drive(None, jnp.tile(x, 20), jnp.tile(x, 20), TS),
     ("tune", "q0"): lambda x: ck.tune(LAW, GOAL, x, Ts=TS, N=3),
     ("tune", "bounds"): lambda x: ck.tune(LAW, GOAL, Q, Ts=TS, N=3, bounds={"alpha": (x[0], x[1])}),
-    ("calibrate", "start"): lambda x: ck.calibrate(ck.planar_arm, x, Q[None], np.zeros((1, 3))),
     ("sweep", "alpha"): lambda x: ck.sweep(lambda alpha: {"a": alpha}, alpha=x),
     ("to_dataset", "run"): lambda x: ck.to_dataset(run(x), LAW),
     ("require_ok", "run"): lambda x: ck.require_ok(run(x)),

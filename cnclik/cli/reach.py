@@ -79,7 +79,8 @@ def run(
         wanted = _random(chain, parts, errors.integer("random", random, at_least=1, at_most=errors.MOST), seed)
     else:
         wanted, line = _of_file(parts, pathlib.Path(targets or "")), f"Targets: those of {targets}."
-    asked = [title, line, _search(chain, near, path, limits)]
+    begins = ", each from the answer before it" * path
+    asked = [title, line, f"Search {'within the' if limits else 'without'} joint limits{begins}, to 1 µm and 1 µrad."]
     options = dict(jump=jump, solutions=solutions, limits=limits, seed=seed, near="previous" if path else near)
     with errors.called("targets", "target") if target else contextlib.nullcontext():
         made, seconds = _answers(chain, wanted, parts, options, out, overwrite)
@@ -177,15 +178,6 @@ def _random(chain, task, count, seed):
     low, high = spans(chain)
     at = At(modelled(chain), np.random.default_rng(errors.seed(seed)).uniform(low, high, (count, chain.n)))
     return by_name(task, [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)])
-
-
-def _search(chain, near, path, limits) -> str:
-    """A sentence about the search: its start and limits."""
-    from cnclik.record import in_words
-
-    begins = "" if near is None else f" from {in_words(near)} {', '.join(dict.fromkeys(chain.units))}"
-    begins = ", each from the answer before it" if path else begins
-    return f"Search {'within the' if limits else 'without'} joint limits{begins}, to 1 µm and 1 µrad."
 
 
 # --- the answers --------------------------------------------------------------------------------------

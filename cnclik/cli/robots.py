@@ -32,7 +32,24 @@ def run(robot: str) -> None:
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     links = "1 link" if len(tree.links) == 1 else f"{len(tree.links)} links"
     print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
+    for name, straight, beyond in _past_straight(tree):
+        print(
+            f"Joint {_plain(name)} is straight at {math.degrees(straight):.1f}° and bends "
+            f"{math.degrees(beyond):.0f}° beyond: start it bent the usual way, and give `near` to reach."
+        )
     print(f"Tips (leaf links that a joint moves; any link may be one): {_plain(', '.join(tips)) or 'none'}.")
+
+
+def _past_straight(tree):
+    """Elbows and knees whose range passes the straight posture by a few degrees, of all tips."""
+    from cnclik import errors
+    from cnclik.robot.posture import past_straight
+    from cnclik.robot.urdf import chain
+
+    try:
+        return past_straight(chain(tree, tips=list(tree.tips())))
+    except errors.ArgumentError:  # a tree that is no robot yet, such as one with two movable bases
+        return []
 
 
 def _show(rows) -> None:

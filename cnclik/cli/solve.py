@@ -1,6 +1,7 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
 import functools
+import itertools
 from pathlib import Path
 
 from cnclik.cli import progress
@@ -48,9 +49,8 @@ def run(
         folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         if csv:
             folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
-    written = folder.made
     with progress.bar("figures") as report:
-        written += draw(_figures(data, made) if figures else {}, out, progress=report, overwrite=overwrite)
+        written = folder.made + draw(_figures(data, made) if figures else {}, out, progress=report, overwrite=overwrite)
     if not json:
         print(f"Wrote {', '.join(sorted(written))} to {out}/.")
 
@@ -77,26 +77,23 @@ def _answer(made, trajectory, out) -> None:
     print_table(facts, box=None, padding=(0, 2, 0, 0))
 
 
+_COLUMNS = {  # of trajectory.csv: {variable of the dataset: (prefix of the names, dimension)}
+    **{"time": ("time", None), "q": ("q_", "joint"), "x": ("x_", "axis"), "e": ("e_", "axis")},
+    **{"qdot": ("qdot_", "joint"), "status": ("status", None), "task_status": ("status_", "task")},
+    "walls": ("wall_", "wall"),
+}
+
+
 def _rows(data):
     """One row per instant; the values of a step are in the row of its beginning."""
-    import numpy as np
-
-    joints, axes = data.joint.values, data.axis.values
-    header = ["time", *(f"q_{j}" for j in joints), *(f"x_{a}" for a in axes), *(f"e_{a}" for a in axes)]
-    header += [*(f"qdot_{j}" for j in joints), "status"]
-    points = np.hstack([data.time.values[:, None], data.q.values, data.x.values, data.e.values]).tolist()
-    bits = data.status.values[:, None]
-    if "task" in data.dims:
-        header += [f"status_{name}" for name in data.task.values]
-        bits = np.hstack([bits, data.task_status.values])
-    parts = [data.qdot.values, bits]
-    if "wall" in data.dims:
-        header += [f"wall_{name}" for name in data.wall.values]
-        parts.append(data.walls.values)
-    steps = [[v for part in each for v in part] for each in zip(*(part.tolist() for part in parts), strict=True)]
-    last = [""] * (len(header) - len(points[0]))
-    yield header
-    yield from (point + step for point, step in zip(points, [*steps, last], strict=True))
+    names, columns = [], []
+    for variable, (prefix, dimension) in _COLUMNS.items():
+        if variable in data.variables:
+            labels = [""] if dimension is None else data[dimension].values
+            names += [f"{prefix}{label}" for label in labels]
+            columns += data[variable].values.reshape(data[variable].shape[0], -1).T.tolist()
+    yield names
+    yield from itertools.zip_longest(*columns, fillvalue="")
 
 
 def _figures(data, made) -> dict:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.engine.constants import of_the_model
 from cnclik.engine.graph import Cond, Node, Scan, UnsupportedError
 from cnclik.engine.routine import INT, Field, Routine, read
+from cnclik.engine.tracing import of_the_model
 from cnclik.export import fields
 from cnclik.integrate.method import Method
 from cnclik.integrate.solve import one_step

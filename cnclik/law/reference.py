@@ -13,8 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik import errors
-from cnclik.engine.constants import of_the_model
-from cnclik.engine.tracing import together
+from cnclik.engine.tracing import of_the_model, together
 from cnclik.law.curves import Hold, Path, Tangent
 from cnclik.record import brief, record, replace
 from cnclik.robot.rotations import safe_sqrt

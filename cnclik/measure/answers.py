@@ -61,7 +61,7 @@ def save(data: "xr.Dataset", path) -> None:
     )
     joints, several = rows.joint.values.astype(str), "tip" in data.sizes
     tips = [f"{tip}." for tip in rows.tip.values] if several else [""]
-    columns = {name: rows[name].values for name in over}
+    columns: dict = {name: rows[name].values for name in over}
     columns["status"] = [ReachStatus(status).name for status in rows.status.values]
     columns |= dict(zip(joints, rows.q.values.T, strict=True))
     numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")

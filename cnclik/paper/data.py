@@ -9,14 +9,14 @@ import jax
 import numpy as np
 import xarray as xr
 
+from cnclik import errors
 from cnclik.engine.plan import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.measure.files import save_netcdf
-from cnclik.paper import choices, claims, tables
+from cnclik.paper import claims, tables
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import DEFAULT, READINGS
-from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, Lane
+from cnclik.paper.readings import ARMS, BESIDE, CASES, DEFAULT, HALVINGS, NUDGES, PAPER, READINGS, Lane
 from cnclik.precision import in_float64
 from cnclik.show.output import draw
 from cnclik.threads import side_by_side
@@ -34,6 +34,8 @@ CONFIG = {
     "nudge": paper.NUDGE,
     "nudges": NUDGES,
 }
+
+FIGURES = (*(f"fig{k:02d}.png" for k in range(1, 16)), "overview.png")  # what `figures.figures` draws
 
 
 class Results(NamedTuple):
@@ -73,10 +75,10 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     Raises: ArgumentError for an unknown reading or an unusable folder; FigureError where figures could not be drawn,
       with data and claims in place.
     """
-    shown = str(choices.reading(reading))
+    shown = errors.one_of("reading", str(reading), READINGS)
     if out is None:
         return everything(progress)
-    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *choices.FIGURES]
+    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *FIGURES]
     with output_folder(out, overwrite=overwrite, files=files) as folder:
         found = everything(progress)
         for name, data in found._asdict().items():
@@ -192,7 +194,7 @@ def passes(residuals: dict) -> xr.Dataset:
     Dims arm, reading, case, method, pass, step. `residual` is the change of the joint increment in the last
     pass (pass 0: the increment it starts from).
     """
-    labels = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": list(paper.FOLLOWED)}
+    labels: dict = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": list(paper.FOLLOWED)}
     labels |= {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)}
     values = [residuals[key(*where)] for where in itertools.product(*list(labels.values())[:4])]
     data = xr.Dataset({"residual": ([*labels], np.reshape(values, [len(v) for v in labels.values()]))}, labels)

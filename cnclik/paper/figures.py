@@ -1,18 +1,15 @@
 """Figures of the paper's experiments, and which of them `reproduce` draws: the paper's twelve, then ours."""
 
 import functools
-import hashlib
 
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from cnclik.measure.dataset import as_json
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import DEFAULT
-from cnclik.paper.readings import ARMS
+from cnclik.paper.readings import ARMS, DEFAULT
 from cnclik.show import style
 
 _ROUNDING = 1e-13  # [m, rad] what is smaller is left out of logarithmic axes
@@ -192,7 +189,7 @@ def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, r
     made = {}
 
     def add(name, caption, data, make):
-        made[f"{name}.png"] = functools.partial(make, data), about(caption, data)
+        made[f"{name}.png"] = functools.partial(make, data), {"Title": caption, "Config": data.attrs["config"]}
 
     for arm, size in ARMS.items():
         for case, what in _CASES.items():
@@ -210,20 +207,3 @@ def figures(trajectories: xr.Dataset, methods: xr.Dataset, passes: xr.Dataset, r
     both = xr.merge([run, compared], combine_attrs="override", join="exact")
     add("overview", "An arm following a line, and the error of each method", both, overview)
     return made
-
-
-def about(caption: str, data: xr.Dataset) -> dict:
-    """Return the description in a PNG: its title, the configuration, and the fingerprint of what was drawn."""
-    labels = {n: str(v.values) for n, v in data.coords.items() if v.ndim == 0}
-    config = data.attrs.get("config", as_json({}))
-    return {"Title": caption, "Config": config, "Selection": as_json(labels), "Data": fingerprint(data)}
-
-
-def fingerprint(data) -> str:
-    """Return SHA-256 of a dataset's numbers and labels: what ties a figure to the data it was drawn from."""
-    digest = hashlib.sha256()
-    for name in sorted(map(str, data.variables)):
-        values = data[name].values
-        raw = values.tobytes() if values.dtype.kind in "fiub" else "\n".join(map(str, values.ravel())).encode()
-        digest.update(f"{name} {data[name].dims} {values.shape}\n".encode() + raw)
-    return digest.hexdigest()

@@ -5,6 +5,7 @@ iteration once or twice, and the feed-forward of Case II. A `Reading` settles ea
 eight on both arms and both cases, and beside the paper's methods the textbook ones.
 """
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -22,7 +23,6 @@ from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
 from cnclik.law.paths import line
 from cnclik.law.reference import Reference
-from cnclik.paper.choices import DEFAULT, Reading
 from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
@@ -34,6 +34,25 @@ TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
 
 PAPER = ("EE", "IE", "CN")
 BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT")
+
+
+class Reading(NamedTuple):
+    """One way to read the paper where its text leaves a choice."""
+
+    rotation: str
+    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
+    Ts: str
+    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
+    feedforward: str
+    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
+
+    def __str__(self):
+        return "/".join(self)
+
+
+_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
+READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
+DEFAULT = READINGS["on-path/once/consistent"]
 
 
 class Arm(NamedTuple):
@@ -70,7 +89,7 @@ def start(arm: str):
 
 
 @record
-class Told:
+class WithVelocity:
     """A path with another feed-forward than its own velocity: its place has no derivative, the addend of 0 has."""
 
     path: Callable
@@ -88,7 +107,7 @@ def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     length = 0.0 if case == "reach" else 1.0
     speed = length / (N * TS) if feedforward == "consistent" else length
     straight = line(begin, (begin[0] - length, begin[1]), duration=N * TS)
-    return Reference(curve=Told(path=straight.curve, velocity=np.array([-speed, 0.0])))
+    return Reference(curve=WithVelocity(path=straight.curve, velocity=np.array([-speed, 0.0])))
 
 
 def tableau(method: Method, Ts: str = "once") -> Method:
@@ -103,17 +122,17 @@ def tableau(method: Method, Ts: str = "once") -> Method:
     return Method(name=method.name, A=A, b=method.b, c=method.c, order=1, source="Drexler (2016), eqs. 6-8 as printed")
 
 
-def experiment(arm: str, case: str, method: Method | str = CN, reading: Reading = DEFAULT) -> Trajectory:
+def experiment(arm: str, case: str, method: Method | str = CN, reading=DEFAULT) -> Trajectory:
     """Run one experiment of Section V: `experiment("5dof", "track", "CN").e`.
 
     Args:
       arm: "2dof" or "5dof".
       case: "reach" (Case I) or "track" (Case II).
       method: any of `METHODS`, or its name.
-      reading: how to read the text.
+      reading: how to read the text: one of `READINGS`, or its name.
     """
     errors.one_of("arm", arm, ARMS)
-    method = named(method)
+    method, reading = named(method), READINGS[errors.one_of("reading", str(reading), READINGS)]
     loop = law(arm, reading.rotation), path(arm, case, reading.feedforward), start(arm)
     return solve(*loop, TS, N, tableau(method, reading.Ts), picard(M))
 

@@ -7,8 +7,7 @@ from typing import NamedTuple
 from cnclik.measure import files
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import DEFAULT
-from cnclik.paper.readings import ARMS
+from cnclik.paper.readings import ARMS, DEFAULT
 
 _SHOWN = (1e-3, 1e-4, 1e-6)  # of the tolerances in claims.json, those in the table [rad]
 

@@ -172,27 +172,6 @@ def _of_tips(task) -> dict:
     return {path: replace(one, parts=tuple(replace(p, to=None) for p in one.parts)) for path, one in poses.items()}
 
 
-def near_singular_start(chain: Chain, task, q0, below) -> str:
-    """A sentence on the tasks near a singularity at q0 (n,), by themselves or together; empty where none is, or where
-    every posture is near it.
-
-    Args: below: least singular value from which on none is; lengths are in the arm's own unit.
-    """
-    tips = _of_tips(task)
-    least = singular_values(chain, tips.values(), np.asarray(q0, float)[None])[:, 0]
-    if (least >= below).all():
-        return ""
-    most = singular_values(chain, tips.values(), spread_postures(chain)).max(axis=1)
-    names = [path[0] for path in tips]
-    names.append(f"{' and '.join(dict.fromkeys(names))} together")
-    found = [(name, value) for name, value, best in zip(names, least, most, strict=False) if value < below <= best]
-    if not found:
-        return ""
-    where, value = found[0]
-    where = where if task.tasks else "the task"
-    return f"The start is near a singularity of {where} (least singular value {value:.2g}): give another --q0."
-
-
 # --- loop ---------------------------------------------------------------------------------------------
 
 

@@ -12,7 +12,6 @@ error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arct
 """
 
 import functools
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -20,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik.engine.plan import as_here, in_c
+from cnclik.engine.plan import in_c
 from cnclik.integrate.batches import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -205,9 +204,7 @@ class Attempts:
         def flat(*args):
             return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
 
-        with ThreadPoolExecutor() as pool:
-            program = pool.submit(as_here(Batches), flat, avals)
-            self.starts, self.program = starts_of(chain, task), program.result()
+        self.starts, self.program = starts_of(chain, task), Batches(flat, avals)
 
     def __call__(self, terms: Terms, pose, near, given, away, k, most, seed, pool=None) -> np.ndarray:
         """Return the rows of tries k of targets (T, t), or of one target; see `attempt`.

@@ -12,9 +12,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.path import path
 from cnclik.reaching.result import Reached, from_rows
-from cnclik.reaching.search import search_of
+from cnclik.reaching.search import path, search_of
 from cnclik.reaching.several import most_at_once, several
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced

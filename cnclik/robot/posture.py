@@ -6,17 +6,20 @@ A task's class is in a later room; its `rows_at` and `lengths` are used.
 import functools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.fixed import IDENTITY
-from cnclik.robot.model import modelled
+from cnclik.robot.model import frames, modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
 _SINGULAR = 1e-9  # least singular values that are rounding
+_PARALLEL, _SHORT = 0.99, 0.01  # cosine of parallel axes; distance of axes that are one [m]
+_BEND = math.radians(0.5), math.radians(25)  # range of a joint beyond straight that is "a few degrees"
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
@@ -59,6 +62,43 @@ def is_planar(chain: Chain) -> bool:
         joint.kind == REVOLUTE and tuple(joint.axis)[:2] == (0.0, 0.0) and joint.origin.rotation == IDENTITY
         for joint in chain.joints
     )
+
+
+def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
+    """Return (name, straight value, range beyond it) [rad] of elbows and knees that bend both ways, one of them little.
+
+    An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
+    is singular, and an answer of an inverse may end on the side that was not meant.
+    """
+    limits = list(zip(chain.lower, chain.upper, strict=True))
+    if not all(map(errors.concrete, jax.tree.leaves(chain))):
+        return []
+    bends = {
+        i: limits[joint.coordinate]
+        for i, joint in enumerate(chain.joints)
+        if joint.kind == REVOLUTE and not joint.follower and joint.multiplier == 1
+        if limits[joint.coordinate][0] < limits[joint.coordinate][1] < math.inf
+    }
+    if not bends:
+        return []
+    stretched = frames(modelled(chain), np.zeros(chain.n))
+    axes, places, elbows = stretched.axes, stretched.points, {}
+    for way in map(chain.way, range(len(chain.tips))):
+        way = [i for i in way if chain.joints[i].kind == REVOLUTE]
+        for i in [i for i in way if i in bends]:
+            away = {j: places[j] - places[i] for j in way if abs(axes[j] @ axes[i]) > _PARALLEL}
+            across = {j: v - axes[i] * (axes[i] @ v) for j, v in away.items()}
+            near = [j for j in across if np.linalg.norm(across[j]) > _SHORT]
+            above, below = [j for j in near if j < i], [j for j in near if j > i]
+            if not (above and below):
+                continue
+            back, on = -across[above[-1]], across[below[0]]
+            straight = math.atan2(axes[i] @ np.cross(on, back), on @ back)
+            low, high = bends[i]
+            beyond = min(high - straight, straight - low)
+            if _BEND[0] < beyond < _BEND[1]:
+                elbows.setdefault(chain.joint_names[chain.joints[i].coordinate], (straight, beyond))
+    return [(name, *values) for name, values in elbows.items()]
 
 
 def task_jacobians(chain: Chain, task, postures):

@@ -4,9 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
-import jax
 import pytest
 
 from cnclik.cli import main
@@ -68,10 +66,8 @@ def test_a_reader_that_leaves(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("verb", "fate"),
-    [(["--help"], "full"), (["solve", "--what"], "full"), ([], "full"), (["--version"], "closed"),
-     (["robots", "--help"], "closed"), (["solve", "--what"], "closed")],
-)  # fmt: skip
+    ("verb", "fate"), [(["--help"], "full"), (["solve", "--what"], "full"), (["robots", "--help"], "closed")]
+)
 def test_answers_that_nobody_can_read(verb, fate):
     if fate == "full" and not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full")
@@ -83,16 +79,11 @@ def test_answers_that_nobody_can_read(verb, fate):
     assert found.returncode == wanted
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
-def test_encodings_that_lack_our_letters(tmp_path, encoding):
-    env = os.environ | {"PYTHONIOENCODING": f"{encoding}:strict", "PYTHONUTF8": "0"}
-    words = [sys.executable, "-c", work(), str(tmp_path)]
-    found = subprocess.run(words, capture_output=True, env=env)
+def test_an_encoding_that_lacks_our_letters(tmp_path):
+    env = os.environ | {"PYTHONIOENCODING": "ascii:strict", "PYTHONUTF8": "0"}
+    found = subprocess.run([sys.executable, "-c", work(), str(tmp_path)], capture_output=True, env=env)
     assert (found.returncode, found.stderr) == (0, b"begun\n")
-    first = found.stdout.decode(encoding).splitlines()[0]
-    if encoding == "ascii":
-        assert first == "?? ? ? ?2 ??Ts ? ?"
-    assert "Ts" in first
+    assert found.stdout.decode("ascii").splitlines()[0] == "?? ? ? ?2 ??Ts ? ?"
 
 
 @pytest.mark.parametrize(("sent", "code", "says"), [(signal.SIGTERM, 143, "Terminated"), (signal.SIGINT, 130, "Inter")])
@@ -134,19 +125,11 @@ def test_the_signals_are_as_before_afterwards(capsys, monkeypatch):
     assert capsys.readouterr().out.startswith("cnclik ")
 
 
-@pytest.mark.parametrize("name", ["quantum", "cuda"])
-def test_platforms_that_are_not_there(name):
-    if name == "cuda" and jax.default_backend() != "cpu":
-        pytest.skip("it is there")
-    begun = time.perf_counter()
-    found = subprocess.run(
-        [sys.executable, "-m", "cnclik", "solve", "planar:1,1"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"JAX_PLATFORMS": name},
-    )
+def test_a_platform_that_is_not_there():
+    words, env = [sys.executable, "-m", "cnclik", "solve", "planar:1,1"], os.environ | {"JAX_PLATFORMS": "quantum"}
+    found = subprocess.run(words, capture_output=True, text=True, env=env)
     assert found.returncode == 2 and found.stderr.startswith("cnclik: Argument `JAX_PLATFORMS` must name a platform")
-    assert found.stderr.count("\n") == 1 and time.perf_counter() - begun < 60
+    assert found.stderr.count("\n") == 1
 
 
 @pytest.mark.slow

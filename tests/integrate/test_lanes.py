@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.engine.tracing import engine
 from cnclik.integrate.lanes import lanes
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
@@ -59,20 +58,6 @@ def test_same_as_vmap(reference, tiled, size):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
 
 
-def test_no_lane_depends_on_its_neighbours(tiled):
-    cases = _cases(20)
-    one = tiled(jax.tree.map(lambda x: x[13:14], cases))
-    np.testing.assert_allclose(tiled(cases)["e"][13], one["e"][0], rtol=1e-12)
-
-
-def test_a_bad_lane_stays_alone(tiled):
-    cases = _cases(20)
-    cases["q0"] = cases["q0"].at[7, 0].set(jnp.nan)
-    found = tiled(cases)
-    bad = np.asarray(found["status"] & ck.Status.NON_FINITE).any(axis=1)
-    assert bad.tolist() == [i == 7 for i in range(20)]
-
-
 def test_under_jit_grad_and_vmap():
     cases, short = _cases(5), functools.partial(_final, method=ck.METHODS["EE"])
     tiled, many = lanes(short, tile=2), jax.vmap(short)
@@ -114,20 +99,6 @@ def test_one_program_for_all_blocks():
 def test_batches_that_do_not_fit(args, message):
     with pytest.raises(ck.ArgumentError, match=f"Argument `args` must .*{message}"):
         lanes(lambda *a: a)(*args)
-
-
-def test_every_block_runs_in_the_callers_contexts():
-    seen = []
-
-    def noted(x):
-        seen.append((x.dtype, engine.value))
-        return x * 1.000000001
-
-    x = np.linspace(0.0, 1.0, 40)
-    with jax.enable_x64(True), ck.use_engine("plain"):
-        found = lanes(noted, tile=4, block=8, cores=2)(x)
-    np.testing.assert_array_equal(found, x * 1.000000001)
-    assert set(seen) == {(np.dtype("float64"), "plain")}
 
 
 def curve(x):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.paper import READINGS, choices, claims
+from cnclik.paper import READINGS, claims
 from cnclik.paper import readings as paper
 from tests.paper import oracle
 
@@ -103,7 +103,7 @@ def test_what_rounding_decides_is_marked(results):
     ],
 )
 def test_an_experiment_is_the_committed_run(results, arm, case, method, reading):
-    run = paper.experiment(arm, case, method, READINGS[reading])
+    run = paper.experiment(arm, case, method, reading)
     committed = results.trajectories.sel({"arm": arm, "case": case, "reading": reading, "method": method})
     np.testing.assert_allclose(run.q, committed.q[:, : run.q.shape[1]], rtol=1e-7, atol=1e-9)
     for name in ("e", "status"):
@@ -140,7 +140,10 @@ def test_twice_scales_the_diagonal_only():
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda: choices.reading("on-path/once/consistant"), "did you mean 'on-path/once/consistent'"),
+        (
+            lambda: paper.experiment("2dof", "reach", reading="on-path/once/consistant"),
+            "did you mean 'on-path/once/consistent'",
+        ),
         (lambda: paper.experiment("3dof", "reach"), "Argument `arm` must be one of 2dof, 5dof"),
         (lambda: paper.experiment("2dof", "hold"), "Argument `case` must be one of reach, track"),
         (lambda: paper.experiment("2dof", "reach", "CM"), "Argument `method` must be one of"),

@@ -10,7 +10,7 @@ import pytest
 
 from cnclik.record import record
 from cnclik.tuning.descent import Bounds, descend
-from cnclik.tuning.losses import LOSSES, terms
+from cnclik.tuning.tune import LOSSES, terms
 
 
 @record
