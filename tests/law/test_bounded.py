@@ -105,18 +105,20 @@ CASES = [("panda", "damped"), ("panda", "little"), ("panda", "singular"), ("g1",
 CASES += [("g1", "levels")]
 
 
-@jax.jit
-@functools.partial(jax.vmap, in_axes=(None, None, 0))
 def bound(rate, made, of):
-    """What `bounded` makes of draws; dampings are parameters, and all of a kind share a program."""
+    """What `bounded` makes of a draw; dampings are parameters, and all of a kind share a program."""
     rate, made = jax.tree.map(lambda v: jnp.asarray(v, of[0].dtype), (rate, made))
     done = act(ck.bounded(rate), made, *of)
     return done.qdot, done.limited, done.factored.shift
 
 
+several = functools.partial(jax.vmap, in_axes=(None, None, 0))
+BOUND = {"panda": jax.jit(several(ck.native(bound))), "g1": jax.jit(several(bound))}  # as C, and as XLA has it
+
+
 def check_least(name, inverse, count, seed):
     made, drawn = INVERSES[inverse](), draws(name, count, seed, null=0.3)
-    qdot, limited, shift = map(np.asarray, bound(RATE, made, drawn[:5]))
+    qdot, limited, shift = map(np.asarray, BOUND[name](RATE, made, drawn[:5]))
     assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
     for k in range(count):
         wanted = least(*(v[k] for v in drawn[:5]), shift[k])
@@ -133,7 +135,7 @@ def test_it_is_the_least_within_bounds(name, inverse):
 def test_it_is_what_daqp_finds():
     daqp = pytest.importorskip("daqp")
     drawn, made = draws("g1", 30, seed=3), levels()
-    qdot = bound(RATE, made, drawn[:5])[0]
+    qdot = BOUND["g1"](RATE, made, drawn[:5])[0]
     root = 1 / np.where(np.array(made.level) == 0, 1e-2, 0.1)
     for k, (rows, velocity, _, low, high, _) in enumerate(zip(*drawn, strict=True)):
         b = root[:, None] * rows
@@ -147,7 +149,7 @@ def test_it_is_what_daqp_finds():
 def test_single_precision():
     drawn = draws("panda", 100, seed=4)
     both = (tuple(v.astype(dtype) for v in drawn[:5]) for dtype in (np.float64, np.float32))
-    wide, narrow = (bound(RATE, ck.damped(0.05), of)[0] for of in both)
+    wide, narrow = (BOUND["panda"](RATE, ck.damped(0.05), of)[0] for of in both)
     assert narrow.dtype == np.float32
     size = np.abs(wide).max(1, keepdims=True)
     np.testing.assert_allclose(narrow / size, wide / size, atol=1e-4)
@@ -161,6 +163,7 @@ def test_derivatives_are_differences():
 
     @jax.jit
     @functools.partial(jax.vmap, in_axes=(None, 0, 0, 0))
+    @ck.native
     def slopes(s, of, toward, end):
         def value(s):
             moved = (v + s * d + s * s * jnp.sin(d) for v, d in zip(of, toward, strict=True))

@@ -62,6 +62,7 @@ def acts(damping, rows, velocity, low, high, walls, floor):
 
 @jax.jit
 @functools.partial(jax.vmap, in_axes=(None, 0))
+@ck.native
 def each(damping, of):
     made = acts(damping, *of)
     return made.qdot, made.walls, made.limited
