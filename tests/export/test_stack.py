@@ -3,7 +3,6 @@
 import subprocess
 
 import numpy as np
-from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
 import cnclik as ck
 from cnclik.export.example import BUILD
@@ -14,6 +13,7 @@ from tests.engine.compare import NEEDS_C
 from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
+from tests.task.test_stack import TIPS, TWO, Q
 
 LEFT, RIGHT = TIPS
 TASK = ck.stack(
@@ -22,7 +22,7 @@ TASK = ck.stack(
     rest=ck.joints(),
 )
 INVERSE = ck.levels(["hands"], ["apart", "rest"], damping=(0.01, 0.1))
-LAW = ck.Law(ROBOT, TASK, alpha={"hands": 10.0, "apart": 3.0, "rest": 1.0}, inverse=INVERSE)
+LAW = ck.Law(TWO, TASK, alpha={"hands": 10.0, "apart": 3.0, "rest": 1.0}, inverse=INVERSE)
 
 
 def given(held):
@@ -36,7 +36,7 @@ def given(held):
 @NEEDS_C
 def test_a_step_is_the_loops():
     step, q = native(LAW, method="EE"), Q + 0.1
-    held = ck.hold_at(ROBOT, TASK, Q)
+    held = ck.hold_at(TWO, TASK, Q)
     for _ in range(3):
         found = step(q, Ts=0.01, **given(held))
         made = ck.step(LAW, held, q, 0.0, 0.01, "EE")
@@ -48,7 +48,7 @@ def test_a_step_is_the_loops():
 
 @NEEDS_C
 def test_along_paths_the_vectors_agree(tmp_path):
-    paths = ck.hold_at(ROBOT, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
+    paths = ck.hold_at(TWO, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
     folder = ck.export.c(LAW, paths, out=tmp_path / "made", method="EE")
     done = subprocess.run(BUILD.format(name="clik_step") + " && ./example", shell=True, cwd=folder)
     assert done.returncode == 0
@@ -57,17 +57,17 @@ def test_along_paths_the_vectors_agree(tmp_path):
 @NEEDS_C
 def test_kinematics_of_each_tip():
     q = Q + 0.1
-    found = native(ROBOT)(q)
+    found = native(TWO)(q)
     for tip in TIPS:
-        wanted = ck.forward(ROBOT, q, tip=tip)
+        wanted = ck.forward(TWO, q, tip=tip)
         close(getattr(found, f"{tip}_position"), wanted.position, atol=1e-15)
         close(getattr(found, f"{tip}_rotation"), wanted.rotation, atol=1e-15)
-        close(getattr(found, f"{tip}_jacobian"), ck.jacobian(ROBOT, q, tip=tip), atol=1e-15)
+        close(getattr(found, f"{tip}_jacobian"), ck.jacobian(TWO, q, tip=tip), atol=1e-15)
 
 
 def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
     tasks = ck.stack(apart=ck.position("xy", tip=LEFT, relative_to=RIGHT), hand=ck.position("xy", tip=RIGHT))
-    law = ck.Law(ROBOT, tasks, alpha=5.0, inverse=ck.damped(0.1))
+    law = ck.Law(TWO, tasks, alpha=5.0, inverse=ck.damped(0.1))
     header = (ck.export.c(law, out=tmp_path / "made", method="EE") / "clik_step.h").read_text()
     assert f"/* desired position of apart in the frame of {RIGHT} [m] */" in header
     assert "/* desired position of hand [m] */" in header
@@ -75,8 +75,8 @@ def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
 
 @NEEDS_C
 def test_names_are_words_of_c():
-    task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["a"])})
-    step = native(ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
+    task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["q1"])})
+    step = native(ck.Law(TWO, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
     assert step.names[1:7:2] == ("left_hand_position", "left_hand_1_position", "task_2_values")
 
 
@@ -92,7 +92,15 @@ def test_walls_and_balance_are_described():
     assert [field.name for field in found if not field.about] == []
     shapes = [f"wall_1_{which}_{what}" for which in ("one", "other") for what in ("ends", "radius")]
     own = {field.name for field in found if field.name.startswith("wall_")}
-    assert own == {*shapes, "wall_1_normal", "wall_1_offset", "wall_1_rate", "wall_2_normal", "wall_2_offset"}
+    assert own == {
+        *shapes,
+        "wall_1_normal",
+        "wall_1_offset",
+        "wall_1_rate",
+        "wall_2_normal",
+        "wall_2_offset",
+        "wall_2_rate",
+    }
     named = ck.bounded(walls=[ck.wall(pair, above=0.02, name="left arm")])
     found = parameters(ck.replace(law, limits=named), None)[0]
     assert {"wall_left_arm_one_ends", "wall_left_arm_other_radius", "wall_left_arm_offset"} <= {f.name for f in found}
