@@ -310,8 +310,8 @@ class _Case:
 
         try:
             task, targets = wanted_at(self.reference, self.law.task, self.t[-1])
-            limited = {"limits": self.law.limits is not None, "tolerance": (1e-4, 1e-4)}
-            nearest = reach(self.law.chain, targets, task=replace(task, weights=None), **limited)
+            task, limited = replace(task, weights=None), self.law.limits is not None
+            nearest = reach(self.law.chain, targets, task=task, tolerance=(1e-4, 1e-4), limits=limited)
         except errors.ArgumentError:  # of a free base, of joint values and functions of one's own alone
             return ""
         if nearest.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):

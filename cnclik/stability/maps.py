@@ -90,7 +90,7 @@ def stability_map(
     each = dict(zip(axes, np.meshgrid(*(values[name] for name in axes), indexing="ij"), strict=True))
     each = {name: np.broadcast_to(value, shape).ravel() for name, value in (values | each).items()}
     factor, passes = each["alpha"] / largest, None if M is None else each["M"].astype(int)
-    inner = stage if M is None else replace(stage, M=None, maximum=max(stage.maximum, int(passes.max())))
+    inner = stage if M is None else replace(stage, M=None, maximum=max(stage.maximum, int(values["M"].max())))
     # Sampled once for each sampling time: the matrix exponential has no place in a program for many loops.
     times, which = np.unique(each["Ts"], return_inverse=True)
     models = None
