@@ -166,8 +166,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
             self.__dict__[name] = value
 
     cls.__getstate__, cls.__setstate__ = fields_alone, read_only  # type: ignore[assignment]
-    cls.__eq__ = _equal  # type: ignore[assignment]
-    cls.__hash__ = lambda self: memoized(self, "_hash", _hash_of)  # type: ignore[assignment]
+    cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
     with_jax(lambda jax: jax.tree_util.register_pytree_node(cls, flatten, unflatten))
     return cls
 
@@ -203,6 +202,10 @@ def _same(a, b) -> bool:
     if not (hasattr(a, "dtype") and hasattr(b, "dtype")):
         return bool(type(a) is type(b) and a == b)
     return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+
+
+def _hashed(self):
+    return memoized(self, "_hash", _hash_of)
 
 
 def _hash_of(self):

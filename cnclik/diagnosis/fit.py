@@ -319,7 +319,19 @@ def _together(log, kind, parts, fitted) -> tuple:
     if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
         least = 1 / np.sum(1 / each[:, 0, 0])
         late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
-        fitted = fitted + each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+        moved, (low, high) = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None], _ends(kind)
+        most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
+        fitted = np.clip(fitted + np.clip(moved, -most, most), low, high)
+        fitted[:, 0] = late
+        for _ in range(STEPS):  # the other numbers, by Levenberg's steps
+            left, slope = log.slopes(kind, fitted, parts, every)
+            slope = slope[..., 1:]
+            normal = np.einsum("kni,knj->kij", slope, slope)
+            normal = normal + 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(slope.shape[-1])
+            step = np.linalg.solve(normal, np.einsum("kni,kn->ki", slope, left)[..., None])[..., 0]
+            fitted[:, 1:] = np.clip(fitted[:, 1:] - np.clip(step, -0.5, 0.5), low[1:], high[1:])
+            if np.abs(step).max() < 1e-4:
+                break
         each[:, 0, 0] = least
         return fitted, each, True
     most = 2 * np.sqrt(np.diag(cov))

@@ -24,7 +24,7 @@ from tests.specs import reaching
 
 TEXT = reaching(
     metrics=["final_error", "ok", "max_error"],
-    more="lanes = 16",
+    more="lanes = 7",
     method=["EE", "HEUN"],
     alpha="{ linspace = [1, 20, 12] }",
     Ts="{ linspace = [0.01, 0.1, 7] }",
@@ -91,7 +91,7 @@ def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tm
     seen = []
     with jax.enable_x64(False):
         assert store.run(read(path), tmp_path, progress=lambda done, total: seen.append(total))
-    assert seen[0] < 168 - 80 + 16  # what was done was not done again
+    assert seen[0] < 168 - 80 + 7  # what was done was not done again
     assert_same(tmp_path, undisturbed)
 
 
@@ -113,7 +113,7 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, copy):
     assert store.blocks_missing(copy) == 4
     found, wanted = (store.read(folder).final_error.values for folder in (copy, undisturbed))
     lost = np.isnan(found)
-    assert lost.sum() == 4 * 14  # a reader gets no damaged block
+    assert lost.sum() == 4 * 7  # a reader gets no damaged block
     np.testing.assert_array_equal(found[~lost], wanted[~lost])
     seen = []
     assert store.run(read(path), copy, progress=lambda done, total: seen.append(done))
@@ -189,9 +189,9 @@ def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(store.Store, "write", full)
-        with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 12 blocks; they are kept"):
+        with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 24 blocks; they are kept"):
             store.run(read(path), tmp_path)
-    assert store.blocks_missing(tmp_path) == 8
+    assert store.blocks_missing(tmp_path) == 20
     assert store.run(read(path), tmp_path)
     assert_same(tmp_path, undisturbed)
 
@@ -207,7 +207,7 @@ ENVIRONMENT = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE
 
 
 def blocks_done(folder):
-    return sum(p.is_file() for p in (folder / "data.zarr/max_error/c").rglob("[0-9]"))  # of the last variable
+    return sum(p.is_file() for p in (folder / "data.zarr/max_error/c").rglob("*"))  # of the last variable
 
 
 def wait_for(folder, count, process, limit=300):
@@ -224,7 +224,7 @@ def test_twenty_kills(path, undisturbed, tmp_path):
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(command(path, tmp_path), env=ENVIRONMENT, **quiet)
         wait_for(tmp_path, blocks_done(tmp_path) + dice.randint(1, 2), process)
-        time.sleep(dice.random() * 0.02)
+        time.sleep(dice.random() * 0.005)
         process.send_signal(signal.SIGKILL)
         died += process.wait() == -signal.SIGKILL
     assert died >= 5
