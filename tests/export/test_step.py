@@ -1,12 +1,11 @@
 """The exported step against JAX: inverses, limits, methods, stages and precisions in turn."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.law.reference import tangent
+from tests.bank import told
 from tests.engine.compare import NEEDS_C
 from tests.export.native import arm, native
 
@@ -39,8 +38,8 @@ def lanes(inverse, dtype, count=60):
 
 def by_jax(law, method, stage, given):
     def one(q, position, velocity):
-        moving = tangent(ck.replace(ck.hold(position), feedforward=velocity), law.task, jnp.zeros((), q.dtype))
-        return ck.step(law, ck.replace(moving, feedforward=None), q, 0.0, TS, method, stage)
+        moving = ck.causal(told(ck.hold(position), velocity))
+        return ck.step(law, moving, q, 0.0, TS, method, stage)
 
     with ck.use_engine("plain"):
         return jax.jit(jax.vmap(one))(*given)
