@@ -23,7 +23,7 @@ TASK = ck.stack(
     rest=ck.joints(),
 )
 INVERSE = ck.levels(["hands"], ["apart", "rest"], damping=(0.01, 0.1))
-LAW = ck.Law(TWO, TASK, alpha={"hands": 10.0, "apart": 3.0, "rest": 1.0}, inverse=INVERSE)
+LAW = ck.Law(ROBOT, TASK, alpha={"hands": 10.0, "apart": 3.0, "rest": 1.0}, inverse=INVERSE)
 
 
 def given(held):
@@ -37,7 +37,7 @@ def given(held):
 @NEEDS_C
 def test_a_step_is_the_loops():
     step, q = native(LAW, method="EE"), Q + 0.1
-    held = ck.hold_at(TWO, TASK, Q)
+    held = ck.hold_at(ROBOT, TASK, Q)
     for _ in range(3):
         found = step(q, Ts=0.01, **given(held))
         made = ck.step(LAW, held, q, 0.0, 0.01, "EE")
@@ -49,7 +49,7 @@ def test_a_step_is_the_loops():
 
 @NEEDS_C
 def test_along_paths_the_vectors_agree(tmp_path):
-    paths = ck.hold_at(TWO, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
+    paths = ck.hold_at(ROBOT, TASK, Q, apart=ck.circle([0.2, 0.4], 0.05, period=1.0))
     folder = ck.export.c(LAW, paths, out=tmp_path / "made", method="EE")
     done = subprocess.run(BUILD.format(name="clik_step") + " && ./example", shell=True, cwd=folder)
     assert done.returncode == 0
@@ -58,17 +58,17 @@ def test_along_paths_the_vectors_agree(tmp_path):
 @NEEDS_C
 def test_kinematics_of_each_tip():
     q = Q + 0.1
-    found = native(TWO)(q)
+    found = native(ROBOT)(q)
     for tip in TIPS:
-        wanted = ck.forward(TWO, q, tip=tip)
+        wanted = ck.forward(ROBOT, q, tip=tip)
         close(getattr(found, f"{tip}_position"), wanted.position, atol=1e-15)
         close(getattr(found, f"{tip}_rotation"), wanted.rotation, atol=1e-15)
-        close(getattr(found, f"{tip}_jacobian"), ck.jacobian(TWO, q, tip=tip), atol=1e-15)
+        close(getattr(found, f"{tip}_jacobian"), ck.jacobian(ROBOT, q, tip=tip), atol=1e-15)
 
 
 def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
     tasks = ck.stack(apart=ck.position("xy", tip=LEFT, relative_to=RIGHT), hand=ck.position("xy", tip=RIGHT))
-    law = ck.Law(TWO, tasks, alpha=5.0, inverse=ck.damped(0.1))
+    law = ck.Law(ROBOT, tasks, alpha=5.0, inverse=ck.damped(0.1))
     header = (ck.export.c(law, out=tmp_path / "made", method="EE") / "clik_step.h").read_text()
     assert f"/* desired position of apart in the frame of {RIGHT} [m] */" in header
     assert "/* desired position of hand [m] */" in header
