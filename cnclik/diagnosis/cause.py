@@ -4,13 +4,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.loop import COLOURS, DEAD, UNMODELLED, averaged, filtered, fits, free, path_basis, slowest, window
+from cnclik.diagnosis.loop import (
+    COLOURS,
+    DEAD,
+    UNMODELLED,
+    analytic,
+    around,
+    averaged,
+    circles,
+    filtered,
+    fits,
+    free,
+    slowest,
+    window,
+)
 from cnclik.diagnosis.recording import line
 
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
-ROUND = 0.6  # |vᵀv| of a shape v with ‖v‖ = 1, at most, of a spiral: 0 for a circle, 1 in phase
+STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
 EQUAL = 1.6  # least ratio of the four steps of an exponential growth by seven
@@ -22,6 +35,7 @@ class Turned(NamedTuple):
     axis: np.ndarray  # (3,) in the order of the coordinates; of two coordinates the third axis
     z: float  # per row
     open: float  # range of angles that explain the log as well, with more dead time [degrees]
+    steady: bool  # whether its size stays, as of a circular path
 
 
 def turned(y) -> Turned | None:
@@ -32,62 +46,52 @@ def turned(y) -> Turned | None:
     first, last, jumped = window(y)
     y = y[first if jumped else max(first - 1, 0) : last]
     m = max(1, len(y) // PARTS)
-    y, k = averaged(y, m), y.shape[1]
-    blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(k, [])
-    most = int(min(DEAD, len(y) // 5))
+    y = averaged(y, m)
+    blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(y.shape[1], [])
+    most = min(DEAD, len(y) // 5)
     N = len(y) - most - 4
     if not blocks or N < 12:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    level, plain = line(N), np.inf
-    found: list = []
+    level, plain, spins = line(N), np.inf, []
     for theta in (0.0, *COLOURS):
         over = [1.0, -theta]
         left, acts = free(level, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
         for d in range(most + 1):
             late = free(level, acts[-N - 1 - d : -1 - d])
-            across = -sum(left[:, b].T @ late[:, b] for b in blocks)
-            u, _, vt = np.linalg.svd(across)
+            u, _, vt = np.linalg.svd(-sum(left[:, b].T @ late[:, b] for b in blocks))
             u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-            rotation = u @ vt
-            for R in (np.eye(len(rotation)), rotation):
+            for R, numbers in ((np.eye(len(u)), 0), (u @ vt, 3)):
                 moved = late @ np.kron(np.eye(len(blocks)), R).T
                 z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
                 rest = left + z * moved
-                score = N * np.sum(np.log(np.mean(rest**2, 0) + floor)) + np.log(N) * (theta != 0)
-                if z > 0 and R is rotation:
-                    found.append((float(score) + 3 * np.log(N), d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
+                score = N * np.sum(np.log(np.mean(rest**2, 0) + floor)) + np.log(N) * (numbers + (theta != 0))
+                if z > 0 and numbers:
+                    spins.append((score, d, z / m, _rotation_vector(R), np.sum(rest**2) / np.sum(left**2)))
                 elif z > 0:
                     plain = min(plain, score)
-    least = min((one[0] for one in found), default=0.0)
-    alike = sorted((one for one in found if one[0] <= least + ALIKE), key=lambda one: one[1::-1])
-    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not _circular(y)):
+    least = min((spin[0] for spin in spins), default=0.0)
+    alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
+    wave = analytic(free(line(len(y)), y))
+    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not circles(wave)):
         return None
-    _, _, z, R, _ = alike[0]
-    angles = [_angle(one[3]) for one in alike if one[0] <= least + BETTER]
-    if len(R) == 2:
-        axis, up = np.array([0.0, 0.0, 1.0]), np.sign(R[1, 0]) or 1.0
-    else:
-        axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-        up = 1.0 if axis[np.argmax(np.abs(axis))] >= 0 else -1.0
-        axis *= up / max(float(np.linalg.norm(axis)), 1e-12)
-    return Turned(float(up * _angle(R)), axis, z, max(angles) - min(angles))
+    _, _, z, turn, _ = alike[0]
+    angles = [np.linalg.norm(spin[3]) for spin in alike if spin[0] <= least + BETTER]
+    third = len(y) // 3  # the first one may be a push
+    larger = np.linalg.norm(wave[-third:]) / max(np.linalg.norm(wave[third:-third]), 1e-300)
+    degrees = np.linalg.norm(turn) * (np.sign(turn[np.argmax(np.abs(turn))]) or 1.0)
+    axis = turn / degrees if degrees else np.array([0.0, 0.0, 1.0])
+    return Turned(float(degrees), axis, z, max(angles) - min(angles), bool(1 / STEADY < larger < STEADY))
 
 
-def _angle(R) -> float:
-    return float(np.degrees(np.arccos(np.clip((np.trace(R) - len(R) + 2) / 2, -1, 1))))
+def _rotation_vector(R):
+    """(3,) axis times angle [degrees] of a rotation of two or three coordinates."""
+    from scipy.spatial.transform import Rotation
 
-
-def _circular(y) -> bool:
-    """Whether coordinates follow each other by a quarter turn: those of a loop with dead time swing in phase."""
-    free_ = free(line(len(y)), y)
-    wave = np.fft.ifft(
-        np.where((np.arange(2 * len(y)) < len(y))[:, None], 2 * np.fft.fft(free_, 2 * len(y), axis=0), 0), axis=0
-    )[: len(y)]
-    both = np.einsum("ni,nj->ij", wave, np.conj(wave))
-    shape = np.linalg.eigh(both)[1][:, -1]
-    return abs(np.sum(shape**2)) < ROUND
+    whole = np.eye(3)
+    whole[: len(R), : len(R)] = R
+    return Rotation.from_matrix(whole).as_rotvec(degrees=True)
 
 
 def growth(y) -> tuple[float, float]:
@@ -128,10 +132,8 @@ def swept(y, period) -> tuple[float, float, float]:
     The unrest is the deviation of its size over the mean, of half the rows: 0.5 where noise excites it, 0 for a limit.
     """
     N = len(y)
-    still = free(path_basis(N, period), y)
-    u, s, _ = np.linalg.svd(still, full_matrices=False)
-    spectrum, f = np.fft.fft(u[:, 0] * s[0], 4 * N), np.fft.fftfreq(4 * N) * period
-    wave = np.fft.ifft(np.where((f > 0.35) & (f < 2.5), 2 * spectrum, 0))[:N]
+    u, s, _ = np.linalg.svd(around(y, period), full_matrices=False)
+    wave = u[:, 0] * s[0]
     energy = np.abs(wave[1:]) ** 2
     total = np.cumsum(energy)
     half = int(np.clip(np.searchsorted(total, total[-1] / 2), period / 2, max(N - 1 - period / 2, period / 2)))

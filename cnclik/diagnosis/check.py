@@ -75,24 +75,25 @@ class LogCheck:
         return tuple(one for one in self.findings if one.broken)
 
     def __str__(self):
-        table = [("", "column", "largest", "at", "limit", "of limit", "noise alone"), *map(_cells, self.findings)]
+        table = [("", "column", "largest", "at", "limit", "of limit", "noise alone")]
+        for one in self.findings:
+            numbers = (
+                "" if v is None else f"{v:.4g}" for v in (one.limit, one.share if one.limit else None, one.noise)
+            )
+            table.append((one.what, one.column, f"{one.value:.4g} {one.unit}", f"{one.at:.4g} s", *numbers))
         width = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [f"{row[0]:<{width[0]}}  {row[1]:<{width[1]}}" for row in table]
-        for i in range(2, len(width)):
-            lines = [f"{line}  {row[i]:>{width[i]}}" for line, row in zip(lines, table, strict=True)]
+        aligned = ["<", "<", *">>>>>"]
+        lines = [
+            "  ".join(f"{cell:{side}{wide}}" for cell, side, wide in zip(row, aligned, width, strict=True)).rstrip()
+            for row in table
+        ]
         said = "No limit is broken." if any(one.limit is not None for one in self.findings) else "No limits are given."
         if self.broken:
             worst = max(self.broken, key=lambda one: one.share)
             said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.4g} s."
         if noisy := sum(one.share > 1 + ROUNDING and not one.broken for one in self.findings):
             said += f" Noise alone explains {noisy} more values above a limit."
-        return "\n".join([*(line.rstrip() for line in lines), said])
-
-
-def _cells(one: Finding) -> tuple:
-    share = one.share if one.limit else None
-    numbers = ("" if v is None else f"{v:.4g}" for v in (one.limit, share, one.noise))
-    return one.what, one.column, f"{one.value:.4g} {one.unit}", f"{one.at:.4g} s", *numbers
+        return "\n".join([*lines, said])
 
 
 def check_log(
@@ -150,16 +151,13 @@ def _limits(limits, chain, k) -> dict:
     """{quantity: (k,)} of the limits that are given, or else of the chain."""
     if isinstance(limits, str):
         limits = PUBLISHED[errors.one_of("limits", limits, PUBLISHED)]
-    limits = dict(errors.kind("limits", limits or {}, dict))
-    for name in limits:
-        errors.one_of("limits", name, ORDERS)
+    limits = {errors.one_of("limits", n, ORDERS): v for n, v in errors.kind("limits", limits or {}, dict).items()}
     if chain is not None:
         if chain.n != k:
             raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
-        limits = {"velocity": np.asarray(chain.velocity_limit)} | limits
-    made = {n: errors.array(f"limits.{n}", v, (), (k,), finite=False) for n, v in limits.items()}
-    made |= {} if chain is None else {"lower": chain.lower, "upper": chain.upper}
-    return {name: np.broadcast_to(np.asarray(v, float), k) for name, v in made.items()}
+        limits = {"velocity": chain.velocity_limit, "lower": chain.lower, "upper": chain.upper} | limits
+    arrays = {n: np.asarray(errors.array(f"limits.{n}", v, (), (k,), finite=False), float) for n, v in limits.items()}
+    return {name: np.broadcast_to(values, k) for name, values in arrays.items()}
 
 
 def _rows(t, moved, Ts):

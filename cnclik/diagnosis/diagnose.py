@@ -30,13 +30,14 @@ class Kind(enum.StrEnum):
 
 
 EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # as EVIDENCE, of a loop whose gain is known, and the mode's by less than this factor,
-EVIDENCE_EXCITED, MANY = 90.0, 12.0  # or it does not decay as its mode does: then over so many periods
+EVIDENCE_EXCITED, MANY = 90.0, 10.0  # or it does not decay as its mode does: then over so many periods
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
-UNKNOWN = 0.8  # confidence without alpha, at most
+SURE, UNKNOWN, UNSURE = 0.95, 0.8, 0.7  # confidence: of a free oscillation; without alpha or as of a path; of a stretch
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
+SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY = 0.1  # unrest of a sustained oscillation, at most; noise gives 0.5
 UNREST, DOUBLE = 0.2, 2.0  # of an oscillation that grows as a mode does: its unrest beyond that, its size below it
 FASTEST = np.log(1e3)  # growth in a period; with more it is a polynomial
@@ -44,8 +45,13 @@ HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 LONG = 30  # samples of dead time, beyond which a sample more or less counts little
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
+CIRCLE = "It goes round as on a circular path, or as with frames that are turned by some 90°: hold the target still."
+CHANGES = "The period changes, as of a sweep or another path, not of a loop."
+STILL = "No column moves by more than some steps of its resolution."
 WRONG_SIGN = "Each step adds to the error: the sign of error, Jacobian or command is wrong. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
+CLIPPED = "A linear loop of this alpha would grow: a limit of velocity or torque clips it."
+PATH = "A path of this period looks alike: record with the target at rest."
 UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
 
@@ -128,86 +134,96 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     y = columns("signal", signal, "diagnose")
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
-    size = np.abs(y - y[0]).max() or 1.0
-    scaled, moving = loop.prepared((y - y[0]) / size)
-    found = loop.read(scaled) if len(moving) else None
-    made = _seen(scaled, found, (y - y[0]) / size, Ts, alpha)
-    if alpha is None and "confidence" in made:
-        made["confidence"] = min(made["confidence"], UNKNOWN)
-    return Diagnosis(Ts=Ts, alpha=alpha, **made, **_parts(y, found, "period" in made))
+    y_ = (y - y[0]) / (np.abs(y - y[0]).max() or 1.0)
+    scaled = loop.prepared(y_)
+    found = loop.read(scaled) if scaled.shape[1] else None
+    fields = _seen(scaled, found, y_, Ts, alpha)
+    if alpha is None and "confidence" in fields:
+        fields["confidence"] = min(fields["confidence"], UNKNOWN)
+    return Diagnosis(Ts=Ts, alpha=alpha, **fields, **_parts(y, found, "period" in fields))
 
 
 def _seen(scaled, found, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
-        return {"kind": Kind.QUIET, "note": "No column moves by more than some steps of its resolution."}
+        return {"kind": Kind.QUIET, "note": STILL}
     if scaled.shape == y.shape and (spin := cause.turned(y)) and 15 < abs(spin.degrees) < 173:
-        return _turned_frames(spin)
+        if spin.steady if alpha is None else not SAME[0] < spin.z / (alpha * Ts) < SAME[1]:
+            return {"kind": Kind.UNDECIDED, "note": CIRCLE}
+        main = int(np.argmax(np.abs(spin.axis)))
+        axis = "xyz"[main] if abs(spin.axis[main]) > 0.99 else np.round(spin.axis, 2)
+        note = (
+            f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}"
+        )
+        note += f": no gain helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
+        sure = UNSURE if spin.steady or spin.open > 10 else SURE
+        fields = {"kind": Kind.SPIRAL, "cause": "turned frames", "confidence": sure, "note": note}
+        return fields | {"angle": spin.degrees, "axis": spin.axis, "z": spin.z}
     rate, sure = cause.growth(scaled)
     if rate:
         return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure, "note": WRONG_SIGN}
-    if found is None or not np.isfinite(found.period) or found.swings < SURELY or found.evidence < EVIDENCE_KNOWN:
-        calm = found is not None and found.evidence > EVIDENCE_KNOWN and found.swings < 1 - SURELY
-        return {"kind": Kind.CALM, "note": DECAYS} if calm else {"kind": Kind.UNDECIDED, "note": UNFINISHED}
-    return _swing(scaled[found.first : found.last], found, Ts, alpha)
+    if found is None or found.evidence < EVIDENCE_KNOWN:
+        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+    if np.isfinite(found.period) and found.swings > SURELY:
+        return _swing(scaled[found.first : found.last], found, Ts, alpha)
+    calm = found.swings < 1 - SURELY and found.rests
+    return {"kind": Kind.CALM, "note": DECAYS} if calm else {"kind": Kind.UNDECIDED, "note": UNFINISHED}
 
 
 def _swing(rows, found, Ts, alpha) -> dict:
     """Fields of a `Diagnosis` of a mode that swings."""
-    change, turns = found.mode.real * found.period, len(rows) / found.period
-    held = abs(change) < np.log(HELD)
+    mode, turns = found.mode, len(rows) / found.period
     faster, larger, unrest = cause.swept(loop.main_parts(rows), found.period)
-    if unrest < STEADY and turns > PERIODS and SIZES[0] < larger < SIZES[1]:  # beside overtones a mode seems to decay
-        found = found._replace(mode=1j * found.mode.imag)
-        change, held = 0.0, True
-    if change > FASTEST:
-        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+    alike = SIZES[0] < larger < SIZES[1]
+    if unrest < STEADY and turns > PERIODS and alike:  # beside overtones a mode seems to decay
+        mode = 1j * mode.imag
+    change = mode.real * found.period
+    held = abs(change) < np.log(HELD)
     excited = change < -np.log(HELD) and larger > LASTS
     if change > 0 or held:  # what grows, or does not, must do so as its mode does
-        wave = np.exp(found.mode * np.arange(len(rows)) - max(found.mode.real, 0.0) * len(rows)).real[:, None]
+        wave = np.exp(mode * np.arange(len(rows)) - max(mode.real, 0.0) * len(rows)).real[:, None]
         _, grows, rises = cause.swept(wave, found.period)
         excited = unrest > rises + UNREST or larger < grows / DOUBLE
-    same = change < np.log(1.5) and SIZES[0] < larger < SIZES[1]
-    if turns > SWEPT and same and not 1 / SWEEP < faster < SWEEP:
-        return {"kind": Kind.UNDECIDED, "note": "The period changes, as of a sweep or another path, not of a loop."}
-    drives = loop.drives_of(found.mode, Ts, alpha, clipped=change > 0 or held, alone=found.alone)
-    best, present = _recommended(drives.drive, Ts), alpha or drives.alpha
-    if alpha is not None and best > TOO_LARGE * alpha:
+    if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
+        return {"kind": Kind.UNDECIDED, "note": CHANGES}
+    drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=found.alone)
+    best, off = _recommended(drives.drive, Ts), drives.off > NEAR
+    if alpha is not None and best > TOO_LARGE * alpha and not excited:
         note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
-        return {"kind": Kind.CALM, "recommended_alpha": None, "note": note}
-    needed = EVIDENCE_KNOWN if alpha is not None and drives.off < NEAR else EVIDENCE
+        return {"kind": Kind.CALM, "note": note}
+    needed = EVIDENCE if alpha is None or off else EVIDENCE_KNOWN
     if alpha is None and (excited or held):
-        needed = EVIDENCE_EXCITED if not excited or turns > MANY else np.inf
-    short = turns < (PERIODS if held else 2.0 if change > -np.log(2) else 1.2)
-    if short or found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS):
+        needed = EVIDENCE_EXCITED
+    many = MANY if excited and alpha is None else PERIODS if excited or held else 2.0 if change > -np.log(2) else 1.2
+    hidden = found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS)
+    if turns < many or hidden or change > FASTEST:
         return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
-    limited = turns < PERIODS and abs(change) < np.log(1.5)
     notes = []
     if held and alpha is not None and alpha > 1.2 * drives.most:
-        notes.append("A linear loop of this alpha would grow: a limit of velocity or torque clips it.")
+        notes.append(CLIPPED)
     if excited:
         notes.append("Noise excites it again and again.")
-    if alpha is not None and drives.off > NEAR:
-        notes.append(
-            f"No drive with this mode has this alpha: something changes the gain by a factor of {drives.off:.2g}."
-        )
+    if held:
+        notes.append(PATH)
+    if off:
+        notes.append(f"No drive with this mode has this alpha: the gain differs by a factor of {drives.off:.2g}.")
     if not found.alone:
         ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
         notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
-    notes.append(UNLESS)
+    stretched = off or (turns < PERIODS and abs(change) < np.log(1.5))
     return {
         "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,
         "cause": "dead time" if found.alone else "drive",
         "period": found.period,
-        "growth": found.growth,
+        "growth": float(np.exp(mode.real)),
         "delay": found.dead[0] if found.alone else None,
         "interval": found.dead[1:] if found.alone else None,
         "drive": drives.drive,
         "z": drives.alpha * Ts,
         "recommended_alpha": best,
-        "factor": best / present,
-        "confidence": 0.7 if alpha is not None and (limited or drives.off > NEAR) else 0.95,
-        "note": " ".join(notes),
+        "factor": best / (alpha or drives.alpha),
+        "confidence": UNSURE if stretched else UNKNOWN if excited or held else SURE,
+        "note": " ".join([*notes, UNLESS]),
     }
 
 
@@ -217,30 +233,16 @@ def _recommended(drive, Ts) -> float:
     return gains(Ts=n * Ts, drive=replace(drive, delay=(drive.delay + 0.5) / n - 0.5), method="EE").recommended
 
 
-def _turned_frames(spin) -> dict:
-    axis = np.round(spin.axis, 2)
-    if np.max(np.abs(spin.axis)) > 0.99:
-        axis = "xyz"[int(np.argmax(np.abs(spin.axis)))]
-    note = (
-        f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}: no "
-        f"gain helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
-    )
-    made = {"cause": "turned frames", "angle": spin.degrees, "axis": spin.axis, "z": spin.z, "note": note}
-    return {"kind": Kind.SPIRAL, "confidence": 0.95 if spin.open < 10 else 0.7, **made}
-
-
 def _parts(y, found, rings) -> dict:
     """The path and the oscillation in the rows that were read, and what is left."""
-    if found is None:
-        found, rings = loop.Loop(0j, 0.0, 0.0, (), False, 0, len(y)), False
-    rows = y[found.first : found.last]
-    period = found.period if rings else np.inf
-    path, t = loop.path_basis(len(rows), period), np.arange(len(rows))
-    wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
-    both = np.hstack([path, np.stack([wave.real, wave.imag], 1)]) if rings else path
-    square, n = loop.product(both.T, both), path.shape[1]
-    square += 1e-12 * np.trace(square) * np.eye(len(square))
-    weights = np.linalg.solve(square, loop.product(both.T, rows))
-    slow, modes = (loop.combined(both[:, part], weights[part]) for part in (slice(n), slice(n, None)))
+    first, last = (0, len(y)) if found is None else (found.first, found.last)
+    rows, t = y[first:last], np.arange(last - first)
+    basis = path = loop.path_basis(len(rows), found.period if rings else np.inf)
+    if rings:
+        wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
+        basis = np.column_stack([path, wave.real, wave.imag])
+    square, n = loop.product(basis.T, basis), path.shape[1]
+    weights = np.linalg.solve(square + 1e-12 * np.trace(square) * np.eye(len(square)), loop.product(basis.T, rows))
+    slow, modes = (loop.combined(basis[:, part], weights[part]) for part in (slice(n), slice(n, None)))
     left = np.std(rows - slow - modes, axis=0)
-    return {"first": found.first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}
+    return {"first": first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}

@@ -149,8 +149,8 @@ class _Log:
 
     def response(self, kind, values, joint):
         """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
-        h = step_response(kind, np.exp(values[..., None, 1:]), self.t - values[..., :1], self.velocity)
-        return np.fft.irfft(self.changes[joint] * np.fft.rfft(h, self.length), self.length)[..., : len(self.t)]
+        steps = step_response(kind, np.exp(values[..., None, 1:]), self.t - values[..., :1], self.velocity)
+        return np.fft.irfft(self.changes[joint] * np.fft.rfft(steps, self.length), self.length)[..., : len(self.t)]
 
     def free(self, a, parts):
         """Rows (..., N) without offset, and without drift where there is one."""
@@ -276,10 +276,11 @@ def _made(log, fit) -> DriveFit:
     (kind, parts, fitted, _), names, every = fit, NUMBERS[fit.kind], np.arange(log.k)
     values, covs, own = _together(log, kind, parts, fitted)
     left, gain = log.left(kind, np.broadcast_to(values, fitted.shape), parts, every)
-    follows = np.mean(left**2, -1) < 1 - EXPLAINED  # a joint may also move as others shake it
-    explained = 1.0 - float(np.mean(left[follows] ** 2 if follows.any() else left**2))
+    explained = 1.0 - np.mean(left**2, -1)  # of each motion's variance; a joint may also move as others shake it
+    follows = explained > EXPLAINED
     if not follows.any():
-        raise errors.fail("motion", "be what the command leads to", f"only {100 * max(explained, 0):.0f} % of it are")
+        found = f"only {100 * max(np.mean(explained), 0):.0f} % of it are"
+        raise errors.fail("motion", "be what the command leads to", found)
     if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
@@ -307,12 +308,18 @@ def _made(log, fit) -> DriveFit:
     drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * parts[1] * log.size[:, 0]
     given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
     motion = log.motion - (left * log.size).T
-    return DriveFit(**given, explained=explained, recommended_alpha=alpha, motion=motion, note=" ".join(notes))
+    return DriveFit(
+        **given,
+        explained=float(explained[follows].mean()),
+        recommended_alpha=alpha,
+        motion=motion,
+        note=" ".join(notes),
+    )
 
 
 def _together(log, kind, parts, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
-    every, information = np.arange(log.k), _information(log, kind, parts, fitted)
+    information = _information(log, kind, parts, fitted)
     cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean, apart = _shared(fitted, information)
     free = (log.k - 1) * len(mean)
@@ -334,13 +341,6 @@ def _together(log, kind, parts, fitted) -> tuple:
                 break
         each[:, 0, 0] = least
         return fitted, each, True
-    most = 2 * np.sqrt(np.diag(cov))
-    for _ in range(3):  # from the mean to the least squares of all joints together
-        left, slope = log.slopes(kind, np.broadcast_to(mean, fitted.shape), parts, every)
-        scale = np.sqrt(np.mean(left**2, -1, keepdims=True) + EXACT**2)
-        rows = (slope / scale[..., None]).reshape(-1, len(mean))
-        step = np.linalg.lstsq(rows, (left / scale).ravel(), rcond=1e-9)[0]
-        mean = np.clip(mean - np.clip(step, -most, most), *_ends(kind))
     return mean[None], cov[None], False
 
 

@@ -19,6 +19,10 @@ from cnclik.integrate.drive import MOST, Drive
 
 ROWS = 2000  # rows that are read, those that move most: more change no digit of a gain
 PER_PERIOD, DEAD = 24, 16  # rows of a period that are kept, and of dead time, which is below a quarter of it
+ROUND, COHERENT = (
+    0.6,
+    0.8,
+)  # |vᵀv| of a shape v, ‖v‖ = 1, of columns that circle: 0 for a circle, 1 in phase; its energy
 LAGS = (0.0, 1.0, 2.5, 6.0, 15.0)  # of these rows; the phase at the limit changes by 20° from one to the next
 COLOURS = (0.8, 1.0)  # θ of C = 1 − θB, besides 0: of noise of the motion and of its measurement together
 PIECE = 512  # rows: 512 × 18 numbers
@@ -43,6 +47,7 @@ class Loop(NamedTuple):
     swings: float  # share of the probability of loops that pass their target by VISIBLE
     dead: tuple  # dead time in rows of the best loop without a lag, and its ends
     alone: bool  # whether dead time alone explains the log much better than any lag
+    rests: bool  # whether its steps are smaller in the end
     first: int  # rows that were read
     last: int
 
@@ -82,11 +87,11 @@ def resolution_of(y):
 
 
 def prepared(y):
-    """(columns that move by more than noise and resolution, in units of these or a tenth of their deviation; which)."""
+    """Columns that move by more than noise and resolution, in units of these or a tenth of their deviation."""
     size, step = np.std(y, axis=0), resolution_of(y)
     moves = (np.ptp(y, axis=0) > 1e-12 * np.abs(y).max(0)) & (np.ptp(y, axis=0) > 3.5 * step)
     unit = np.maximum(np.maximum(0.1 * size, noise_of(y)), step)
-    return ((y - y[0]) / np.where(unit > 0, unit, 1.0))[:, moves], np.flatnonzero(moves)
+    return ((y - y[0]) / np.where(unit > 0, unit, 1.0))[:, moves]
 
 
 def window(y):
@@ -161,6 +166,23 @@ def path_basis(N, period=np.inf):
     many = min(int(2 * N / (2.5 * period)), 6) if 4 * period < N else 0
     sines = [f(np.pi * i * (t + 1) / 2) for i in range(1, many + 1) for f in (np.cos, np.sin)]
     return orthonormal(np.stack([*(t**i for i in range(4)), *sines], 1)[:, : max(N // 3, 2)])
+
+
+def analytic(y, low=0.0, high=0.5):
+    """(N, k) complex: columns between two frequencies [1/row], of which the real part is seen."""
+    f = np.fft.fftfreq(4 * len(y))[:, None]
+    return np.fft.ifft(np.where((f > low) & (f < high), 2 * np.fft.fft(y, 4 * len(y), axis=0), 0), axis=0)[: len(y)]
+
+
+def around(y, period):
+    """Analytic columns around a period [rows], without what is slower."""
+    return analytic(free(path_basis(len(y), period), y), 0.35 / period, 2.5 / period)
+
+
+def circles(wave) -> bool:
+    """Whether analytic columns follow each other by a quarter turn; those of a loop with dead time swing in phase."""
+    energy, shapes = np.linalg.eigh(np.einsum("ni,nj->ij", wave, np.conj(wave)))
+    return bool(energy[-1] > COHERENT * np.sum(energy) and abs(np.sum(shapes[:, -1] ** 2)) < ROUND)
 
 
 def periods_of(y) -> list:
@@ -289,18 +311,11 @@ def read(y) -> Loop | None:
     best = None
     for period in periods_of(main_parts(y[first:last])) if last - first > 15 else ():
         loop = _read_at(y, period, first, last, jumped)
-        if loop is None or (best is not None and loop.evidence <= best.evidence):
+        clear = best is not None and best.evidence > EVIDENCE and best.swings > SURELY
+        if loop is None or (clear and any(abs(best.period / loop.period / n - 1) < OVERTONE for n in (2, 3))):
             continue
-        if best is not None and best.evidence > EVIDENCE and best.swings > SURELY and _is_overtone(loop, best):
-            continue
-        best = loop
+        best = loop if best is None or loop.evidence > best.evidence else best
     return best
-
-
-def _is_overtone(loop, of) -> bool:
-    """Whether a loop swings twice or three times in a period of another one."""
-    ratio = of.period / loop.period
-    return any(abs(ratio / count - 1) < OVERTONE for count in (2, 3))
 
 
 def _read_at(y, period, first, last, jumped) -> Loop | None:
@@ -310,6 +325,8 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
     parts = main_parts(averaged(y[first - past : last], m))
     if len(parts) <= 15:
         return None
+    if circles(around(parts, period / m)):
+        return None
     loops, none = fits(parts, period / m)
     loops = loops[:, loops[2] > 0]
     if not loops.size:
@@ -318,22 +335,22 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
     odds = np.exp(-0.25 * (score - score.min()))
     likely = np.flatnonzero(odds > 1e-3)
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
-    sizes = np.sum(np.diff(y[first:last], axis=0) ** 2, 1)
-    third = len(sizes) // 3
-    if np.sum(sizes[-third:]) < np.sum(sizes[:third]):  # what ends smaller does not grow
-        decays = modes.real * (last - first) < np.log(GROWN)
-        likely, modes = (likely[decays], modes[decays]) if decays.any() else (likely, modes)
+    power = np.sum(np.diff(y[first:last], axis=0) ** 2, 1)
+    rests = bool(np.sum(power[-len(power) // 3 :]) < np.sum(power[: len(power) // 3]))
+    if rests and (decays := modes.real * (last - first) < np.log(GROWN)).any():
+        likely, modes = likely[decays], modes[decays]
     swings = modes.imag > 1e-9
     over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
     alone, least = lag == 0, score[lag == 0].min(initial=np.inf)
     near = dead[alone & (score < least + AS_WELL)]
-    ends = (dead[score == least][0], near.min() - 0.25, near.max() + 0.25) if len(near) else (0.0, 0.0, DEAD)
+    interval = (dead[score == least][0], near.min() - 0.25, near.max() + 0.25) if len(near) else (0.0, 0.0, DEAD)
     return Loop(
         mode=complex(modes[np.argmax(odds[likely])]),
         evidence=float(none - score.min()),
         swings=float(np.sum(odds[likely] * over) / np.sum(odds[likely])),
-        dead=tuple(float(max((end + 0.5) * m - 0.5, 0.0)) for end in ends),
+        dead=tuple(float(max((end + 0.5) * m - 0.5, 0.0)) for end in interval),
         alone=bool(least < score[~alone].min(initial=np.inf) - ALONE),
+        rests=rests,
         first=first,
         last=last,
     )

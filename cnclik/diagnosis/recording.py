@@ -32,18 +32,21 @@ def sampling_time(t, Ts) -> float:
     if Ts is not None or t is None:
         return float(errors.number("Ts", Ts, positive=True))
     t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
-    step = np.diff(t)
-    usual = float(np.median(step)) if len(step) else 0.0
-    if usual <= 0:
-        raise errors.fail("t", "increase", f"the median step is {usual:g} s")
-    mean = float(t[-1] - t[0]) / len(step)
-    if np.unique(step).size < 4 and abs(usual / mean - 1) > APART:
-        found = f"are {usual:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
+    usual, step = spacing(t), np.diff(t)
+    mean, middle = float(step.mean()), float(np.median(step))
+    if np.unique(step).size < 4 and abs(middle / mean - 1) > APART:
+        found = f"are {middle:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
         raise errors.fail("t", "be times that are equally far apart", found)
-    usual = spacing(t)
-    gap = _gap(t, step, usual)
-    if gap is not None:
-        found = f"row {gap + 2} comes {step[gap]:.4g} s after the one before"
+    late = t - t[0] - usual * np.arange(len(t))
+    gaps = {}
+    for k in np.flatnonzero(
+        step > (1 + MISSING) * usual
+    ):  # a single late stamp is jitter, and those after it are not late
+        after, before = late[k + 1 : k + 1 + BESIDE], late[max(k + 1 - BESIDE, 0) : k + 1]
+        gaps[int(k)] = float(np.median(after) - np.median(before))
+    worst = max(gaps, key=lambda k: gaps[k], default=None)
+    if worst is not None and gaps[worst] > MISSING * usual:
+        found = f"row {worst + 2} comes {step[worst]:.4g} s after the one before"
         raise errors.fail("t", f"have a row every {usual:g} s", found)
     return mean
 
@@ -51,18 +54,9 @@ def sampling_time(t, Ts) -> float:
 def spacing(t) -> float:
     """The usual step of times (N,), which may jitter; a few rows may be missing. Raises: ArgumentError."""
     apart = max(len(t) // 4, 1)
-    usual = float(np.median(t[apart:] - t[:-apart])) / apart  # long intervals reduce the effect of jitter
-    if usual <= 0:
+    usual = (
+        float(np.median(t[apart:] - t[:-apart])) / apart if len(t) > 1 else 0.0
+    )  # long intervals reduce the effect of jitter
+    if not usual > 0:
         raise errors.fail("t", "increase", f"the median step is {usual:g} s")
     return usual
-
-
-def _gap(t, step, usual):
-    """The step after which stamps are permanently delayed; None if there is none: a single late stamp is jitter."""
-    late = t - t[0] - usual * np.arange(len(t))
-    found = {}
-    for k in np.flatnonzero(step > (1 + MISSING) * usual):
-        before, after = late[max(k + 1 - BESIDE, 0) : k + 1], late[k + 1 : k + 1 + BESIDE]
-        found[int(k)] = float(np.median(after) - np.median(before)) / usual
-    worst = max(found, key=found.get, default=None)
-    return worst if worst is not None and found[worst] > MISSING else None

@@ -35,16 +35,11 @@ class StackDiagnosis:
 
     def __str__(self):
         lines = []
-        for name, one in self.tasks.items():
-            words = (
-                f"oscillates with {self.change[0]}"
-                if self.change and one.rings and name not in self.change
-                else str(one)
-            )
-            if name in self.change:
-                words = (
-                    f"{one.kind}, {100 * self.share[name]:.3g} % of the swing: {self.factor[name]:.3g} times its gain"
-                )
+        for name, found in self.tasks.items():
+            words = f"oscillates with {self.change[0]}" if self.change and found.rings else str(found)
+            if name in self.factor:
+                part = f"{100 * self.share[name]:.3g} % of the swing"
+                words = f"{found.kind}, {part}: {self.factor[name]:.3g} times its gain"
             lines.append(f"{name}: {words}")
         if self.recommended_alpha is not None:
             lines.append(f"No task may have an alpha above {self.recommended_alpha:.4g} 1/s.")
@@ -62,30 +57,25 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
         raise errors.fail("signals", "be {task: errors}", f"is {type(signals).__name__}")
     if not isinstance(alpha, dict | None):
         raise errors.fail("alpha", "be {task: gain}", f"is {alpha!r}")
-    known = {
+    gains = {
         errors.one_of("alpha", n, signals): float(errors.number("alpha", a, positive=True))
         for n, a in (alpha or {}).items()
     }
-    largest = max(known.values()) if len(known) == len(signals) else None  # no mode is faster
-    each: dict = {}
+    largest = max(gains.values()) if len(gains) == len(signals) else None  # no mode is faster
+    tasks = {}
     for name, signal in signals.items():
         with errors.within(name):
-            each[name] = diagnose(signal, Ts, alpha=largest)
-    swing = {n: one for n, one in each.items() if one.rings}
-    share = dict.fromkeys(each, 0.0)
-    if not swing:
-        return StackDiagnosis(tasks=each, share=share, change=(), recommended_alpha=None, factor={})
-    lead = max(swing.values(), key=lambda one: (one.confidence, one.growth**one.period))
-    most = max(float(np.max(one.amplitude)) for one in swing.values()) or 1.0  # squares of tiny ones underflow
-    sizes = {
-        n: (known[n] if largest else 1.0) * float(np.sum((one.amplitude / most) ** 2))
-        for n, one in swing.items()
-        if abs(one.period / lead.period - 1) < ALIKE
-    }
-    share |= {n: size / sum(sizes.values()) for n, size in sizes.items()}
-    factor = {n: lead.recommended_alpha / a for n, a in known.items() if a > NEAR * lead.recommended_alpha}
-    factor |= {n: lead.factor for n in sizes if n not in known and share[n] > ALONG}
+            tasks[name] = diagnose(signal, Ts, alpha=largest)
+    swing = {n: found for n, found in tasks.items() if found.rings}
+    share, factor, best = dict.fromkeys(tasks, 0.0), {}, None
+    if swing:
+        lead = max(swing.values(), key=lambda found: (found.confidence, found.growth**found.period))
+        best = lead.recommended_alpha
+        unit = max(np.max(found.amplitude) for found in swing.values()) or 1.0  # squares of tiny ones underflow
+        along = [n for n, found in swing.items() if abs(found.period / lead.period - 1) < ALIKE]
+        power = {n: (gains[n] if largest else 1.0) * np.sum((tasks[n].amplitude / unit) ** 2) for n in along}
+        share |= {n: float(each / sum(power.values())) for n, each in power.items()}
+        factor = {n: best / gain for n, gain in gains.items() if gain > NEAR * best}
+        factor |= {n: lead.factor for n in along if n not in gains and share[n] > ALONG}
     change = tuple(sorted(factor, key=lambda n: -share[n]))
-    return StackDiagnosis(
-        tasks=each, share=share, change=change, recommended_alpha=lead.recommended_alpha, factor=factor
-    )
+    return StackDiagnosis(tasks=tasks, share=share, change=change, recommended_alpha=best, factor=factor)

@@ -9,8 +9,6 @@ less than 5 %.
 import argparse
 import collections
 import functools
-import importlib.metadata
-import pathlib
 import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
@@ -18,6 +16,7 @@ import mujoco
 import numpy as np
 
 import cnclik as ck
+from tests.oracles import robots
 
 ROBOTS = {  # file below example-robot-data's robots, tip, base
     "Panda": ("panda_description/urdf/panda.urdf", "panda_link8", None),
@@ -56,12 +55,6 @@ class Setup(NamedTuple):
     acceleration: float  # at the torque limit [rad/s²]
 
 
-class Arm(NamedTuple):
-    model: mujoco.MjModel
-    tip: int
-    q: np.ndarray
-
-
 def drawn(rng, robot) -> Setup:
     n = chain(robot).n
     Ts = float(rng.choice([1e-3, 2e-3, 4e-3, 5e-3, 8e-3, 1e-2]))
@@ -84,29 +77,23 @@ def drawn(rng, robot) -> Setup:
 @functools.cache
 def chain(robot):
     file, tip, base = ROBOTS[robot]
-    return ck.load_urdf(folder() / file, tip=tip, base=base)
-
-
-def folder() -> pathlib.Path:
-    files = importlib.metadata.files("example-robot-data")
-    return pathlib.Path(next(f for f in files if f.name == "panda.urdf").locate()).resolve().parents[2]
+    return ck.load_urdf(robots() / file, tip=tip, base=base)
 
 
 @functools.cache
 def text(robot) -> str:
     """The URDF without shapes; other joints than the arm's are fixed, links that the arm does not move have no mass."""
-    root = ET.parse(folder() / ROBOTS[robot][0]).getroot()
-    moved = {j.find("child").get("link") for j in root.findall("joint") if j.get("name") in chain(robot).joint_names}
+    root, names = ET.parse(robots() / ROBOTS[robot][0]).getroot(), chain(robot).joint_names
+    moved = {joint.find("child").get("link") for joint in root.findall("joint") if joint.get("name") in names}
     for link in root.findall("link"):
-        for part in list(link):
-            if part.tag != "inertial" or link.get("name") not in moved:
-                link.remove(part)
+        for part in [p for p in link if p.tag != "inertial" or link.get("name") not in moved]:
+            link.remove(part)
     for joint in root.findall("joint"):
-        if joint.get("name") not in chain(robot).joint_names:
+        if joint.get("name") not in names:
             joint.set("type", "fixed")
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
-    for other in (*root.findall("transmission"), *root.findall("gazebo"), *root.findall("mujoco")):
+    for other in [child for child in root if child.tag in ("transmission", "gazebo", "mujoco")]:
         root.remove(other)
     settings = {"fusestatic": "false", "balanceinertia": "true", "boundmass": "0.02", "boundinertia": "1e-5"}
     ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", settings)
@@ -212,34 +199,35 @@ def push(setup, rng, N, size=None):
     return np.tile(away, (N, 1))
 
 
+def pushed(setup, plant, alpha, rows, least):
+    """A push of 1 cm without noise: (rows, whether it was stopped, errors of the tip (N, 3), direction of the push)."""
+    N = int(np.clip(rows / setup.Ts, least, 4000))
+    target = push(setup, np.random.default_rng(1), N, 0.01)
+    e = run(setup._replace(noise=0.0), plant, alpha, N, target).e
+    return N, len(e) < N, e, target[0] / 0.01
+
+
 def over(setup, plant, alpha) -> float:
     """By how much the tip passes its target after a push of 1 cm, as a share of it; inf where the run is stopped."""
-    N = int(np.clip(max(25 * late(setup), 4 / alpha) / setup.Ts, 60, 4000))
-    target = push(setup, np.random.default_rng(1), N, 0.01)
-    made = run(setup._replace(noise=0.0), plant, alpha, N, target)
-    away = target[0] / np.linalg.norm(target[0])
-    return float(np.max(-made.e @ away) / 0.01) if len(made.e) == N else np.inf
+    _, stopped, e, away = pushed(setup, plant, alpha, max(25 * late(setup), 4 / alpha), 60)
+    return np.inf if stopped else float(np.max(-e @ away) / 0.01)
 
 
 def growing(setup, plant, alpha) -> bool:
-    N = int(np.clip(40 * late(setup) / setup.Ts, 120, 4000))
-    e = np.linalg.norm(
-        run(setup._replace(noise=0.0), plant, alpha, N, push(setup, np.random.default_rng(1), N, 0.01)).e, axis=1
-    )
-    return len(e) < N or e[2 * N // 3 :].max() > 0.95 * e[N // 3 : 2 * N // 3].max() > 0.003
+    N, stopped, e, _ = pushed(setup, plant, alpha, 40 * late(setup), 120)
+    e = np.linalg.norm(e, axis=1)
+    return stopped or e[2 * N // 3 :].max() > 0.95 * e[N // 3 : 2 * N // 3].max() > 0.003
 
 
 def limits(setup, plant):
     """(the largest gain that overshoots by less than 5 %, the largest stable one) [1/s], to some per cent."""
-    low = 0.12 / late(setup)
-    while over(setup, plant, low) > 0.05:
-        low /= 1.5
-        if low < 1e-2:
+    best = 0.12 / late(setup)
+    while over(setup, plant, best) > 0.05:
+        best /= 1.5
+        if best < 1e-2:
             return None
-    high = low
-    while over(setup, plant, high * 1.3) <= 0.05 and high < 300:
-        high *= 1.3
-    best = high
+    while over(setup, plant, best * 1.3) <= 0.05 and best < 300:
+        best *= 1.3
     for step in (1.14, 1.07):
         best = best * step if over(setup, plant, best * step) <= 0.05 else best
     most = best
@@ -317,9 +305,9 @@ def main() -> None:
     for log in logs(args.seed, args.shake, args.calm):
         for alpha in (log.alpha, None):
             found = ck.diagnose(log.e, log.setup.Ts, alpha=alpha)
-            gain = None if found.factor is None else found.factor * log.alpha
-            said = "no gain" if gain is None else verdict(log, gain)
-            said = "false cause" if gain is None and found.cause else said
+            said = "no gain" if found.cause is None else "false cause"
+            if found.factor is not None:
+                said = verdict(log, found.factor * log.alpha)
             told["shakes" if log.shakes else "calm", "alpha" if alpha else "no alpha"][said] += 1
             sure += [said == "right"] if (found.confidence or 0.0) >= 0.9 else []
             if said not in ("right", "no gain"):

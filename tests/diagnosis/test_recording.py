@@ -11,21 +11,13 @@ TS = 0.002
 K = np.arange(400)
 
 
+@pytest.mark.parametrize("name", ["timestamp", "/header/stamp", "t", "rosbagTimestamp"])
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 @pytest.mark.parametrize(("unit", "size"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-@pytest.mark.parametrize(
-    "name", ["timestamp", "__time", "/header/stamp", "t", "time", "header.stamp", "rosbagTimestamp"]
-)
 def test_names_and_units(name, unit, size, start):
     table = np.stack([(start + TS * K) * size, np.sin(K)], 1)
     t, places, read = clock([name, "q1"], table)
     assert places == [0] and read == unit and sampling_time(t, None) == pytest.approx(TS, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", ["time [ms]", "t_ms", "stamp (ms)", "time_msec"])
-def test_a_unit_in_the_name_goes_first(name):
-    t, _, read = clock([name], 0.25 * K[:, None])
-    assert read == "ms" and sampling_time(t, None) == pytest.approx(0.25e-3)
 
 
 @pytest.mark.parametrize(
@@ -42,11 +34,6 @@ def test_seconds_and_nanoseconds_are_one_time(names):
     t, places, _ = clock([*names, "position"], table)
     assert places == [0, 1] and sampling_time(t, None) == pytest.approx(TS, rel=1e-6)
     np.testing.assert_allclose(t, TS * K, atol=1e-9)
-
-
-@pytest.mark.parametrize("names", [("q1", "q2"), ("q_t", "lifetime_x"), ("x", "time_constant_q")])
-def test_joints_are_no_times(names):
-    assert clock(names, np.zeros((20, 2)))[:2] == (None, [])
 
 
 def test_jitter_is_no_missing_row():
@@ -68,14 +55,14 @@ def test_status_and_counts_are_no_motion():
 
 @pytest.mark.parametrize(
     ("name", "factor"),
-    [("t", 1), ("__time", 1), ("/header/stamp", 1), ("time_ms", 1e-3), ("stampNs", 1e-9), ("sec", 1), ("t [ms]", 1e-3)],
+    [("t", 1), ("__time", 1), ("time_ms", 1e-3), ("stampNs", 1e-9), ("sec", 1), ("t [ms]", 1e-3), ("stamp (ms)", 1e-3)],
 )
 def test_names_of_times(name, factor):
     ticks = np.arange(5.0)[:, None]
-    found, places, _ = clock((name,), 0.01 / factor * ticks)
-    assert places == [0] and found == pytest.approx(0.01 * ticks[:, 0])
+    t, places, _ = clock((name,), 0.01 / factor * ticks)
+    assert places == [0] and t == pytest.approx(0.01 * ticks[:, 0])
 
 
-@pytest.mark.parametrize("name", ["x", "q_t", "translation", "timer_state", "ms"])
+@pytest.mark.parametrize("name", ["q1", "x", "q_t", "time_constant_q", "translation", "timer_state", "ms"])
 def test_other_names_are_no_times(name):
-    assert clock((name,), np.arange(5.0)[:, None])[0] is None
+    assert clock((name,), np.arange(5.0)[:, None])[:2] == (None, [])
