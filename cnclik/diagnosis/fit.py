@@ -331,7 +331,7 @@ def _together(log, kind, parts, fitted) -> tuple:
         fitted = np.clip(fitted + np.clip(moved, -most, most), low, high)
         fitted[:, 0] = late
         for _ in range(STEPS):  # the other numbers, by Levenberg's steps
-            left, slope = log.slopes(kind, fitted, parts, every)
+            left, slope = log.slopes(kind, fitted, parts, np.arange(log.k))
             slope = slope[..., 1:]
             normal = np.einsum("kni,knj->kij", slope, slope)
             normal = normal + 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(slope.shape[-1])
