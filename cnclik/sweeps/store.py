@@ -97,10 +97,14 @@ def _checksum(path, files) -> int:
 
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
-    """Create the empty store. It appears only once it is complete."""
+    """Create the empty store. It appears only once it is complete; one that another process made meanwhile stays."""
     with hidden_folder(folder) as hidden:
         _build(hidden / DATA, spec, of, outputs)
-        (hidden / DATA).rename(folder / DATA)
+        try:
+            (hidden / DATA).rename(folder / DATA)
+        except OSError:
+            if not os.path.exists(folder / DATA):
+                raise
 
 
 def _build(path, spec, of, outputs):
@@ -199,6 +203,7 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, p
         store = store or prepare(spec, folder)
         if store is None:
             raise errors.fail("out", "be one folder that all processes share", f"{str(folder)!r} is empty here")
+        first = first if store.lanes == of.lanes else None
         of = dataclasses.replace(of, lanes=store.lanes)
         _, missing = store.blocks()
     share = _share(spec, of, missing, process, processes)

@@ -8,7 +8,7 @@ import scipy.optimize
 
 import cnclik as ck
 from cnclik.integrate.method import evaluations_per_step
-from cnclik.law.law import evaluate
+from cnclik.law.law import evaluate, observe
 from cnclik.robot.model import modelled
 from tests.oracles import close
 
@@ -143,8 +143,9 @@ def test_a_posture_passes_a_newton_step(inverse):
 
     @jax.jit
     def step(q):
-        at = evaluate(modelled(one), NEAR, jnp.zeros(()), q)
-        return at.newton(h, k), at.qdot, at.rows, jax.vmap(at.apply, out_axes=1)(jnp.eye(2))
+        at, seen = evaluate(modelled(one), NEAR, jnp.zeros(()), q), observe(modelled(one), NEAR, jnp.zeros(()), q)
+        inverted = jax.vmap(inverse(seen.rows, seen.e).apply, out_axes=1)(jnp.eye(2))
+        return at.newton(h, k), at.qdot, seen.rows, inverted
 
     found, f, J, inverted = map(np.asarray, step(Q))
     slope = 15.0 * inverted @ J + 4.0 * (np.eye(3) - inverted @ J)

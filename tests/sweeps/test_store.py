@@ -18,7 +18,7 @@ import xarray
 import zarr
 
 from cnclik.errors import ArgumentError
-from cnclik.sweeps import run_spec, store
+from cnclik.sweeps import program, run_spec, store
 from cnclik.sweeps.spec import read
 from tests.specs import reaching
 
@@ -144,6 +144,14 @@ def test_only_what_is_a_sweeps_is_deleted(path, copy, tmp_path):
         assert (tmp_path / name / "data.zarr" / "mine").read_text() == "precious"
     assert store.prepare(read(path), copy, fresh=True) is None
     assert [p.name for p in copy.iterdir()] == ["mine"]
+
+
+def test_a_store_that_another_process_made_meanwhile_stays(path, undisturbed, copy):
+    s = read(path)
+    _, first = program.fit(s.study, s.grid())
+    store.create(copy, s, s.grid(), first.outputs)
+    assert not store.blocks_missing(copy)
+    assert_same(copy, undisturbed)
 
 
 @pytest.mark.parametrize("damage", ["chunk empty", "chunk gone", "units", "cut", "nested"])
