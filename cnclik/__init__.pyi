@@ -2,7 +2,7 @@
 
 from . import (
     diagnosis as diagnosis, export as export, measure as measure, paper as paper,
-    problem as problem, reaching as reaching, show as show, stability as stability, sweeps as sweeps,
+    problem as problem, show as show, stability as stability, sweeps as sweeps,
     tuning as tuning,
 )
 from .cache import use_cache as use_cache
@@ -14,10 +14,7 @@ from .engine.plan import use_engine as use_engine
 from .errors import ArgumentError as ArgumentError, Remark as Remark
 from .integrate.drive import Drive as Drive
 from .integrate.lanes import lanes as lanes
-from .integrate.method import (
-    CN as CN, EE as EE, EXP_EE as EXP_EE, EXP_HEUN as EXP_HEUN, EXP_MIDPOINT as EXP_MIDPOINT, EXP_RK4 as EXP_RK4,
-    HEUN as HEUN, IE as IE, METHODS as METHODS, MIDPOINT as MIDPOINT, RK4 as RK4, TRAPEZOID as TRAPEZOID, Method as Method, exponential as exponential,
-)
+from .integrate.method import METHODS as METHODS, Method as Method, exponential as exponential
 from .integrate.solve import Step as Step, solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
 from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
@@ -28,17 +25,16 @@ from .law.inverse import (
     singular_damped as singular_damped,
 )
 from .law.law import Law as Law, posture as posture
-from .law.limits import exponential_rate as exponential_rate, velocity_scaling as velocity_scaling
+from .law.limits import velocity_scaling as velocity_scaling
 from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
-    lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints, with_feedforward as with_feedforward,
+    lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints,
 )
 from .law.reference import Reference as Reference, References as References, references as references
 from .law.walls import (
-    support_polygon as support_polygon, wall as wall, wall_distance as wall_distance, wall_margin as wall_margin,
+    support_polygon as support_polygon, wall as wall, wall_margin as wall_margin,
 )
 from .measure.dataset import to_dataset as to_dataset
-from .measure.metrics import Metrics as Metrics, measure_run as measure_run
 from .problem.build import problem_from as problem_from
 from .problem.names import load as load
 from .reaching.public import reach as reach
@@ -65,8 +61,7 @@ from .task.build import (
     function as function, joints as joints, orientation as orientation, pose as pose, position as position,
     stack as stack,
 )
-from .task.shapes import capsule as capsule, distance as distance, half_space as half_space, sphere as sphere
+from .task.shapes import capsule as capsule, distance as distance, sphere as sphere
 from .task.task import Task as Task
-from .tuning.calibrate import calibrate as calibrate
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

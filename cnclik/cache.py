@@ -4,20 +4,17 @@ import collections
 import contextlib
 import functools
 import hashlib
-import itertools
 import os
 import pathlib
 import platform
 import stat
 import sys
 import warnings
-import weakref
 
 import jax
 
-# Programs that a cache keeps. Of `LRU` the least recently used one goes, of `bounded_jit` all of one function.
-KEPT_PROGRAMS = 128
-MOST_PROGRAMS = 64  # of all `bounded_jit` together, at some 6 MiB and 200 mappings of memory each
+KEPT_PROGRAMS = 128  # of an `LRU`
+MOST_PROGRAMS = 32  # of one function of `bounded_jit`, at some 6 MiB and 200 mappings of memory each
 KEPT_TRACES = 16  # programs, for which JAX keeps what it traced on the way to them, some 8 MiB each
 
 
@@ -45,58 +42,38 @@ class LRU(collections.OrderedDict):
             self.popitem(last=False)
 
 
+_traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten
+
+
 def bounded_jit(fn=None, **options):
-    """`jax.jit` that forgets its programs when there are too many, see `_bound`. Decorator, with jit's arguments.
+    """`jax.jit` that forgets its programs when there are more than MOST_PROGRAMS. Decorator, with jit's arguments.
 
     Numbers of steps, literals and lambdas are parts of a program: a process meets new ones all day.
     """
     if fn is None:
         return functools.partial(bounded_jit, **options)
-    mine = _Programs()
+    made = []  # once for each program; within a gradient or a batch jit's own count knows nothing of them
 
     @functools.wraps(fn)
     def counted(*args, **kwargs):
-        mine.made += 1  # those within a gradient or a batch too, of which jit's own count knows nothing
+        made.append(None)
         _traced.append(None)
         return fn(*args, **kwargs)
 
     jitted = jax.jit(counted, **options)
-    _bounded[jitted] = mine
 
     @functools.wraps(fn)
     def call(*args, **kwargs):
-        before, mine.used = mine.made, next(_uses)
         result = jitted(*args, **kwargs)
-        if mine.made != before:
-            _bound(jitted)
+        if len(made) > MOST_PROGRAMS:
+            jitted.clear_cache()
+            made.clear()
+        if len(_traced) > KEPT_TRACES:
+            _forget_traces()
         return result
 
     call._cache_size = jitted._cache_size
     return call
-
-
-class _Programs:
-    """How many programs a `bounded_jit` has, and when it was last used: the number of a call among all."""
-
-    made = used = 0
-
-
-_bounded = weakref.WeakKeyDictionary()  # {a function: its _Programs}
-_uses = itertools.count(1)
-
-
-def _bound(jitted):
-    """Forget what is too much: all programs of the function used longest ago, `jitted` last; and JAX's traces."""
-    every = {one: _bounded[one] for ref in _bounded.keyrefs() if (one := ref()) is not None}
-    for one, its in sorted(every.items(), key=lambda item: item[1].used):
-        if its.made and sum(programs.made for programs in every.values()) > MOST_PROGRAMS:
-            one.clear_cache()
-            its.made = 0
-    if len(_traced) > KEPT_TRACES:
-        _forget_traces()
-
-
-_traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten
 
 
 def _forget_traces():

@@ -31,13 +31,12 @@ class ArgumentError(ValueError):
 
 
 def _one_line(message: str) -> str:
+    """Without its middle if it is long: what it must be stands at the beginning, what it is at the end."""
     line = " ".join(_shortened(message, 2 * _MOST).split())
-    line = line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
-    return _shortened(line, _MOST)
+    return _shortened("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line), _MOST)
 
 
 def _shortened(text, most):
-    """Without its middle: what it must be stands at the beginning, what it is at the end."""
     return text if len(text) <= most else f"{text[: most - 301]} … {text[-298:]}"
 
 
@@ -45,32 +44,28 @@ _NUMPY = re.compile(r"(?<!\w)'[^']*'|np\.[a-z]+[0-9]*_?\(([^()]*)\)")  # a user'
 
 
 def fail(name: str, must: str, found) -> ArgumentError:
+    """The error of an argument: what it must be and what it is."""
     name = name if len(name) <= 80 else f"{name[:79]}…"
-    found = _NUMPY.sub(lambda one: one[1] or one[0], " ".join(found.split()))
+    found = _NUMPY.sub(lambda match: match[1] or match[0], " ".join(found.split()))
     return ArgumentError(f"Argument `{name}` must {must}, but {found if len(found) <= 120 else found[:119] + '…'}.")
 
 
 @contextlib.contextmanager
-def within(where: str):
-    """Context manager: an error of an argument `name` is one of `where.name`."""
+def _renamed(old: str, new: str):
     try:
         yield
     except ArgumentError as error:
-        raise ArgumentError(str(error).replace("Argument `", f"Argument `{where}.", 1)) from None
+        raise ArgumentError(str(error).replace(f"Argument `{old}", f"Argument `{new}", 1)) from None
 
 
-@contextlib.contextmanager
 def called(old: str, new: str):
     """Context manager, or decorator: an error of an argument `old` is one of `new`, as the caller's is called."""
-    try:
-        yield
-    except ArgumentError as error:
-        raise ArgumentError(str(error).replace(f"Argument `{old}`", f"Argument `{new}`", 1)) from None
+    return _renamed(f"{old}`", f"{new}`")
 
 
-def reason(error: Exception) -> str:
-    """The text of an error of the file system, or of a name that cannot be one."""
-    return getattr(error, "strerror", None) or str(error)
+def within(where: str):
+    """Context manager: an error of an argument `name` is one of `where.name`."""
+    return _renamed("", f"{where}.")
 
 
 def in_a_line(error: Exception) -> str:
@@ -79,25 +74,28 @@ def in_a_line(error: Exception) -> str:
     return text if len(text) <= 200 else text[:199] + "…"
 
 
+def reason(error: Exception) -> str:
+    """The text of an error of the file system, or of a name that cannot be one."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def path(name: str, value) -> pathlib.Path:
     """A path that a file system may have."""
     try:
-        found = pathlib.Path(value)
-    except TypeError:
-        raise fail(name, "be a path", f"is {value!r}") from None
-    with contextlib.suppress(UnicodeEncodeError):
-        if b"\0" not in os.fsencode(found):
+        if b"\0" not in os.fsencode(found := pathlib.Path(value)):
             return found
-    raise fail(name, "be a path", f"is {str(found)!r}, with a character that no path has")
+    except (TypeError, UnicodeEncodeError):
+        pass
+    raise fail(name, "be a path", f"is {value!r}")
+
+
+# --- values -------------------------------------------------------------------------------------------
 
 
 def concrete(value) -> bool:
     """Whether the value is known now, and may be looked at."""
     jax = sys.modules.get("jax")  # where it isn't loaded nothing is traced
     return type(value) is float or jax is None or not isinstance(value, jax.core.Tracer)
-
-
-_NO_NUMBERS = (str, bytes, list, tuple, type(None))
 
 
 def number(name: str, value, *, positive=False, at_least=None) -> "float | Array":
@@ -107,9 +105,9 @@ def number(name: str, value, *, positive=False, at_least=None) -> "float | Array
         return value
     import numpy as np
 
-    if type(value) is not float and (isinstance(value, _NO_NUMBERS) or np.ndim(value) != 0):
+    if isinstance(value, (str, bytes, list, tuple, type(None))) or np.ndim(value) != 0:
         raise fail(name, "be a number", f"is {value!r}{quantities.in_python(value)}")
-    if type(value) is float or concrete(value):
+    if concrete(value):
         try:
             known = float(value)
         except (TypeError, ValueError, OverflowError):
@@ -121,36 +119,6 @@ def number(name: str, value, *, positive=False, at_least=None) -> "float | Array
         if at_least is not None and known < at_least:
             raise fail(name, f"be at least {at_least:g}", f"is {known:g}")
     return value
-
-
-def kind(name: str, value, of, must: str | None = None):
-    """A value of a class, or of one of several; `must`: how the first is asked for, where that is no "be a …"."""
-    if not isinstance(value, of):
-        first = of[0] if isinstance(of, tuple) else of
-        raise fail(name, must or f"be a {first.__name__}", f"is {type(value).__name__}")
-    return value
-
-
-def truth(name: str, value) -> bool:
-    """A Python bool of True or False, or of a number or an array of no axis that is one."""
-    single = concrete(value) and getattr(value, "ndim", 0) == 0 and not isinstance(value, (list, tuple))
-    if not single or value not in (True, False):
-        raise fail(name, "be True or False", f"is {value!r}")
-    return bool(value)
-
-
-def seed(value):
-    """What is drawn begins with it: a whole number from 0 to 2³⁰ − 1, or a traced one; returned as it came."""
-    number("seed", value)
-    if concrete(value) and not (0 <= value < 1 << 30 and value == int(value)):
-        raise fail("seed", f"be a whole number from 0 to {(1 << 30) - 1:,}", f"is {value!r}")
-    return value
-
-
-def progress(value) -> None:
-    """A function to be called as work goes on, or None."""
-    if value is not None and not callable(value):
-        raise fail("progress", "be a function or None", f"is {value!r}")
 
 
 MOST = 100_000_000  # of steps of one run, targets of one call: beyond it no machine has the memory
@@ -169,6 +137,39 @@ def integer(name: str, value, *, at_least: int, at_most: int | None = None) -> i
     return int(value)
 
 
+def seed(value):
+    """What is drawn begins with it: a whole number from 0 to 2³⁰ − 1, or a traced one; returned as it came."""
+    number("seed", value)
+    if concrete(value) and not (0 <= value < 1 << 30 and value == int(value)):
+        raise fail("seed", f"be a whole number from 0 to {(1 << 30) - 1:,}", f"is {value!r}")
+    return value
+
+
+def truth(name: str, value) -> bool:
+    """A Python bool of True or False, or of a number or an array of no axis that is one."""
+    single = concrete(value) and getattr(value, "ndim", 0) == 0 and not isinstance(value, (list, tuple))
+    if not single or value not in (True, False):
+        raise fail(name, "be True or False", f"is {value!r}")
+    return bool(value)
+
+
+def kind(name: str, value, of, must: str | None = None):
+    """A value of a class, or of one of several; `must`: how the first is asked for, where that is no "be a …"."""
+    if not isinstance(value, of):
+        first = of[0] if isinstance(of, tuple) else of
+        raise fail(name, must or f"be a {first.__name__}", f"is {type(value).__name__}")
+    return value
+
+
+def progress(value) -> None:
+    """A function to be called as work goes on, or None."""
+    if value is not None and not callable(value):
+        raise fail("progress", "be a function or None", f"is {value!r}")
+
+
+# --- arrays -------------------------------------------------------------------------------------------
+
+
 def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "Array":
     """A real array of one of the shapes (None matches any length); returned as an array of floats that JAX takes.
 
@@ -180,30 +181,38 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
     usual = usual and value.ndim == 1 and value.dtype.char in "fd" and value.dtype.isnative
     if usual and math.isfinite(sum(value.tolist())):
         return value
-    jax = sys.modules.get("jax")
-
     try:
-        arrays = np.ndarray if jax is None else (jax.Array, np.ndarray)
-        found: Any = value if isinstance(value, arrays) else _gather(value)
-        if isinstance(found, np.ma.MaskedArray):
-            if found.mask.any():
-                raise fail(name, "hold no masked entries", f"has {int(found.mask.sum())} of them")
-            found = found.data
-        if found.dtype.kind not in "iuf":
-            raise TypeError
-    except ArgumentError:
-        raise
+        found = _gathered(value)
     except (TypeError, ValueError):
         raise fail(name, "be an array of real numbers", f"is {value!r}{quantities.in_python(value)}") from None
-    if shapes and not any(_fits(found.shape, s) for s in shapes):
+    if isinstance(found, np.ma.MaskedArray):
+        if found.mask.any():
+            raise fail(name, "hold no masked entries", f"has {int(found.mask.sum())} of them")
+        found = found.data
+    if shapes and not any(_fits(found.shape, shape) for shape in shapes):
         raise _misshapen(name, found.shape, shapes, of)
-    if finite and concrete(found) and not np.isfinite(np.asarray(found)).all():
-        where = np.argwhere(~np.isfinite(np.asarray(found)))[0]
-        place = f" at index {tuple(int(i) for i in where)}" if found.ndim else ""
-        raise fail(name, "be finite", f"is {np.asarray(found)[tuple(where)]}{place}")
-    if most is not None and concrete(found) and (np.abs(found) > most).any():
+    if concrete(found) and finite and not (good := np.isfinite(np.asarray(found))).all():
+        where = tuple(map(int, np.argwhere(~good)[0]))
+        raise fail(name, "be finite", f"is {np.asarray(found)[where]}" + f" at index {where}" * (found.ndim > 0))
+    if concrete(found) and most is not None and (np.abs(found) > most).any():
         raise fail(name, f"be within ±{most:g}", f"reaches {np.abs(found).max():g}")
-    return as_jax_takes(found) if found.dtype.kind == "f" else found.astype(float)
+    return as_jax_takes(found if found.dtype.kind == "f" else found.astype(float))
+
+
+def _gathered(value) -> Any:
+    """An array, or nested sequences as one; entries may be traced. Raises: TypeError for what are no real numbers."""
+    import numpy as np
+
+    jax = sys.modules.get("jax")
+    if isinstance(value, np.ndarray if jax is None else (jax.Array, np.ndarray)):
+        found: Any = value
+    elif jax is not None and any(not concrete(v) for v in jax.tree.leaves(value)):
+        found = jax.numpy.asarray(value)
+    else:
+        found = np.asarray(value)
+    if found.dtype.kind not in "iuf":  # NumPy would make numbers of "5", True and None
+        raise TypeError
+    return found
 
 
 def _misshapen(name, shape, shapes, of):
@@ -217,8 +226,16 @@ def _misshapen(name, shape, shapes, of):
             wanted.append(f"have {' or '.join(lengths)} {of if [*lengths] != ['1'] else of.removesuffix('s')}")
         wanted += [f"{'' if lengths else 'have '}shape {_show(s)}" for s in shapes if len(s) > 1]
         return fail(name, " or ".join(wanted), f"has {shape[0]}" if shape else "is a single number")
-    wanted = " or ".join(_show(s) for s in shapes)
-    return fail(name, f"have shape {wanted}", f"has shape {_show(shape)}")
+    return fail(name, f"have shape {' or '.join(map(_show, shapes))}", f"has shape {_show(shape)}")
+
+
+def _fits(shape, wanted):
+    return len(shape) == len(wanted) and all(w is None or s == w for s, w in zip(shape, wanted, strict=True))
+
+
+def _show(shape):
+    inner = ", ".join("n" if s is None else str(s) for s in shape)
+    return f"({inner},)" if len(shape) == 1 else f"({inner})"
 
 
 def as_jax_takes(value):
@@ -234,17 +251,7 @@ def as_jax_takes(value):
     return value.astype(f"={dtype.kind}{min(dtype.itemsize, most)}")
 
 
-def _gather(value):
-    """Nested sequences as one array; entries may be traced."""
-    import numpy as np
-
-    jax = sys.modules.get("jax")
-    if jax is not None and any(not concrete(v) for v in jax.tree.leaves(value)):
-        return jax.numpy.asarray(value)
-    found = np.asarray(value)
-    if found.dtype.kind not in "iuf":  # NumPy would make numbers of "5", True and None
-        raise TypeError
-    return found.astype(float)
+# --- names --------------------------------------------------------------------------------------------
 
 
 def one_of(name: str, value, names, which=""):
@@ -278,21 +285,11 @@ def nearest(value, names) -> str:
     folded = str(value).casefold()
     word = folded.lstrip("-")
     alias = folded.removesuffix(word) + _ALIAS.get(word, word)
-    folded = alias if alias in alike else folded
-    near = difflib.get_close_matches(folded, alike, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(alias if alias in alike else folded, alike, n=1, cutoff=0.6)
     return f" (did you mean {alike[near[0]]!r}?)" if near else ""
 
 
-def _fits(shape, wanted):
-    return len(shape) == len(wanted) and all(w is None or s == w for s, w in zip(shape, wanted, strict=True))
-
-
-def _show(shape):
-    inner = ", ".join("n" if s is None else str(s) for s in shape)
-    return f"({inner},)" if len(shape) == 1 else f"({inner})"
-
-
-# --- input that is used, but is probably not meant; old names ----------------------------------------------
+# --- input that is used, but is probably not meant ----------------------------------------------------
 
 
 class Remark(UserWarning):

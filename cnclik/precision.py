@@ -43,9 +43,8 @@ def in_float64_if_known(fn):
     @functools.wraps(fn)
     def wide(*args, **kwargs):
         leaves = jax.tree.leaves((args, kwargs))
-        if not _known(leaves) or (
-            jax.config.jax_enable_x64 and not any(_floating(leaf) and leaf.dtype.itemsize < 8 for leaf in leaves)
-        ):
+        narrow = any(_floating(leaf) and leaf.dtype.itemsize < 8 for leaf in leaves)
+        if not _known(leaves) or (jax.config.jax_enable_x64 and not narrow):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
             args, kwargs = jax.tree.map(_widened, (args, kwargs), is_leaf=_is_dict)
@@ -81,10 +80,7 @@ def _floating(leaf):
 
 
 def _widened(leaf):
-    """A floating array in float64 (as NumPy's: it belongs to no setting); anything else as it is.
-
-    Always a copy: JAX remembers some constants by identity, whatever the setting, and the caller's shall stay theirs.
-    """
+    """A floating array in float64, as a copy: JAX remembers some constants by identity; anything else as it is."""
     if _is_dict(leaf):
         return {key: jax.tree.map(_widened, value, is_leaf=_is_dict) for key, value in leaf.items()}
     return np.array(leaf, np.float64) if _floating(leaf) else leaf

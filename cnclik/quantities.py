@@ -7,11 +7,15 @@ import math
 import re
 
 _NUMBER = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|inf(?:inity)?\b|nan\b)", re.IGNORECASE)
-_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6}
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6}
-_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180}
-_SECONDS = {"s": ("s",), "s²": ("s²", "s^2", "s2"), "s³": ("s³", "s^3", "s3")}
+_FACTORS = {
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180},
+    "1/s": {"1/s": 1.0, "/s": 1.0},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
+}
 SAMPLES = "samples"
+ANY = "s, q, q/s"  # the unit of what may be in any
 
 
 def number(text: str) -> float | None:
@@ -38,24 +42,16 @@ def units(unit: str) -> dict:
 
     "q" is rad or m, "x" the metres of a point, "samples" are also a time, which the sampling time makes samples.
     """
-    if unit == "1/s":
-        return {"1/s": (1.0, unit), "/s": (1.0, unit)}
-    if unit == "Hz":
-        return {"Hz": (1.0, unit), "kHz": (1e3, unit)}
     if unit == SAMPLES:
-        times = {word: (factor, "s") for word, factor in _TIMES.items()}
-        return times | {word: (1.0, SAMPLES) for word in ("sample", SAMPLES)}
+        return units("s") | {word: (1.0, SAMPLES) for word in ("sample", SAMPLES)}
     found = {}
     for part in unit.split(", "):
-        base, slash, per = part.partition("/")
-        for word, group in (("s", _TIMES), ("m", _LENGTHS), ("rad", _ANGLES)):
-            if word == base or (base == "q" and word != "s") or (base == "x" and word == "m"):
-                for text, factor in group.items():
-                    words = [f"{text}/{end}" for end in _SECONDS[per]] if slash else [text]
-                    found |= {w: (factor, f"{word}/{per}" if slash else word) for w in words}
-    if unit == "rad/s":
-        found["Hz"] = (2 * math.pi, unit)
-    return found
+        base, slash, _ = part.partition("/")
+        bases = (part,) if part in _FACTORS else {"q": ("m", "rad"), "x": ("m",)}.get(base, (base,))
+        per = "/s" * bool(slash and part not in _FACTORS)
+        for one in bases:
+            found |= {f"{text}{per}": (factor, f"{one}{per}") for text, factor in _FACTORS.get(one, {}).items()}
+    return found | ({"Hz": (2 * math.pi, unit)} if unit == "rad/s" else {})
 
 
 class Quantities(list):
@@ -76,35 +72,42 @@ def read(text: str, unit: str, Ts: float | None = None, *, marked=False) -> Quan
       marked: whether there must be a unit.
     Raises: ValueError, in words that follow "but", for what are no such numbers.
     """
-    known, values, written = units(unit), [], []
+    known, values = units(unit), []
+    written: list[str | None] = []
     for word in text.split():
         found = None if word in known else _NUMBER.match(word)
         mark = word[found.end() :] if found else word
         if mark and mark not in known:
             usual = f" (units: {', '.join(w for w in known if w.isascii())})" if known and (found or values) else ""
             raise ValueError(f"is {text!r}{hint(text) or usual}")
-        if not found:
-            if None not in written:
-                raise ValueError(f"is {text!r}, with a unit and no number before it")
+        if found:
+            values.append(float(found[0]))
+            written.append(mark or None)
+        elif None in written:
             written = [mark if w is None else w for w in written]
-            continue
-        values.append(float(found[0]))
-        written.append(mark or None)
+        else:
+            raise ValueError(f"is {text!r}, with a unit and no number before it")
     if not values or (marked and not any(written)):
         raise ValueError(f"is {text!r}")
     if unit != "x" and any(written) and any(w is None and v for v, w in zip(values, written, strict=True)):
         raise ValueError(f"is {text!r}: write a unit behind each number, or once at the end, apart")
-    return Quantities([_in_own(v, w, known, Ts) for v, w in zip(values, written, strict=True)],
-                      [known[w][1] if w else None for w in written])  # fmt: skip
+    for k, mark in enumerate(written):
+        factor, own = known[mark] if mark else (1.0, None)
+        values[k] *= factor
+        if own == "s" and unit == SAMPLES:
+            if not Ts or not Ts > 0:
+                raise ValueError(f"is {text}, a time, and no sampling time is given")
+            values[k] = round(values[k] / Ts, 9)  # 34 ms of 2 ms are 17 samples
+    return Quantities(values, [known[w][1] if w else None for w in written])
 
 
-def read_each(values, unit: str, Ts: float | None = None) -> Quantities:
+def read_each(values, unit: str, Ts: float | None = None, *, marked=True) -> Quantities:
     """The numbers of a list of texts, each with its unit, as for `read`, and of numbers in the option's own unit."""
-    each = [read(v, unit, Ts, marked=True) if isinstance(v, str) else Quantities([v], [None]) for v in values]
+    each = [read(v, unit, Ts, marked=marked) if isinstance(v, str) else Quantities([v], [None]) for v in values]
     return Quantities([v for one in each for v in one], [w for one in each for w in one.written])
 
 
-def in_python(text: str, own: str = "s, q, q/s, q/s², q/s³") -> str:
+def in_python(text: str, own: str = ANY) -> str:
     """How a text with a unit is written in Python, to stand behind it, such as ": write 0.02" for 20ms; else nothing.
 
     Args: own: the unit of what it is for, as for `units`; any where it isn't known.
@@ -113,22 +116,12 @@ def in_python(text: str, own: str = "s, q, q/s, q/s², q/s³") -> str:
         found = read(text, own, Ts=1.0, marked=True)
     except (AttributeError, TypeError, ValueError):  # no text, no numbers, or no unit
         return ""
-    numbers = ", ".join(
-        f"{v:.9g}" + "/Ts" * (own == SAMPLES and w == "s") for v, w in zip(found, found.written, strict=True)
-    )
+    in_samples = [own == SAMPLES and mark == "s" for mark in found.written]
+    numbers = ", ".join(f"{v:.9g}{'/Ts' * late}" for v, late in zip(found, in_samples, strict=True))
     return f": write {numbers}" if len(found) == 1 else f": write [{numbers}]"
 
 
-def _in_own(value, mark, known, Ts):
-    factor, unit = known[mark] if mark else (1.0, None)
-    if unit == "s" and SAMPLES in known:
-        if not Ts or not Ts > 0:
-            raise ValueError(f"is {value:g} {mark}, a time, and no sampling time is given")
-        return round(value * factor / Ts, 9)  # 34 ms of 2 ms are 17 samples
-    return value * factor
-
-
-# --- said aloud ---------------------------------------------------------------------------------------
+# --- in words -----------------------------------------------------------------------------------------
 
 
 def aloud(value: float, unit: str) -> str:

@@ -23,33 +23,31 @@ def read_bytes(argument: str, path, what: str, *, most: int | None = None) -> by
     if not isinstance(path, (str, bytes, os.PathLike)):
         raise errors.fail(argument, f"name {what}", f"is {path!r}")
     name, most = os.fsdecode(path), most or MOST_BYTES
-    shown = pathlib.Path(name).name[:80] or name[:80]
+    shown, text = pathlib.Path(name).name[:80] or name[:80], b""
     try:
-        about = os.stat(name)
-        if stat.S_ISDIR(about.st_mode):
-            raise errors.fail(argument, f"name {what}", f"{name[:80]!r} is a folder")
-        if not stat.S_ISREG(about.st_mode):
-            raise errors.fail(argument, f"name {what}", f"{shown!r} is a device, pipe or socket")
-        with open(name, "rb") as file:
-            text = file.read(most + 1)
-        if len(text) > most:
-            raise errors.fail(argument, f"name {what} of at most {most >> 20} MiB", f"{shown!r} is larger")
-        return text
-    except errors.ArgumentError:
-        raise
+        mode = os.stat(name).st_mode
+        if stat.S_ISREG(mode):
+            with open(name, "rb") as file:
+                text = file.read(most + 1)
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         raise errors.fail(argument, f"name {what} that can be read", f"{shown}: {errors.reason(error)}") from None
+    if stat.S_ISDIR(mode):
+        raise errors.fail(argument, f"name {what}", f"{name[:80]!r} is a folder")
+    if not stat.S_ISREG(mode):
+        raise errors.fail(argument, f"name {what}", f"{shown!r} is a device, pipe or socket")
+    if len(text) > most:
+        raise errors.fail(argument, f"name {what} of at most {most >> 20} MiB", f"{shown!r} is larger")
+    return text
 
 
 def read_toml(argument: str, path) -> dict:
     """What a TOML file holds. Raises: as `read_bytes`, and for what is no TOML or is nested too deeply to be read."""
-    text, shown = read_bytes(argument, path, "a TOML file", most=1 << 20), os.fspath(path)
+    text = read_bytes(argument, path, "a TOML file", most=1 << 20)
     try:
         return toml(text.decode())
-    except ValueError as error:  # no TOML, no UTF-8, or an integer of thousands of digits
-        raise errors.fail(argument, "be a TOML file", f"{shown!r} is not: {error}") from None
-    except RecursionError:
-        raise errors.fail(argument, "be nested less deeply", f"{shown!r} is nested too deeply to be read") from None
+    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, or an integer of thousands of digits
+        why = "it is nested too deeply to be read" if isinstance(error, RecursionError) else error
+        raise errors.fail(argument, "be a TOML file", f"{os.fspath(path)!r} is not: {why}") from None
 
 
 def toml(text: str) -> dict:

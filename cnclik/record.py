@@ -74,9 +74,6 @@ class Literals:
             self._hash == other._hash and self.treedef == other.treedef and self.values == other.values
         )
 
-    def __repr__(self):
-        return f"Literals{tuple(v for v in self.values if v is not HOLE)}"
-
 
 HOLE = object()  # marks, among the literals, the place of an array
 
@@ -158,8 +155,7 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
             fields["_flat"] = fields["_flat32"] = list(arrays), literals
         return self
 
-    def fields_alone(self):
-        # Copies and pickles leave these behind: they mark holes by identity, and hashes change between processes.
+    def fields_alone(self):  # what is remembered marks holes by identity, and hashes change between processes
         return {n: getattr(self, n) for n in names}
 
     def read_only(self, state):
@@ -209,13 +205,13 @@ def _same(a, b) -> bool:
 
 
 def _hashed(self):
+    return memoized(self, "_hash", _hash_of)
+
+
+def _hash_of(self):
     """Of the literals and the arrays' shapes: the arrays may be on another device."""
-
-    def make(self):
-        leaves, treedef = jax.tree.flatten(self)
-        return hash((treedef, *(getattr(v, "shape", None) for v in leaves)))
-
-    return memoized(self, "_hash", make)
+    leaves, treedef = jax.tree.flatten(self)
+    return hash((treedef, *(getattr(v, "shape", None) for v in leaves)))
 
 
 def _own(array):
@@ -281,18 +277,25 @@ def memoized(rec, name, make):
     return made
 
 
+def _is_record(value) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
+
+
+def _remade(rec, value):
+    """A record whose fields are value(name), without its checks, which are for what the user gives."""
+    made = object.__new__(type(rec))
+    for f in dataclasses.fields(rec):
+        object.__setattr__(made, f.name, value(f.name))
+    return made
+
+
 def mapped(tree, kind, fn):
     """The tree of records and tuples with fn(r) in the place of every record r of a kind."""
     if isinstance(tree, kind):
         return fn(tree)
     if type(tree) is tuple:
         return tuple(mapped(v, kind, fn) for v in tree)
-    if not dataclasses.is_dataclass(tree) or isinstance(tree, type):
-        return tree
-    made = object.__new__(type(tree))  # no __init__: its checks are for what the user gives
-    for f in dataclasses.fields(tree):
-        object.__setattr__(made, f.name, mapped(getattr(tree, f.name), kind, fn))
-    return made
+    return _remade(tree, lambda name: mapped(getattr(tree, name), kind, fn)) if _is_record(tree) else tree
 
 
 def stack(records):
@@ -303,11 +306,8 @@ def stack(records):
     """
     records = list(records)
     first = records[0]
-    if dataclasses.is_dataclass(first) and not isinstance(first, type):
-        made = object.__new__(type(first))  # no __init__: its checks are for one lane
-        for f in dataclasses.fields(first):
-            object.__setattr__(made, f.name, stack([getattr(r, f.name) for r in records]))
-        return made
+    if _is_record(first):
+        return _remade(first, lambda name: stack([getattr(r, name) for r in records]))
     if isinstance(first, tuple):
         return tuple(stack(items) for items in zip(*records, strict=True))
     if is_literal(first) and all(type(r) is type(first) and r == first for r in records):

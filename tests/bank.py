@@ -58,6 +58,12 @@ def numbers(name):
     return rng.uniform(2, 8, LANES), rng.uniform(0.01, 0.05, LANES), q0, target
 
 
+def told(path, velocity):
+    """A path whose feed-forward is another than its own velocity."""
+    still = jax.lax.stop_gradient
+    return ck.path(lambda t: still(path.curve(t)[0]) + (t - still(t)) * velocity)
+
+
 class Loop(NamedTuple):
     """One program of the bank."""
 

@@ -17,10 +17,8 @@ import sys
 ROOT = pathlib.Path(__file__).parents[1]
 PACKAGE = ROOT / "cnclik"
 GROUND = ("errors", "record", "cache", "precision", "threads", "reading", "writing", "version", "quantities")
-BASE = ("engine", "robot", "task", "law", "integrate")  # reached through the names of the package alone
-ROOMS = (
-    *(*BASE, "reaching", "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),
-)
+BASE = ("engine", "robot", "task", "law", "integrate", "reaching")  # reached through the names of the package alone
+ROOMS = (*(*BASE, "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),)
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
 LONG_FILE, LONG_FUNCTION, LONG_PAGE, LONG_SENTENCE = 400, 60, 280, 40  # lines, lines, lines, words
 ONCE = {  # what may stand in one place only, and where

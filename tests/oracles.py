@@ -208,18 +208,6 @@ AMPLIFICATION = {
 }
 
 
-def picard_amplification(method, z, M):
-    """R(z) with M Picard passes from the explicit Euler slope: a polynomial in z."""
-    if method == "IE":
-        return sum((-z) ** j for j in range(M + 2))
-    if method == "CN":
-        return 1 - z / 2 * (1 + sum((-z) ** j for j in range(M + 1)))
-    if method == "TRAPEZOID":  # slope (in units of −alpha e): s ← 1 − z/2 − (z/2) s from s = 1, summed
-        s = sum((-z / 2) ** j for j in range(M)) * (1 - z / 2) + (-z / 2) ** M
-        return 1 - z / 2 * (1 + s)
-    return AMPLIFICATION[method](z)
-
-
 def central_differences(f, x, h=2e-4):
     """Jacobian of f at the vector x, to fourth order in h; rows are outputs. f maps a batch (B, n) to a batch."""
     steps = h * np.maximum(1.0, np.abs(x))

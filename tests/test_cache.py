@@ -41,8 +41,8 @@ def test_what_jax_traced_does_not_pile_up_and_what_is_compiled_stays(monkeypatch
         return sum(cache.cache_info().currsize for cache in list(util._caches) if hasattr(cache, "cache_info"))
 
     others(1.0)
-    few, many = held(range(4)), held(range(4, 24))
-    assert many < few + 20
+    few, many = held(range(4)), held(range(4, 16))
+    assert many < few + 12
     assert others(1.0) == 2 and len(again) == 1
 
 
@@ -61,22 +61,10 @@ def test_programs_of_a_function_are_few_and_right(monkeypatch):
     assert sizes[:10] == [1, 2, 3, 0, 1, 2, 3, 0, 1, 1]  # the fourth makes room, and what is asked for again is there
 
 
-def test_the_function_used_longest_ago_makes_room(monkeypatch):
-    """Never one that has just been used: what alternates with a new one would be made again and again."""
-    monkeypatch.setattr(cache, "MOST_PROGRAMS", 4)
-    old, used, new = (cache.bounded_jit(lambda x, *, k: k * x, static_argnames="k") for _ in range(3))
-    for k in range(2):
-        old(1.0, k=k), used(1.0, k=k)
-    used(1.0, k=0)
-    for k in range(2):
-        new(1.0, k=k), used(1.0, k=0)
-        assert [one._cache_size() for one in (old, used, new)] == [0, 2, k + 1]
-
-
 def test_solve_with_ever_new_numbers_of_steps_stays_flat(monkeypatch):
-    monkeypatch.setattr(cache, "MOST_PROGRAMS", 4)
+    monkeypatch.setattr(cache, "MOST_PROGRAMS", 3)
     law = ck.Law(ck.planar_arm([0.5]), ck.position("x"), alpha=1.0)
-    for N in range(1, 8):
+    for N in range(1, 6):
         with ck.use_engine("plain"):
             assert len(ck.solve(law, ck.hold([0.1]), [0.3], 0.1, N, "EE").status) == N
-        assert compiled._cache_size() <= 4
+        assert compiled._cache_size() <= 3

@@ -32,7 +32,6 @@ LINKED = [
 ]
 SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
 ROOMS = (
-    "reaching",
     "problem",
     "measure",
     "stability",

@@ -19,27 +19,21 @@ def files(folder):
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.name != writing.LIST)
 
 
-def test_files_appear_whole(tmp_path):
+def test_files_appear_whole_and_others_stay(tmp_path):
     out = tmp_path / "a" / "b"
+    out.mkdir(parents=True)
+    (out / "one.txt").write_text("old")
+    (out / "other.txt").write_text("kept")
 
     def make(path):
         path.write_text("1")
-        assert not (out / "one.txt").exists()
+        assert (out / "one.txt").read_text() == "old"
 
     with output_folder(out) as folder:
         folder.write("one.txt", make)
         folder.write_text("sub/two.txt", "2")
         assert (out / "one.txt").read_text() == "1"
-    assert files(out) == ["one.txt", "sub", "sub/two.txt"]
-
-
-def test_replaces_its_own_files_and_keeps_others(tmp_path):
-    (tmp_path / "one.txt").write_text("old")
-    (tmp_path / "other.txt").write_text("kept")
-    with output_folder(tmp_path) as folder:
-        folder.write_text("one.txt", "new")
-    assert (tmp_path / "one.txt").read_text() == "new" and (tmp_path / "other.txt").read_text() == "kept"
-    assert files(tmp_path) == ["one.txt", "other.txt"]
+    assert files(out) == ["one.txt", "other.txt", "sub", "sub/two.txt"]
 
 
 def test_a_file_of_others_among_ours_stays(tmp_path):
@@ -66,23 +60,25 @@ def test_a_file_of_others_among_ours_stays(tmp_path):
     (out / "README.md").symlink_to(tmp_path / "none")
     with pytest.raises(ArgumentError, match=r"README\.md there is not"):
         write("sixth")
+    with pytest.raises(ArgumentError, match=r"README\.md there is not cnclik's own"):
+        writing.checked_file("out", out / "README.md", ".md", overwrite=False)
+    assert writing.checked_file("out", out / "new.md", ".md", overwrite=False)
 
 
-def test_a_named_file_of_others_is_refused(tmp_path):
-    (tmp_path / "targets.csv").write_text("x,y\n1,2\n")
-    with pytest.raises(ArgumentError, match=r"targets\.csv there is not cnclik's own"):
-        writing.checked_file("out", tmp_path / "targets.csv", ".csv", overwrite=False)
-    assert writing.checked_file("out", tmp_path / "targets.csv", ".csv").exists()
-    assert writing.checked_file("out", tmp_path / "new.csv", ".csv", overwrite=False)
+def full(path):
+    path.write_text("half")
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt, SystemExit, ArgumentError])
 def test_failure_leaves_what_was(tmp_path, problem):
     old = tmp_path / "old"
     old.mkdir()
     (old / "one.txt").write_text("old")
 
     def half(path):
+        if problem is ArgumentError:
+            full(path)
         path.write_text("half")
         raise problem
 
@@ -92,14 +88,19 @@ def test_failure_leaves_what_was(tmp_path, problem):
     assert files(tmp_path) == ["old", "old/one.txt"] and (old / "one.txt").read_text() == "old"
 
 
-def test_a_file_in_the_way(tmp_path):
+def test_what_does_not_take_a_file_is_one_line_and_costs_no_file_before_it(tmp_path):
     (tmp_path / "file").write_text("")
+    (tmp_path / "out" / "one.txt" / "theirs").mkdir(parents=True)
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
-        with (
-            pytest.raises(ArgumentError, match="Argument `out` must be a folder that can be written into"),
-            output_folder(out),
-        ):
+        with pytest.raises(ArgumentError, match="`out` must be a folder that can be written into"), output_folder(out):
             pass
+    with pytest.raises(ArgumentError, match=r"one\.txt is a folder there"), output_folder(tmp_path / "out") as folder:
+        folder.write_text("one.txt", "1")
+    said = r"that takes all files, but .*No space left on device \(two\.txt; files before it are kept\)"
+    with pytest.raises(ArgumentError, match=said), output_folder(tmp_path / "out") as folder:
+        folder.write_text("sub/one.txt", "1")
+        folder.write("two.txt", full)
+    assert files(tmp_path / "out") == ["one.txt", "one.txt/theirs", "sub", "sub/one.txt"]
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
@@ -108,46 +109,6 @@ def test_a_folder_without_permission(tmp_path):
     with pytest.raises(ArgumentError, match="Permission denied"), output_folder(tmp_path / "out"):
         pass
     tmp_path.chmod(0o700)
-
-
-def test_a_file_that_cannot_be_made_is_not_left_half(tmp_path):
-    def make(path):
-        path.write_text("half")
-        raise ValueError
-
-    with output_folder(tmp_path) as folder:
-        with pytest.raises(ValueError):
-            folder.write("one.txt", make)
-        folder.write_text("two.txt", "2")
-    assert files(tmp_path) == ["two.txt"]
-
-
-# --- full disks ---------------------------------------------------------------------------------------
-
-
-def full(path):
-    path.write_text("half")
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_a_disk_that_fills_up_costs_the_file_that_it_does_not_take(tmp_path):
-    said = (
-        r"must be a folder that takes all files, but .*No space left on device \(two\.txt; files before it are kept\)"
-    )
-    with pytest.raises(ArgumentError, match=said), output_folder(tmp_path / "out") as folder:
-        folder.write_text("sub/one.txt", "1")
-        folder.write("two.txt", full)
-    assert files(tmp_path / "out") == ["sub", "sub/one.txt"]
-    with pytest.raises(ArgumentError, match="No space left"), output_folder(tmp_path / "new") as folder:
-        folder.write("one.txt", full)
-    assert files(tmp_path) == ["out", "out/sub", "out/sub/one.txt"]
-
-
-def test_a_folder_in_the_place_of_a_file(tmp_path):
-    (tmp_path / "out" / "one.txt" / "theirs").mkdir(parents=True)
-    with pytest.raises(ArgumentError, match=r"one\.txt is a folder there"), output_folder(tmp_path / "out") as folder:
-        folder.write_text("one.txt", "1")
-    assert (tmp_path / "out/one.txt/theirs").is_dir() and not list((tmp_path / "out").glob(".*"))
 
 
 def test_files_are_synced_as_windows_asks(tmp_path, monkeypatch):
@@ -160,15 +121,26 @@ def test_files_are_synced_as_windows_asks(tmp_path, monkeypatch):
     assert modes and set(modes) == {os.O_RDWR}
 
 
-def test_no_room_is_known_before_any_work(tmp_path, monkeypatch):
-    class Full:
-        def __init__(self, **where):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def test_what_stands_in_the_way_is_known_before_any_work(tmp_path, monkeypatch):
+    """A file of another in a folder of ours; a folder in its place; a full disk."""
+    with output_folder(tmp_path, overwrite=False) as folder:
+        folder.write_text("first.txt", "ours")
+    (tmp_path / "numbers.csv").write_text("theirs")
+    (tmp_path / "there.png").mkdir()
+    for file, why in (("numbers.csv", "is not cnclik's own"), ("there.png", "is a folder there")):
+        asked = output_folder(tmp_path, overwrite=False, files=["first.txt", file])
+        with pytest.raises(ArgumentError, match=why), asked:
+            raise AssertionError("work has begun")
+    with output_folder(tmp_path, files=["numbers.csv"], overwrite=True) as folder:
+        folder.write_text("numbers.csv", "ours, as was asked")
 
-    monkeypatch.setattr(tempfile, "TemporaryFile", Full)
+    def no_room(**where):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", no_room)
     with pytest.raises(ArgumentError, match="No space left"), output_folder(tmp_path / "out"):
         raise AssertionError
-    assert not files(tmp_path)
+    assert not (tmp_path / "out").exists()
 
 
 def test_netcdf_never_opens_a_file_that_hdf5_could_crash_on(tmp_path):
@@ -190,20 +162,6 @@ def test_what_a_killed_process_left_is_removed(tmp_path):
     assert os.listdir(tmp_path) == [young.name]  # another process may be at it
 
 
-def test_a_file_in_the_way_is_known_before_any_work(tmp_path):
-    """Of another in a folder of ours; a folder in its place."""
-    with output_folder(tmp_path, overwrite=False) as folder:
-        folder.write_text("first.txt", "ours")
-    (tmp_path / "numbers.csv").write_text("theirs")
-    (tmp_path / "there.png").mkdir()
-    for file, why in (("numbers.csv", "is not cnclik's own"), ("there.png", "is a folder there")):
-        asked = output_folder(tmp_path, overwrite=False, files=["first.txt", file])
-        with pytest.raises(ArgumentError, match=why), asked:
-            raise AssertionError("work has begun")
-    with output_folder(tmp_path, files=["numbers.csv"], overwrite=True) as folder:
-        folder.write_text("numbers.csv", "ours, as was asked")
-
-
 def test_what_an_earlier_run_left_does_not_lie_beside_another_result(tmp_path):
     with output_folder(tmp_path, overwrite=False) as folder:
         for file in ("data.nc", "data.csv", "changed.csv", "kept.csv"):
@@ -217,9 +175,5 @@ def test_what_an_earlier_run_left_does_not_lie_beside_another_result(tmp_path):
     with output_folder(tmp_path, **asked) as folder:
         folder.write_text("data.nc", "second")
     left = {file.name: file.read_text() for file in tmp_path.iterdir() if not file.name.startswith(".")}
-    assert left == {
-        "data.nc": "second",
-        "kept.csv": "first kept.csv",
-        "changed.csv": "changed by hand since",
-        "theirs.csv": "theirs",
-    }
+    own = {"data.nc": "second", "kept.csv": "first kept.csv"}
+    assert left == own | {"changed.csv": "changed by hand since", "theirs.csv": "theirs"}

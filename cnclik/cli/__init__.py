@@ -1,11 +1,9 @@
 """The command line: one module per verb, each loaded only when its verb is used.
 
-A verb's module holds a dataclass `Args` (its options, see `arguments`) and `run(args)`. To add one, name it
-in `VERBS`.
+A verb's module has a function `run`, whose arguments are its options (see `arguments`), and perhaps TAKES, the groups
+of shared options that it takes. To add one, name it in `VERBS`.
 """
 
-import contextlib
-import gc
 import importlib
 import os
 import sys
@@ -13,7 +11,6 @@ import sys
 from cnclik.cli import terminal
 from cnclik.version import __version__
 
-_NO_PLATFORM = RuntimeError, AssertionError  # which JAX raises if it finds no device
 VERBS = {
     "reproduce": "repeat the paper's experiments: data, figures and a check of its claims",
     "robots": "show what a robot file contains: link tree, joints, limits, possible tips",
@@ -58,60 +55,21 @@ def _run(verb, *options) -> None:
     module = None
     try:
         errors.one_of("verb", verb, VERBS)
-        with _nothing_collected():
-            module = importlib.import_module(f"cnclik.cli.{verb}")
-            args = arguments.parse(module.Args, options, prog=f"cnclik {verb}", description=VERBS[verb])
-        if getattr(args, "computes", False):  # the others do not need JAX
-            with _nothing_collected():
-                _prepare()
-        with common.remarks(module.Args):
-            module.run(args)
+        module = importlib.import_module(f"cnclik.cli.{verb}")
+        given = arguments.parse(module, options, prog=f"cnclik {verb}", description=VERBS[verb])
+        with common.remarks(module):
+            module.run(**given)
     except errors.ArgumentError as error:
-        _leave(2, error if module is None else arguments.of_options(module.Args, error))
+        _leave(2, error if module is None else arguments.of_options(module, error))
     except FigureError as error:
         _leave(1, error)
     except ImportError as error:  # of a plotting package; results are already written
         _leave(1, errors.in_a_line(error))
-    except _NO_PLATFORM:
-        if _has_platform():
-            raise
-        named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
-        _leave(2, errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}"))
-
-
-def _has_platform() -> bool:
-    """Whether JAX finds a device to run on; it looks for one when it first needs it."""
-    if "jax" in sys.modules:
-        try:
-            sys.modules["jax"].devices()
-        except _NO_PLATFORM:
-            return False
-    return True
 
 
 def _leave(code, message) -> None:
     print(f"cnclik: {' '.join(str(message).split())}", file=sys.stderr)
     sys.exit(code)
-
-
-@contextlib.contextmanager
-def _nothing_collected():
-    """Context manager without garbage collection, which takes an eighth of the import time and finds nothing."""
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-
-
-def _prepare() -> None:
-    """Set float64 and the cache of compiled programs, which JAX_ENABLE_COMPILATION_CACHE=0 switches off."""
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    from cnclik.cache import use_cache
-
-    use_cache()
 
 
 def _overview() -> str:

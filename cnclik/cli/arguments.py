@@ -1,169 +1,120 @@
-"""Command line arguments into a verb's `Args`: a dataclass whose fields are its options.
+"""A command line into the arguments of a verb's function, whose signature and docstring are its options.
 
-The type of a field gives the number and kind of its option's values; the text below it is its help. Numbers with a
-unit become numbers in the option's own unit. Every error is one line.
+What stands before the `*` of the signature is given by its place, all else by name. Numbers with a unit become numbers
+in the option's own unit. Every error is one line.
 """
 
-import ast
-import dataclasses
 import inspect
 import itertools
 import re
 import shutil
 import textwrap
-import types
-import typing
 
 from cnclik import errors, quantities
+from cnclik.problem.options import INTEGER, NAME, NUMBER, OPTIONS, REQUIRED, SWITCH, arguments, numbers_of, source
 
+LOG = arguments(source("cli/log.py"), "read")
+GROUPS = {  # options that verbs share, by the titles of the help; a verb's TAKES names its groups
+    "robot and task": ("robot", "tip", "base", "task", "q0"),
+    "path": ("reference", "target", "radius", "period", "speed", "begin"),
+    "law": ("alpha", "damping", "limits", "feedforward"),
+    "loop": ("method", "M", "Ts", "N"),
+    "drive": ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feedback", "cutoff", "smoothed"),
+    "log": tuple(LOG),
+}
+PROBLEM = tuple(title for title in GROUPS if title != "log")
+HELP = {  # of arguments without a line of their own
+    "robot": OPTIONS["robot"].help,
+    "log": LOG["log"].help,
+    "N": OPTIONS["N"].help,
+    "json": "Print the answer as JSON and nothing else.",
+    "figures": "Draw the figures.",
+    "overwrite": "Write over files that cnclik did not make, too.",
+}
 OUTPUT = ("out", "overwrite", "json", "csv", "figures")  # options of the last group of the help
 _NUMBER = re.compile(r"-\.?\d|-inf|-nan")
 
 
-def option(default=dataclasses.MISSING, *, unit="1", metavar="", about="", positional=False, group=""):
-    """A field of `Args` that needs more than a type and a default.
-
-    Args:
-      default: the value, or a function that makes it. Without one the option must be given.
-      unit: of its numbers, see `cnclik.quantities.units`.
-      metavar: the word for its values in the help; by default their kind.
-      about: its help, if there is no text below the field.
-      positional: whether it is given by its place instead of a name.
-      group: its title in the help; by default the verb's own, or "output".
-    """
-    made = {"default_factory" if callable(default) else "default": default}
-    marks = {"unit": unit, "metavar": metavar, "about": about, "positional": positional, "group": group}
-    return dataclasses.field(**made, metadata=marks)
+def options_of(verb) -> dict:
+    """{title: {argument: Option}} of a verb's module; "" for its own, which go before shared ones of that name."""
+    own = arguments(inspect.getsource(verb), "run", HELP)
+    groups = {"": {name: one for name, one in own.items() if name not in OUTPUT}}
+    for title in getattr(verb, "TAKES", ()):
+        known = LOG if title == "log" else OPTIONS
+        names = [name for name in GROUPS[title] if name not in getattr(verb, "LEFT_OUT", ())]
+        groups[title] = {name: groups[""].pop(name, known[name]) for name in names}
+    return groups | {"output": {name: one for name, one in own.items() if name in OUTPUT}}
 
 
-class _Option(typing.NamedTuple):
-    """An option and the values that it takes."""
-
-    name: str
-    field: str
-    base: type  # of each value
-    choices: tuple
-    number: int | None  # of values; None: any; 0: a switch
-    several: bool  # whether they are a tuple
-    repeated: bool  # whether it may be given several times
-    default: typing.Any
-    unit: str
-    metavar: str
-    about: str
-    positional: bool
-    group: str
-
-    def value(self, words):
-        """Return the value of some words. Raises: ArgumentError where they don't fit."""
-        if self.number == 0:
-            return words == ["on"]
-        if self.number not in (None, len(words)) or not all(map(self._takes, words)):
-            raise self.error(f"is {' '.join(words)!r}")
-        made = [self.base(word) for word in words]
-        return tuple(made) if self.several else made[0]
-
-    def _takes(self, word) -> bool:
-        if self.choices:
-            return word in self.choices
-        if self.base is int:
-            return re.fullmatch("[+-]?[0-9]{1,999}", word) is not None
-        return self.base is not float or quantities.number(word) is not None
-
-    def error(self, found, must="be"):
-        """The error for values that are no such ones."""
-        words = {int: "an integer", float: "a number", str: "a text"}.get(self.base, "a path")
-        if self.choices:
-            words = f"{'some' if self.several else 'one'} of {', '.join(self.choices)}"
-        elif self.several:
-            words = {int: "integers", float: "numbers"}.get(self.base, "values")
-            words = f"{self.number} {words}" if self.number else words
-        return errors.ArgumentError(f"Option `{self.name}` must {must} {words}, but {found}.")
+def _places(verb, every) -> list:
+    """Options that are given by their place, in the order of the signature."""
+    order = list(inspect.signature(verb.run).parameters)
+    return sorted((one for one in every if one.positional), key=lambda one: order.index(one.name))
 
 
-def parse(Args, argv, *, prog, description):
-    """`argv` as an instance of the dataclass `Args`; `--help` prints and exits.
+def _flag(one) -> str:
+    """How an option, or a place, is written."""
+    return one.name.upper() if one.positional else f"--{one.name.replace('_', '-')}"
 
-    Its attribute `written` has {option: the unit that each of its numbers was given in, or None}.
+
+def parse(verb, argv, *, prog, description) -> dict:
+    """{argument: value} of `verb.run`; `--help` prints and exits.
+
+    Shared options are there only if they are given, their numbers as `Quantities`.
 
     Raises: ArgumentError with the option, what it must be and what it is, or with the nearest name.
     """
-    every, argv = options_of(Args), [str(a) for a in argv]
+    groups, argv = options_of(verb), [str(a) for a in argv]
     if {"-h", "--help"} & set(argv):
-        more = Args.__doc__ if not Args.__doc__.startswith("Args(") else ""  # the text that dataclasses write
-        print(_help(every, prog, f"{description}\n\n{inspect.cleandoc(more)}".strip()))
+        print(_help(verb, groups, prog, description))
         raise SystemExit(0)
-    named, places = {one.name: one for one in every if not one.positional}, [one for one in every if one.positional]
+    every = [one for some in groups.values() for one in some.values()]
+    named, places = {_flag(one): one for one in every if not one.positional}, _places(verb, every)
     loose, given = _split(named, argv, prog)
     if len(loose) > len(places):
-        alone = " and ".join(one.name for one in places) or "nothing"
+        alone = " and ".join(map(_flag, places)) or "nothing"
         raise errors.ArgumentError(f"What stands without an option must be {alone}, but is {' '.join(loose)!r}.")
-    made = {one.field: one.value([word]) for one, word in zip(places, loose, strict=False)}
-    written, Ts = {}, next((one.default for one in every if one.field == "Ts"), None)
-    for one, typed in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # samples last: they need Ts
-        words, units = _in_own_units(one, typed, Ts)
-        value = one.value(words)
-        written[one.field] = (*written.get(one.field, ()), *units) if one.repeated else units
-        made[one.field] = [*made.get(one.field, []), value] if one.repeated else value
-        Ts = value if one.field == "Ts" else Ts
+    made = dict(zip((one.name for one in places), loose, strict=False))
+    Ts = next((one.default for one in every if one.name == "Ts"), None)
+    for one, words in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # samples last: they need Ts
+        value = _value(one, words, Ts, shared=one is OPTIONS.get(one.name))
+        made[one.name] = [*made.get(one.name, []), value] if one.repeated else value
+        Ts = value[0] if one.name == "Ts" and isinstance(value, list) else Ts
     for one in every:
-        if one.field not in made and one.default is dataclasses.MISSING:
-            kind, what = ("Argument", f": {one.about.rstrip('.')}") if one.positional else ("Option", "")
-            raise errors.ArgumentError(f"{kind} `{one.name}` must be given, but is not{what}.")
-    args = Args(**made)
-    object.__setattr__(args, "written", written)  # no field; the class may be frozen
-    return args
+        if one.name not in made and one.default is REQUIRED:
+            kind, what = ("Argument", f": {one.help.rstrip('.')}") if one.positional else ("Option", "")
+            raise errors.ArgumentError(f"{kind} `{_flag(one)}` must be given, but is not{what}.")
+    return made
 
 
-def of_options(Args, said) -> str:
+def _value(one, words, Ts, shared):
+    """The value of some words. Raises: ArgumentError where they don't fit."""
+    if one.kind == SWITCH:
+        return words == ["on"]
+    for word in words if one.choices else ():
+        if word not in one.choices:
+            raise errors.fail(one.name, f"be {one.values}", f"is {word!r}")
+    if one.kind == NAME:
+        return tuple(words) if one.several else words[0]
+    try:
+        found = numbers_of(one, " ".join(words), Ts)
+    except errors.ArgumentError as error:
+        rate = _as_time(" ".join(words)) if one.name == "Ts" else ""
+        raise errors.ArgumentError(f"{error}{rate}") from None
+    if shared or one.several:
+        return found
+    return int(found[0]) if one.kind == INTEGER else found[0]
+
+
+def of_options(verb, said) -> str:
     """The text of an error or a remark on an option: options are named as they are written on the command line."""
-    known, text = {one.name for one in options_of(Args)}, str(said)
+    known = {name: one for some in options_of(verb).values() for name, one in some.items()}
 
     def written(found):
-        name = f"--{found[2].replace('_', '-')}"
-        return f"{'Option ' * bool(found[1])}`{name}`" if name in known else found[0]
+        one = known.get(found[2].replace("-", "_"))
+        return found[0] if one is None or one.positional else f"{'Option ' * bool(found[1])}`{_flag(one)}`"
 
-    return re.sub("(Argument )?`([^`]+)`", written, text)
-
-
-def options_of(Args) -> list:
-    """The options of a dataclass, positional ones included."""
-    hints, about, every = typing.get_type_hints(Args), _texts(Args), []
-    for field in dataclasses.fields(Args):
-        marks, lazy, hint = field.metadata, field.default_factory, hints[field.name]
-        repeated = typing.get_origin(hint) is list
-        hint = typing.get_args(hint)[0] if repeated else hint
-        if typing.get_origin(hint) in (types.UnionType, typing.Union):  # such as `float | None`
-            hint = typing.get_args(hint)[0]
-        several = typing.get_origin(hint) is tuple
-        inner = typing.get_args(hint) if several else (hint,)
-        choices = typing.get_args(inner[0]) if typing.get_origin(inner[0]) is typing.Literal else ()
-        base = str if choices else inner[0]
-        count = 0 if base is bool else None if ... in inner else len(inner)
-        positional, word = marks.get("positional", False), {int: "INT", float: "X", str: "NAME", bool: ""}
-        values = "{" + ",".join(choices) + "}" if choices else word.get(base, "PATH")
-        values = f"{values} ..." if count is None else " ".join([values] * count)
-        metavar = marks.get("metavar") or (field.name.upper() if positional else values)
-        every.append(_Option(
-            metavar if positional else "--" + field.name.replace("_", "-"), field.name, base, choices, count, several,
-            repeated, field.default if lazy is dataclasses.MISSING else lazy(), marks.get("unit", "1"), metavar,
-            marks.get("about") or about.get(field.name, ""), positional,
-            marks.get("group") or "output" * (field.name in OUTPUT),
-        ))  # fmt: skip
-    return every
-
-
-def _texts(Args) -> dict:
-    """{field: the text below it} of a dataclass and its bases."""
-    found = {}
-    for kind in reversed(Args.__mro__[:-1]):
-        try:
-            made: typing.Any = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-        except (OSError, TypeError):  # made by `make_dataclass`, or no source is there
-            continue
-        for field, text in itertools.pairwise(made.body):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                found[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
-    return found
+    return re.sub("(Argument )?`([^`]+)`", written, str(said))
 
 
 def _split(named, argv, prog):
@@ -171,7 +122,7 @@ def _split(named, argv, prog):
 
     Raises: ArgumentError for an unknown option, or one without a value.
     """
-    switches = {f"--no-{name[2:]}": one for name, one in named.items() if one.number == 0}
+    switches = {f"--no-{flag[2:]}": one for flag, one in named.items() if one.kind == SWITCH}
     loose, given, queue = [], [], list(argv)
     while queue:
         token = queue.pop(0)
@@ -181,39 +132,24 @@ def _split(named, argv, prog):
         typed, equals, value = token.partition("=")
         name = "--" + typed.lstrip("-").replace("_", "-")
         one = (named | switches).get(name)
-        if one is None or not typed.startswith("--") or (equals and one.number == 0):
+        if one is None or not typed.startswith("--") or (equals and one.kind == SWITCH):
             raise _unknown(named, token if one else typed, value if equals else "".join(queue[:1]), prog)
-        if one.number == 0:
+        if one.kind == SWITCH:
             given.append((one, ["off" if name in switches else "on"]))
             continue
         words = [value] if equals else _words(one, queue)
         queue = queue if equals else queue[len(words) :]
         if not words:
-            raise one.error("has no value", "be given")
+            raise errors.fail(one.name, f"be given {one.values}", "has no value")
         given.append((one, words))
     return loose, given
 
 
 def _words(one, queue) -> list:
     """The words of an option at the head of a queue; a separate unit counts as one of them."""
-    words, most = list(itertools.takewhile(lambda t: not _is_option(t), queue)), one.number
-    if most is not None and words[most : most + 1] and words[most] in quantities.units(one.unit):
-        most += 1
-    return words[:most]
-
-
-def _in_own_units(one, words, Ts):
-    """(words as numbers without units, their units). A word that is no number passes, and is refused later."""
-    if one.base not in (int, float):
-        return words, ()
-    try:
-        found = quantities.read(" ".join(words), one.unit, Ts)
-    except ValueError as error:
-        rate = _as_time(" ".join(words)) if one.field == "Ts" else ""
-        raise errors.ArgumentError(f"{str(one.error(error)).removesuffix('.')}.{rate}") from None
-    if not any(found.written) and len(found) == len(words):
-        return words, found.written
-    return [f"{v:.0f}" if v.is_integer() and abs(v) < 1e15 else repr(v) for v in found], found.written
+    words = list(itertools.takewhile(lambda token: not _is_option(token), queue))
+    unit = words[1:2] and words[1] in quantities.units(one.unit)
+    return words if one.several else words[: 1 + bool(unit)]
 
 
 def _is_option(token) -> bool:
@@ -238,23 +174,30 @@ def _as_time(text) -> str:
 # --- help ---------------------------------------------------------------------------------------------
 
 
-def _help(every, prog, description) -> str:
+def _help(verb, groups, prog, description) -> str:
     """The help: options in groups, positional arguments first and output last."""
     width = min(shutil.get_terminal_size().columns, 120)
-    needed = {one.name: one.default is dataclasses.MISSING for one in every if one.positional}
-    usage = " ".join(["usage:", prog, "[options]", *(name if must else f"[{name}]" for name, must in needed.items())])
-    titles = dict.fromkeys(["", *(one.group for one in every if one.group != "output"), "output"])
-    lines = [usage, "", description]
-    for title in titles:
-        some = [one for one in every if one.group == title]
+    places = _places(verb, [one for some in groups.values() for one in some.values()])
+    usage = [_flag(one) if one.default is REQUIRED else f"[{_flag(one)}]" for one in places]
+    about = inspect.cleandoc(verb.run.__doc__ or "").partition("\nArgs:")[0].strip()
+    lines = [" ".join(["usage:", prog, "[options]", *usage]), "", description, "", about]
+    for title, some in groups.items():
         lines += ["", f"{title or 'options'}:"] * bool(some)
-        for one in some:
-            shown = " ".join(map(str, one.default)) if isinstance(one.default, tuple) else one.default
-            shown = None if one.default in (None, False, (), [], dataclasses.MISSING) else shown
-            default = "" if shown is None else f" (default: {'on' if shown is True else shown})"
-            off = f", --no-{one.name[2:]}" * (one.default is True)
-            head = f"  {one.name}{off} {'' if one.positional else one.metavar}".rstrip()
-            text = textwrap.wrap(one.about + default, width - 26, break_on_hyphens=False)
+        for one in sorted(some.values(), key=lambda one: not one.positional):
+            default = "" if one.default in (None, False, (), REQUIRED) else f" (default: {_shown(one.default)})"
+            off = f", --no-{_flag(one)[2:]}" * (one.default is True)
+            head = f"  {_flag(one)}{off} {'' if one.positional else _metavar(one)}".rstrip()
+            text = textwrap.wrap(one.help + default, width - 26, break_on_hyphens=False)
             first = [f"{head:<25} {text.pop(0)}"] if len(head) < 26 and text else [head]
             lines += [*first, *(f"{'':25} {line}" for line in text)]
     return "\n".join(lines)
+
+
+def _shown(default) -> str:
+    return "on" if default is True else " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+
+
+def _metavar(one) -> str:
+    words = {SWITCH: "", INTEGER: "INT", NUMBER: "X"}.get(one.kind, one.name.upper())
+    words = "{" + ",".join(one.choices) + "}" if one.choices else words
+    return f"{words} ..." if one.several else words

@@ -1,59 +1,64 @@
 """`cnclik check`: which limits a log of joint values breaks, and what is wrong with its rows."""
 
-import dataclasses
-import pathlib
 import sys
+from pathlib import Path
+from typing import Any
 
 from cnclik import errors
-from cnclik.cli.arguments import option
 from cnclik.cli.common import print_json
-from cnclik.cli.log import LogOptions, read
+from cnclik.cli.log import read
+
+TAKES = ("log",)
 
 
-@dataclasses.dataclass(kw_only=True)
-class Args(LogOptions):
-    robot: str | None = None
-    """A URDF or MJCF file or a built-in robot: for its limits of position and velocity, and how far its tip strays."""
-    tip: str | None = None
-    """The tip, where the robot has several."""
-    limits: str | None = option(None, metavar="NAME|FILE.csv")
-    """Limits of velocity, acceleration and jerk: published ones (panda, fr3), or a table with columns of these names
-    and a row for each joint."""
-    resolution: float = option(0.0, unit="q")
-    """Resolution of the encoders [rad, m]."""
+def run(
+    log: str,
+    robot: str | None = None,
+    *,
+    tip: str | None = None,
+    limits: str | None = None,
+    resolution: float = 0.0,
+    json: bool = False,
+    **columns,
+) -> None:
+    """Print one table; exit with code 1 if a limit is broken.
 
-
-def run(args: Args) -> None:
-    """Print one table; exit with code 1 if a limit is broken."""
+    Args:
+      robot: a URDF or MJCF file or a built-in robot: for its limits of position and velocity, and how far its tip
+        strays.
+      tip: the tip, where the robot has several.
+      limits: limits of velocity, acceleration and jerk: published ones (panda, fr3), or FILE.csv, a table with columns
+        of these names and a row for each joint.
+      resolution: resolution of the encoders [rad, m].
+    """
     from cnclik.diagnosis.check import PUBLISHED, check_log
 
-    log = read(args)
+    found = read(log, **columns)
     chain = None
-    if args.robot is not None:
+    if robot is not None:
         from cnclik.problem.names import load
 
-        chain = load(args.robot, args.tip)
-    elif args.tip is not None:
-        raise errors.fail("tip", "come with --robot", "comes without")
-    limits = args.limits or (args.robot if args.robot in PUBLISHED else None)
-    if limits is not None and limits not in PUBLISHED:
-        limits = _table(pathlib.Path(limits))
-    sent, moved = ([], []) if args.columns else log.pairs()
-    places = log.chosen(args.columns) or moved or log.joints()
-    whole = log.columns([*places, *sent])
+        chain = load(robot, tip)
+    elif tip is not None:
+        raise errors.fail("tip", "come with ROBOT", "comes without")
+    limits = limits or (robot if robot in PUBLISHED else None)
+    table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
+    sent, moved = ([], []) if found.chosen else found.pairs()
+    places = found.chosen or moved or found.joints()
+    whole = found.columns([*places, *sent])
     q, command = whole[:, : len(places)], whole[:, len(places) :] if sent else None
-    t = None if log.t is None else log.t[: len(q)]
+    t, names = None if found.t is None else found.t[: len(q)], [found.names[i] for i in (*places, *sent)]
+    asked: dict[str, Any] = dict(limits=table, chain=chain, command=command, resolution=resolution, names=names)
     with errors.called("q", "LOG"):
-        found = check_log(
-            t, q, Ts=args.Ts, limits=limits, chain=chain, command=command, resolution=args.resolution,
-            names=[log.names[i] for i in (*places, *sent)],
+        answer = check_log(t, q, Ts=found.Ts, **asked)
+    if json:
+        print_json(
+            {"findings": answer.findings, "broken": len(answer.broken), "Ts": answer.Ts, "rows": answer.rows}
         )  # fmt: skip
-    if args.json:
-        print_json({"findings": found.findings, "broken": len(found.broken), "Ts": found.Ts, "rows": found.rows})
     else:
-        print(found)
-        print(f"{found.rows} rows, Ts = {1e3 * found.Ts:.4g} ms ({log.stamps}).")
-    sys.exit(1 if found.broken else 0)
+        print(answer)
+        print(f"{answer.rows} rows, Ts = {1e3 * answer.Ts:.4g} ms ({found.stamps}).")
+    sys.exit(1 if answer.broken else 0)
 
 
 def _table(file) -> dict:

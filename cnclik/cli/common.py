@@ -1,24 +1,54 @@
-"""Options and output that several verbs share."""
+"""What several verbs do: JAX's settings, the problem that options describe, tables, JSON and remarks."""
 
 import contextlib
-import dataclasses
+import gc
 import json
+import os
 import sys
 import warnings
 
+from cnclik import errors
+from cnclik.cli import progress
 from cnclik.cli.arguments import of_options
-from cnclik.errors import Remark
 
 _said = []  # remarks of the running command
 
 
-@dataclasses.dataclass(kw_only=True)
-class ComputeOptions:
-    """For verbs that compute."""
+def prepare() -> None:
+    """Load JAX and set float64 and the cache of compiled programs, which JAX_ENABLE_COMPILATION_CACHE=0 switches off.
 
-    computes = True  # whether JAX is needed; no option
-    overwrite: bool = False
-    """Write over files that cnclik did not make, too."""
+    Raises: ArgumentError where JAX finds no device to run on.
+    """
+    gc.disable()  # it takes an eighth of the time of imports, and finds nothing
+    try:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
+        jax.devices()
+        from cnclik.cache import use_cache
+
+        use_cache()
+    except (RuntimeError, AssertionError):
+        named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
+        raise errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}") from None
+    finally:
+        gc.enable()
+
+
+def problem(robot, loop, **defaults):
+    """The `Problem` of a robot and of the options that a user gave. Raises: ArgumentError."""
+    prepare()
+    from cnclik.problem.file import problem_of
+
+    with progress.bar("start and path"):
+        return problem_of(robot, **({} if robot.endswith(".py") else defaults), **loop)
+
+
+def numbers(loop) -> dict:
+    """The options that a user gave, as plain numbers, lists and names."""
+    from cnclik.problem.options import in_own_units
+
+    return in_own_units(loop)[0]
 
 
 def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, **look) -> None:
@@ -37,19 +67,19 @@ def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, 
 
 
 @contextlib.contextmanager
-def remarks(Args):
+def remarks(verb):
     """Context manager that prints each remark of the library once, on stderr, with the names of a verb's options;
     other warnings are not changed.
     """
     _said.clear()
     with warnings.catch_warnings():
-        warnings.simplefilter("always", Remark)
+        warnings.simplefilter("always", errors.Remark)
         usual = warnings.showwarning
 
         def show(message, category, *rest, **more):
-            if not issubclass(category, Remark):
+            if not issubclass(category, errors.Remark):
                 usual(message, category, *rest, **more)
-            elif (text := of_options(Args, message)) not in _said:
+            elif (text := of_options(verb, message)) not in _said:
                 _said.append(text)
                 print(f"cnclik: {text}", file=sys.stderr)
 

@@ -6,31 +6,18 @@ import re
 from typing import Any
 
 from cnclik import errors
-from cnclik.cli.arguments import option
-from cnclik.problem.columns import SECONDS, clock_of, words_of
 
 SENT = {"command", "commands", "commanded", "cmd", "target", "desired", "reference", "ref", "setpoint", "sent"}
 MOVED = {"position", "positions", "pos", "motion", "actual", "measured", "feedback"}
 OTHER = {"velocity", "velocities", "vel", "effort", "efforts", "torque", "torques", "acceleration", "acc", "current"}
 STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index", "enabled"}
 STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
+TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock"}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
+LONG = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
+LONG |= dict.fromkeys(("nsec", "nanosec", "nanos", "nsecs", "nanosecs", "nanoseconds"), "ns")
 EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # size of present-day stamps since 1970
 STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
-
-
-@dataclasses.dataclass(kw_only=True)
-class LogOptions:
-    """For verbs that read a log."""
-
-    log: pathlib.Path = option(metavar="LOG.csv", positional=True)
-    """The log: one row per sample, one column per joint, error or command."""
-    Ts: float | None = option(None, unit="s")
-    """Sampling time of loop and log [s]; default: from a column of times (time, timestamp, header.stamp, ...)."""
-    columns: tuple[str, ...] | None = None
-    """Columns to read, by name or number; default: all but times, status, velocities and efforts. Of commands and
-    motion: all commands, then all motions."""
-    json: bool = False
-    """Print the result as JSON."""
 
 
 @dataclasses.dataclass
@@ -40,8 +27,10 @@ class Log:
     names: list
     table: Any  # NumPy's arrays, which help does not need
     t: Any
+    Ts: float | None  # as given
     stamps: str
     left_out: set
+    chosen: list  # indices of the columns that were named
 
     def columns(self, places):
         """(N, k) of some columns, up to the last complete row: the last instant of a run has no step."""
@@ -55,19 +44,13 @@ class Log:
             raise errors.fail("LOG", "hold a finite number in every row of its columns", found)
         return table
 
-    def chosen(self, given) -> list:
-        """Indices of columns that are given by name or number."""
-        return [self.names.index(errors.one_of("columns", column, self.names)) for column in given or ()]
-
-    def errors(self) -> list:
-        """The errors in a file of `cnclik solve --csv`."""
-        return [i for i, name in enumerate(self.names) if name.startswith("e_")]
+    def starting(self, letter) -> list:
+        """Columns of the errors (e) or joints (q) in a file of `cnclik solve --csv`."""
+        return [i for i, name in enumerate(self.names) if name.startswith(f"{letter}_")]
 
     def joints(self) -> list:
         """The joints in a file of `cnclik solve --csv`; of other files all columns of motion."""
-        if found := [i for i, name in enumerate(self.names) if name.startswith("q_")]:
-            return found
-        if found := self.motions():
+        if found := self.starting("q") or self.motions():
             return found
         raise errors.fail("LOG", "have a column besides the times", "has none")
 
@@ -76,58 +59,75 @@ class Log:
         each = enumerate(self.names)
         return [i for i, name in each if i not in self.left_out and not OTHER & {*words_of(name)}]
 
-    def pairs(self, given=None) -> tuple[list, list]:
+    def pairs(self) -> tuple[list, list]:
         """Indices of commands and of motions: joint_1_cmd belongs to joint_1_pos, or to joint_1; ([], []) for none."""
-        usual = self.motions()
-        words = {i: [w for word in words_of(self.names[i]) for w in re.findall(r"[^0-9]+|[0-9]+", word)] for i in usual}
-        of = {i: tuple(w for w in some if w not in SENT | MOVED) for i, some in words.items()}
-        sent = {of[i]: i for i in usual if SENT & {*words[i]}}
-        marked = {of[i]: i for i in usual if MOVED & {*words[i]} and not SENT & {*words[i]}}
-        moved = {of[i]: i for i in usual if not SENT & {*words[i]}} | marked
-        if given:
-            places = self.chosen(given)
-            if len(places) % 2:
-                raise errors.fail("columns", "name as many motions as commands", f"names {len(places)} columns")
-            return places[: len(places) // 2], places[len(places) // 2 :]
-        if sent and sent.keys() <= moved.keys():
+        words = {i: words_of(self.names[i]) for i in self.motions()}
+        of = {i: tuple(word for word in some if word not in SENT | MOVED) for i, some in words.items()}
+        sent = {of[i]: i for i, some in words.items() if SENT & {*some}}
+        rest = [i for i in words if i not in sent.values()]
+        marked = {of[i]: i for i in rest if MOVED & {*words[i]}}
+        moved = {of[i]: i for i in rest} | marked
+        if sent.keys() <= moved.keys():
             return list(sent.values()), [moved[joint] for joint in sent]
-        return (list(sent.values()), list(marked.values())) if sent and len(sent) == len(marked) else ([], [])
+        return (list(sent.values()), list(marked.values())) if len(sent) == len(marked) else ([], [])
 
 
-def read(args) -> Log:
-    """The log of a verb's options."""
+def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None = None) -> Log:
+    """Read a log.
+
+    Args:
+      log: the log, a CSV file: one row per sample, one column per joint, error or command.
+      Ts: sampling time of loop and log [s]; default: from a column of times (time, timestamp, header.stamp, ...).
+      columns: columns to read, by name or number; default: all but times, status, velocities and efforts. Of commands
+        and motion: all commands, then all motions.
+    """
     from cnclik.problem.tables import read_columns
 
-    names, table = read_columns("LOG", args.log)
+    names, table = read_columns("LOG", log)
     if table.size == 0:
-        raise errors.fail("LOG", "hold numbers", f"{args.log.name} holds none")
+        raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
     t, times, unit = clock(names, table)
-    if t is None and args.Ts is None:
+    if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
-    name = names[times[0]] if times else "--Ts"
-    stamps = f"{name}, read in {unit}" if args.Ts is None else "--Ts"
-    return Log(list(names), table, t, stamps, {*times, *no_motion(names, table)})
+    stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"
+    chosen = [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
+    return Log(list(names), table, t, Ts, stamps, {*times, *no_motion(names, table)}, chosen)
 
 
-def sampled(log: Log, Ts) -> float:
+def sampled(log: Log) -> float:
     """Ts [s] of a log without gaps: as given, or from its stamps, which a given one may contradict."""
     from cnclik.diagnosis.recording import APART, sampling_time
 
-    name = log.stamps.partition(",")[0]
-    if Ts is not None:
-        Ts, log.stamps = sampling_time(None, Ts), "--Ts"
-        if log.t is not None:
-            try:
-                own = sampling_time(log.t, None)
-                log.stamps += f", though the stamps are {1e3 * own:.4g} ms apart" * (abs(own / Ts - 1) > APART)
-            except errors.ArgumentError as error:
-                log.stamps += f", though of the stamps {str(error).partition(', but ')[2].rstrip('.')}"
-        return Ts
-    with errors.called("t", name):
-        return sampling_time(log.t, None)
+    if log.Ts is None:
+        with errors.called("t", log.stamps.partition(",")[0]):
+            return sampling_time(log.t, None)
+    Ts = sampling_time(None, log.Ts)
+    if log.t is not None:
+        try:
+            own = sampling_time(log.t, None)
+            log.stamps += f", though the stamps are {1e3 * own:.4g} ms apart" * (abs(own / Ts - 1) > APART)
+        except errors.ArgumentError as error:
+            log.stamps += f", though of the stamps {str(error).partition(', but ')[2].rstrip('.')}"
+    return Ts
 
 
 # --- which column is what -----------------------------------------------------------------------------
+
+
+def words_of(name) -> list:
+    """The words and numbers of a column's name in small letters: /header/stampNs1 is header, stamp, ns, 1."""
+    return re.findall("[a-zµ]+|[0-9]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
+
+
+def _clock_of(name) -> tuple | None:
+    """(unit or None, the other words, whether it may be one of a pair sec and nanosec) of a name of times, or None."""
+    words = words_of(name)
+    unit = next((LONG.get(w, w) for w in words[::-1] if w in SECONDS or w in LONG), None)
+    rest = [w for w in words if w not in SECONDS and w not in LONG]
+    long = bool(words) and words[-1] in LONG
+    if rest == ["t"] or (rest[-1:] and rest[-1] in TIMES) or (long and (not rest or TIMES & {*rest})):
+        return unit, tuple(rest), long
+    return None
 
 
 def clock(names, table):
@@ -137,21 +137,19 @@ def clock(names, table):
     """
     import numpy as np
 
-    places, t, unit, parts = [], None, None, {}
-    for i, name in enumerate(names):
-        named = clock_of(name)
-        if named is None:
-            continue
-        places.append(i)
-        if named.part:
-            parts.setdefault(named.of, {})[named.unit] = table[:, i]
-        if t is None and not np.isnan(table[:, i]).all():
-            unit = named.unit or _unit_of(table[:, i])
-            t = (table[:, i] - table[0, i]) * SECONDS[unit]
+    named = {i: meaning for i, name in enumerate(names) if (meaning := _clock_of(name)) is not None}
+    parts: dict = {}
+    for i, (unit, rest, long) in named.items():
+        if long:
+            parts.setdefault(rest, {})[unit] = table[:, i]
     for pair in parts.values():
         if {"s", "ns"} <= set(pair):
-            return pair["s"] - pair["s"][0] + 1e-9 * (pair["ns"] - pair["ns"][0]), places, "s"
-    return t, places, unit
+            return pair["s"] - pair["s"][0] + 1e-9 * (pair["ns"] - pair["ns"][0]), [*named], "s"
+    for i, (unit, _, _) in named.items():
+        if not np.isnan(table[:, i]).all():
+            unit = unit or _unit_of(table[:, i])
+            return (table[:, i] - table[0, i]) * SECONDS[unit], [*named], unit
+    return None, [*named], None
 
 
 def _unit_of(t) -> str:

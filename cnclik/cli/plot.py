@@ -1,44 +1,31 @@
 """`cnclik plot DIR`: the figures of a sweep, drawn again from its data."""
 
-import dataclasses
-import pathlib
+from pathlib import Path
 from typing import Literal
 
-from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import prepare
 
 
-@dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions):
-    folder: pathlib.Path = option(positional=True)
-    """Folder of a finished sweep, which contains data.zarr."""
-    spec: pathlib.Path | None = None
-    """Spec whose [[figure]] tables are drawn instead of those of the sweep's own spec."""
-    format: Literal["png", "pdf", "svg"] = "png"
-    """File format of the figures."""
-
-
-def run(args: Args) -> None:
-    """Draw the figures and print their names."""
-    from cnclik.sweeps import spec, store
-
-    data, missing = store.read_and_missing(args.folder)
-    if missing:
-        print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
-    tables = None if args.spec is None else spec.read(args.spec).figures
-    draw(data, args.folder, tables=tables, form=args.format, overwrite=args.overwrite)
-
-
-def draw(data, folder: pathlib.Path, *, tables=None, form="png", overwrite=False) -> None:
-    """Draw and write the figures; one that cannot be drawn does not stop the others.
+def run(folder: str, *, format: Literal["png", "pdf", "svg"] = "png", overwrite: bool = False) -> None:
+    """Draw the figures and print their names.
 
     Args:
-      data: of a sweep.
-      folder: where to put them.
-      tables: as [[figure]] in a spec; by default those of the data's own spec.
-      form: "png", "pdf" or "svg".
-      overwrite: also over files that cnclik did not write.
+      folder: folder of a finished sweep, which contains data.zarr.
+      format: file format of the figures.
+    """
+    prepare()
+    from cnclik.sweeps import store
 
+    data = store.read(folder)
+    if missing := store.blocks_missing(folder):
+        print(f"{missing} blocks are not done yet, or damaged: the command that made the sweep goes on from there.")
+    draw(data, Path(folder), form=format, overwrite=overwrite)
+
+
+def draw(data, folder: Path, *, tables=None, form="png", overwrite=False) -> None:
+    """Draw and write a sweep's figures, those of [[figure]] in its spec; one that fails does not stop the others.
+
+    Args: tables: as [[figure]] in another spec.
     Raises: FigureError.
     """
     from cnclik.show import output, sweeps

@@ -16,64 +16,52 @@ def bar(unit: str, total=None, quiet=False):
       total: their number, if it is known before the first report.
       quiet: whether to show nothing.
     """
-    if quiet:
-        yield lambda done, total, note="": None
-    elif not sys.stderr.isatty():
-        yield _Lines(unit)
-    else:
-        from rich import progress
-        from rich.console import Console
+    if quiet or not sys.stderr.isatty():
+        yield (lambda done, total, note="": None) if quiet else _Report(unit, _line)
+        return
+    from rich import progress
+    from rich.console import Console
 
-        columns = (
-            progress.SpinnerColumn(),
-            progress.BarColumn(),
-            progress.TextColumn("{task.description}", markup=False),
-            progress.TimeElapsedColumn(),
-            progress.TimeRemainingColumn(elapsed_when_finished=True),
+    columns = (
+        progress.SpinnerColumn(),
+        progress.BarColumn(),
+        progress.TextColumn("{task.description}", markup=False),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task(words(unit, 0, total, 0.0), total=total)
+        yield _Report(
+            unit, lambda text, done, total, _: shown.update(task, completed=done, total=total or None, description=text)
         )
-        with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-            task, clock = shown.add_task(words(unit, 0, total, 0.0), total=total), _Clock()
-
-            def report(done, total, note=""):
-                text = words(unit, done, total, clock(done, total), note)
-                shown.update(task, completed=done, total=total or None, description=text)
-
-            yield report
 
 
 def words(unit, done, total, rate, note="") -> str:
     """The text of a report: "120 of 4,000 loops, 60/s, EE"; before any work is done, programs compile."""
     counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
     parts = [counted if done else "" if note else f"compiling, {unit}"]
-    if done and rate >= 1:
-        parts.append(f"{rate:,.0f}/s")
+    parts.append(f"{rate:,.0f}/s" if done and rate >= 1 else "")
     return ", ".join(part for part in (*parts, note) if part)
 
 
-class _Clock:
-    """The rate of work since the first report of it, before which programs compile. A new total begins a new phase."""
+class _Report:
+    """Shows each report with the rate of work since the first one, before which programs compile. Another total begins
+    another phase."""
 
-    def __init__(self):
-        self.total = self.first = None
+    def __init__(self, unit, show):
+        self.unit, self.show, self.total, self.first, self.last = unit, show, None, None, time.perf_counter()
 
-    def __call__(self, done, total) -> float:
+    def __call__(self, done, total, note=""):
         now = time.perf_counter()
         if total != self.total or not self.first:
             self.total, self.first = total, (done, now) if done else None
         count, begun = self.first or (0, now)
-        return (done - count) / (now - begun) if now > begun else 0.0
+        rate = (done - count) / (now - begun) if now > begun else 0.0
+        if self.show is not _line or now - self.last >= _BETWEEN_LINES:
+            self.last = now
+            self.show(words(self.unit, done, total, rate, note), done, total, rate)
 
 
-class _Lines:
-    """A line every ten seconds."""
-
-    def __init__(self, unit):
-        self.unit, self.clock, self.last = unit, _Clock(), time.perf_counter()
-
-    def __call__(self, done, total, note=""):
-        now, rate = time.perf_counter(), self.clock(done, total)
-        if now - self.last < _BETWEEN_LINES:
-            return
-        self.last = now
-        left = f", {(total - done) / rate:,.0f} s left" if total and rate else ""
-        print(words(self.unit, done, total, rate, note) + left, file=sys.stderr, flush=True)
+def _line(text, done, total, rate) -> None:
+    left = f", {(total - done) / rate:,.0f} s left" if total and rate else ""
+    print(text + left, file=sys.stderr, flush=True)

@@ -1,148 +1,221 @@
 """`cnclik reach`: joint values for targets of a file, or for random ones."""
 
+from __future__ import annotations
+
 import contextlib
-import dataclasses
 import functools
+import io
+import operator
 import pathlib
 import time
+from typing import TYPE_CHECKING
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions, print_json
-from cnclik.cli.problem import RobotOptions
+from cnclik.cli.common import prepare, print_json
 from cnclik.quantities import aloud
 from cnclik.writing import checked_file, output_folder
 
+if TYPE_CHECKING:
+    from cnclik.problem.build import Point
 
-@dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, RobotOptions):
+TAKES, LEFT_OUT = ("robot and task",), ("q0",)
+
+
+def run(
+    robot: str,
+    targets: str | None = None,
+    *,
+    tip: list[str] | None = None,
+    target: list[Point] | None = None,
+    random: int | None = None,
+    seed: int = 0,
+    near: tuple[float, ...] | None = None,
+    path: bool = False,
+    jump: float | None = None,
+    solutions: int = 1,
+    limits: bool = True,
+    json: bool = False,
+    out: str | None = None,
+    overwrite: bool = False,
+    **task,
+) -> None:
     """Find joint values that put the tip at targets, or several tips at their targets at the same time. Several tips
     have a --tip and a --target each:
 
-    cnclik reach ROBOT --tip left --tip right --task position --target 0.5 0.3 0.2 --target 0.5 -0.3 0.2"""
+    cnclik reach ROBOT --tip left --tip right --task position --target 0.5 0.3 0.2 --target 0.5 -0.3 0.2
 
-    targets: pathlib.Path | None = option(None, positional=True)
-    """FILE.csv with a target per row: columns x, y, z and, for a pose, qw, qx, qy, qz, by name or in this order. With
-    several tips each name begins with the tip's, as in left.x. Or FILE.npy, an array as `cnclik.reach` takes it."""
-    tip: list[str] = option(list, group="robot and task")
-    """Last link of the chain. Give --tip several times for several tips with targets at the same time."""
-    target: list[tuple[float, ...]] = option(list, unit="x")
-    """One target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z. Give it once for each tip."""
-    random: int | None = None
-    """Number of random reachable poses, in place of TARGETS."""
-    seed: int = 0
-    """Seed of the random numbers of --random and of the search."""
-    tolerance: tuple[float, float] = option((1e-6, 1e-6), unit="m, rad")
-    """Tolerance of position [m] and orientation [rad]."""
-    accept: tuple[float, float] | None = option(None, unit="m, rad")
-    """Wider tolerances. An answer within them that misses --tolerance is reported as ACCEPTED."""
-    near: tuple[float, ...] | None = option(None, unit="q")
-    """Joint values from which the search starts [rad, m], such as the robot's present ones."""
-    path: bool = False
-    """Treat the targets as a path: start each search from the previous answer."""
-    jump: float | None = option(None, unit="q")
-    """Largest distance of each joint from --near or from the previous answer [rad, m]."""
-    solutions: int = 1
-    """Number of different answers for each target."""
-    seeds: int = 512
-    """Largest number of tries for each target."""
-    limits: bool = True
-    """Keep joint values within their limits."""
-    json: bool = False
-    """Print the summary as JSON. The search then runs twice, to measure its time without compilation."""
-    out: pathlib.Path | None = None
-    """File for the answers: FILE.nc or .csv."""
-
-
-def run(args: Args) -> None:
-    _check(args)
-    from cnclik.problem.targets import wanted_of
-
-    wanted = wanted_of(args)
-    asked = [wanted.title, wanted.line, _search(args, wanted.chain)]
-    if not args.json:
-        print(*asked, sep="\n")
-    with errors.called("targets", "target") if args.target else contextlib.nullcontext():
-        _answers(args, wanted, asked)
-
-
-def _search(args, chain) -> str:
-    """A sentence about the search: its tolerance, start and limits."""
-    from cnclik.record import in_words
-
-    near = "" if args.near is None else f" from {in_words(args.near)} {', '.join(dict.fromkeys(chain.units))}"
-    near = ", each from the answer before it" if args.path else near
-    exact = " and ".join(aloud(v, unit) for v, unit in zip(args.tolerance, ("m", "rad"), strict=True))
-    limits = "within the joint limits" if args.limits else "without joint limits"
-    return f"Search {limits}{near}, to {exact}{' (default)' * ('tolerance' not in args.written)}."
-
-
-def _check(args):
-    ways = {"TARGETS": args.targets, "--target": args.target or None, "--random": args.random}
+    Args:
+      targets: FILE.csv with a target per row: columns x, y, z and, for a pose, qw, qx, qy, qz, by name or in this
+        order. With several tips each name begins with the tip's, as in left.x. Or FILE.npy, an array as `cnclik.reach`
+        takes it.
+      tip: last link of the chain. Give --tip several times for several tips with targets at the same time.
+      target: one target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z. Give it once for each
+        tip.
+      random: number of random reachable poses, in place of TARGETS.
+      seed: seed of the random numbers of --random and of the search.
+      near: joint values from which the search starts [rad, m], such as the robot's present ones.
+      path: treat the targets as a path: start each search from the previous answer.
+      jump: largest distance of each joint from --near or from the previous answer [rad, m].
+      solutions: number of different answers for each target.
+      limits: keep joint values within their limits.
+      json: print the summary as JSON.
+      out: file for the answers: FILE.nc or .csv.
+    """
+    ways = {"TARGETS": targets, "--target": target, "--random": random}
     given = [name for name, value in ways.items() if value is not None]
     if len(given) != 1:
         found = f"are {' and '.join(given)}" if given else "is none of them"
         must = "One of TARGETS, --target X Y Z and --random N must be given"
         raise errors.ArgumentError(f"{must}, but there {found}.")
-    if args.random is not None:
-        errors.integer("random", args.random, at_least=1, at_most=errors.MOST)
-    if args.path and args.near is not None:
+    if path and near is not None:
         raise errors.fail("near", "be left out with --path", "is given")
+    prepare()
+    chain, parts, title = _robot_and_task(robot, tip or [], near, **task)
+    if target is not None:
+        wanted, line = _given(parts, target), f"Target {'; '.join(map(_point, target))}."
+    elif random is not None:
+        line = f"Targets: {random:,} random reachable ones, seed {seed}."
+        wanted = _random(chain, parts, errors.integer("random", random, at_least=1, at_most=errors.MOST), seed)
+    else:
+        wanted, line = _of_file(parts, pathlib.Path(targets or "")), f"Targets: those of {targets}."
+    begins = ", each from the answer before it" * path
+    asked = [title, line, f"Search {'within the' if limits else 'without'} joint limits{begins}, to 1 µm and 1 µrad."]
+    options = dict(jump=jump, solutions=solutions, limits=limits, seed=seed, near="previous" if path else near)
+    with errors.called("targets", "target") if target else contextlib.nullcontext():
+        made, seconds = _answers(chain, wanted, parts, options, out, overwrite)
+    summary = _summary(made, seconds)
+    if json:
+        print_json({"asked": asked} | summary)
+        return
+    print(*asked, sep="\n")
+    _tell(made, summary, path)
+    if out is not None:
+        print(f"Wrote {out}.")
 
 
-def _answers(args, wanted, asked):
+# --- what is asked ------------------------------------------------------------------------------------
+
+
+def _robot_and_task(robot, tips, near, base=None, task=None) -> tuple:
+    """(chain, task of all tips, both in words)."""
+    from cnclik.problem.heading import robot_and_task
+    from cnclik.problem.names import load, robot_and_tip, robot_name, task_from
+    from cnclik.problem.options import check_units
+
+    if len(tips) != len(set(tips)):
+        raise errors.fail("tip", "be different names", f"is {' '.join(tips)}")
+    tip = tips[0] if len(tips) == 1 else None
+    if len(tips) > 1:
+        with errors.called("tips", "tip"):
+            chain, named = load(robot, base=base, tips=tips), ", ".join(tips)
+    else:
+        chain, named = robot_and_tip(robot, tip, base)
+    each = [task_from(task, chain, one).on(chain) for one in (tips if len(tips) > 1 else [None])]
+    whole = functools.reduce(operator.and_, each)
+    check_units(chain, whole, {} if near is None else {"near": near.written})
+    return chain, whole, robot_and_task(robot_name(robot, tip), named, whole)
+
+
+def _given(task, points):
+    from cnclik.reaching.targets import by_name
+    from cnclik.task.aims import aims
+
+    every = aims(task)
+    if len(points) != len(every):
+        labels = ", ".join(aim.label for aim in every)
+        raise errors.fail("target", f"be given once for each tip ({labels})", f"is given {len(points)} times")
+    return by_name(task, [[errors.array("target", values)] for values in points])
+
+
+def _point(values) -> str:
+    units = " m" * (len(values) != 4) + ", quaternion w x y z" * (len(values) > 3)
+    return f"{' '.join(f'{v:.5g}' for v in values)}{units}"
+
+
+def _of_file(task, file):
+    """Targets of a file: CSV, where of several tips columns begin with its name, or an array (.npy)."""
+    import numpy as np
+
+    from cnclik.problem.tables import read_points
+    from cnclik.reaching.targets import by_name
+    from cnclik.reading import read_bytes
+    from cnclik.record import replace
+    from cnclik.task.aims import aims
+    from cnclik.task.task import Task
+
+    every = aims(task)
+    if errors.ending("TARGETS", file, ".csv", ".npy") == ".csv":
+        each = []
+        for aim in every:
+            own = Task(parts=tuple(replace(part, tip=None, to=None) for part in aim.parts))
+            each.append(read_points("TARGETS", file, own, tip=aim.label if len(every) > 1 else "")[1])
+    else:
+        data = read_bytes("TARGETS", file, "a file")
+        try:
+            whole = np.load(io.BytesIO(data), allow_pickle=False)
+        except (ValueError, EOFError, OSError):
+            raise errors.fail("TARGETS", "name a file that can be read", f"{file.name} is damaged") from None
+        if len(every) > 1 and (whole.ndim != 4 or whole.shape[1] != len(every)):
+            found = f"{file.name} holds {whole.shape}"
+            raise errors.fail("TARGETS", f"hold transforms (N, {len(every)}, 4, 4)", found)
+        each = [whole[:, k] for k in range(len(every))] if len(every) > 1 else [whole]
+    if each[0].size == 0:
+        raise errors.fail("TARGETS", "hold at least one target", f"{file.name} holds none")
+    return by_name(task, each)
+
+
+def _random(chain, task, count, seed):
+    """Poses of joint values drawn evenly within the limits."""
+    import numpy as np
+
+    from cnclik.reaching.starts import spans
+    from cnclik.reaching.targets import by_name
+    from cnclik.robot.model import modelled
+    from cnclik.task.aims import aims
+    from cnclik.task.parts import At
+
+    low, high = spans(chain)
+    at = At(modelled(chain), np.random.default_rng(errors.seed(seed)).uniform(low, high, (count, chain.n)))
+    return by_name(task, [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)])
+
+
+# --- the answers --------------------------------------------------------------------------------------
+
+
+def _answers(chain, targets, task, options, out, overwrite) -> tuple:
+    """(answers, seconds that they took), written to a file."""
     from cnclik.measure.answers import ENDINGS, answers, save
     from cnclik.reaching.public import reach
     from cnclik.reaching.result import with_axis
     from cnclik.reaching.targets import read, transforms
 
-    chain, task, targets = wanted.chain, wanted.task, wanted.targets
     pose, _ = read(targets, task)
-    if args.out is not None:
-        checked_file("out", args.out, *ENDINGS, overwrite=args.overwrite)
-    names = ("tolerance", "accept", "jump", "solutions", "seeds", "limits", "seed")
-    options = {name: getattr(args, name) for name in names} | {"near": "previous" if args.path else args.near}
-    with contextlib.nullcontext() if args.out is None else output_folder(args.out.parent) as folder:
+    file = None if out is None else checked_file("out", out, *ENDINGS, overwrite=overwrite)
+    with contextlib.nullcontext() if file is None else output_folder(file.parent) as folder:
         begun = time.perf_counter()
         with progress.bar("targets", len(pose)) as report:
-            made = reach(chain, targets, task=task, **options, progress=report)
-        first = time.perf_counter() - begun
-        made = with_axis(made)
-        if folder is not None:
-            folder.write(args.out.name, functools.partial(save, answers(made, transforms(pose))))
-    again = first
-    if args.json:  # run again, to time it without compiling
-        begun = time.perf_counter()
-        reach(chain, targets, task=task, **options)
-        again = time.perf_counter() - begun
-    summary = _summary(made, first, again)
-    if args.json:
-        print_json({"asked": asked} | summary)
-    else:
-        _tell(made, summary, first, args.path)
-        if args.out is not None:
-            print(f"Wrote {args.out}.")
+            made = with_axis(reach(chain, targets, task=task, **options, progress=report))
+        seconds = time.perf_counter() - begun
+        if file is not None and folder is not None:
+            folder.write(file.name, functools.partial(save, answers(made, transforms(pose))))
+    return made, seconds
 
 
-def _summary(made, first, again):
+def _summary(made, seconds) -> dict:
     from cnclik.reaching.result import ReachStatus, count
-    from cnclik.threads import cores
 
     first_of_each = made.status[..., 0] if made.status.ndim == 2 else made.status
-    total = len(first_of_each)
     return {
-        "targets": total,
+        "targets": len(first_of_each),
         "solve_rate": float((first_of_each <= ReachStatus.ACCEPTED).mean()),
         "status": count(first_of_each),
-        "us_per_target": 1e6 * again / total,
-        "compile_s": max(first - again, 0.0),
-        "cores": cores(),
+        "seconds": seconds,
         "evaluations_per_target": float(made.evaluations.mean()),
     }
 
 
-def _tell(made, summary, seconds, path):
+def _tell(made, summary, path) -> None:
     """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
@@ -151,7 +224,7 @@ def _tell(made, summary, seconds, path):
 
     count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
     evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"
-    print(f"{count:,} target{'s' * (count > 1)} in {seconds:.2f} s, {evaluations}")
+    print(f"{count:,} target{'s' * (count > 1)} in {summary['seconds']:.2f} s, {evaluations}")
     for name, number in summary["status"].items():
         print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
     if count == 1:
@@ -178,12 +251,11 @@ def _error(made, lengths, angles) -> str:
 
 
 _MEANING = {
-    "SOLVED": "within the tolerance",
-    "ACCEPTED": "within --accept, but not within the tolerance",
+    "SOLVED": "within 1 µm and 1 µrad",
     "AT_LIMIT": "reachable only beyond the joint limits; the nearest pose within them is given",
     "OUT_OF_REACH": "not reachable, even without joint limits; the nearest pose is given",
     "JUMP": "reachable only by a jump; no joint values are given",
-    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach: try more --seeds",
+    "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach",
     "NON_FINITE": "the target, or --near, is not finite",
     "NO_OTHER": "fewer solutions than requested",
 }

@@ -1,33 +1,28 @@
 """`cnclik robots`: the tree of a robot file, its joints, limits and the links that can be a tip."""
 
-import dataclasses
 import math
 import sys
 
-from cnclik.cli.arguments import option
 from cnclik.problem.words import PLANAR, ROBOTS
 
 DEEPEST = 120  # columns of the tree's lines; deeper links are not indented further
 
 
-@dataclasses.dataclass(kw_only=True)
-class Args:
-    """Print the tree of links with joints and limits; possible tips are in bold."""
+def run(robot: str) -> None:
+    """Print the tree of links with joints and limits; possible tips are in bold.
 
-    robot: str = option(positional=True)
-    """A URDF or MJCF file, a name of robot_descriptions, or a built-in robot such as panda."""
-
-
-def run(args: Args) -> None:
+    Args:
+      robot: a URDF or MJCF file, a name of robot_descriptions, or a built-in robot such as panda.
+    """
     from cnclik.robot.files import file_of, read_robot
 
-    if args.robot.partition(":")[0] in (*ROBOTS, *PLANAR):
+    if robot.partition(":")[0] in (*ROBOTS, *PLANAR):
         from cnclik.problem.names import robot_and_tip
 
-        robot, tip = robot_and_tip(args.robot)
-        print(f"{args.robot}, built in, tip {tip}\n{robot}")
+        chain, tip = robot_and_tip(robot)
+        print(f"{robot}, built in, tip {tip}\n{chain}")
         return
-    tree = read_robot(file_of(args.robot) or args.robot)
+    tree = read_robot(file_of(robot) or robot)
     tips = dict.fromkeys(tree.tips())
     rows = [(tree.root in tips, tree.root, *[""] * 5)]
     rows += [(edge.child in tips, f"{lead}{edge.child}", *_joint(edge)) for edge, lead in _branches(tree)]

@@ -1,122 +1,99 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
-import dataclasses
 import functools
-import time
+import itertools
 from pathlib import Path
 
 from cnclik.cli import progress
-from cnclik.cli.common import ComputeOptions, print_json, print_table
-from cnclik.cli.problem import ProblemOptions, given, problem
+from cnclik.cli.arguments import PROBLEM
+from cnclik.cli.common import numbers, print_json, print_table, problem
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, load_ahead
-from cnclik.writing import Refused, output_folder
+from cnclik.writing import output_folder
 
-
-@dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions, ProblemOptions):
-    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did."""
-
-    out: Path = Path("solved")
-    """Folder for trajectory and figures."""
-    csv: bool = False
-    """Also write trajectory.csv."""
-    figures: bool = True
-    """Draw joint values, error, joint velocities, status and the path of the tip."""
-    json: bool = False
-    """Print the answer as JSON: what was asked, the numbers, and the verdict with its remedy."""
-
-
+TAKES = PROBLEM
 _FIGURES = ("overview", "tip")
 
 
-def run(args: Args) -> None:
+def run(
+    robot: str,
+    *,
+    out: str = "solved",
+    csv: bool = False,
+    figures: bool = True,
+    json: bool = False,
+    overwrite: bool = False,
+    **loop,
+) -> None:
+    """Run one loop. Writes trajectory.nc and figures; prints a summary, and in one sentence what the loop did.
+
+    Args:
+      out: folder for trajectory and figures.
+      csv: also write trajectory.csv.
+      figures: draw joint values, error, joint velocities, status and the path of the tip.
+      json: print the answer as JSON: what was asked, the numbers, and the verdict with its remedy.
+    """
+    made = problem(robot, loop)
+    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * figures)
+    files, pictures = ["trajectory.nc", *["trajectory.csv"] * csv], [f"{kind}.png" for kind in _FIGURES]
+    names = dict(files=[*files, *pictures * figures], replaces=["trajectory.csv", *pictures])
+    with output_folder(Path(out), overwrite=overwrite, **names) as folder:
+        with progress.bar("steps"):
+            trajectory = made.run()
+        _answer(made, trajectory, out if json else None)
+        from cnclik.measure.dataset import to_dataset
+        from cnclik.measure.files import save_csv, save_netcdf
+
+        config = {"verb": "solve", "robot": robot} | numbers(loop)
+        data = to_dataset(trajectory, made.law, config=config)
+        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+        if csv:
+            folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
+    with progress.bar("figures") as report:
+        written = folder.made + draw(_figures(data, made) if figures else {}, out, progress=report, overwrite=overwrite)
+    if not json:
+        print(f"Wrote {', '.join(sorted(written))} to {out}/.")
+
+
+def _answer(made, trajectory, out) -> None:
+    """Print what was asked, the verdict and the numbers, as JSON where `out` is a folder."""
     from cnclik.integrate.drive import Drive
     from cnclik.measure.files import plain
     from cnclik.problem import heading
     from cnclik.stability.ending import verdict
 
-    made = problem(args)
-    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * args.figures)
-    trajectory, time_per_step, data, written, refused = _kept(made, args)
     with progress.bar("verdict"):
         loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
         judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
     asked = [title, heading.loop_in_words(made), *heading.start_and_target(made)]
-    facts = _summary(made, trajectory, time_per_step)
-    answer = f"{judged.sentence[0].upper()}{judged.sentence[1:]}"
-    if args.json:
-        about = {"asked": asked, "facts": dict(facts), "verdict": plain(judged) | {"sentence": answer}}
-        print_json(about | {"out": str(args.out)})
-    else:
-        print("\n".join([*asked, answer]))
-        print_table(facts, box=None, padding=(0, 2, 0, 0))
-    if refused is not None:
-        raise refused
-    with progress.bar("figures") as report:
-        figures = _figures(data, made) if args.figures else {}
-        written += draw(figures, args.out, progress=report, overwrite=args.overwrite)
-    if not args.json:
-        print(f"Wrote {', '.join(sorted(written))} to {args.out}/.")
+    answer, facts = f"{judged.sentence[0].upper()}{judged.sentence[1:]}", _summary(made, trajectory)
+    if out is not None:
+        verdict_ = plain(judged) | {"sentence": answer}
+        print_json({"asked": asked, "facts": dict(facts), "verdict": verdict_, "out": out})
+        return
+    print("\n".join([*asked, answer]))
+    print_table(facts, box=None, padding=(0, 2, 0, 0))
 
 
-def _kept(made, args):
-    """(trajectory, time per step in words, dataset, names of the written files, the refusal of one of them or None)."""
-    from cnclik.measure.files import save_csv, save_netcdf
-
-    files, drawn = ["trajectory.nc", *["trajectory.csv"] * args.csv], [f"{kind}.png" for kind in _FIGURES]
-    whole = dict(files=[*files, *drawn * args.figures], replaces=["trajectory.csv", *drawn])
-    config = {"verb": "solve", "robot": args.robot} | given(args)
-    data = refused = None
-    try:
-        with output_folder(args.out, overwrite=args.overwrite, **whole) as folder:
-            with progress.bar("steps"):
-                trajectory, time_per_step = _march(made)
-            from cnclik.measure.dataset import to_dataset
-
-            data = to_dataset(trajectory, made.law, config=config)
-            folder.write("trajectory.nc", functools.partial(save_netcdf, data))
-            if args.csv:
-                folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
-    except Refused as error:  # the answer is printed nevertheless
-        if data is None:
-            raise
-        refused = Refused(f"{error} The data take another run, with another --out; the answer is whole.")
-    return trajectory, time_per_step, data, folder.made, refused
-
-
-def _march(made):
-    """The trajectory, and the time per step without compiling, in words."""
-    import jax
-
-    trajectory = jax.block_until_ready(made.run())  # compiles
-    begun = time.perf_counter()
-    jax.block_until_ready(made.run())
-    return trajectory, f"{plainly(1e6 * (time.perf_counter() - begun) / made.N)} µs"
+_COLUMNS = {  # of trajectory.csv: {variable of the dataset: (prefix of the names, dimension)}
+    **{"time": ("time", None), "q": ("q_", "joint"), "x": ("x_", "axis"), "e": ("e_", "axis")},
+    **{"qdot": ("qdot_", "joint"), "status": ("status", None), "task_status": ("status_", "task")},
+    "walls": ("wall_", "wall"),
+}
 
 
 def _rows(data):
     """One row per instant; the values of a step are in the row of its beginning."""
-    import numpy as np
-
-    joints, axes = data.joint.values, data.axis.values
-    header = ["time", *(f"q_{j}" for j in joints), *(f"x_{a}" for a in axes), *(f"e_{a}" for a in axes)]
-    header += [*(f"qdot_{j}" for j in joints), "status"]
-    points = np.hstack([data.time.values[:, None], data.q.values, data.x.values, data.e.values]).tolist()
-    bits = data.status.values[:, None]
-    if "task" in data.dims:
-        header += [f"status_{name}" for name in data.task.values]
-        bits = np.hstack([bits, data.task_status.values])
-    parts = [data.qdot.values, bits]
-    if "wall" in data.dims:
-        header += [f"wall_{name}" for name in data.wall.values]
-        parts.append(data.walls.values)
-    steps = [[v for part in each for v in part] for each in zip(*(part.tolist() for part in parts), strict=True)]
-    last = [""] * (len(header) - len(points[0]))
-    yield header
-    yield from (point + step for point, step in zip(points, [*steps, last], strict=True))
+    names, columns = [], []
+    for variable, (prefix, dimension) in _COLUMNS.items():
+        if variable in data.variables:
+            labels = [""] if dimension is None else data[dimension].values
+            names += [f"{prefix}{label}" for label in labels]
+            columns += data[variable].values.reshape(data[variable].shape[0], -1).T.tolist()
+    yield names
+    yield from itertools.zip_longest(*columns, fillvalue="")
 
 
 def _figures(data, made) -> dict:
@@ -131,7 +108,7 @@ def _figures(data, made) -> dict:
     }
 
 
-def _summary(made, trajectory, time_per_step):
+def _summary(made, trajectory):
     """((name, text), …): numbers of the run, with their units."""
     import numpy as np
 
@@ -150,7 +127,6 @@ def _summary(made, trajectory, time_per_step):
     rows.append(("joint velocity", fastest(law.chain, np.asarray(trajectory.qdot, float))))
     what = "RMS joint velocity that reverses from one step to the next, second half of the run"
     rows.append(("chatter", f"{aloud(float(found.chatter), found.units['chatter'])} ({what})"))
-    rows.append(("time per step", time_per_step))
     return rows
 
 
@@ -194,12 +170,12 @@ def _of_walls(run, law):
     import numpy as np
 
     from cnclik.integrate.status import rounding_of
-    from cnclik.law.walls import names_of, wall_distance, wall_margin
+    from cnclik.law.walls import wall_distance, wall_margin
 
     walls, q = law.limits.walls, np.asarray(run.q, float)
     room, most = np.asarray(run.walls), rounding_of(np.asarray(run.qdot))
     away, margin = wall_distance(law, q), wall_margin(law, run)
-    for i, (name, wall) in enumerate(zip(names_of(walls), walls, strict=True)):
+    for i, wall in enumerate(walls):
         unit, missed = wall.task.units[0], int(np.sum(room[:, i : i + 1] < -most))
         said = f"active in {int(np.sum(room[:, i : i + 1] <= most))} of {len(room)} steps"
         first, least = away[0, i], away[:, i].min()
@@ -208,4 +184,4 @@ def _of_walls(run, law):
         said += f", passed by up to {aloud(-least, unit)}" if least < min(first, 0.0) else ""
         said += f"; a step may pass it by {aloud(margin[i], unit)}" if margin[i] >= 1e-9 else ""
         said += f"; not kept in {missed} steps, by up to {aloud(-room[:, i].min(), f'{unit}/s')}" if missed else ""
-        yield f"wall {name}", said
+        yield f"wall {wall.name}", said

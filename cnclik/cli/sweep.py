@@ -1,71 +1,72 @@
 """`cnclik sweep SPEC.toml`: a study of many loops, from one file: a labelled dataset and its figures."""
 
-import dataclasses
 import pathlib
 import time
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.arguments import option
-from cnclik.cli.common import ComputeOptions
+from cnclik.cli.common import prepare
 from cnclik.cli.plot import draw
 from cnclik.quantities import in_samples
 from cnclik.writing import check_free, output_folder
 
 
-@dataclasses.dataclass(kw_only=True)
-class Args(ComputeOptions):
-    spec: pathlib.Path = option(positional=True)
-    """The spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md."""
-    set: list[str] = option(list)
-    """NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. May be repeated."""
-    out: pathlib.Path | None = None
-    """Folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec."""
-    fresh: bool = False
-    """Start again, even if the folder holds results."""
-    check: bool = False
-    """Only check the spec, and print what it would run."""
-    figures: bool = True
-    """Draw the figures at the end."""
-    distributed: str | None = None
-    """Share the work with other processes: HOST:PORT:PROCESSES:PROCESS of process 0, of how many, and of this one (from
-    0); or auto, where SLURM or MPI knows them."""
+def run(
+    spec: str,
+    *,
+    set: list[str] | None = None,
+    out: str | None = None,
+    fresh: bool = False,
+    check: bool = False,
+    figures: bool = True,
+    distributed: str | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Check the spec, compute the missing blocks, draw.
 
-
-def run(args: Args) -> None:
-    """Check the spec, compute the missing blocks, draw."""
-    place = {"process": 0, "processes": 1, "meet": None} if args.distributed is None else _join(args.distributed)
+    Args:
+      spec: the spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md.
+      set: NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. May be repeated.
+      out: folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec.
+      fresh: start again, even if the folder holds results.
+      check: only check the spec, and print what it would run.
+      figures: draw the figures at the end.
+      distributed: share the work with other processes: HOST:PORT:PROCESSES:PROCESS of process 0, of how many, and of
+        this one (from 0); or auto, where SLURM or MPI knows them.
+    """
+    place = {"process": 0, "processes": 1, "meet": None} if distributed is None else _join(distributed)
+    prepare()
     from cnclik.sweeps import spec as specs
     from cnclik.sweeps import store, summary
 
-    spec = specs.read(args.spec, args.set)
-    if args.figures:
+    study = specs.read(spec, set or ())
+    if figures:
         from cnclik.show import sweeps
 
-        sweeps.check(spec)
-    out = args.out or pathlib.Path(f"sweep-{spec.name}")
-    grid = spec.grid()
-    question = f"{spec.question}\n" * bool(spec.question)
+        sweeps.check(study)
+    folder = pathlib.Path(out or f"sweep-{study.name}")
+    grid = study.grid()
+    question = f"{study.question}\n" * bool(study.question)
     programs = f"{(count := len(grid.programs)):,} program{'s' * (count > 1)}"
     size = f"{grid.size:,} loops, {grid}, in {programs}"
-    print(f"{question}{spec.name}: {size}; dead time {_dead_time(spec)}", flush=True)
-    if args.check:
+    print(f"{question}{study.name}: {size}; dead time {_dead_time(study)}", flush=True)
+    if check:
         return
     begun = time.perf_counter()
-    check_free("out", out, summary.FILES, overwrite=args.overwrite)
+    check_free("out", folder, summary.FILES, overwrite=overwrite)
     with progress.bar("loops", quiet=place["process"] != 0) as report:
-        whole = store.run(spec, out, progress=report, fresh=args.fresh, **place)
-    if not whole:
-        print(f"This process is done; {store.blocks_missing(out)} blocks are with others or for a rerun.")
+        done = store.run(study, folder, progress=report, fresh=fresh, **place)
+    if not done:
+        print(f"This process is done; {store.blocks_missing(folder)} blocks are with others or for a rerun.")
         return
-    print(f"Done in {time.perf_counter() - begun:.1f} s: {out / store.DATA}")
-    data = store.read(out)
-    with output_folder(out, overwrite=args.overwrite) as folder:
-        summary.write(data, folder)
-    for line in (*(f"Wrote {out / file}" for file in folder.made), *summary.best(data)):
+    print(f"Done in {time.perf_counter() - begun:.1f} s: {folder / store.DATA}")
+    data = store.read(folder)
+    with output_folder(folder, overwrite=overwrite) as whole:
+        summary.write(data, whole)
+    for line in (*(f"Wrote {folder / file}" for file in whole.made), *summary.best(data)):
         print(line)
-    if args.figures:  # last, as they can be drawn again
-        draw(data, out, tables=spec.figures, overwrite=args.overwrite)
+    if figures:  # last, as they can be drawn again
+        draw(data, folder, tables=study.figures, overwrite=overwrite)
 
 
 def _join(place) -> dict:
@@ -97,7 +98,6 @@ def _join(place) -> dict:
 
 def _dead_time(spec) -> str:
     """Return the shortest and the longest dead time of the loops at the ends of all axes: "2 samples (8 ms)"."""
-    ends = [(program, spec.first(last)) for program in spec.grid().programs for last in (False, True)]
-    loops = (spec.loop(*end) for end in ends)
+    loops = (spec.loop(program | spec.first(last)) for program in spec.grid().programs for last in (False, True))
     late = sorted((float(v["delay"]) * float(v["Ts"]), float(v["delay"]), float(v["Ts"])) for v in loops)
     return " to ".join(dict.fromkeys(in_samples(delay, Ts) for _, delay, Ts in (late[0], late[-1])))

@@ -40,13 +40,12 @@ class _Stream:
 def guarded(process: bool):
     """Context manager that guards a command's output, and its end by a signal.
 
-    If output fails, the command still finishes its work. Then it exits with code 141 if the reader, such as `head`, has
-    left (as a shell reports it), and otherwise with one line on stderr and code 1.
+    If output fails, the command still finishes its work, and exits with code 141 if the reader, such as `head`, has
+    left, else with one line on stderr and code 1.
 
     Args:
       process: whether this process only runs the command. Then SIGTERM and SIGINT end it at once, and an early end does
-        not wait for threads that still load or compile: Python does not know those of compiled code, and waiting for
-        them may hang or crash.
+        not wait for threads that still load or compile: waiting for those of compiled code may hang or crash.
     """
     own = sys.stdout, sys.stderr
     out, err = (_Stream(stream or io.StringIO()) for stream in own)  # None: it was closed from the beginning
@@ -80,10 +79,9 @@ def guarded(process: bool):
 
 
 def _listen() -> dict:
-    """End the process at SIGTERM and SIGINT, except for a signal that the shell had it ignore.
+    """End the process at SIGTERM and SIGINT, unless the shell had it ignore them. Returns: {signal: handler before}.
 
-    An exception would not do: extensions that are being loaded turn it into another error, and callbacks from compiled
-    code drop it. Returns: {signal: its handler before}.
+    An exception would not do: extensions that are being loaded turn it into another error, compiled code drops it.
     """
     if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         return {}

@@ -300,7 +300,7 @@ def _made(log, fit) -> DriveFit:
     rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
     if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
         notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
-    elif np.any(off := np.abs(gain - 1) > OFF):
+    if np.any(off := np.abs(gain - 1) > OFF):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
@@ -319,14 +319,26 @@ def _made(log, fit) -> DriveFit:
 
 def _together(log, kind, parts, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
-    information = _information(log, kind, parts, fitted)
+    every, information = np.arange(log.k), _information(log, kind, parts, fitted)
     cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean, apart = _shared(fitted, information)
     free = (log.k - 1) * len(mean)
     if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
         least = 1 / np.sum(1 / each[:, 0, 0])
         late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
-        fitted = fitted + each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+        moved, (low, high) = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None], _ends(kind)
+        most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
+        fitted = np.clip(fitted + np.clip(moved, -most, most), low, high)
+        fitted[:, 0] = late
+        for _ in range(STEPS):  # the other numbers, by Levenberg's steps
+            left, slope = log.slopes(kind, fitted, parts, every)
+            slope = slope[..., 1:]
+            normal = np.einsum("kni,knj->kij", slope, slope)
+            normal = normal + 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(slope.shape[-1])
+            step = np.linalg.solve(normal, np.einsum("kni,kn->ki", slope, left)[..., None])[..., 0]
+            fitted[:, 1:] = np.clip(fitted[:, 1:] - np.clip(step, -0.5, 0.5), low[1:], high[1:])
+            if np.abs(step).max() < 1e-4:
+                break
         each[:, 0, 0] = least
         return fitted, each, True
     return mean[None], cov[None], False

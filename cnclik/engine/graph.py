@@ -7,11 +7,13 @@ one scalar at N instants, such as what a scan stacks.
 """
 
 import math
+import operator
 
 import numpy as np
 
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
 
+IS_KNOWN, NUMBER, SHAPE, VALUE = map(operator.attrgetter, ("known", "number", "shape", "value"))
 MOST_FOLDED = 1 << 12  # entries, at most, of known arrays on which operations are folded
 
 
@@ -158,7 +160,7 @@ class Graph:
     def shared(self, op, args, params, shape, dtype) -> Node:
         """The node of an operation; the existing one if there is one."""
         dtype = np.dtype(dtype)
-        key = (op, params, shape, dtype.str, *(a.number for a in args))
+        key = (op, params, shape, dtype.str, *map(NUMBER, args))
         block = self.block
         while block is not None:
             if (found := block.table.get(key)) is not None:
@@ -171,8 +173,9 @@ class Graph:
 
     def _home(self, args):
         """The outermost block for a node of these arguments."""
-        deepest = max((a.block.depth for a in args), default=0)
-        block = self.block
+        deepest, block = 0, self.block
+        for a in args:
+            deepest = max(deepest, a.block.depth)
         while block.depth > deepest and not block.branch:
             block = block.parent
         return block
@@ -186,11 +189,11 @@ class Graph:
         simpler = SIMPLER.get(name)
         if simpler is not None and (found := simpler(self, args, params, dtype)) is not None:
             return found
-        if all(a.known for a in args) and (value := folded(name, [a.value for a in args], dtype, params)) is not None:
+        if all(map(IS_KNOWN, args)) and (value := folded(name, list(map(VALUE, args)), dtype, params)) is not None:
             nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
             return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
-        shape = max([a.shape for a in args], key=len)
-        if (found := (self._known_row if shape else self._through_select)(name, args, dtype, params)) is not None:
+        shape = max(map(SHAPE, args), key=len)
+        if shape and (found := self._known_row(name, args, dtype, params)) is not None:
             return found
         if name in COMMUTES and args[0].number > args[1].number:
             args = args[::-1]
@@ -208,27 +211,6 @@ class Graph:
             self.root.table[key] = None if any(v is None for v in found) else self.array(np.array(found, dtype))
         return self.root.table[key]
 
-    def _through_select(self, name, args, dtype, params):
-        """An operation on a choice that is in a loop only for its condition: a choice of two results computed before
-        it.
-
-        For example the length of a step, and exp(−alpha Ts) with it: it is Ts except in the last round, where it is 0.
-        """
-        which = next((a.args[0] for a in args if a.op == "select_n" and _is_choice(a)), None)
-        if which is None or not which.block.depth:
-            return None
-        no, yes = (tuple(self._given(which, value, a) for a in args) for value in (False, True))
-        if max(a.block.depth for a in (*no, *yes)) >= which.block.depth:
-            return None
-        no, yes = (self.apply(name, several, dtype, params) for several in (no, yes))
-        return self.select(which, yes, no)
-
-    def _given(self, which, value, node):
-        """A node, simplified for a known value of the condition `which`."""
-        if node is which or (node.op == "not" and node.args[0] is which):
-            return self.const(value is (node is which), bool)
-        return node.args[1 + value] if _is_choice(node) and node.args[0] is which else node
-
     def op(self, name, *args) -> Node:
         """An operation with the dtype of its arguments, or bool for a comparison."""
         return self.apply(name, args, np.bool_ if name in COMPARISONS else args[-1].dtype)
@@ -240,11 +222,6 @@ class Graph:
     def nodes(self, region, what, shapes, block) -> list:
         """Nodes of a region, its carries, rows or results, one for each (shape, dtype)."""
         return [self.new(what, (), None, s, d, (region, what, i), block) for i, (s, d) in enumerate(shapes)]
-
-
-def _is_choice(node) -> bool:
-    """Whether a node selects one of two others by a condition."""
-    return node.op == "select_n" and node.args[0].dtype.kind == "b"
 
 
 def live(outputs) -> set:

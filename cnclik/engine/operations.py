@@ -6,7 +6,7 @@ import pathlib
 
 import numpy as np
 
-from cnclik.engine.graph import UnsupportedError
+from cnclik.engine.graph import IS_KNOWN, UnsupportedError
 
 TYPES = {  # NumPy dtype: C types of (a vector of lanes, a number)
     "float32": ("F32", "float"),
@@ -15,7 +15,8 @@ TYPES = {  # NumPy dtype: C types of (a vector of lanes, a number)
     **{f"uint{b}": (f"U{b}", f"uint{b}_t") for b in (8, 16, 32, 64)},
     "bool": ("M", "uint8_t"),
 }
-_BY_DTYPE = {np.dtype(name): both for name, both in TYPES.items()}
+vector = {np.dtype(name): of for name, (of, _) in TYPES.items()}.__getitem__  # C type of a vector of lanes
+scalar = {np.dtype(name): one for name, (_, one) in TYPES.items()}.__getitem__  # of a number in arguments and results
 
 
 def check_dtype(dtype) -> None:
@@ -35,7 +36,7 @@ _TRUTH = {  # operations on masks
     **{"eq": "~({0} ^ {1})", "ne": "{0} ^ {1}", "lt": "~{0} & {1}", "le": "~{0} | {1}", "gt": "{0} & ~{1}"},
     **{"ge": "{0} | ~{1}", "max": "{0} | {1}", "min": "{0} & {1}", "add": "{0} | {1}", "mul": "{0} & {1}"},
 }
-_LIBRARY = "tan exp expm1 tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
+_LIBRARY = "tan exp log log1p expm1 tanh asin acos sinh cosh floor ceil atan cbrt erf exp2 asinh acosh atanh round"
 # Functions of the C library, called lane by lane: number of arguments.
 LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextafter": 2}
 
@@ -43,16 +44,6 @@ LIBRARY = dict.fromkeys(_LIBRARY.split(" "), 1) | {"pow": 2, "fmod": 2, "nextaft
 @functools.cache
 def header(name) -> str:
     return (pathlib.Path(__file__).parent / "c" / name).read_text(encoding="utf-8")
-
-
-def vector(dtype) -> str:
-    """The C type of a vector of lanes."""
-    return _BY_DTYPE[dtype][0]
-
-
-def scalar(dtype) -> str:
-    """The C type of one lane's number, as stored in arguments and results."""
-    return _BY_DTYPE[dtype][1]
 
 
 def number(value, dtype) -> str:
@@ -85,14 +76,13 @@ def text(node, of) -> str:
     if name == "convert_element_type":
         return _converted(of(args[0], False), args[0].dtype, node.dtype)
     if kind == "b" and name in _TRUTH:
-        return _TRUTH[name].format(*(of(a, False) for a in args))
+        return _TRUTH[name].format(*[of(a, False) for a in args])
+    plain = kind == "f" and (name in BINARY or name in COMPARED) and not all(map(IS_KNOWN, args))
+    a = [of(x, plain) for x in args]
     if kind == "f" and name in BINARY:
-        plain = not all(a.known for a in args)
-        return f" {BINARY[name]} ".join(of(a, plain) for a in args)
+        return f" {BINARY[name]} ".join(a)
     if name in COMPARED:
-        plain = kind == "f" and not all(a.known for a in args)
-        return f"MASK({f' {COMPARED[name]} '.join(of(a, plain) for a in args)})"
-    a = [of(x, False) for x in args]
+        return f"MASK({f' {COMPARED[name]} '.join(a)})"
     if name in BITS:
         return f"{a[0]} {BITS[name]} {a[1]}"
     if name == "select_n":
@@ -152,7 +142,7 @@ _SIMPLE = {
     "logistic": "1 / (1 + exp_{T}(-{0}))",
 }
 NAMES = frozenset([
-    *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "log", "log1p", "max", "min",
+    *BINARY, *COMPARED, *BITS, *_SIMPLE, *LIBRARY, "abs", "sqrt", "sin", "cos", "atan2", "max", "min",
     "sign", "rem", "bitcast_convert_type", "convert_element_type", "select_n", "shift_left", "shift_right_arithmetic",
     "shift_right_logical",
 ])  # fmt: skip

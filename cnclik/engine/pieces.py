@@ -83,7 +83,7 @@ def _scalars(item):
     if isinstance(item, Node):
         queue = list(item.args)
     else:
-        inner = list(all_items(*item.blocks))
+        inner = all_items(*item.blocks)
         regions = [item, *(i for i in inner if not isinstance(i, Node))]
         queue = [n for r in regions for n in r.used]
         queue += [a for i in inner if isinstance(i, Node) for a in i.args]

@@ -15,7 +15,6 @@ from jax.interpreters import partial_eval
 from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
 from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved, walk
-from cnclik.engine.constants import model_p
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
 from cnclik.engine.operations import NAMES, check_dtype
@@ -23,7 +22,7 @@ from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
 from cnclik.engine.rounds import known_rounds
 from cnclik.engine.stacks import Deep, Rows, is_cells
-from cnclik.engine.tracing import to_be_read
+from cnclik.engine.tracing import model_p, to_be_read
 
 LIMIT = 1 << 14  # entries, at most, of an array that becomes scalars
 LARGE_INPUT = 2048  # entries, at least, of an argument that stays whole

@@ -11,14 +11,15 @@ from cnclik.engine.stacks import Rows
 _PLACED = ("stacked", "array", "iota")  # rows with random access
 
 
-def all_items(*blocks):
+def all_items(*blocks) -> list:
     """All nodes and regions in blocks, including those inside regions."""
-    blocks = list(blocks)
+    blocks, items = list(blocks), []
     for block in blocks:
+        items += block.items
         for item in block.items:
-            yield item
             if not isinstance(item, Node):
                 blocks += item.blocks
+    return items
 
 
 def needed_rows(graph, needed, others) -> set:

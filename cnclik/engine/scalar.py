@@ -121,7 +121,6 @@ _OF_BITS = {"add": "|", "max": "|", "mul": "&", "min": "&"}  # on booleans
 _SIMPLE = {
     **{"square": "{0} * {0}", "is_finite": "isfinite({0}) != 0", "logistic": "1 / (1 + exp{f}(-{0}))"},
     **{"rsqrt": "1 / sqrt{f}({0})", "sqrt": "sqrt{f}({0})", "atan2": "atan2{f}({0}, {1})"},
-    **{"log": "log{f}({0})", "log1p": "log1p{f}({0})"},
 }
 _REAL = {
     **{"max": "({0} > {1} || {0} != {0}) ? {0} : {1}", "min": "({0} < {1} || {0} != {0}) ? {0} : {1}"},

@@ -21,7 +21,7 @@ def main_type(graph, given, shapes) -> np.dtype:
     """The type that sets the number of lanes of a vector: float64 if most numbers are float64, otherwise float32."""
     several = [n.dtype for n in all_items(graph.root) if isinstance(n, Node)]
     several += [np.dtype(x.dtype) for x in (*given, *shapes)]
-    wide, narrow = (sum(d == t for d in several) for t in (np.float64, np.float32))
+    wide, narrow = (several.count(np.dtype(t)) for t in (np.float64, np.float32))
     return np.dtype(np.float64 if wide > narrow else np.float32)
 
 
@@ -32,9 +32,17 @@ def write(graph, given, outs, shapes, grows=()) -> tuple:
     """
     main, sizes = main_type(graph, given, shapes), list(map(_size, shapes, grows or [False] * len(shapes)))
     head = [f"const int64_t rounds = *(const int32_t *)in[{len(given)}];"] * _of_any_rounds(graph)
-    writer = _written(graph, given, outs, shapes, sizes, main, head)
+    reads = [lane(n.dtype, f"(const {scalar(n.dtype)} *)in[{i}]", f"stride[{i}]") for i, n in enumerate(given)]
+    writes = [
+        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", size)
+        for o, (s, size) in enumerate(zip(shapes, sizes, strict=True))
+    ]
+    writer = Writer(graph, given, outs, main, reads, writes, head=head)
+    writer.piece = PIECE if len(writer.needed) > LONG else 0
+    writer.statements()
     work, each = writer.work
-    text = [vectors(writer, main), f"#define WORK(rounds) ((int64_t)({work} + {each} * (rounds)) / 64 * BYTES)"]
+    text = [f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)]
+    text += [f"#define WORK(rounds) ((int64_t)({work} + {each} * (rounds)) / 64 * BYTES)"]
     text += [*writer.tables, *(body for _, body in writer.parts), f"static void tile({_TILE})"]
     text += ["{", *head, *writer.lines, "}", header("tiles.h"), *_call(given, shapes, sizes)]
     text += [header("numbers_call.h"), header("handler.h")]
@@ -53,18 +61,6 @@ def _size(shape, grows):
     """The number of a result's entries, as text."""
     inner = int(np.prod(shape.shape[grows:]))
     return f"(({shape.shape[0]} + rounds) * {inner})" if grows else str(inner)
-
-
-def _written(graph, given, outs, shapes, sizes, main, head):
-    reads = [lane(n.dtype, f"(const {scalar(n.dtype)} *)in[{i}]", f"stride[{i}]") for i, n in enumerate(given)]
-    writes = [
-        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", size)
-        for o, (s, size) in enumerate(zip(shapes, sizes, strict=True))
-    ]
-    writer = Writer(graph, given, outs, main, reads, writes, head=head)
-    writer.piece = PIECE if len(writer.needed) > LONG else 0
-    writer.statements()
-    return writer
 
 
 def lane(dtype, data, stride):
@@ -87,10 +83,6 @@ def entry(dtype, data, size):
         return f"store_{name}({data} + first * {size} + {at}, {size}, {', '.join(words)}, n);"
 
     return store
-
-
-def vectors(writer, main) -> str:
-    return "\n".join([f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)])
 
 
 def _types(writer, main):

@@ -143,7 +143,7 @@ class Writer(RowTexts):
 
     def block(self, block, ending=()):
         """Writes a block. `ending` are the nodes that are used after it. `leave` must follow."""
-        items = [i for i in block.items if self.is_needed(i)]
+        items = [i for i in block.items if i.number in self.needed]
         items = [i for i in items if not (isinstance(i, Node) and i.shape and i.number not in self.material)]
         self.scopes.append([])
         if self.piece and len(items) > 1.5 * self.piece:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.engine.routine import INT, REAL, Field
-from cnclik.law.walls import Wall, names_of
+from cnclik.law.walls import Wall
 from cnclik.record import is_literal
 
 _OWN = "own_"  # prefix of fields in a user's records, whose names may be C keywords
@@ -23,7 +23,7 @@ def leaves(tree, path=()):
             word = field.name if ours else _OWN + re.sub(r"[^A-Za-z0-9]", "_", field.name)
             yield from leaves(getattr(tree, field.name), (*path, word))
     elif isinstance(tree, tuple) and tree and all(isinstance(one, Wall) for one in tree):
-        for wall, word in zip(tree, identifiers([f"wall_{name}" for name in names_of(tree)]), strict=True):
+        for wall, word in zip(tree, identifiers([f"wall_{wall.name}" for wall in tree]), strict=True):
             for own, value in leaves(wall):
                 alone = own[:3] == ("task", "parts", "0") and len(wall.task.parts) == 1
                 yield (*path, word, *own[3 * alone :]), value

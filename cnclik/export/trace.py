@@ -5,17 +5,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.engine.constants import of_the_model
 from cnclik.engine.graph import Cond, Node, Scan, UnsupportedError
 from cnclik.engine.routine import INT, Field, Routine, read
+from cnclik.engine.tracing import of_the_model
 from cnclik.export import fields
 from cnclik.integrate.method import Method
 from cnclik.integrate.solve import one_step
 from cnclik.integrate.stage import Stage
-from cnclik.law.curves import Hold
+from cnclik.law.curves import Tangent
 from cnclik.law.law import Law
-from cnclik.law.reference import Reference, References, of_each, tangent
-from cnclik.record import cast, replace
+from cnclik.law.reference import Reference, References, of_each
+from cnclik.record import cast
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, jacobian_rows, modelled
 
@@ -151,11 +151,14 @@ def _target(law, inputs):
 
     def one(_, parts):
         before, _ = next(named)
-        given: dict = {"position": None, "rotation": None}
-        for part in parts.parts:
-            given["rotation" if part.turns else "position"] = inputs[before + place(part)]
-        moving = tangent(Reference(curve=Hold(**given), feedforward=inputs[f"{before}velocity"]), parts, t)
-        return replace(moving, feedforward=None)
+        position = velocity = rotation = spin = None
+        for part, where in zip(parts.parts, parts.motions, strict=True):
+            aim, rate = inputs[before + place(part)], inputs[f"{before}velocity"][where]
+            if part.turns:
+                rotation, spin = aim, part.spread(rate)
+            else:
+                position, velocity = aim, rate
+        return Reference(curve=Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=spin))
 
     return of_each(one, None, law.task)
 

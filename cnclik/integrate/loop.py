@@ -94,18 +94,18 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
 def one(loop: Loop, state: State, k):
     """Return (the state after step k, its `Step` with q, x and e before it). Pure.
 
-    The extra step at the end, k = N, has length 0: it changes nothing and gives x and e at the last instant.
+    One at the last instant gives x and e there; the state after it is of no use.
     """
     law, q, lost = loop.law, state.q, state.lost
-    t, length = loop.t0 + k * loop.Ts, jnp.where(k < loop.N, loop.Ts, 0.0)
+    t = loop.t0 + k * loop.Ts
     if loop.direct:
-        made = advance(law, loop.reference, q, t, length, loop.method, loop.stage)
+        made = advance(law, loop.reference, q, t, loop.Ts, loop.method, loop.stage)
         after = made.q
         if lost is not None:
-            after, lost = summed(law, q, length * made.qdot, lost)
+            after, lost = summed(law, q, loop.Ts * made.qdot, lost)
         return State(after, lost), replace(made, q=q)
     seen, offset, at, drives = _measured(loop, state, t, k)
-    made = advance(law, loop.reference, seen, t, length, loop.method, loop.stage, offset)
+    made = advance(law, loop.reference, seen, t, loop.Ts, loop.method, loop.stage, offset)
     after, qdot = made.q, made.qdot
     if loop.model is not None and drives is not None:
         step = chart.between(law.chain, seen, made.q)

@@ -7,7 +7,7 @@ same length in every lane) and returns the slope and its convergence.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,20 +29,9 @@ class Solved(NamedTuple):
     contraction: Float[Array, ""]  # last change over the one before it; at 1 or more the iteration diverges
 
 
-class Stage(Protocol):
-    """A method to find an implicit slope, called with g, f at the step's start, h, and what is known of k."""
-
-    @property
-    def tolerance(self) -> float: ...
-
-    def __call__(self, g, first, h, ahead) -> Solved: ...
-
-    def evaluations(self, n) -> Count: ...
-
-
 @record
-class _Passes:
-    """M passes k ← improved(k), at most `maximum`: the text of a stage, "picard(5)", and its cost."""
+class Stage:
+    """A way to find an implicit slope: M passes k ← improved(k), at most `maximum`. Its text is "picard(5)"."""
 
     M: Count
     maximum: int
@@ -51,53 +40,56 @@ class _Passes:
     def __str__(self):
         return f"{type(self).__name__.lower()}({self.M})"
 
+    def __call__(self, g, first, h, ahead) -> Solved:
+        """Return the slope of g. Args: first: f at the step's start. ahead: the stage's base is q + h·ahead."""
+        return _iterate(self, lambda k: self.improved(g, h, k), self.start(first, h, ahead), h)
+
+    def start(self, first, h, ahead):
+        """Return the slope that passes start from."""
+        return first.qdot
+
+    def improved(self, g, h, k):
+        """Return the next iterate."""
+        raise NotImplementedError
+
     def evaluations(self, n):
         """Return the evaluations of f in one implicit stage of n joints."""
         return self.M
 
 
 @record
-class _FromPrediction(_Passes):
-    """Passes from the slope of the law linearised at the step's start, D = J#KJ there: k = f(q) − D (h·ahead + h·k).
-
-    (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead: the Newton step from the slope −s. From base = q
-    (s = 0) it is f/(1 + a z) in the task's directions. `chord(0)` is this linearly implicit (Rosenbrock) step.
-    """
-
-    def __call__(self, g, first, h, ahead) -> Solved:
-        return _iterate(self, lambda k: self.improved(g, h, k), first.newton(h, -ahead), h)
-
-    def improved(self, g, h, k):
-        """Return the next iterate."""
-        raise NotImplementedError
-
-
-@record
-class Picard(_Passes):
+class Picard(Stage):
     """See `picard`."""
 
-    def __call__(self, g, first, h, ahead) -> Solved:
-        return _iterate(self, lambda k: g(k).qdot, first.qdot, h)
+    def improved(self, g, h, k):
+        return g(k).qdot
 
 
 @record
-class Chord(_FromPrediction):
-    """See `chord`."""
+class Chord(Stage):
+    """See `chord`. Passes start from the slope of the law linearised at the step's start, D = J#KJ there.
+
+    k = f(q) − D (h·ahead + h·k), and (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead: the Newton step
+    from the slope −s. From base = q (s = 0) it is f/(1 + a z) in the task's directions.
+    """
+
+    def start(self, first, h, ahead):
+        return first.newton(h, -ahead)
 
     def improved(self, g, h, k):
         return g(k).newton(h, k)
 
 
 @record
-class Newton(_FromPrediction):
-    """See `newton`."""
+class Newton(Chord):
+    """See `newton`. A directional derivative counts as an evaluation."""
 
     def improved(self, g, h, k):
         value, push = jax.linearize(lambda k: g(k).qdot, k)
-        return k + jnp.linalg.solve(_matrix(lambda v: v - push(v), k), value - k)
+        matrix = jax.vmap(lambda v: v - push(v), out_axes=1)(jnp.eye(len(k), dtype=k.dtype))
+        return k + jnp.linalg.solve(matrix, value - k)
 
     def evaluations(self, n):
-        """Return the evaluations of f in one implicit stage of n joints, a directional derivative counted as one."""
         return self.M * (1 + n)
 
 
@@ -126,11 +118,6 @@ def _iterate(stage, improve, start, h) -> Solved:
     known = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
     ratio = jnp.where(known, change / jnp.where(known, before, 1.0), 0.0)
     return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
-
-
-def _matrix(linear, like):
-    """Return the matrix (n, n) of a linear map of vectors over the joints, by mapping all unit vectors at once."""
-    return jax.vmap(linear, out_axes=1)(jnp.eye(len(like), dtype=like.dtype))
 
 
 # --- public -------------------------------------------------------------------------------------------

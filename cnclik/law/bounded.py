@@ -19,10 +19,10 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.law.inverse import Levels, positive, through
+from cnclik.law.inverse import by_shift, positive, scaled, through
 from cnclik.law.limits import Limited, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
-from cnclik.record import Array, Bool, Float, Int, Number, brief, record, replace
+from cnclik.record import Array, Bool, Float, Int, Number, record, replace
 
 LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
@@ -129,7 +129,7 @@ class Newton(NamedTuple):
 
     def between(self, a, b):
         """Return A H⁻¹ Bᵀ of slopes (k, n), or of one."""
-        return dense.between(self.hessian, self.factor, self.free(a), self.free(b))
+        return dense.triangular(self.factor, self.free(a).T).T @ dense.triangular(self.factor, self.free(b).T)
 
 
 def newton(hessian, shut) -> Newton:
@@ -277,7 +277,6 @@ def on_face(of: Problem, walls: Rows | None, shut, push):
 class Bounded:
     """See `bounded`."""
 
-    positions = True
     rate: Number
     passes: int
     walls: tuple[Wall, ...] = ()
@@ -286,48 +285,43 @@ class Bounded:
         """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
-    def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
-        if isinstance(inverse, Levels):
-            inverse = replace(inverse, floor=LEAST)
-        plain = inverse(rows)
-        if plain.shift is None:
-            raise undamped(inverse)
-        unlimited = through(plain.apply, rows, velocity, null)
+    def __call__(self, shift, chain, q, rows, velocity, null) -> Limited:
+        """Return J# v + (I − J# J) q̇₀ within the bounds, of an inverse with damping λ², one or one per row."""
+        size = lax.stop_gradient(jnp.sum(scaled(rows, shift) ** 2))
+        shift = shift * jnp.maximum(1.0, LEAST * size / jnp.min(jnp.asarray(shift)))
+        factored = by_shift(rows, shift)
+        unlimited = through(factored.apply, rows, velocity, null)
         if not (chain.bounded or chain.slowed or self.walls):
-            return Limited(unlimited, plain)
+            return Limited(unlimited, factored)
         low, high = bounds(self.rate, chain, q)
-        walls = rows_at(self.walls, self.rate, chain, q) if self.walls else None
+        walls = rows_at(self.walls, chain, q) if self.walls else None
         still = None if walls is None else jnp.zeros_like(walls.floor)
 
-        def scaled():
-            """Return equal weights of the rows, and the problem; most steps, which are within bounds, need neither."""
-            (even, shift), zero = plain.even, jnp.zeros_like(unlimited)
-            rest = zero if null is None else null + zero
-            b = (even * rows.T).T
-            least = jnp.maximum(shift, LEAST * lax.stop_gradient(jnp.trace(b.T @ b)))
-            return even, Problem(b, even * velocity, rest, low, high, least)
+        def problem():  # most steps, which are within bounds, need none
+            rest = jnp.zeros_like(unlimited) if null is None else null
+            return Problem(*(scaled(v, shift) for v in (rows, velocity)), rest, low, high, jnp.min(shift))
 
         def least():
-            _, problem = scaled()
-            constant, constant_walls, start = lax.stop_gradient((problem, walls, unlimited))
+            whole = problem()
+            constant, constant_walls, start = lax.stop_gradient((whole, walls, unlimited))
             end = kept(constant, constant_walls, start, self.passes)
             shut = constant.shut(end.qdot, pushed(end.slope, end.push, constant_walls))
             # One more step on the face has all derivatives of the minimum there, and removes rounding and violations of
             # walls. Multipliers of walls that contradict grow in each round, so it makes its own, with derivatives.
             # After a descent that was cut short only its derivatives are used.
             qdot = jnp.where(shut, jnp.where(end.qdot >= high, high, low), end.qdot)
-            missing, solve = on_face(problem, walls, shut, end.push)
-            step, _ = solve(problem.slope(qdot), missing(qdot), _ROUNDS)
+            missing, solve = on_face(whole, walls, shut, end.push)
+            step, _ = solve(whole.slope(qdot), missing(qdot), _ROUNDS)
             step = jnp.where(end.settled, step, step - lax.stop_gradient(step))
-            return problem.clip(qdot + step), shut.astype(unlimited.dtype), ~end.settled, end.push
+            return whole.clip(qdot + step), shut.astype(unlimited.dtype), ~end.settled, end.push
 
         def locked(t):
             """Apply J# of the joints that are not shut, along the walls that push, once refined."""
-            even, problem = scaled()
-            _, step = on_face(problem, walls, shut > 0, push)
-            first, _ = step((even * t) @ problem.b, still)
+            whole, t = problem(), scaled(t, shift)
+            _, step = on_face(whole, walls, shut > 0, push)
+            first, _ = step(t @ whole.b, still)
             missing = None if walls is None else -walls.rows @ first
-            return first + step((even * t - problem.b @ first) @ problem.b - problem.shift * first, missing)[0]
+            return first + step((t - whole.b @ first) @ whole.b - whole.shift * first, missing)[0]
 
         fits = jnp.all((low <= unlimited) & (unlimited <= high))
         if walls is not None:
@@ -337,16 +331,11 @@ class Bounded:
         limited = jnp.any((shut > 0) & (low < high))
         return Limited(
             qdot=qdot,
-            factored=plain._replace(apply=lambda t: lax.cond(fits, plain.apply, locked, t)),
+            factored=factored._replace(apply=lambda t: lax.cond(fits, factored.apply, locked, t)),
             limited=limited if push is None else limited | jnp.any(push > 0),
             cut=cut,
             walls=None if walls is None else walls.rows @ qdot - walls.floor,
         )
-
-
-def undamped(inverse):
-    """Return the error of an inverse without damping."""
-    return errors.fail("inverse", "be damped with limits=bounded(), as in inverse=damped(0.05)", f"is {brief(inverse)}")
 
 
 def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:
@@ -362,12 +351,12 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
 
     It needs an inverse with damping, best a constant one, or levels: `singular_damped` has none where joints at their
     bounds leave the others singular, and joints may then jump between bounds. λ² is at least 1e-10 of the trace of
-    J Jᵀ (of `levels`, of the first one's).
+    J Jᵀ (of `levels`, with the rows scaled to the damping of the first one).
 
     A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
 
     Args:
-      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit, see `exponential_rate`.
+      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
       passes: largest number of Newton steps. Three are usual; of 60,000 postures of an arm and a humanoid none took
         more than 13, at levels none of 8,000 more than 19. With too few the velocities are still within bounds.
       walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
@@ -375,5 +364,9 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
     """
     if not isinstance(walls, Sequence) or not all(isinstance(item, Wall) for item in walls):
         raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")
-    passes = errors.integer("passes", passes, at_least=1)
-    return Bounded(rate=positive("rate", rate), passes=passes, walls=tuple(walls))
+    passes, rate = errors.integer("passes", passes, at_least=1), positive("rate", rate)
+    each = (
+        replace(item, name=item.name or str(i), rate=rate if item.rate is None else item.rate)
+        for i, item in enumerate(walls, 1)
+    )
+    return Bounded(rate=rate, passes=passes, walls=tuple(each))

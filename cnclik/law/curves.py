@@ -4,13 +4,13 @@ They are records, so that points, periods and durations are parameters; `cnclik.
 Targets are arrays: positions (d,), rotations (3, 3).
 """
 
+import contextlib
 import math
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -98,13 +98,13 @@ class Spline:
     def __call__(self, t):
         if self.closed:
             t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
-        k = interval(self.times, t)
+        times, k = jnp.asarray(self.times), interval(self.times, t)  # NumPy arrays take no traced index
         inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
         # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
-        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - self.times[k]
+        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - times[k]
 
         def at(c):
-            a, b, c, d = c[k]
+            a, b, c, d = jnp.asarray(c)[k]
             return a + dt * (b + dt * (c + dt * d))
 
         rotation = self.rotation
@@ -152,29 +152,25 @@ def _progress(t, duration):
 
 def cubic(times, values, closed, name):
     """Return coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
-    known = errors.concrete(times) and errors.concrete(values)
-    xp = np if known else jnp  # NumPy compiles nothing
-    times, values = xp.asarray(times), xp.asarray(values)
-    with np.errstate(all="ignore"):
-        h = xp.diff(times)
-        slope = xp.diff(values, axis=0) / h[:, None]
-        rest = xp.zeros_like(values[:1])
-        v = _velocities(h, slope, rest, rest)
-        if closed:
-            # After a full turn the quaternion has the other sign, which is the same rotation.
-            sign = xp.where(xp.sum(values[0] * values[-1]) < 0, -1.0, 1.0) if name == "rotations" else 1.0
-            if known and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
-                raise errors.fail(name, "end where it starts for a closed path", "does not")
-            # Velocities p at the start and sign·p at the end add p·moved; p makes acceleration continuous.
-            moved = _velocities(h, 0 * slope, rest + 1, rest + sign)
-            ends = [sign * h[-1] * (2 * w[:1] + w[1:2]) + h[0] * (w[-2:-1] + 2 * w[-1:]) for w in (v, moved)]
-            v = v + (3 * (sign * h[-1] * slope[:1] + h[0] * slope[-1:]) - ends[0]) / ends[1] * moved
-        pieces = hermite(h, values, v)
-    if known and not np.isfinite(pieces).all():
-        k = int(np.argmin(np.isfinite(pieces).all(axis=(1, 2))))
-        between = f"{values[k].tolist()} and {values[k + 1].tolist()} within {h[k]:.3g} s"
-        raise errors.fail(name, "be such that a smooth path leads through them", f"has {between}")
-    return jnp.asarray(pieces)
+    from scipy.interpolate import CubicSpline  # here, as most references are no waypoints
+
+    if not errors.concrete(values):  # they are linear in the values
+        weights = CubicSpline(times, np.eye(len(times)), bc_type="clamped").c[::-1]
+        return jnp.einsum("pkj,jd->kpd", weights, values)
+    knots, points, count = times, values, len(times) - 1
+    if closed:
+        # After a full turn the quaternion has the other sign, which is the same rotation: its period is two turns.
+        sign = -1.0 if name == "rotations" and values[0] @ values[-1] < 0 else 1.0
+        if np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+            raise errors.fail(name, "end where it starts for a closed path", "does not")
+        points = np.concatenate([values[:-1], sign * values[:-1], values[:1]])
+        knots = np.concatenate([times[:-1], times + times[-1] - times[0]])
+    pieces = np.array(np.nan)
+    with contextlib.suppress(ValueError), np.errstate(all="ignore"):  # SciPy's, of what is not finite
+        pieces = np.moveaxis(CubicSpline(knots, points, bc_type="periodic" if closed else "clamped").c[::-1], 0, 1)
+    if not np.isfinite(pieces).all():
+        raise errors.fail(name, "be such that a smooth path leads through them", f"is {values.tolist()}")
+    return jnp.asarray(pieces[:count])
 
 
 def hermite(h, values, v):
@@ -185,47 +181,16 @@ def hermite(h, values, v):
     return xp.stack([values[:-1], v[:-1], second, third], axis=1)
 
 
-def _velocities(h, slope, first, last):
-    """Return velocities (K, d) at the knots, given those at both ends, for which the acceleration is continuous.
-
-    hₖ vₖ₋₁ + 2 (hₖ₋₁ + hₖ) vₖ + hₖ₋₁ vₖ₊₁ = 3 (hₖ sₖ₋₁ + hₖ₋₁ sₖ): tridiagonal and dominated by its diagonal, so that
-    elimination from one end to the other, and back, is stable (Thomas 1949).
-    """
-    xp, before, after = library(h), h[:-1, None], h[1:, None]
-    right = 3 * (after * slope[:-1] + before * slope[1:])
-
-    def down(above, row):
-        before, after, right = row
-        pivot = 2 * (before + after) - after * above[0]
-        return (before / pivot, (right - after * above[1]) / pivot)
-
-    def up(below, row):
-        return row[1] - row[0] * below
-
-    inner = _running(xp, down, (xp.zeros(1), first[0]), (before, after, right))
-    back = _running(xp, up, last[0], tuple(v[::-1] for v in inner)) if len(right) else right
-    return xp.concatenate([first, back[::-1], last])
-
-
-def _running(xp, fn, state, rows):
-    """Return all states of a recursion over the rows of some arrays, stacked."""
-    if xp is jnp:
-        return lax.scan(lambda state, row: (fn(state, row),) * 2, state, rows)[1]
-    states = []
-    for row in zip(*rows, strict=True):
-        state = fn(state, row)
-        states.append(state)
-    return tuple(map(np.stack, zip(*states, strict=True))) if states and isinstance(state, tuple) else np.array(states)
-
-
 def timed(times, positions, rotations) -> tuple:
     """Return checked times (K,), and for them positions (K, d) and unit quaternions (K, 4), either of them None."""
-    times = errors.array("times", times, (None,))
-    count = times.shape[0]
+    if not errors.concrete(times):
+        raise errors.fail("times", "be known numbers", "is traced")
+    times = np.asarray(errors.array("times", times, (None,)), float)
+    count = len(times)
     if count < 2:
         raise errors.fail("times", "hold at least two times", f"holds {count}")
-    if errors.concrete(times) and not np.all(np.asarray(times)[1:] > np.asarray(times)[:-1]):
-        raise errors.fail("times", "increase", f"is {np.asarray(times).tolist()}")
+    if not np.all(times[1:] > times[:-1]):
+        raise errors.fail("times", "increase", f"is {times.tolist()}")
     if positions is None and rotations is None:
         raise errors.fail("positions", "be given, or `rotations`", "is None")
     if positions is not None:

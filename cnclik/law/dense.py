@@ -35,19 +35,6 @@ def factored_solve(lower, product, b):
     return lax.custom_linear_solve(product, b, lambda _, b: cholesky_solve(lower, b), symmetric=True)
 
 
-@jax.custom_jvp
-def between(matrix, lower, a, b):
-    """Return A M⁻¹ Bᵀ with M = L Lᵀ, of rows (k, n), or of one; its derivatives are those of M, and need none of L."""
-    return triangular(lower, a.T).T @ triangular(lower, b.T)
-
-
-@between.defjvp
-def _between_jvp(primals, tangents):
-    (matrix, lower, a, b), (turned, _, da, db) = primals, tangents
-    left, right = (factored_solve(lower, lambda x: matrix @ x, rows.T) for rows in (a, b))
-    return between(*primals), da @ right + left.T @ db.T - left.T @ turned @ right
-
-
 def triangular(lower, b, *, transposed=False):
     """Solve L x = b, or Lᵀ x = b."""
     whole = jnp.where(np.tri(len(lower), dtype=bool), lower, 0.0)
@@ -131,26 +118,6 @@ def _factors(matrices):
         return lax.scan(eliminate, matrix, every, unroll=len(every) <= _WRITTEN_OUT or 1)[1].T
 
     return jax.vmap(lower_of)(matrices)
-
-
-@jax.custom_batching.custom_vmap
-def solved(matrix, b):
-    """Solve A x = b, A symmetric positive definite and b a vector; without derivatives in reverse."""
-    return cholesky_solve(cholesky(matrix), b)
-
-
-@solved.def_vmap
-def _solved_batch(_, batched, matrices, b):
-    """Solve by elimination, less accurately if A is nearly singular: it compiles in a quarter of the time."""
-
-    def one(matrix, b):
-        both = jnp.concatenate([matrix, b[:, None]], axis=1)
-        for i in range(len(b)):
-            row = both[i] / both[i, i]
-            both = jnp.where(np.arange(len(b))[:, None] == i, row, both - both[:, i : i + 1] * row)
-        return both[:, -1]
-
-    return jax.vmap(one, [0 if each else None for each in batched])(matrices, b), True
 
 
 @functools.cache

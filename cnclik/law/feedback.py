@@ -102,25 +102,22 @@ class Ahead(NamedTuple):
 def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     """Return the target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
 
-    A separate feed-forward is all that the controller knows. The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
+    The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
     """
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
-    means: list = []
-    turns: list = []
-    every, motions = law.task, law.task.motions
+    means, turns, before = [], [], zip(at.aims, law.task.motions, strict=True)
     for path, task in by_target(reference, law.task):
-        told = path.feedforward is not None
-        foreseen = None if told or path.still or isinstance(path.curve, Tangent) else aims_of(path, task, t + Ts)
-        for k, part in enumerate(task.parts):
-            i = len(means)
-            xdot, turn = at.motion[motions[i]], None
-            if foreseen is not None:
-                went, turn = part.mean(foreseen[k], at.aims[i])
-                means.append(jnp.where(still, xdot, went / safe))
-            else:
-                if part.turns and part.whole and (told or not path.still):
-                    turn = exp_so3(Ts * xdot)
-                means.append(xdot)
+        constant = path.still or isinstance(path.curve, Tangent)
+        later = (None,) * len(task.parts) if constant else aims_of(path, task, t + Ts)
+        for part, aim in zip(task.parts, later, strict=True):
+            now, where = next(before)
+            xdot, turn = at.motion[where], None
+            if aim is not None:
+                went, turn = part.mean(aim, now)
+                xdot = jnp.where(still, xdot, went / safe)
+            elif part.turns and part.whole and not path.still:
+                turn = exp_so3(Ts * xdot)
+            means.append(xdot)
             turns.append(turn)
-    return Ahead(velocity(every, at.robot, at.aims, jnp.concatenate(means)), tuple(turns))
+    return Ahead(velocity(law.task, at.robot, at.aims, jnp.concatenate(means)), tuple(turns))

@@ -1,7 +1,7 @@
 """J#: turns a task velocity into joint velocities.
 
-An inverse is a record. Called with the rows of J, it factors them once and returns a `Factored`: a function that
-applies J# to any number of task velocities, and estimates of singularity.
+An inverse is a record. Called with the rows of J and the error, both weighted, it factors them once and returns a
+`Factored`: a function that applies J# to any number of task velocities, and an estimate of singularity.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ class Factored(NamedTuple):
     apply: Callable
     least: Float[Array, ""]  # estimate of the least singular value of J, without derivative
     shift: Any = None  # λ², or one per row, if J# is Jᵀ (J Jᵀ + D)⁻¹, D = diag(λ²)
-    even: Any = None  # (factors λ/λᵢ of the rows, with the least λ; and λ²)
 
 
 # Smallest shift over the trace of J Jᵀ, in roundings, that keeps the pivots of a singular one positive: 1 suffices for
@@ -42,25 +41,12 @@ def through(apply, rows, velocity, null):
     return apply(velocity) if null is None else apply(velocity - rows @ null) + null
 
 
-class ByShift:
-    """What damped inverses share, Jᵀ (J Jᵀ + λ² I)⁻¹ with λ² = `shift`."""
-
-    always = True  # whether λ is at least `damping`, and not only near a singularity
-    shift: Callable  # of the rows: λ², and an estimate of the least singular value if λ² depends on one
-
-    def __call__(self, rows) -> Factored:
-        return by_shift(rows, *self.shift(rows))
-
-
 @record
-class Pseudoinverse(ByShift):
+class Pseudoinverse:
     """See `pseudoinverse`."""
 
-    def shift(self, rows):
-        return tiny_shift(rows, NEARLY_NONE), None
-
-    def __call__(self, rows) -> Factored:
-        factored = super().__call__(rows)
+    def __call__(self, rows, e) -> Factored:
+        factored = by_shift(rows, tiny_shift(rows, NEARLY_NONE))
 
         def apply(t):
             qdot = factored.apply(t)
@@ -69,76 +55,94 @@ class Pseudoinverse(ByShift):
         return factored._replace(apply=apply)
 
 
+class Damping:
+    """What damped inverses share: Jᵀ (J Jᵀ + D)⁻¹, where D is λ² of all rows, or of each."""
+
+    shift: Callable  # of the rows and the error: λ²
+
+    def __call__(self, rows, e) -> Factored:
+        return by_shift(rows, self.shift(rows, e))
+
+
 @record
-class Damped(ByShift):
+class Damped(Damping):
     """See `damped`."""
 
     damping: Number  # λ, never λ²
 
-    def shift(self, rows):
-        return self.damping * self.damping, None
+    def shift(self, rows, e):
+        return self.damping * self.damping
 
 
 @record
-class SingularDamped(ByShift):
+class SingularDamped(Damping):
     """See `singular_damped`."""
 
-    always = False
     damping: Number  # λ_max, never λ_max²
     threshold: Number  # ε
 
-    def shift(self, rows):
-        squared, tiny = least_squared(rows), tiny_shift(rows)
-        share = jnp.maximum(1.0 - squared / (self.threshold * self.threshold), 0.0)
-        shift = jnp.maximum(share * self.damping * self.damping, tiny)
-        return shift, jnp.sqrt(lax.stop_gradient(squared))
+    def __call__(self, rows, e) -> Factored:
+        return super().__call__(rows, e)._replace(least=lax.stop_gradient(jnp.sqrt(least_squared(rows))))
+
+    def shift(self, rows, e):
+        share = jnp.maximum(1.0 - least_squared(rows) / (self.threshold * self.threshold), 0.0)
+        return jnp.maximum(share * self.damping * self.damping, tiny_shift(rows))
 
 
 @record
-class ErrorDamped(ByShift):
+class ErrorDamped(Damping):
     """See `error_damped`."""
 
-    by_error = True
     damping: Number  # λ at e = 0, never λ²
-    e: Any = None  # (m,) the weighted error, where it is known
 
-    def shift(self, rows):
-        return self.damping * self.damping + 0.5 * (self.e @ self.e), None
+    def shift(self, rows, e):
+        return self.damping * self.damping + 0.5 * (e @ e)
 
 
 @record
-class Levels:
+class Levels(Damping):
     """See `levels`."""
 
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
     damping: tuple[Damped | SingularDamped | ErrorDamped, ...]
     level: tuple[int, ...] = ()  # of each row of the law's task
-    e: Any = None  # (m,) the weighted error, if known and needed
-    floor: float = 0.0  # the least λ² over the trace of the first level's J Jᵀ, at least
-
-    @property
-    def by_error(self):
-        return any(isinstance(one, ErrorDamped) for one in self.damping)
 
     def on(self, task) -> Levels:
         """Return the levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
         every = [name for names in self.names for name in names]
         task.require_each("inverse", "have each task of the law in one level", every)
         level = {name: i for i, names in enumerate(self.names) for name in names}
-        spread = (level[name] for name, at in task.each for _ in range(at.start, at.stop))
-        return replace(self, level=tuple(spread))
+        return replace(self, level=tuple(level[name] for name, at in task.each for _ in range(at.start, at.stop)))
 
-    def __call__(self, rows) -> Factored:
-        level, shifts = np.array(self.level), []
-        sizes = jnp.stack([jnp.asarray(damping.damping, rows.dtype) for damping in self.damping])
-        # The others keep their ratio to the least: it is what makes them levels.
-        floors = self.floor * lax.stop_gradient(jnp.sum(rows[level == 0] ** 2) * (sizes / jnp.min(sizes)) ** 2)
+    def shift(self, rows, e):
+        each = []
         for i, damping in enumerate(self.damping):
-            which = np.flatnonzero(level == i)
-            damping = replace(damping, e=self.e[which]) if isinstance(damping, ErrorDamped) else damping
-            shift = jnp.asarray(damping.shift(rows[which])[0], rows.dtype)
-            shifts.append(jnp.maximum(shift, floors[i]) if self.floor else shift)
-        return by_shift(rows, jnp.stack([shifts[i] for i in self.level]))
+            at = np.flatnonzero(np.array(self.level) == i)
+            each.append(jnp.asarray(damping.shift(rows[at], e[at]), rows.dtype))
+        return jnp.stack([each[i] for i in self.level])
+
+
+def by_shift(rows, shift) -> Factored:
+    """Factor Jᵀ (J Jᵀ + D)⁻¹, D = shift·I, or diag(shift) with one per row; a shift is at least what rounding needs."""
+    m, n = rows.shape
+    even, least = scaled(rows, shift), jnp.min(jnp.asarray(shift))
+    wide = even if m <= n else even.T[::-1]  # the smaller form; the last joints first: a tree causes no fill-in
+    gram = wide @ wide.T
+    trace = lax.stop_gradient(jnp.trace(gram))
+    floor = jnp.maximum(least, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
+    factor = dense.cholesky(dense.shifted(gram, floor))
+
+    def apply(t):
+        t = scaled(t, shift)
+        solved = dense.factored_solve(factor, lambda x: wide @ (x @ wide) + floor * x, t if m <= n else wide @ t)
+        return solved @ even if m <= n else solved[::-1]
+
+    return Factored(apply, _least(factor, floor), floor if jnp.ndim(shift) == 0 else shift * (floor / least))
+
+
+def scaled(items, shift):
+    """Return rows (m, n) or components (m,) times λ/λᵢ, with the least λ."""
+    return items if jnp.ndim(shift) == 0 else (jnp.sqrt(jnp.min(shift) / shift) * items.T).T
 
 
 def least_of(rows):
@@ -146,34 +150,6 @@ def least_of(rows):
     wide = dense.wide_side(rows)
     shift = tiny_shift(wide)
     return _least(dense.cholesky(dense.shifted(wide @ wide.T, shift)), shift)
-
-
-def by_shift(rows, shift, sigma=None) -> Factored:
-    """Factor Jᵀ (J Jᵀ + D)⁻¹, D = shift·I, or diag(shift) with one per row; a shift is at least what rounding needs.
-
-    Args: sigma: an estimate of the least singular value, where one is known.
-    """
-    m, n = rows.shape
-    if m > n and jnp.ndim(shift):  # rows of equal damping: λ J/λᵢ, with the least λ
-        least = jnp.min(shift)
-        alike = jnp.sqrt(least / shift)
-        inner = by_shift(alike[:, None] * rows, least, sigma)
-        shift = shift * (inner.shift / least)
-        return Factored(lambda t: inner.apply(alike * t), inner.least, shift, (alike, inner.shift))
-    wide = rows if m <= n else rows.T[::-1]  # the last joints first: a tree then causes no fill-in
-    gram = wide @ wide.T
-    trace = lax.stop_gradient(jnp.trace(gram))
-    shift = jnp.maximum(shift, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
-    factor, least = dense.cholesky(dense.shifted(gram, shift)), jnp.min(shift)
-    even = (jnp.sqrt(least / shift) if jnp.ndim(shift) else 1.0), least
-
-    def solve(t):
-        return dense.factored_solve(factor, lambda x: wide @ (x @ wide) + shift * x, t)
-
-    sigma = _least(factor, shift) if sigma is None else sigma
-    if wide is rows:
-        return Factored(lambda t: solve(t) @ rows, sigma, shift, even)
-    return Factored(lambda t: solve(wide @ t)[::-1], sigma, shift, even)  # of two equal forms the smaller
 
 
 def tiny_shift(rows, share=ROUNDED):
@@ -189,7 +165,7 @@ def least_squared(rows):
 
 def _least(factor, shift):
     """Return a lower estimate of σ_min, within √m of it: σ_min² + λ² lies between 1 and m times 1/tr (JJᵀ + λ²I)⁻¹."""
-    squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - jnp.max(shift))
+    squared = lax.stop_gradient(1.0 / dense.inverse_trace(factor) - shift)
     return jnp.sqrt(jnp.maximum(squared, 0.0))
 
 
@@ -204,17 +180,11 @@ def pseudoinverse() -> Pseudoinverse:
     return Pseudoinverse()
 
 
-def damped(damping: Number | dict[str, Number]) -> Damped | Levels:
+def damped(damping: Number) -> Damped:
     """Return damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
-    Args:
-      damping: λ (not λ²), in the unit of J's singular values; positive. Of a stack also one for each task, by name.
+    Args: damping: λ (not λ²), in the unit of J's singular values; positive.
     """
-    if isinstance(damping, dict):
-        each = {name: Damped(damping=positive("damping", one)) for name, one in damping.items()}
-        known = all(errors.concrete(one.damping) for one in each.values())
-        order = sorted(each, key=lambda name: float(each[name].damping)) if known else list(each)
-        return Levels(names=tuple((name,) for name in order), damping=tuple(each[name] for name in order))
     return Damped(damping=positive("damping", damping))
 
 
@@ -252,13 +222,12 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
     kinds = (Damped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
     for level, (before, one) in enumerate(itertools.pairwise(each), 1):
-        if not (errors.concrete(before.damping) and errors.concrete(one.damping)):
-            continue
-        was, now = float(before.damping), float(one.damping) * one.always
-        if now <= was:
-            must = f"be larger than that of the level before, {was:g}, which has priority by its smaller damping"
-            found = f"is {now:g}" if one.always else "is 0 away from singularities"
-            raise errors.fail(f"damping[{level}]", must, found)
+        if errors.concrete(before.damping) and errors.concrete(one.damping):
+            was, now = float(before.damping), float(one.damping)
+            if isinstance(one, SingularDamped) or now <= was:
+                must = f"be larger than that of the level before, {was:g}, which has priority by its smaller damping"
+                found = "is 0 away from singularities" if isinstance(one, SingularDamped) else f"is {now:g}"
+                raise errors.fail(f"damping[{level}]", must, found)
     return Levels(names=tuple(tuple(some) for some in names), damping=each)
 
 

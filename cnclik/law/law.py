@@ -19,11 +19,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.bounded import Bounded, undamped
-from cnclik.law.inverse import Factored, Levels, Pseudoinverse, by_shift, least_of, through
-from cnclik.law.limits import Limited, Scaled
+from cnclik.law.bounded import Bounded
+from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
+from cnclik.law.limits import Limited, Scaled, slowed
 from cnclik.precision import precise
-from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
@@ -77,7 +77,7 @@ class Law:
     task: Task
     _: dataclasses.KW_ONLY
     alpha: Any  # an array () or (m,), after the constructor
-    inverse: Callable[..., Factored] = Pseudoinverse()
+    inverse: Any = Pseudoinverse()  # a `Damping`, or any function of the rows and the error to a `Factored`
     limits: Scaled | Bounded | None = None
     null_velocity: Posture | None = None
     feedforward: Number = 1.0
@@ -97,8 +97,9 @@ class Law:
         if isinstance(inverse, Pseudoinverse) and task.m > n:
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {task.m}: {', '.join(task.names)}")
-        if isinstance(inverse, Pseudoinverse) and isinstance(limits, Bounded):
-            raise undamped(inverse)
+        if isinstance(limits, Bounded) and not isinstance(inverse, Damping):
+            must = "be damped with limits=bounded(), as in inverse=damped(0.05)"
+            raise errors.fail("inverse", must, f"is {brief(inverse)}")
         if self.null_velocity is not None:
             errors.array("rest", self.null_velocity.rest, (n,), of="joint values")
         checked = {
@@ -150,8 +151,6 @@ class Evaluation(NamedTuple):
     """One evaluation of f(q, t) and its ingredients."""
 
     qdot: Float[Array, " n"]  # joint velocities
-    rows: Float[Array, "m n"]  # of the task Jacobian, weighted
-    apply: Callable  # J#: task components (m,), weighted, to joint components (n,)
     least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
     newton: Callable  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `newton`
     limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
@@ -173,31 +172,26 @@ def evaluate_at(law: Law, q, at) -> Evaluation:
 @precise
 def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     """Return J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity v (m,) and a pull q̇₀ (n,) or None."""
-    task, inverse = law.task, law.inverse
-    rows, velocity = weighted(task, at.rows), weighted(task, velocity)
-    if getattr(inverse, "by_error", False):
-        inverse = replace(inverse, e=weighted(task, at.e))
-    if law.limits is None:
-        factored = inverse(rows)
-        moved = Limited(through(factored.apply, rows, velocity, null), factored)
+    task = law.task
+    rows, velocity, e = (weighted(task, each) for each in (at.rows, velocity, at.e))
+    if isinstance(law.limits, Bounded):
+        moved = law.limits(law.inverse.shift(rows, e), law.chain, q, rows, velocity, null)
     else:
-        moved = law.limits(inverse, law.chain, q, rows, velocity, null)
-        factored = moved.factored
+        factored = law.inverse(rows, e)
+        moved = Limited(through(factored.apply, rows, velocity, null), factored)
+        if isinstance(law.limits, Scaled):
+            qdot, limited = slowed(law.chain, moved.qdot)
+            moved = Limited(qdot, factored, limited)
+    # A conflict between the tasks of a stack is no singularity.
+    each = [least_of(at.rows[where]) for _, where in task.each]
     return Evaluation(
         qdot=moved.qdot,
-        rows=rows,
-        apply=factored.apply,
-        least=least_of_tasks(task, at.rows) if task.tasks else factored.least,
-        newton=lambda h, k: newton(law, rows, factored, velocity, moved.qdot, h, k),
+        least=jnp.stack(each) if each else moved.factored.least,
+        newton=lambda h, k: newton(law, rows, moved.factored, velocity, moved.qdot, h, k),
         limited=moved.limited,
         cut=moved.cut,
         walls=moved.walls,
     )
-
-
-def least_of_tasks(task: Task, rows):
-    """Return (tasks,) the least singular value of each task's rows: a conflict between tasks is no singularity."""
-    return jnp.stack([least_of(rows[at]) for _, at in task.each])
 
 
 def metric(law: Law):
@@ -286,13 +280,9 @@ def clamped(law: Law, e):
     for part, where in zip(law.task.parts, law.task.slices, strict=True):
         angles = np.array([unit == "rad" for unit in part.units])
         kinds = ((which, law.error_clamp[i]) for i, which in enumerate((~angles, angles)) if which.any())
-        parts.append(sum(_shortened(jnp.where(which, e[where], 0.0), limit) for which, limit in kinds))
+        each = ((jnp.where(which, e[where], 0.0), limit) for which, limit in kinds)
+        parts.append(sum(limit / jnp.maximum(safe_norm(some), limit) * some for some, limit in each))
     return jnp.concatenate(parts)
-
-
-def _shortened(e, limit):
-    """Return the vector, at most as long as this."""
-    return limit / jnp.maximum(safe_norm(e), limit) * e
 
 
 def null_velocity(law: Law, q):

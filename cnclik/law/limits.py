@@ -1,20 +1,13 @@
-"""Limits: joint velocities that respect the robot's limits.
-
-A limits record is called with the inverse, the chain, q, the rows of the task Jacobian, the task velocity and the
-null-space velocity, and returns a `Limited`. `bounded` has a module of its own.
-"""
+"""Limits: joint velocities that respect the robot's limits. `bounded` has a module of its own."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 
-from cnclik import errors
-from cnclik.law.inverse import Factored, through
-from cnclik.record import Array, Bool, Float, Number, leaf, record
+from cnclik.law.inverse import Factored
+from cnclik.record import Array, Bool, Float, record
 
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 
@@ -29,19 +22,9 @@ class Limited(NamedTuple):
     walls: Float[Array, " k"] | None = None  # ∇h·q̇ + rate·h of each wall, see `cnclik.law.walls`
 
 
-# --- velocity scaling ---------------------------------------------------------------------------------
-
-
 @record
 class Scaled:
     """See `velocity_scaling`."""
-
-    positions = False  # position limits are ignored
-
-    def __call__(self, inverse, chain, q, rows, velocity, null) -> Limited:
-        factored = inverse(rows)
-        qdot, limited = slowed(chain, through(factored.apply, rows, velocity, null))
-        return Limited(qdot, factored, limited)
 
 
 def velocity_scaling() -> Scaled:
@@ -62,9 +45,6 @@ def slowed(chain, qdot):
     return s * qdot, s < 1
 
 
-# --- bounds -------------------------------------------------------------------------------------------
-
-
 def bounds(rate, chain, q):
     """Return the least and largest velocities that the joints may have: ±V, and rate · (limit − q)."""
     most = jnp.minimum(chain.velocity_limit, FAR)
@@ -74,17 +54,6 @@ def bounds(rate, chain, q):
         return jnp.clip(rate * room, -most, most)
 
     return bound(chain.lower, -FAR * FAR), bound(chain.upper, FAR * FAR)
-
-
-def exponential_rate(alpha: Number, Ts: Number) -> Number:
-    """Return (1 − exp(−α Ts))/Ts, the rate that does over a step of Ts what α does in continuous time; at most 1/Ts.
-
-    As a rate of limits or walls it takes none past its limit, however large α·Ts is.
-
-    Args: alpha: [1/s], positive. Ts: sampling time [s].
-    """
-    z = errors.number("alpha", alpha, positive=True) * errors.number("Ts", Ts, positive=True)
-    return leaf(-(jnp if isinstance(z, jax.Array) else np).expm1(-z) / Ts)
 
 
 # --- what a step keeps, whatever the limit method and the method ----------------------------------------
@@ -103,12 +72,11 @@ def within(law, q, qdot, Ts):
     if kept is after:
         return after, qdot
     per_time = 1.0 / jnp.where(Ts == 0, 1.0, Ts)
-    qdot = jnp.where(kept == after, qdot, (kept - q) * per_time)
-    return kept, qdot
+    return kept, jnp.where(kept == after, qdot, (kept - q) * per_time)
 
 
 def inside(law, q, after):
     """Return joint values after a step from q, within the law's position limits, or as far outside as q."""
-    if law.limits is None or not law.limits.positions or not law.chain.bounded:
+    if law.limits is None or isinstance(law.limits, Scaled) or not law.chain.bounded:
         return after
     return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))

@@ -179,12 +179,9 @@ def waypoints(
     """
     closed = errors.truth("closed", closed)
     times, *points = timed(times, positions, rotations)
-    names = "positions", "rotations"
-    position, quaternion = (
-        None if v is None else cubic(times, v, closed, name) for name, v in zip(names, points, strict=True)
-    )
-    times = jnp.asarray(times)
-    return Reference(curve=Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=closed))
+    named = zip(("positions", "rotations"), points, strict=True)
+    pieces = [None if v is None else cubic(times, _known(v), closed, name) for name, v in named]
+    return _spline(times, pieces, closed)
 
 
 def resampled(
@@ -204,21 +201,29 @@ def resampled(
     Returns: `Reference` whose future a step does not use, as with `causal`.
     """
     times, *points = timed(times, positions, rotations)
-    xp = poses.library(times, points)  # NumPy compiles nothing
-    times = xp.asarray(times)
-    gap = xp.max(xp.diff(times))
-    times = xp.concatenate([times[:1] - gap, times, times[-1:] + gap])
-    knots, h = (times[1:] + times[:-1]) / 2, xp.diff(times)[:, None]
+    gap = np.max(np.diff(times))
+    times = np.concatenate([times[:1] - gap, times, times[-1:] + gap])
+    knots, h = (times[1:] + times[:-1]) / 2, np.diff(times)[:, None]
 
     def smooth(points):
+        xp = poses.library(points)  # NumPy compiles nothing
         points = xp.concatenate([points[:1], points, points[-1:]])
         middle, velocity = (points[1:] + points[:-1]) / 2, xp.diff(points, axis=0) / h
-        return jnp.asarray(hermite(xp.diff(knots), middle, velocity))
+        return jnp.asarray(hermite(np.diff(knots), middle, velocity))
 
-    position, quaternion = (None if p is None else smooth(xp.asarray(p)) for p in points)
-    times = jnp.asarray(knots + 1.5 * gap)
-    curve = Spline(times=times, position=position, quaternion=quaternion, rotation=None, closed=False)
-    return Reference(curve=curve, known=False)
+    pieces = [None if v is None else smooth(_known(v)) for v in points]
+    return replace(_spline(knots + 1.5 * gap, pieces), known=False)
+
+
+def _spline(times, pieces, closed=False):
+    position, quaternion = pieces
+    curve = Spline(times=jnp.asarray(times), position=position, quaternion=quaternion, rotation=None, closed=closed)
+    return Reference(curve=curve)
+
+
+def _known(values):
+    """Return a known value in NumPy, which compiles nothing."""
+    return np.asarray(values) if errors.concrete(values) else values
 
 
 def path(fn: Callable) -> Reference:
@@ -230,16 +235,6 @@ def path(fn: Callable) -> Reference:
     if not callable(fn):
         raise errors.fail("fn", "be a function of time", f"is {fn!r}")
     return Reference(curve=Path(fn=fn))
-
-
-def with_feedforward(reference: Reference, velocity: Float[ArrayLike, " m"]) -> Reference:
-    """Return the same path with another feed-forward: a constant task velocity (m,) in place of its own.
-
-    It changes the feed-forward, not the target's motion: zeros for pure feedback, or a deliberate error.
-    """
-    errors.kind("reference", reference, Reference, A_REFERENCE)
-    velocity = errors.array("velocity", velocity, (None,))
-    return replace(reference, feedforward=velocity)
 
 
 def causal(reference: Reference) -> Reference:

@@ -13,11 +13,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from cnclik import errors
-from cnclik.engine.constants import of_the_model
-from cnclik.engine.tracing import together
+from cnclik.engine.tracing import of_the_model, together
 from cnclik.law.curves import Hold, Path, Tangent
-from cnclik.record import Array, Float, brief, record, replace
-from cnclik.robot.rotations import safe_norm, safe_sqrt
+from cnclik.record import brief, record, replace
+from cnclik.robot.rotations import safe_sqrt
 from cnclik.task.parts import spin
 from cnclik.task.task import Task
 
@@ -29,17 +28,15 @@ class Reference:
     """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
 
     curve: Callable  # t -> (position (d,) or None, rotation (3, 3) or None)
-    feedforward: Float[Array, " m"] | None = None  # constant; None: the velocity of the curve
     known: bool = True  # whether a step knows the path ahead, see `causal`
 
     @property
     def still(self) -> bool:
-        """Whether the target is constant, whatever feed-forward is given."""
+        """Whether the target is constant."""
         return isinstance(self.curve, Hold)
 
     def __repr__(self):
-        words = "" if self.feedforward is None else f", told velocity {brief(self.feedforward)}"
-        return f"Reference: {brief(self.curve)}{words}{'' if self.known else ', future unknown'}"
+        return f"Reference: {brief(self.curve)}{'' if self.known else ', future unknown'}"
 
 
 @record
@@ -127,10 +124,7 @@ def sample(reference, task: Task, t):
     for path, parts in by_target(reference, task):
         targets, rates = _moving(path, parts, t)
         aims += targets
-        if path.feedforward is not None:
-            motions.append(path.feedforward)
-        else:
-            motions += [part.motion(*v) for part, *v in zip(parts.parts, targets, rates, strict=True)]
+        motions += [part.motion(*v) for part, *v in zip(parts.parts, targets, rates, strict=True)]
     return tuple(aims), jnp.concatenate(motions)
 
 
@@ -155,42 +149,33 @@ def _moving(reference, parts, t):
 
 
 def tangent(reference, task: Task, t):
-    """Return the reference extrapolated from time t with its velocity, or with the given feed-forward."""
+    """Return the reference extrapolated from time t with its velocity."""
 
     def extrapolated(reference, task):
         aims, rates = _moving(reference, task, t)
         position = velocity = rotation = turning = None
-        for part, where, aim, rate in zip(task.parts, task.motions, aims, rates, strict=True):
-            told = None if reference.feedforward is None else reference.feedforward[where]
+        for part, aim, rate in zip(task.parts, aims, rates, strict=True):
             if part.turns:
-                rotation, turning = aim, spin(aim, rate) if told is None else part.spread(told)
+                rotation, turning = aim, spin(aim, rate)
             else:
-                position, velocity = aim, rate if told is None else told
+                position, velocity = aim, rate
         curve = Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=turning)
         return replace(reference, curve=curve)
 
     return of_each(extrapolated, reference, task)
 
 
-def of_each_instant(fn, x, reference, task: Task):
-    """Apply fn, which asks the reference, to each row of x; one by one for a user's path, which may allow no vmap."""
-    users = any(isinstance(one.curve, Path) for one, _ in by_target(reference, task))
-    return jax.lax.map(fn, x) if users else together(fn, x)
-
-
 def motion(reference, task: Task, t):
-    """Return an upper bound (N,) of the target's motion, or its feed-forward, between the instants t (N + 1,)."""
+    """Return an upper bound (N,) of the target's motion between the instants t (N + 1,)."""
 
     def chart(t):
         aims = aims_of(reference, task, t)
         return jnp.concatenate([part.chart(a) for part, a in zip(task.parts, aims, strict=True)]).astype(t.dtype)
 
-    (before, after), (begin, end) = neighbours(of_each_instant(chart, t, reference, task)), neighbours(t)
-    moved = safe_sqrt(jnp.sum((after - before) ** 2, axis=1))
-    for path, _ in by_target(reference, task):
-        if path.feedforward is not None:
-            moved = moved + (end - begin) * safe_norm(path.feedforward)
-    return moved
+    # A user's path may allow no vmap.
+    users = any(isinstance(path.curve, Path) for path, _ in by_target(reference, task))
+    before, after = neighbours(jax.lax.map(chart, t) if users else together(chart, t))
+    return safe_sqrt(jnp.sum((after - before) ** 2, axis=1))
 
 
 def neighbours(x):
@@ -205,5 +190,3 @@ def check(reference, task: Task) -> None:
         with errors.called("reference", ".".join(("reference", *path))):
             for part in parts.parts:
                 part.check(*target)
-        if one.feedforward is not None:
-            errors.array("feedforward", one.feedforward, (parts.width,))

@@ -41,8 +41,8 @@ class Wall:
     task: Task
     normal: Float[Array, " m"]
     offset: Number
-    rate: Number | None
-    name: str = ""
+    rate: Any  # `bounded` replaces None by its own
+    name: str  # and "" by the wall's number
 
     def on(self, chain) -> Wall:
         return replace(self, task=self.task.on(chain))
@@ -56,20 +56,10 @@ class Wall:
         return self.normal @ rows(self.task, robot)
 
 
-def rate_of(wall, rate):
-    """Return the rate of a wall, or the common one."""
-    return rate if wall.rate is None else wall.rate
-
-
-def names_of(walls) -> list[str]:
-    """Return the names of the walls; a number for those without a name."""
-    return [wall.name or str(i + 1) for i, wall in enumerate(walls)]
-
-
-def rows_at(walls, rate, chain, q) -> Rows:
-    """Return the rows of all walls at q. Args: rate: for walls without their own."""
+def rows_at(walls, chain, q) -> Rows:
+    """Return the rows of all walls at q."""
     robot = At(modelled(chain), q)
-    floor = jnp.stack([-rate_of(wall, rate) * wall.distance(robot) for wall in walls])
+    floor = jnp.stack([-wall.rate * wall.distance(robot) for wall in walls])
     return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
 
 
@@ -93,7 +83,7 @@ def wall(
       task: a task of one coordinate, or of several with a normal: positions, joints, distances, functions.
       above, below: one of them [unit of the coordinate].
       normal: (m,) for several coordinates: the wall is about normal·x; with unit length h is a distance.
-      rate: [1/s], at most 1/Ts; None: the rate of `bounded`. See `exponential_rate`.
+      rate: [1/s], at most 1/Ts; None: the rate of `bounded`.
       name: name of the wall in messages and results; default: its number.
     """
     task = errors.kind("task", task, Task)
@@ -118,7 +108,7 @@ def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray
     """
     n = law.chain.n
     q = errors.array("q", q, (n,), (None, n), (None, None, n), finite=False)
-    return np.asarray(apart_from(_walls_of(law)[0], law.chain, q))
+    return np.asarray(_apart(_walls_of(law), law.chain, q))
 
 
 def support_polygon(
@@ -136,11 +126,10 @@ def support_polygon(
     Args:
       corners: (k, 2) corners of all feet on the ground [m], in any order.
       relative_to: the tip in whose frame they are given; None: the base.
-      margin: distance that is kept from the edges [m].
+      margin: distance that is kept from the edges [m]; where nothing is left, steps are WALLS_CONTRADICT.
       rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
     """
-    from scipy.optimize import linprog  # here, as most robots have no feet
-    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial import ConvexHull, QhullError  # here, as most robots have no feet
 
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
     try:
@@ -152,11 +141,6 @@ def support_polygon(
     along = np.roll(hull, -1, axis=0) - hull
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
     offsets, margin = np.sum(normals * hull, axis=1), errors.number("margin", margin)
-    if errors.concrete(margin):  # of the largest circle inside
-        rows = np.column_stack([-normals, np.ones(len(hull))])
-        radius = linprog([0, 0, -1], rows, -offsets, bounds=(None, None)).x[2]
-        if margin >= radius:
-            raise errors.fail("margin", f"be below {radius:.4g}, or it leaves nothing of the polygon", f"is {margin:g}")
     task = center_of_mass("xy", relative_to=relative_to)
     return tuple(
         wall(task, normal=normal, above=offset + margin, rate=rate, name=f"{name}_{i}" if name else "")
@@ -174,23 +158,21 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
       law: with `bounded(walls=...)`.
       run: a `Trajectory` of it, one or many lanes, with equal steps.
     """
-    walls, rate = _walls_of(law)
+    walls = _walls_of(law)
     bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))
-    rates = np.array([rate_of(wall, rate) for wall in walls])
+    rates = np.array([wall.rate for wall in walls])
     Ts = np.diff(np.asarray(run.t), axis=-1)[..., None]
     return np.max(np.maximum(-np.asarray(bent) * Ts, 0.0), axis=-2) / (2 * rates)
 
 
 def _walls_of(law):
-    """Return (walls, rate of those without their own) of a law."""
-    walls = getattr(law.limits, "walls", ())
-    if not walls:
-        raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
-    return walls, law.limits.rate
+    if walls := getattr(law.limits, "walls", ()):
+        return walls
+    raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
 
 
 @one_off
-def apart_from(walls, chain, q):
+def _apart(walls, chain, q):
     """Return h (..., k)."""
 
     def distances(q):

@@ -7,7 +7,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.measure.dataset import about
-from cnclik.measure.files import save_csv, save_netcdf
+from cnclik.measure.files import save_netcdf
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.task.aims import aims
 
@@ -50,35 +50,29 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
 def save(data: "xr.Dataset", path) -> None:
     """Write answers as .nc, or as .csv with a row per target and solution."""
     if errors.ending("out", pathlib.Path(path), *ENDINGS) == ".nc":
-        save_netcdf(data, path)
-    else:
-        save_csv(_rows(data), path)
+        return save_netcdf(data, path)
+    import pandas
 
-
-def _rows(data):
-    several = "solution" in data.sizes
-    shape = data.sizes["target"], data.sizes.get("solution", 1)
-    joints, tips = data.joint.values.astype(str), [f"{tip}." for tip in data.tip.values] if "tip" in data.sizes else []
-    numbers = ["position_error", "orientation_error", "least_singular_value", "evaluations", "distance"]
-    of_tips = [f"tip_{name}" for name in numbers[:2] if tips]
-    entries = [f"{tip}t{i}{j}" for tip in tips or [""] for i in range(4) for j in range(4)]
-    names = [
-        "status",
-        *joints,
-        *numbers,
-        "at_limit",
-        *(f"{tip}{name[4:]}" for name in of_tips for tip in tips),
-        *entries,
-    ]
-    yield ["target", *["solution"] * several, *names]
-    before, after = ([data[name].values.reshape(*shape, -1) for name in some] for some in (["q", *numbers], of_tips))
-    status, at_limit = (data[name].values.reshape(*shape, -1) for name in ("status", "at_limit"))
-    poses = data.transform.values.reshape(shape[0], -1)
-    for b, k in np.ndindex(shape):
-        limits = " ".join(joints[at_limit[b, k].astype(bool)])
-        answer = [ReachStatus(int(status[b, k, 0])).name, *_cells(before, b, k), limits, *_cells(after, b, k)]
-        yield [b, *[k] * several, *answer, *(poses[b] + 0.0).tolist()]
-
-
-def _cells(arrays, b, k) -> list:
-    return [v + 0.0 if isinstance(v, float) else v for of in arrays for v in of[b, k].tolist()]  # no −0.0
+    over = [name for name in ("target", "solution") if name in data.sizes]
+    rows = (
+        data.assign_coords({name: np.arange(data.sizes[name]) for name in over})
+        .stack(answer=over)
+        .transpose("answer", ...)
+    )
+    joints, several = rows.joint.values.astype(str), "tip" in data.sizes
+    tips = [f"{tip}." for tip in rows.tip.values] if several else [""]
+    columns: dict = {name: rows[name].values for name in over}
+    columns["status"] = [ReachStatus(status).name for status in rows.status.values]
+    columns |= dict(zip(joints, rows.q.values.T, strict=True))
+    numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
+    columns |= {name: rows[name].values for name in numbers}
+    columns["at_limit"] = [" ".join(joints[hit.astype(bool)]) for hit in rows.at_limit.values]
+    if several:
+        for name in ("position_error", "orientation_error"):
+            columns |= {f"{tip}{name}": v for tip, v in zip(tips, rows[f"tip_{name}"].values.T, strict=True)}
+    entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]
+    columns |= dict(zip(entries, rows.transform.values.reshape(len(rows.answer), -1).T, strict=True))
+    table = pandas.DataFrame(
+        {k: v + 0.0 if np.asarray(v).dtype.kind == "f" else v for k, v in columns.items()}
+    )  # no −0
+    table.to_csv(path, index=False, na_rep="nan")

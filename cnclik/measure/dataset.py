@@ -16,7 +16,6 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
-from cnclik.law.walls import names_of
 from cnclik.precision import of_numbers
 from cnclik.record import ArrayLike
 from cnclik.version import __version__
@@ -84,7 +83,7 @@ def to_dataset(
         "step": ("step", np.arange(N), about("step", "1")),
     }
     if run.walls is not None:
-        labels["wall"] = ("wall", names_of(getattr(law.limits, "walls", ())), about("wall", "1"))
+        labels["wall"] = ("wall", [wall.name for wall in getattr(law.limits, "walls", ())], about("wall", "1"))
     if not law.task.of_one_tip:
         labels["axis_tip"] = ("axis", _tips(law.task, law.chain), about("the tip whose coordinate it is", "1"))
     if law.task.each:

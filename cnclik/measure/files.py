@@ -30,13 +30,9 @@ def markdown(header, rows, *, left=1) -> str:
 
 
 def plain(value):
-    """Return a value for JSON. A record is a table of its fields; NaN and inf are null.
-
-    The fields `run` and `advice` of a record are left out: they are whole records behind its numbers.
-    """
+    """Return a value for JSON. A record is a table of its fields; NaN and inf are null."""
     if dataclasses.is_dataclass(value):
-        names = (f.name for f in dataclasses.fields(value) if f.name not in ("run", "analysis"))
-        value = {name: getattr(value, name) for name in names}
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

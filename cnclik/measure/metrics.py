@@ -22,7 +22,7 @@ from cnclik.law import reference as ref
 from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
 from cnclik.measure.outcome import judge, stable
-from cnclik.record import Number, cast, replace
+from cnclik.record import Number, cast
 from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
@@ -31,27 +31,22 @@ from cnclik.task.task import velocity
 
 
 @jax.tree_util.register_pytree_node_class
-class Metrics:
-    """Named values with their units, read as `m.final_error` or `m["final_error"]`. A pytree of its values."""
+class Metrics(dict):
+    """Values by name, read as `m["final_error"]` or `m.final_error`, with their `units`. A pytree."""
 
     def __init__(self, values, units):
-        self._values, self.units = tuple(values), dict(units)
+        super().__init__(zip(units, values, strict=True))
+        self.units = units
 
     def tree_flatten(self):
-        return self._values, tuple(self.units.items())
+        return tuple(self.values()), tuple(self.units.items())
 
     @classmethod
     def tree_unflatten(cls, units, values):
-        return cls(values, units)
-
-    def items(self):
-        return zip(self.units, self._values, strict=True)
-
-    def __getitem__(self, name):
-        return dict(self.items())[errors.one_of("name", name, self.units)]
+        return cls(values, dict(units))
 
     def __getattr__(self, name):
-        if name.startswith("_") or name not in self.units:
+        if name not in self:
             raise AttributeError(name)
         return self[name]
 
@@ -96,7 +91,7 @@ def _root_mean(rows):
 
 def _max(values):
     """Return the largest of non-negative values, over all axes."""
-    return jnp.max(values, initial=0)
+    return jnp.max(_finite(values), initial=0)
 
 
 def _first(hit):
@@ -120,9 +115,7 @@ def _rotation(of):
 def _split(of):
     """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
     task, model = of.law.task, modelled(of.law.chain)
-    # The path's own direction, whatever is fed forward.
-    path = ref.of_each(lambda one, _: replace(one, feedforward=None), of.reference, task)
-    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(path, task, t)))
+    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
     e, v = _position(of), toward(of.run.t, of.run.q)[:, np.array(task.lengths, int)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
@@ -133,7 +126,11 @@ def _split(of):
 def _steps_to_tolerance(of):
     inside = _norms(of.run.e) <= of.tolerance
     k = _first(inside)
-    return jnp.where(k < inside.shape[0], k, jnp.inf).astype(of.run.e.dtype)
+    return jnp.where(k < inside.shape[0], k, jnp.inf)
+
+
+def _evaluations_to_tolerance(of):
+    return _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1)
 
 
 def _settling_time(of):
@@ -154,16 +151,17 @@ def _rate(of):
 
 def _ending(of):
     size = _norms(of.run.e)
-    code = judge(size, of.run.status).ending.astype(size.dtype)
-    return jnp.where(size[0] == 0, jnp.nan, code)
+    return jnp.where(size[0] == 0, jnp.nan, judge(size, of.run.status).ending)
 
 
 def _rms_qddot(of):
-    steps = of.run.qdot.shape[0]
-    if steps < 2:
+    if len(of.run.qdot) < 2:
         return jnp.zeros((), of.run.q.dtype)
-    step = (of.run.t[-1] - of.run.t[0]) / steps
-    return _root_mean(jnp.diff(of.run.qdot, axis=0) / step)
+    return _root_mean(jnp.diff(of.run.qdot, axis=0) / ((of.run.t[-1] - of.run.t[0]) / len(of.run.qdot)))
+
+
+def _path_length(of):
+    return jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:])))
 
 
 def _past_limit(of):
@@ -213,46 +211,35 @@ def _marked(bit):
 
 
 _MARKED = {str(bit.name).lower(): _marked(bit) for bit in Status if bit}
-
+_OTHERS = {  # function, unit, label
+    "steps_to_tolerance": (_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
+    "evaluations_to_tolerance": (_evaluations_to_tolerance, "1", "evaluations of f to the tolerance"),
+    "settling_time": (_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
+    "converged": (lambda of: (_norms(of.run.e[-1]) <= of.tolerance) * 1.0, "1", "1 if ‖e[N]‖ ≤ tolerance"),
+    "ending": (_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
+    "stable": (lambda of: stable(_ending(of)) * 1.0, "1", "ends stable"),
+    "rate": (_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
+    "max_qdot": (lambda of: _max(jnp.abs(of.run.qdot)), "q/s", "largest |q̇ᵢ|"),
+    "rms_qddot": (_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
+    "path_length": (_path_length, "q", "length of the joint path, Σ‖Δq‖"),
+    "velocity_ratio": (
+        lambda of: _max(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit)),
+        *("1", "largest |q̇ᵢ| over its limit"),
+    ),
+    "past_limit": (_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
+    "chatter": (lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
+    "least_singular_value": (_least_singular_value, "J", "least σ_min of the task Jacobian"),
+    "residual": (lambda of: _max(of.run.residual), "q", "largest last change of an implicit stage"),
+    "evaluations": (lambda of: jnp.asarray(of.run.evaluations, float), "1", "evaluations of f(q, t)"),
+    "ok": (lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
+}
 METRICS = {
     **_errors("error", lambda of: of.run.e, "e", "error ‖e‖"),
     **_errors("position_error", _position, "m", "position error", "position"),
     **_errors("rotation_error", _rotation, "rad", "rotation error", "rotation"),
     **_errors("along", lambda of: _split(of)[0], "m", "position error along the path", "position"),
     **_errors("across", lambda of: _split(of)[1], "m", "position error across the path", "position"),
-    "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
-    "evaluations_to_tolerance": Metric(
-        lambda of: _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1),
-        "1",
-        "evaluations of f to the tolerance",
-    ),
-    "settling_time": Metric(_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
-    "converged": Metric(
-        lambda of: (_norms(of.run.e[-1]) <= of.tolerance).astype(of.run.e.dtype), "1", "1 if ‖e[N]‖ ≤ tolerance"
-    ),
-    "ending": Metric(_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
-    "stable": Metric(lambda of: stable(_ending(of)).astype(of.run.e.dtype), "1", "ends stable"),
-    "rate": Metric(_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
-    "max_qdot": Metric(lambda of: _max(_finite(jnp.abs(of.run.qdot))), "q/s", "largest |q̇ᵢ|"),
-    "rms_qddot": Metric(_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
-    "path_length": Metric(
-        lambda of: jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:]))),
-        "q",
-        "length of the joint path, Σ‖Δq‖",
-    ),
-    "velocity_ratio": Metric(
-        lambda of: _max(_finite(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit))),
-        "1",
-        "largest |q̇ᵢ| over its limit",
-    ),
-    "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
-    "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
-    "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
-    "residual": Metric(lambda of: _max(_finite(of.run.residual)), "q", "largest last change of an implicit stage"),
-    "evaluations": Metric(
-        lambda of: jnp.asarray(of.run.evaluations).astype(of.run.q.dtype), "1", "evaluations of f(q, t)"
-    ),
-    "ok": Metric(lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
+    **{name: Metric(*about) for name, about in _OTHERS.items()},
     **_MARKED,
 }
 
@@ -287,14 +274,15 @@ def measure_run(
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
     check_run(run, law)
-    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(names))
-    return Metrics(values, {name: unit(METRICS[name].unit, law) for name in names})
+    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(dict.fromkeys(names)))
+    return Metrics(values, {name: unit(METRICS[name].unit, law) for name in dict.fromkeys(names)})
 
 
 @one_off(static_argnames=("names",))
 def _values(run, law, reference, tolerance, *, names):
     measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
-    return [METRICS[name].fn(measured) for name in names]
+    values = [jnp.asarray(METRICS[name].fn(measured)) for name in names]
+    return [v.astype(run.q.dtype) if jnp.issubdtype(v.dtype, jnp.floating) else v for v in values]
 
 
 def check(names, law: Law) -> None:

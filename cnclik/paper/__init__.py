@@ -6,8 +6,11 @@ found = paper.reproduce("reproduced")             # all of them, with data, clai
 
 import lazy_loader
 
-from cnclik.paper.choices import DEFAULT, READINGS, reading
-
-_OTHERS = {"claims": ["judge"], "data": ["reproduce"], "readings": ["experiment"]}
-__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs=_OTHERS)
-__all__ = ["DEFAULT", "READINGS", "experiment", "judge", "reading", "reproduce"]
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "claims": ["judge"],
+        "data": ["reproduce"],
+        "readings": ["DEFAULT", "READINGS", "experiment"],
+    },
+)

@@ -22,76 +22,68 @@ TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)  # [rad]
 
 
 def judge(trajectories, passes) -> dict:
-    """Everything in `claims.json`: {"rows": [...], "picard": [...]}."""
+    """Return everything in `claims.json`: {"rows": [...], "picard": [...]}."""
     return {"rows": rows(trajectories), "picard": picard(passes)}
 
 
 def holds(case: str, error: dict) -> bool:
-    """Whether (a) or (b) holds for mean errors {"EE": ..., "IE": ..., "CN": ...}."""
+    """Return whether (a) or (b) holds for mean errors {"EE": ..., "IE": ..., "CN": ...}."""
     if case == "reach":
         return error["CN"] < error["EE"] < error["IE"]
     return error["CN"] <= SIGNIFICANT * min(error["EE"], error["IE"])
 
 
 def rows(trajectories) -> list:
-    """One record per arm, case and reading for (a) and (b)."""
-    found = []
-    for where in _places(trajectories, "arm", "case", "reading"):
-        at = trajectories.sel(where)
+    """Return one record per arm, case and reading for (a) and (b)."""
+    records = []
+    for where, at in _each(trajectories, "arm", "case", "reading"):
         errors = {name: by_method(at[name]) for name in ("mean_error", "final_error")}
         verdict = holds(where["case"], errors["mean_error"])
-        found.append(where | errors | {"claim": CLAIM[where["case"]], "holds": verdict})
-    return found
+        records.append(where | errors | {"claim": CLAIM[where["case"]], "holds": verdict})
+    return records
 
 
-def _places(data, *dims):
-    """{dimension: label} for every combination of labels."""
+def _each(data, *dims):
+    """Yield ({dimension: label}, the data there) for every combination of labels."""
     for labels in itertools.product(*(data[dim].values for dim in dims)):
-        yield dict(zip(dims, map(str, labels), strict=True))
+        where = dict(zip(dims, map(str, labels), strict=True))
+        yield where, data.sel(where)
 
 
 def by_method(values) -> dict:
-    """{"EE": ..., ...} of a variable that has only the dimension `method` left."""
+    """Return {"EE": ..., ...} of a variable that has only the dimension `method` left."""
     return {str(m): float(v) for m, v in zip(values.method.values, values.values, strict=True)}
 
 
 def undetermined(trajectories) -> list:
-    """(arm, reading, case, method) of the runs whose mean error rounding decides."""
-    marked = trajectories.spread.where(trajectories.spread > paper.UNDETERMINED, drop=True).stack(
-        run=trajectories.spread.dims
-    )
-    return [tuple(map(str, run)) for run in marked.dropna("run").run.values]
+    """Return (arm, reading, case, method) of the runs whose mean error rounding decides."""
+    spread = trajectories.spread.stack(run=trajectories.spread.dims)
+    return [tuple(map(str, run)) for run in spread[spread > paper.UNDETERMINED].run.values]
 
 
 def picard(passes) -> list:
-    """One record per arm, case, reading and run (IE, CN) for (c).
+    """Return one record per arm, case, reading and run (IE, CN) for (c).
 
     residual_max and residual_median: over the steps, after 0 … 10 passes [rad]. needed: for each tolerance
     [rad] the passes until no step of the run exceeds it again, null where 40 don't suffice. contraction:
     median factor per pass, over the steps and the passes 3 to 8 that are above rounding.
     """
-    found = []
-    for where in _places(passes, "arm", "case", "reading", "method"):
-        residual = passes.residual.sel(where).transpose("pass", "step").values
-        worst = residual.max(axis=1)
+    records = []
+    for where, at in _each(passes, "arm", "case", "reading", "method"):
+        residual = at.residual.transpose("pass", "step").values
+        worst, before = residual.max(axis=1), residual[3:8]
+        ratios = residual[4:9][before > 1e-12] / before[before > 1e-12]
         about = {
             "residual_max": worst[:11].tolist(),
             "residual_median": np.median(residual, axis=1)[:11].tolist(),
-            "contraction": _contraction(residual),
+            "contraction": float(np.median(ratios)) if ratios.size else None,
             "needed": {f"{tolerance:.0e}": _needed(worst, tolerance) for tolerance in TOLERANCES},
         }
-        found.append(where | about | {"claim": CLAIM["picard"], "holds": bool(worst[paper.M] < SETTLED)})
-    return found
+        records.append(where | about | {"claim": CLAIM["picard"], "holds": bool(worst[paper.M] < SETTLED)})
+    return records
 
 
 def _needed(worst, tolerance):
-    """First pass from which the residual stays within the tolerance."""
-    above = np.flatnonzero(~(worst <= tolerance))
-    first = int(above[-1]) + 1 if above.size else 0
-    return first if first < worst.size else None
-
-
-def _contraction(residual):
-    before, after = residual[3:8], residual[4:9]
-    meaningful = before > 1e-12
-    return float(np.median(after[meaningful] / before[meaningful])) if meaningful.any() else None
+    """Return the first pass from which the residual stays within the tolerance; None without one."""
+    passes = len(worst) - int(np.argmax(~(worst[::-1] <= tolerance))) if not np.all(worst <= tolerance) else 0
+    return passes if passes < len(worst) else None

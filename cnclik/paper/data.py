@@ -9,14 +9,14 @@ import jax
 import numpy as np
 import xarray as xr
 
+from cnclik import errors
 from cnclik.engine.plan import as_here
 from cnclik.integrate.method import METHODS
 from cnclik.measure.dataset import as_json, provenance, to_dataset
 from cnclik.measure.files import save_netcdf
-from cnclik.paper import choices, claims, tables
+from cnclik.paper import claims, tables
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import DEFAULT, READINGS
-from cnclik.paper.readings import ARMS, BESIDE, CASES, HALVINGS, NUDGES, PAPER, Lane, Readings
+from cnclik.paper.readings import ARMS, BESIDE, CASES, DEFAULT, HALVINGS, NUDGES, PAPER, READINGS, Lane
 from cnclik.precision import in_float64
 from cnclik.show.output import draw
 from cnclik.threads import side_by_side
@@ -35,6 +35,8 @@ CONFIG = {
     "nudges": NUDGES,
 }
 
+FIGURES = (*(f"fig{k:02d}.png" for k in range(1, 16)), "overview.png")  # what `figures.figures` draws
+
 
 class Results(NamedTuple):
     """The three datasets that figures, claims and tables are read from."""
@@ -46,17 +48,18 @@ class Results(NamedTuple):
 
 @in_float64
 def everything(progress=None) -> Results:
-    """All runs, as data, in float64 whatever JAX's setting; `progress` is called as progress(done, total, note)."""
-    found = Readings({}, {})
+    """Return all runs, as data, in float64; `progress` is called as progress(done, total, note)."""
+    runs: dict = {}
+    residuals: dict = {}
     with side_by_side() as pool:  # most of it is compiling, on one core each
         each = pool.map(as_here(lambda one: paper.run_method(*one)), paper.METHOD_RUNS)
         for done, (_, name) in enumerate(paper.METHOD_RUNS):
             if progress is not None:
                 progress(done, len(paper.METHOD_RUNS), f"{name}: compiling and running")
-            one = next(each)
-            found.runs.update(one.runs)
-            found.residuals.update(one.residuals)
-    return Results(trajectories(found), methods(found), passes(found))
+            more_runs, more_residuals = next(each)
+            runs |= more_runs
+            residuals |= more_residuals
+    return Results(trajectories(runs), methods(runs), passes(residuals))
 
 
 def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False):
@@ -72,10 +75,10 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     Raises: ArgumentError for an unknown reading or an unusable folder; FigureError where figures could not be drawn,
       with data and claims in place.
     """
-    shown = str(choices.reading(reading))
+    shown = errors.one_of("reading", str(reading), READINGS)
     if out is None:
         return everything(progress)
-    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *choices.FIGURES]
+    files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *FIGURES]
     with output_folder(out, overwrite=overwrite, files=files) as folder:
         found = everything(progress)
         for name, data in found._asdict().items():
@@ -92,22 +95,24 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
     return found
 
 
-def trajectories(found: Readings) -> xr.Dataset:
-    """The paper's methods on both arms and cases under all readings: dims arm, reading, case, method, time, joint.
+def trajectories(runs: dict) -> xr.Dataset:
+    """Return the paper's methods on both arms and cases under all readings.
 
-    Beside what `to_dataset` gives: error_norm ‖e[k]‖, mean_error (over k = 0 … N), final_error ‖e[N]‖, and
-    spread: by how much, relatively, the mean error differs between starts a rounding error apart.
+    Dims arm, reading, case, method, time, joint. Beside what `to_dataset` gives: error_norm ‖e[k]‖, mean_error (over k
+    = 0 … N), final_error ‖e[N]‖, and spread: by how much, relatively, the mean error differs between starts a rounding
+    error apart.
     """
     labels = {"reading": list(READINGS), "case": list(CASES), "method": list(PAPER)}
     shape = [len(v) for v in labels.values()]
     arms = []
     for arm in ARMS:
         keys = [key(arm, *where) for where in itertools.product(*labels.values())]
-        runs = [found.runs[k] for k in keys]
-        batch = jax.tree.map(lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *runs)
-        one = to_dataset(batch, paper.law(arm), dims=labels, coords=labels)
-        one["spread"] = (tuple(labels), np.reshape([_spread(found, k) for k in keys], shape))
-        arms.append(one.assign_coords(time=paper.TS * np.arange(paper.N + 1)))
+        batch = jax.tree.map(
+            lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *(runs[k] for k in keys)
+        )
+        data = to_dataset(batch, paper.law(arm), dims=labels, coords=labels)
+        data["spread"] = (tuple(labels), np.reshape([_spread(runs, k) for k in keys], shape))
+        arms.append(data.assign_coords(time=paper.TS * np.arange(paper.N + 1)))
     data = xr.concat(arms, xr.IndexVariable("arm", list(ARMS)), join="outer", coords="minimal", compat="override")
     data["joint_unit"] = ("joint", ["rad"] * data.sizes["joint"])
     data["error_norm"] = np.sqrt((data.e**2).sum("axis", skipna=False))
@@ -123,15 +128,23 @@ def trajectories(found: Readings) -> xr.Dataset:
     return _labelled(data, data.q.dtype, about)
 
 
+def _spread(runs, where):
+    """Return (max − min)/mean of the mean error over the displaced starts."""
+    *rest, lane = where
+    nudged = [runs[(*rest, lane._replace(nudge=i))].e for i in range(1, NUDGES + 1)]
+    means = np.linalg.norm(nudged, axis=-1).mean(-1)
+    return float(np.ptp(means) / means.mean())
+
+
 def key(arm: str, reading: str, case: str, method: str) -> tuple:
-    """Where `Readings` keeps a run: readings that do the same share one."""
+    """Return the key of a run: readings that do the same share one."""
     r = READINGS[reading]
     feedforward = "consistent" if case == "reach" else r.feedforward
     return arm, "once" if not METHODS[method].implicit else r.Ts, method, Lane(r.rotation, case, feedforward)
 
 
-def methods(found: Readings) -> xr.Dataset:
-    """All methods under the reading on-path/once/consistent: error against evaluations, and observed orders.
+def methods(runs: dict) -> xr.Dataset:
+    """Return all methods under the reading on-path/once/consistent: error against evaluations, and observed orders.
 
     Dims arm, case, method, Ts. Errors are taken at the instants the paper samples, 0.1 s apart, whatever Ts:
     mean_error over t = 0 … 3 s, rms_error over t = 0.1 … 3 s. `rms_converged` is that of tracking with
@@ -140,21 +153,21 @@ def methods(found: Readings) -> xr.Dataset:
     labels = {"arm": list(ARMS), "case": list(CASES), "method": [*PAPER, *BESIDE]}
     labels["Ts"] = [paper.TS / 2**halving for halving in range(HALVINGS + 1)]
 
-    def runs(labels, **lane):
+    def each(labels, **lane):
         for arm, case, method, Ts in itertools.product(*labels.values()):
             halving = labels["Ts"].index(Ts)
-            run = found.runs[arm, "once", method, Lane("on-path", case, "consistent", halving=halving, **lane)]
-            yield run.evaluations, np.linalg.norm(run.e, axis=-1)[:: 2**halving]
+            yield runs[arm, "once", method, Lane("on-path", case, "consistent", halving=halving, **lane)], 2**halving
 
     def norms(labels, **lane):
-        values = np.reshape([norm for _, norm in runs(labels, **lane)], [*map(len, labels.values()), -1])
-        return xr.DataArray(values, labels | {"time": paper.TS * np.arange(paper.N + 1)}, [*labels, "time"])
+        rows = [np.linalg.norm(run.e, axis=-1)[::step] for run, step in each(labels, **lane)]
+        time = {"time": paper.TS * np.arange(paper.N + 1)}
+        return xr.DataArray(np.reshape(rows, [*map(len, labels.values()), -1]), labels | time, [*labels, "time"])
 
     def rms(norm):
         return np.sqrt((norm.isel(time=slice(1, None)) ** 2).mean("time", skipna=False))
 
     norm, converged = norms(labels), norms(labels | {"case": ["track"]}, M=paper.CONVERGED)
-    counts = [int(evaluations) for evaluations, _ in runs(labels)]
+    counts = [int(run.evaluations) for run, _ in each(labels)]
     data = norm.isel(Ts=0, drop=True).to_dataset(name="error_norm")
     data["mean_error"], data["rms_error"] = norm.mean("time", skipna=False), rms(norm)
     data["evaluations"] = (norm.dims[:-1], np.reshape(counts, norm.shape[:-1]))
@@ -175,25 +188,22 @@ def methods(found: Readings) -> xr.Dataset:
     return _labelled(data, norm.dtype, about, reading=str(DEFAULT), M_converged=paper.CONVERGED)
 
 
-def passes(found: Readings) -> xr.Dataset:
-    """The Picard iteration followed from the states of the runs of IE and CN.
+def passes(residuals: dict) -> xr.Dataset:
+    """Return the Picard iteration followed from the states of the runs of IE and CN.
 
     Dims arm, reading, case, method, pass, step. `residual` is the change of the joint increment in the last
     pass (pass 0: the increment it starts from).
     """
-    labels = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": ["IE", "CN"]}
-    values = [found.residuals[key(*where)] for where in itertools.product(*labels.values())]
-    shape = [*(len(v) for v in labels.values()), paper.PASSES + 1, paper.N]
-    data = xr.Dataset(
-        {"residual": ((*labels, "pass", "step"), np.reshape(values, shape))},
-        labels | {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)},
-    )
+    labels: dict = {"arm": list(ARMS), "reading": list(READINGS), "case": list(CASES), "method": list(paper.FOLLOWED)}
+    labels |= {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)}
+    values = [residuals[key(*where)] for where in itertools.product(*list(labels.values())[:4])]
+    data = xr.Dataset({"residual": ([*labels], np.reshape(values, [len(v) for v in labels.values()]))}, labels)
     about = {"residual": ("change of the joint increment in the last pass", "rad")}
     return _labelled(data, data.residual.dtype, about)
 
 
 def _labelled(data, dtype, about, **config):
-    """With `about`, {name: (long name, units)}, units on every other variable, and the configuration."""
+    """Return data with `about`, {name: (long name, units)}, units on every other variable, and the configuration."""
     for name, (long_name, units) in about.items():
         data[name].attrs = {"long_name": long_name, "units": units}
     for name in data.variables:
@@ -201,11 +211,3 @@ def _labelled(data, dtype, about, **config):
         data[name].attrs.setdefault("units", "1")
     data.attrs = provenance(dtype) | {"config": as_json(CONFIG | config)}
     return data
-
-
-def _spread(found, where):
-    """(max − min)/mean of the mean error over the displaced starts."""
-    *rest, lane = where
-    nudged = [found.runs[(*rest, lane._replace(nudge=i))].e for i in range(1, NUDGES + 1)]
-    means = np.linalg.norm(nudged, axis=-1).mean(-1)
-    return float(np.ptp(means) / means.mean())

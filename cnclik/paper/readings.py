@@ -5,11 +5,14 @@ iteration once or twice, and the feed-forward of Case II. A `Reading` settles ea
 eight on both arms and both cases, and beside the paper's methods the textbook ones.
 """
 
+import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
@@ -18,10 +21,9 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.paths import line, with_feedforward
+from cnclik.law.paths import line
 from cnclik.law.reference import Reference
-from cnclik.paper.choices import DEFAULT, Reading
-from cnclik.record import replace, stack
+from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
@@ -32,6 +34,25 @@ TS, N, M, ALPHA = 0.1, 30, 5, 5.0  # [s], steps, Picard passes, gain [1/s]
 
 PAPER = ("EE", "IE", "CN")
 BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT")
+
+
+class Reading(NamedTuple):
+    """One way to read the paper where its text leaves a choice."""
+
+    rotation: str
+    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
+    Ts: str
+    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
+    feedforward: str
+    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
+
+    def __str__(self):
+        return "/".join(self)
+
+
+_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
+READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
+DEFAULT = READINGS["on-path/once/consistent"]
 
 
 class Arm(NamedTuple):
@@ -53,7 +74,7 @@ CASES = ("reach", "track")  # Case I, Case II
 
 
 def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
-    """The loop of Section V: planar position with gain 5 1/s and the pseudoinverse.
+    """Return the law of Section V: planar position with gain 5 1/s and the pseudoinverse.
 
     `joints`: how many the arm has at least. Those beyond its own turn links of no length, so that they stand still and
     the loop is the same.
@@ -63,26 +84,34 @@ def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
 
 
 def start(arm: str):
-    """q at t = 0, (n,): (0, π/2, 0, …) [rad]."""
+    """Return q at t = 0, (n,): (0, π/2, 0, …) [rad]."""
     return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
 
 
+@record
+class WithVelocity:
+    """A path with another feed-forward than its own velocity: its place has no derivative, the addend of 0 has."""
+
+    path: Callable
+    velocity: Float[ArrayLike, " m"]
+
+    def __call__(self, t):
+        position, rotation = lax.stop_gradient(self.path(t))
+        return position + (t - lax.stop_gradient(t)) * self.velocity, rotation
+
+
 def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
-    """Reference of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (eqs. 15-16, 18-19)."""
+    """Return the path of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (15-16, 18-19)."""
     errors.one_of("case", case, CASES)
-    if case == "reach":
-        begin = end = ARMS[arm].target
-        speed = 0.0
-    else:
-        begin = ARMS[arm].start
-        end = (begin[0] - 1.0, begin[1])
-        speed = 1.0 / (N * TS) if feedforward == "consistent" else 1.0
-    # Explicit also where it is the path's own, so that all cases have one structure and can be lanes.
-    return with_feedforward(line(begin, end, duration=N * TS), (-speed, 0.0))
+    begin = ARMS[arm].target if case == "reach" else ARMS[arm].start
+    length = 0.0 if case == "reach" else 1.0
+    speed = length / (N * TS) if feedforward == "consistent" else length
+    straight = line(begin, (begin[0] - length, begin[1]), duration=N * TS)
+    return Reference(curve=WithVelocity(path=straight.curve, velocity=np.array([-speed, 0.0])))
 
 
 def tableau(method: Method, Ts: str = "once") -> Method:
-    """The method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
+    """Return the method, with the diagonal of an implicit tableau multiplied by the sampling time if Ts is "twice".
 
     Eq. 7 moves by Ts times an increment that holds a factor Ts already: θ̃ = θ + Ts·(Ts·slope). The slope is
     then taken at a·Ts = Ts² instead of Ts.
@@ -93,17 +122,17 @@ def tableau(method: Method, Ts: str = "once") -> Method:
     return Method(name=method.name, A=A, b=method.b, c=method.c, order=1, source="Drexler (2016), eqs. 6-8 as printed")
 
 
-def experiment(arm: str, case: str, method: Method | str = CN, reading: Reading = DEFAULT) -> Trajectory:
-    """One run of Section V by itself: `experiment("5dof", "track", "CN").e`.
+def experiment(arm: str, case: str, method: Method | str = CN, reading=DEFAULT) -> Trajectory:
+    """Run one experiment of Section V: `experiment("5dof", "track", "CN").e`.
 
     Args:
       arm: "2dof" or "5dof".
       case: "reach" (Case I) or "track" (Case II).
       method: any of `METHODS`, or its name.
-      reading: how to read the text.
+      reading: how to read the text: one of `READINGS`, or its name.
     """
     errors.one_of("arm", arm, ARMS)
-    method = named(method)
+    method, reading = named(method), READINGS[errors.one_of("reading", str(reading), READINGS)]
     loop = law(arm, reading.rotation), path(arm, case, reading.feedforward), start(arm)
     return solve(*loop, TS, N, tableau(method, reading.Ts), picard(M))
 
@@ -143,8 +172,7 @@ LANES = (*_PAPER_LANES, *_NUDGED_LANES, *_WORK_LANES, *_ORDER_LANES)
 
 # What is run in each lane: (Ts once or twice, method).
 METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"), ("twice", "CN"))
-# Where the Picard iteration is followed. IE's stage is CN's second: it is the same iteration, from the states
-# of either run.
+# Where the Picard iteration is followed: IE's stage is CN's second, the same iteration from the states of either.
 FOLLOWED = ("IE", "CN")
 
 
@@ -181,49 +209,42 @@ def _program(laws, references, q0, Ts, M, *, method, h, N_max):
     return run, jnp.moveaxis(found, 0, -1)
 
 
-class Readings(NamedTuple):
-    """What one program gave, or all of them, by (arm, Ts, method, lane), Ts being "once" or "twice"."""
+def run_method(Ts: str, name: str) -> tuple[dict, dict]:
+    """Run one method in all lanes on both arms, by one compiled program; `Ts` is "once" or "twice".
 
-    runs: dict  # of `Trajectory`s
-    # Of (PASSES + 1, N): from the state before each step of a run, the change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment
-    # (eq. 9) in the last of 0, 1, … passes [rad].
-    residuals: dict
-
-
-def run_method(Ts: str, name: str) -> Readings:
-    """All runs of one method on both arms, by one compiled program; `Ts` is "once" or "twice"."""
+    Returns: {(arm, Ts, method, lane): value} of two values, the `Trajectory`, and where the iteration is followed
+      (PASSES + 1, N): from the state before each step of a run, the change ‖Δθ⁽ⁱ⁾ − Δθ⁽ⁱ⁻¹⁾‖ of the joint increment
+      (eq. 9) in the last of 0, 1, … passes [rad].
+    """
     todo = [(arm, lane) for arm in ARMS for lane in LANES]
     followed = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
-    run, residuals = _program(
-        stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
-        stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
-        np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
-        np.array([TS / 2**lane.halving for _, lane in todo]),
-        np.array([lane.M for _, lane in todo]),
-        method=tableau(METHODS[name], Ts),
-        h=followed,
-        N_max=max(lane.N for lane in LANES),
+    run, residuals = jax.device_get(
+        _program(
+            stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
+            stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
+            np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
+            np.array([TS / 2**lane.halving for _, lane in todo]),
+            np.array([lane.M for _, lane in todo]),
+            method=tableau(METHODS[name], Ts),
+            h=followed,
+            N_max=max(lane.N for lane in LANES),
+        )
     )
-    run, residuals = jax.device_get((run, residuals))
-    found = Readings({}, {})
+    runs, changes = {}, {}
     for i, (arm, lane) in enumerate(todo):
-        found.runs[arm, Ts, name, lane] = _cut(jax.tree.map(lambda a, i=i: a[i], run), ARMS[arm].n, name, lane)
+        n, cost = ARMS[arm].n, lane.N * evaluations_per_step(METHODS[name], picard(lane.M), ARMS[arm].n)
+        own = truncate(jax.tree.map(lambda a, i=i: a[i], run), lane.N)  # its own steps and joints
+        own = replace(own, q=own.q[:, :n], qdot=own.qdot[:, :n], evaluations=np.asarray(cost))
+        runs[arm, Ts, name, lane] = own
         if followed is not None and lane in _PAPER_LANES:
-            found.residuals[arm, Ts, name, lane] = residuals[i]
-    return found
+            changes[arm, Ts, name, lane] = residuals[i]
+    return runs, changes
 
 
 def _start(arm, nudge):
-    """Where a lane starts, (JOINTS,) [rad]."""
+    """Return where a lane starts, (JOINTS,) [rad]."""
     n, q = ARMS[arm].n, np.zeros(JOINTS)
     q[:n] = start(arm)
     if nudge:
         q[:n] += NUDGE * np.random.default_rng(0).standard_normal((NUDGES, n))[nudge - 1]
     return q
-
-
-def _cut(run, n, name, lane) -> Trajectory:
-    """The steps and joints of a run that are the lane's own, and what they cost."""
-    cost = lane.N * evaluations_per_step(METHODS[name], picard(lane.M), n)
-    run = truncate(run, lane.N)
-    return replace(run, q=run.q[:, :n], qdot=run.qdot[:, :n], evaluations=np.asarray(cost))

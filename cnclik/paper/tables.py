@@ -7,8 +7,7 @@ from typing import NamedTuple
 from cnclik.measure import files
 from cnclik.paper import claims
 from cnclik.paper import readings as paper
-from cnclik.paper.choices import DEFAULT
-from cnclik.paper.readings import ARMS
+from cnclik.paper.readings import ARMS, DEFAULT
 
 _SHOWN = (1e-3, 1e-4, 1e-6)  # of the tolerances in claims.json, those in the table [rad]
 
@@ -86,17 +85,17 @@ def picard_table(judged) -> Table:
 
 
 def own(record) -> bool:
-    """False for a repetition: Case I does not use the feed-forward."""
+    """Return False for a repetition: Case I does not use the feed-forward."""
     return record["case"] == "track" or record["reading"].endswith("/consistent")
 
 
 def short(record) -> str:
-    """The reading, as far as the case uses it."""
+    """Return the reading, as far as the case uses it."""
     return record["reading"] if record["case"] == "track" else record["reading"].rsplit("/", 1)[0]
 
 
 def number(value) -> str:
-    """Three or four digits, as the paper's own tables would print them."""
+    """Return three or four digits, as the paper's own tables would print them."""
     value = float(value)
     plain = value == 0 or 0.01 <= abs(value) < 100
     return f"{value:.4f}" if plain else f"{value:.2e}".replace("e-0", "e-").replace("e+0", "e+")

@@ -7,8 +7,6 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "build": ["Problem", "problem_from"],
         "file": ["problem_of"],
-        "names": ["load", "robot_and_tip", "start_from", "task_from"],
-        "options": ["DEFAULTS", "DRIVE", "OPTIONS"],
-        "reference": ["reference_from"],
+        "names": ["load", "start_from"],
     },
 )

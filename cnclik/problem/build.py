@@ -174,10 +174,6 @@ def problem_from(
     del given["robot"], given["drive"]
     for name in drive:
         errors.one_of("option", name, OPTIONS)
-    return _problem(robot, given, drive)
-
-
-def _problem(robot, given, drive) -> Problem:
     v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
     Ts, N = errors.number("Ts", v["Ts"], positive=True), errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     if errors.concrete(Ts) and float(Ts) > LONGEST / N:
@@ -214,21 +210,30 @@ def _is_default(name, value) -> bool:
 
 
 def _law(chain, task, v, Ts) -> Law:
-    _needs(v, "threshold", "damping")
-    _needs(v, "posture_rate", "posture")
-    damping, threshold, rest, rate = v["damping"], v["threshold"], v["posture"], v["posture_rate"]
+    for name, other in (("threshold", "damping"), ("posture_rate", "posture")):
+        _needs(v, name, other)
+    damping, threshold, rest, rate = v["damping"], v["threshold"], v["posture"], v["limit_rate"]
     if damping is None and task.m > chain.n:
         names.require_free(chain, task)
     if rest is not None:
-        rate = 1.0 if rate is None else errors.number("posture_rate", rate, positive=True)
-        rest = posture(errors.array("posture", rest, (chain.n,), of="joint values"), rate)
+        rest = errors.array("posture", rest, (chain.n,), of="joint values")
+        rest = posture(rest, 1.0 if v["posture_rate"] is None else v["posture_rate"])
+    limits: dict[str | None, Any] = {None: None, "velocity_scaling": velocity_scaling()}
+    if v["limits"] == "bounded":
+        if rate is None:  # at most the rate at which one step can stop a joint at its limit
+            rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
+        limits["bounded"] = bounded(rate)
+    elif rate is not None:
+        raise errors.fail("limit_rate", "come with limits bounded", f"comes with {v['limits'] or 'none'}")
+    elif v["limits"] is not None:
+        errors.one_of("limits", v["limits"], ("velocity_scaling", "bounded"))
     regular = pseudoinverse() if damping is None else damped(damping)
     return Law(
         chain,
         task,
         alpha=v["alpha"],
         inverse=regular if threshold is None else singular_damped(damping, threshold),
-        limits=_limits(v["limits"], v["limit_rate"], Ts),
+        limits=limits[v["limits"]],
         null_velocity=rest,
         feedforward=v["feedforward"],
         error_clamp=v["error_clamp"],
@@ -238,22 +243,6 @@ def _law(chain, task, v, Ts) -> Law:
 def _needs(given, name, other) -> None:
     if given.get(name) is not None and given.get(other) is None:
         raise errors.fail(name, f"come with `{other}`", "comes without")
-
-
-def _limits(name, rate, Ts):
-    """The limit method by name, or None.
-
-    The default rate [1/s] is 10, but at most 1/Ts: the rate at which one step can stop a joint at its limit.
-    """
-    if name is not None:
-        errors.one_of("limits", name, ("velocity_scaling", "bounded"))
-    if name != "bounded":
-        if rate is not None:
-            raise errors.fail("limit_rate", "come with limits bounded", f"comes with {name or 'none'}")
-        return velocity_scaling() if name else None
-    if rate is None:
-        rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
-    return bounded(errors.number("limit_rate", rate, positive=True))
 
 
 def drive_from(given, chain=None) -> Drive | None:

@@ -5,7 +5,6 @@ import numpy as np
 from cnclik.integrate.drive import drive_in_words
 from cnclik.law.paths import hold_at
 from cnclik.law.reference import aims_of
-from cnclik.problem.names import near_singular_start
 from cnclik.problem.reference import OPTIONS
 from cnclik.quantities import aloud
 from cnclik.record import in_words
@@ -39,12 +38,11 @@ def _gain(made, alpha, given=True) -> list:
 
 
 def start_and_target(made) -> list:
-    """Sentences: the joint values at the start, whether it is near a singularity, and where the paths begin."""
+    """Sentences: the joint values at the start, and where the paths begin."""
     units = ", ".join(dict.fromkeys(made.law.chain.units))
     begins = "" if "q0" in made.given else " (default)"
     begins = " (on the path)" if "begin" in made.given else begins
     lines = [f"Start: q0 = {in_words(made.q0)} {units}{begins}."]
-    lines += filter(None, [near_singular_start(made.law.chain, made.law.task, made.q0, float(made.law.near_singular))])
     if made.law.task.tasks:
         return lines + [f"{_of_stack(made, name)}." for name, _ in made.law.task.tasks]
     if len(made.law.task.targets) > 1:

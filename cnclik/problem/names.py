@@ -42,36 +42,30 @@ def load(
       tip, base, tips, freeze: as for `load_urdf` and `load_mjcf`.
     Raises: ArgumentError, as those.
     """
-    if isinstance(robot, (str, os.PathLike)):
-        file = _file_of(str(robot))
-        if file is None:
-            return _built_in(str(robot), tip, base=base, tips=tips, freeze=freeze)[0]
-        robot = file
-    return urdf.chain(read_robot(robot), tip, base, tips=tips, freeze=freeze)
+    tree = _tree(robot)
+    if tree is None:
+        return _built_in(str(robot), tip, base=base, tips=tips, freeze=freeze)[0]
+    return urdf.chain(tree, tip, base, tips=tips, freeze=freeze)
 
 
 @errors.called("path", "robot")
-def robot_and_tip(robot, tip=None, base=None, tips=None) -> tuple:
-    """(chain, name of its tip; "" if it has none) of a robot as for `load`.
-
-    Args: tips: in place of `tip`, for several, {name: the argument that names it}.
-    """
+def robot_and_tip(robot, tip=None, base=None) -> tuple:
+    """(chain, name of its tip; "" if it has none) of a robot as for `load`."""
     if isinstance(robot, Chain):
-        return robot, tip or ", ".join(tips or ())
+        return robot, tip or ""
     if not isinstance(robot, (str, pathlib.Path)):
         raise errors.fail("robot", "be a URDF file or the name of a robot", f"is {robot!r}")
-    file = _file_of(str(robot))
-    if file is None:
-        return _built_in(str(robot), tip, base=base, tips=tips)
-    tree = read_robot(file)
-    if tips is None:
-        return urdf.chain(tree, tip, base), urdf.tip_of(tree, tip, base)
-    links = urdf.tips_of(tree, base, tips)
-    return urdf.chain(tree, base=base, tips=links), ", ".join(links)
+    tree = _tree(robot)
+    if tree is None:
+        return _built_in(str(robot), tip, base=base)
+    return urdf.chain(tree, tip, base), urdf.tip_of(tree, tip, base)
 
 
-def _file_of(name: str) -> str | None:
-    """The file, or its text, that a name means; None for a built-in robot. Raises: ArgumentError for other names."""
+def _tree(robot):
+    """The tree of a robot's file, text or model; None for a built-in robot. Raises: ArgumentError for other names."""
+    if not isinstance(robot, (str, os.PathLike)):
+        return read_robot(robot)
+    name = str(robot)
     if name.partition(":")[0] in (*ROBOTS, *PLANAR):
         return None
     file = name if text_of(name) else file_of(name)
@@ -79,7 +73,7 @@ def _file_of(name: str) -> str | None:
         near = errors.nearest(name, ROBOTS)
         must = f"be a URDF or MJCF file, {', '.join(ROBOTS)}, planar:1,1,1 or a name of robot_descriptions"
         raise errors.fail("robot", must, f"is {name!r}{near}")
-    return file
+    return read_robot(file)
 
 
 def _built_in(name, tip, **others) -> tuple:
@@ -155,14 +149,10 @@ def require_free(chain: Chain, task) -> None:
 
     if apart(task) > _APART:
         return
-    such = ""
-    for count in range(min(task.m - 1, chain.n), 0, -1):
-        found = [task_from("".join(names)) for names in itertools.combinations(task.names, count)]
-        most = max(len(task.position) for task in found)
-        best = max((task for task in found if len(task.position) == most), key=apart)
-        if apart(best) > _APART:
-            such = f", such as {''.join(best.names)}"
-            break
+    counts = range(1, min(task.m - 1, chain.n) + 1)
+    fewer = [task_from("".join(names)) for k in counts for names in itertools.combinations(task.names, k)]
+    best = max(fewer, key=lambda one: (apart(one) > _APART) * (one.m, len(one.position), apart(one)), default=None)
+    such = f", such as {''.join(best.names)}" if best is not None and apart(best) > _APART else ""
     must = f"be coordinates that {chain.n} joints can move independently{such}"
     raise errors.fail("task", must, f"is {' '.join(task.names)}, always singular")
 
@@ -180,27 +170,6 @@ def _of_tips(task) -> dict:
     """{path: what it asks of one tip, in the base frame}."""
     poses = {path: one for path, one in task.targets if hasattr(one.parts[0], "axes")}
     return {path: replace(one, parts=tuple(replace(p, to=None) for p in one.parts)) for path, one in poses.items()}
-
-
-def near_singular_start(chain: Chain, task, q0, below) -> str:
-    """A sentence on the tasks near a singularity at q0 (n,), by themselves or together; empty where none is, or where
-    every posture is near it.
-
-    Args: below: least singular value from which on none is; lengths are in the arm's own unit.
-    """
-    tips = _of_tips(task)
-    least = singular_values(chain, tips.values(), np.asarray(q0, float)[None])[:, 0]
-    if (least >= below).all():
-        return ""
-    most = singular_values(chain, tips.values(), spread_postures(chain)).max(axis=1)
-    names = [path[0] for path in tips]
-    names.append(f"{' and '.join(dict.fromkeys(names))} together")
-    found = [(name, value) for name, value, best in zip(names, least, most, strict=False) if value < below <= best]
-    if not found:
-        return ""
-    where, value = found[0]
-    where = where if task.tasks else "the task"
-    return f"The start is near a singularity of {where} (least singular value {value:.2g}): give another --q0."
 
 
 # --- loop ---------------------------------------------------------------------------------------------

@@ -1,8 +1,7 @@
-"""Options: the names, units and defaults by which a loop is described.
+"""Options: one vocabulary for the command line, sweeps and Python.
 
-The command line, sweeps and Python share the arguments of `problem_from` and the fields of `Drive`. An option's kind
-and default are those of the signature; its help, unit and condition those of the docstring. The sources are read, not
-imported: help needs no JAX.
+An option is an argument of a function or a field of a record. Its kind and default are those of the signature; its
+help, unit and condition those of the docstring. Sources are read, not imported: help needs no JAX.
 """
 
 import ast
@@ -11,56 +10,90 @@ import re
 from typing import Any, NamedTuple
 
 from cnclik import errors
-from cnclik.quantities import SAMPLES, read_each
+from cnclik.quantities import SAMPLES, Quantities, read_each
 
-NAME, NUMBER, NUMBERS, INTEGER = "name", "number", "numbers", "integer"
-_KINDS = {"str": NAME, "MethodLike": NAME, "int": INTEGER, "float": NUMBER, "Number": NUMBER}
+NAME, NUMBER, INTEGER, SWITCH = "name", "number", "integer", "switch"
+REQUIRED = object()  # the default of what must be given
+_KINDS = {"bool": SWITCH, "int": INTEGER, "float": NUMBER, "Number": NUMBER, "Point": NUMBER}
 _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
+_OF_JOINTS = ("q0", "posture", "near", "jump")
 
 
 class Option(NamedTuple):
-    """One argument that describes a loop."""
+    """One argument, as signature and docstring describe it."""
 
-    kind: str  # NAME, NUMBER, NUMBERS or INTEGER
-    help: str
+    name: str
+    kind: str  # NAME, NUMBER, INTEGER or SWITCH
+    several: bool  # whether it takes any number of values
+    repeated: bool  # whether it may be given several times
+    choices: tuple
     default: Any
+    positional: bool
     unit: str  # or "q", the unit of the joints; "x", the metres of a point; "1"
     must: str  # condition on each number: a key of `_FITS`, or ""
+    help: str
+
+    @property
+    def values(self) -> str:
+        """What it takes, in words."""
+        if self.choices:
+            return f"{'some' if self.several else 'one'} of {', '.join(self.choices)}"
+        one, many = {INTEGER: ("an integer", "integers"), NUMBER: ("a number", "numbers")}.get(
+            self.kind, ("a text", "texts")
+        )
+        return many if self.several else one
 
 
-def arguments(file: str, name: str) -> dict[str, Option]:
-    """Return {argument: Option} of a function or a record in a file of the package, such as "integrate/drive.py"."""
-    tree = ast.parse((pathlib.Path(__file__).parents[1] / file).read_text(encoding="utf-8"))
-    node: Any = next(one for one in tree.body if getattr(one, "name", "") == name)
+def source(file: str) -> str:
+    """The source of a file of the package, such as "integrate/drive.py"."""
+    return (pathlib.Path(__file__).parents[1] / file).read_text(encoding="utf-8")
+
+
+def arguments(text: str, name: str, shared=None) -> dict[str, Option]:
+    """Return {argument: Option} of a function or a record that a source defines.
+
+    Arguments in front of the `*` are positional. Args: shared: {argument: help} of those without a line of their own.
+    """
+    node: Any = next(one for one in ast.parse(text).body if getattr(one, "name", "") == name)
+    each: Any
     if isinstance(node, ast.ClassDef):
-        each = [
-            (ast.unparse(one.target), one.annotation, one.value) for one in node.body if isinstance(one, ast.AnnAssign)
-        ]
+        fields = [one for one in node.body if isinstance(one, ast.AnnAssign)]
+        each = [(ast.unparse(one.target), one.annotation, one.value, False) for one in fields]
     else:
-        defaults = [*[None] * len(node.args.args), *node.args.kw_defaults]
-        signature = zip((*node.args.args, *node.args.kwonlyargs), defaults, strict=True)
-        each = [(one.arg, one.annotation, default) for one, default in signature]
-    texts = dict(re.findall(r"^  (\w+): (.+(?:\n    .+)*)", ast.get_docstring(node) or "", re.M))
-    return {
-        key: _option(ast.unparse(annotation), default and ast.literal_eval(default), " ".join(texts[key].split()))
-        for key, annotation, default in each
-        if key in texts
-    }
+        places, named = node.args.args, node.args.kwonlyargs
+        defaults = [*[None] * (len(places) - len(node.args.defaults)), *node.args.defaults, *node.args.kw_defaults]
+        each = [
+            (one.arg, one.annotation, default, one in places)
+            for one, default in zip((*places, *named), defaults, strict=True)
+        ]
+    lines = re.findall(r"^  (\w+): (.+(?:\n    .+)*)", ast.get_docstring(node) or "", re.M)
+    texts = (shared or {}) | {key: " ".join(words.split()) for key, words in lines}
+    return {key: _option(key, texts[key], *about) for key, *about in each if key in texts}
 
 
-def _option(annotation, default, text) -> Option:
-    hint = annotation.removesuffix(" | None")
-    kind = _KINDS.get(hint, NUMBERS if re.search("Array|Point|tuple", hint) else NAME)
+def _option(name, text, annotation, default, positional):
+    hint = ast.unparse(annotation).removesuffix(" | None")
+    repeated, several = hint.startswith("list["), re.search("Array|Point|tuple", hint) is not None
+    inner = re.sub(r"^list\[(.*)\]$", r"\1", hint)
+    inner = re.sub(r"^tuple\[(.*), \.\.\.\]$", r"\1", inner)
+    choices = ast.literal_eval(f"({inner[8:-1]},)") if inner.startswith("Literal[") else ()
+    kind = _KINDS.get(inner, NUMBER if "Array" in inner else NAME)
     found = re.search(r"\[([^]]+)\]", text)
-    unit = found[1].removeprefix("whole ") if found and kind != NAME else "1"
-    unit = "x" if hint == "Point" else {"rad, m": "q"}.get(unit, unit)
-    must = next((words for words in _FITS if re.search(rf"\b{words}\b", text)), "")
-    return Option(kind, text[0].upper() + text[1:], default, unit, must)
+    unit = found[1].removeprefix("whole ") if found and kind in (NUMBER, INTEGER) else "1"
+    unit = "x" if inner == "Point" else {"rad, m": "q"}.get(unit, unit)
+    must = next((words for words in _FITS if re.search(rf"\b{words}\b", text)), "") if kind == NUMBER else ""
+    default = REQUIRED if default is None else ast.literal_eval(default)
+    return Option(
+        name, kind, several, repeated, choices, default, positional, unit, must, text[0].upper() + text[1:]
+    )  # fmt: skip
 
 
-DRIVE = {name: one._replace(default=None) for name, one in arguments("integrate/drive.py", "Drive").items()}
-OPTIONS = arguments("problem/build.py", "problem_from") | DRIVE
-DEFAULTS = {name: one.default for name, one in OPTIONS.items() if one.default is not None}
+DRIVE = {name: one._replace(default=None) for name, one in arguments(source("integrate/drive.py"), "Drive").items()}
+OPTIONS = arguments(source("problem/build.py"), "problem_from") | DRIVE
+DEFAULTS = {name: one.default for name, one in OPTIONS.items() if one.default not in (None, REQUIRED)}
+
+
+# --- values -------------------------------------------------------------------------------------------
 
 
 def check_values(where: str, name: str, values) -> None:
@@ -70,35 +103,57 @@ def check_values(where: str, name: str, values) -> None:
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
 
-def in_own_units(given: dict) -> tuple:
-    """({option: value}, {option: the unit of each number}); texts such as "34ms" become numbers in the option's unit.
+def numbers_of(one: Option, value, Ts=None, *, marked=False) -> Quantities:
+    """Return the numbers of a text such as "34ms", or of a list that holds such texts, in the option's own unit.
 
-    Raises: ArgumentError for a text that holds no such numbers, or no unit.
+    Args:
+      Ts: the sampling time [s], by which times become samples.
+      marked: whether a text must have a unit, as in Python.
+    """
+    try:
+        found = read_each([value] if isinstance(value, str) else value, one.unit, Ts, marked=marked)
+    except ValueError as error:
+        also = ", or a text of numbers with their unit" * marked
+        raise errors.fail(one.name, f"be {one.values}{also}", str(error)) from None
+    if one.kind == INTEGER and not all(v.is_integer() for v in found):
+        converted = f", {found[0]:g} {one.unit}" * any(found.written)
+        raise errors.fail(one.name, "be an integer", f"is {value!r}{converted}")
+    for v in found:
+        _check(one, v)
+    return found
+
+
+def _check(one, value) -> None:
+    if one.must and not _FITS[one.must](value):
+        raise errors.fail(one.name, f"be {one.must}", f"is {value:g}")
+
+
+def in_own_units(given: dict) -> tuple[dict, dict]:
+    """Return ({option: value}, {option: the unit of each number}): texts such as "34ms" become numbers.
+
+    Raises: ArgumentError for a text that holds no such numbers, or no unit; and for a number that an option can't be.
     """
     made, written = dict(given), {}
-    texts = [name for name, value in given.items() if _is_text(value, OPTIONS[name].kind)]
-    for name in sorted(texts, key=lambda name: OPTIONS[name].unit == SAMPLES):  # samples last: they need Ts
-        kind, _, _, unit, _ = OPTIONS[name]
-        value, Ts = given[name], made.get("Ts", DEFAULTS["Ts"])
-        if unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
-            raise errors.fail(name, "be in samples where `Ts` is traced", f"is {value!r}")
-        try:
-            found = read_each([value] if isinstance(value, str) else value, unit, Ts)
-        except ValueError as error:
-            each = ", a list of numbers" * (kind == NUMBERS)
-            raise errors.fail(name, f"be a number{each}, or a text of numbers with their unit", str(error)) from None
-        if kind == INTEGER and not found[0].is_integer():
-            raise errors.fail(name, "be an integer", f"is {value!r}, {found[0]:g} {unit}")
-        written[name] = found.written
-        several = len(found) > 1 or not isinstance(value, str)
-        made[name] = list(found) if several else int(found[0]) if kind == INTEGER else found[0]
+    for name in sorted(given, key=lambda name: OPTIONS[name].unit == SAMPLES):  # samples last: they need Ts
+        one, value = OPTIONS[name], given[name]
+        if _is_text(one, value):
+            Ts = made.get("Ts", DEFAULTS["Ts"])
+            if one.unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
+                raise errors.fail(name, "be in samples where `Ts` is traced", f"is {value!r}")
+            value = numbers_of(one, value, Ts, marked=True)
+        if isinstance(value, Quantities):
+            written[name] = value.written
+            single = len(value) == 1 and one.unit not in ("q", "x")
+            made[name] = (int if one.kind == INTEGER else float)(value[0]) if single else list(value)
+        elif type(value) in (int, float):
+            _check(one, value)
     return made, written
 
 
-def _is_text(value, kind) -> bool:
+def _is_text(one, value) -> bool:
     """Whether the numbers of an option are given as a text, or as a list that holds one."""
-    several = kind == NUMBERS and isinstance(value, (list, tuple))
-    return kind != NAME and (isinstance(value, str) or (several and any(isinstance(v, str) for v in value)))
+    several = one.several and type(value) in (list, tuple)
+    return one.kind != NAME and (isinstance(value, str) or (several and any(isinstance(v, str) for v in value)))
 
 
 def check_units(chain, task, written: dict) -> None:
@@ -106,17 +161,17 @@ def check_units(chain, task, written: dict) -> None:
 
     Args: written: {option: the given unit of each number, or None}; see `cnclik.quantities.read`.
     """
-    parts, axes = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), list(task.units)
-    size = parts[:1] if task.lengths else ["1"]  # of a singular value
-    wanted = {"error_clamp": parts, "noise": axes, "damping": size, "threshold": size}
-    wanted |= {"tolerance": ["m", "rad"], "accept": ["m", "rad"]}
+    parts, size = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), "m" if task.lengths else "1"
+    wanted = {"error_clamp": parts, "noise": task.units, "damping": [size], "threshold": [size]}
+    wanted |= dict.fromkeys(_OF_JOINTS, chain.units)
     for name, units in written.items():
-        of_joints = name in ("near", "jump") or (name in OPTIONS and OPTIONS[name].unit == "q")
-        for k, unit in enumerate(list(chain.units) if of_joints else wanted.get(name, ())):
-            given = units[k if len(units) > k else 0] if units else None
+        for k, unit in enumerate(wanted.get(name, ()) if units else ()):
+            given = units[k if len(units) > k else 0]
             if given and given.partition("/")[0] != unit:
-                what = f"joint {chain.joint_names[k]!r} is in {unit}" if of_joints else f"number {k + 1} is in {unit}"
-                raise errors.fail(name, "have the units of what it is for", f"{what}, and {given} is given")
+                what = f"joint {chain.joint_names[k]!r}" if name in _OF_JOINTS else f"number {k + 1}"
+                raise errors.fail(
+                    name, "have the units of what it is for", f"{what} is in {unit}, and {given} is given"
+                )
 
 
 def units(law, task, width=None) -> dict:

@@ -3,7 +3,7 @@
 import inspect
 import pathlib
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,6 @@ from cnclik.problem.tables import read_points
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus
 from cnclik.reaching.targets import wanted_at
-from cnclik.record import Array, Float
 from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
@@ -29,7 +28,7 @@ class ArmAtStart(NamedTuple):
 
     chain: Chain
     task: Task
-    q0: Float[Array, " n"]
+    q0: Any  # (n,)
     here: tuple  # position and rotation of the tip at q0
 
 

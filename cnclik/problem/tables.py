@@ -3,12 +3,13 @@
 import csv
 import itertools
 import pathlib
-import re
 
 import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.reading import read_bytes
+
+POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 
 
 def read_columns(argument: str, file) -> tuple:
@@ -27,9 +28,6 @@ def read_columns(argument: str, file) -> tuple:
     table = _numbers(argument, file, rows)
     width = table.shape[-1] if rows else len(names)
     return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
-
-
-POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 
 
 def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
@@ -88,38 +86,28 @@ def _cells(argument, file) -> tuple:
     except (UnicodeDecodeError, csv.Error) as error:
         reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
         raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    if rows and not any(quantities.number(cell) is not None for cell in rows[0]) and not _is_slip(rows):
+    if rows and not any(_is_meant(cell) or ";" in cell for cell in rows[0]):
         return tuple(name.strip() for name in rows[0]), rows[1:]
-    if rows and above and len(above[-1]) == len(rows[0]) > 1 and all(map(_is_name, above[-1])):
+    if rows and above and len(above[-1]) == len(rows[0]) > 1 and not any(map(_is_meant, above[-1])):
         return tuple(name.strip() for name in above[-1]), rows  # as NumPy's savetxt writes a header
     return (), rows
 
 
-_NAME = re.compile(r"\s*[\w./-]+\s*([\[(][^\])]*[\])])?\s*")  # of a column: a word, perhaps with a unit
-
-
-def _is_name(cell) -> bool:
-    return _NAME.fullmatch(cell) is not None and quantities.number(cell) is None
-
-
-def _is_slip(rows) -> bool:
-    """Whether a first row without numbers was meant to have some, in other digits or with another separator."""
-    return any(quantities.hint(cell) or ";" in cell for cell in rows[0])
-
-
 def _is_meant(cell) -> bool:
-    return bool(cell.strip()) and (quantities.number(cell) is not None or bool(quantities.hint(cell)))
+    """Whether a cell is a number, or was meant to be one, in other digits or with another point."""
+    return quantities.number(cell) is not None or bool(quantities.hint(cell))
 
 
 def _numbers(argument, file, rows):
-    table = []
-    for k, row in enumerate(rows):
+    table, name = [], pathlib.Path(file).name
+    for k, row in enumerate(rows, 1):
         values = [quantities.number(cell) for cell in row]
-        if len(row) != len(rows[0]) or None in values:
-            wrong = next((cell for cell, value in zip(row, values, strict=True) if value is None), None)
-            why = f"has {len(row)} of {len(rows[0])}" if wrong is None else f"holds {wrong!r}{quantities.hint(wrong)}"
-            why += ", and columns are separated by commas" if wrong is not None and ";" in wrong else ""
-            found = f"row {k + 1} of {pathlib.Path(file).name} {why}"
-            raise errors.fail(argument, "hold numbers, as many in every row", found)
+        if None in values:
+            wrong = row[values.index(None)]
+            why = f"holds {wrong!r}{quantities.hint(wrong)}" + ", and columns are separated by commas" * (";" in wrong)
+        else:
+            why = f"has {len(row)} of {len(rows[0])}" * (len(row) != len(rows[0]))
+        if why:
+            raise errors.fail(argument, "hold numbers, as many in every row", f"row {k} of {name} {why}")
         table.append(values)
     return np.array(table, float)

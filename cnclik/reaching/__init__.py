@@ -1,13 +1,6 @@
 """Reaching: joint values that put the tip at one target or at a million, and the reason where there are none.
 
-`targets` reads the targets, `starts` has the start postures, `descent` is one try. `search` makes tries in rounds,
-`traced` makes the same ones within programs of others, `several` goes on to different answers, and `path` along a path.
+`targets` reads the targets, `starts` has the start postures, `descent` is one try. `search` makes tries in rounds and
+goes along paths, `traced` makes the same tries within programs of others, `several` goes on to different answers.
 `asked` has the arguments and what a search means, `public` is the entry, `result` the record.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach(
-    __name__,
-    submod_attrs={"result": ["Reached", "ReachStatus"], "public": ["reach"]},
-)

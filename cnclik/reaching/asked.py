@@ -118,11 +118,13 @@ class Asked:
 
     def farther(self, rows, moved, xp=np):
         """Return rows (B, ..., width) of targets that were searched for nearer by so much (B,) [m], see `units`."""
-        row, moved = row_of(rows, self.chain.n), moved.reshape(-1, *(1,) * (rows.ndim - 2))
-        claims = (row.status <= ReachStatus.AT_LIMIT) | (row.status == ReachStatus.JUMP)  # of a target that was nearer
-        status = xp.where((moved > 0) & claims, int(ReachStatus.OUT_OF_BUDGET), row.status)
-        numbers, n = xp.stack([status, row.position_error + moved], -1), 2 * self.chain.n
-        return xp.concatenate([rows[..., :n], numbers, rows[..., n + 2 :]], -1)
+        n, moved = self.chain.n, moved.reshape(-1, *(1,) * (rows.ndim - 2))
+        row = row_of(rows, n)
+        status = xp.where(
+            (moved > 0) & (row.status < ReachStatus.NON_FINITE), int(ReachStatus.OUT_OF_REACH), row.status
+        )
+        numbers = xp.stack([status, row.position_error + moved], -1)
+        return xp.concatenate([rows[..., : 2 * n], numbers, rows[..., 2 * n + 2 :]], -1)
 
     def away(self, row: Row):
         """Return whether answers jump all the same, as where `near` is outside the limits."""

@@ -12,7 +12,6 @@ error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arct
 """
 
 import functools
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -20,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from cnclik.engine.plan import as_here, in_c
+from cnclik.engine.plan import in_c
 from cnclik.integrate.batches import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
@@ -114,7 +113,7 @@ def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State
     downhill = e @ j
     pushes = ((s.q <= low) & (downhill < 0)) | ((s.q >= high) & (downhill > 0))
     downhill, left = jnp.where(pushes, 0.0, downhill), jnp.where(pushes, 0.0, j)
-    step = dense.solved(dense.shifted(left @ left.T, damping), e) @ left
+    step = dense.cholesky_solve(dense.cholesky(dense.shifted(left @ left.T, damping)), e) @ left
     steep = downhill @ downhill / jnp.where(cost * size > 0, cost * size, 1.0)
     steep = jnp.where((trust > 1) & (damping > SHORT * size), 0.0, steep)  # at a kink
     step = jnp.asarray(per_unit(chain), step.dtype) * jnp.clip(step, -LONGEST, LONGEST)
@@ -205,9 +204,7 @@ class Attempts:
         def flat(*args):
             return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
 
-        with ThreadPoolExecutor() as pool:
-            program = pool.submit(as_here(Batches), flat, avals)
-            self.starts, self.program = starts_of(chain, task), program.result()
+        self.starts, self.program = starts_of(chain, task), Batches(flat, avals)
 
     def __call__(self, terms: Terms, pose, near, given, away, k, most, seed, pool=None) -> np.ndarray:
         """Return the rows of tries k of targets (T, t), or of one target; see `attempt`.

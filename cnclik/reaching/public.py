@@ -12,10 +12,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References
 from cnclik.reaching.asked import asked_of
-from cnclik.reaching.path import path
 from cnclik.reaching.result import Reached, from_rows
-from cnclik.reaching.search import search_of
-from cnclik.reaching.several import several
+from cnclik.reaching.search import path, search_of
+from cnclik.reaching.several import most_at_once, several
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
 from cnclik.reaching.units import nearer
@@ -42,7 +41,6 @@ def reach(
     seeds: int = 512,
     limits: bool = True,
     explain: bool = True,
-    base: Float[ArrayLike, "*B 4 4"] | None = None,
     seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> Reached:
@@ -79,7 +77,6 @@ def reach(
       explain: whether to find the reason and the nearest pose where there is no answer, which is most of the work for
         such a target. Otherwise its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without joint
         values.
-      base: (4, 4) or (B, 4, 4) pose of the chain's base in the frame of the targets.
       seed: seed of the start postures.
       progress: called as progress(done, total).
 
@@ -89,7 +86,7 @@ def reach(
     asked = asked_of(chain, task, tolerance, accept, jump, seeds, seed, limits, explain)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
     errors.progress(progress)
-    pose, alone = read(targets, asked.task, base)
+    pose, alone = read(targets, asked.task)
     known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
     previous = isinstance(near, str)
     if previous:
@@ -106,16 +103,16 @@ def reach(
     if previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
     given = {} if len(aims(asked.task)) < 2 else {"targets": pose[0] if alone else pose}
-    pose, moved = nearer(chain, asked.task, pose, np if known else jnp)
+    pose, moved = nearer(chain, pose, np if known else jnp)
     if not known:
         rows = traced(asked, pose, begin)
     elif previous:
         rows = path(search_of(asked), pose, progress)
     else:
-        rows, size = [], POOL if progress is None else REPORTED
+        rows, search, size = [], search_of(asked), POOL if progress is None else REPORTED
+        size = size if solutions == 1 else min(size, most_at_once(solutions))
         for i in range(0, len(pose), size):
             part = pose[i : i + size], None if begin is None else begin[i : i + size]
-            search = search_of(asked)
             rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
             if progress is not None:
                 progress(min(i + size, len(pose)), len(pose))

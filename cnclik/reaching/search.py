@@ -5,8 +5,8 @@ The first sixteen tries begin at postures whose tips are near the target. The fi
 go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
-import copy
 import functools
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,8 @@ from cnclik.reaching.asked import SURE, Asked
 from cnclik.reaching.descent import CAREFUL, CLOSE, DOWNHILL, FREE, PLAIN, Terms, attempts
 from cnclik.reaching.result import ReachStatus, row_of, width
 from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins, turned
-from cnclik.record import AnyArray, Float, memoized
+from cnclik.record import AnyArray, Float, memoized, replace
+from cnclik.robot.posture import start_posture
 from cnclik.threads import cores, side_by_side
 
 ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
@@ -24,6 +25,7 @@ MANY = 512  # tries at once, at least, if there are as many
 AT_ONCE = 1 << 15  # tries at once, at most
 CLOSER, LONGER = (0.3, 2e-2), (4, 16)  # [rad, units] a target missed by less gets so many times the tries
 ANEW = 512  # tries after which the islands are left for others
+AHEAD = 64  # targets that one call goes along a path
 FREELY, NEAREST = 128, 64  # tries without limits, and descents to the nearest pose
 
 
@@ -158,16 +160,15 @@ class Targets(NamedTuple):
     pose: Float[np.ndarray, "B t"]
     near: Float[np.ndarray, "B n"] | None
     inside: Float[np.ndarray, "B n"] | None  # `near`, turned into the limits
+    pool: Executor | None = None  # threads for more than a few tries
 
     def some(self, ids):
         """Return some of them, or each several times."""
-        return Targets(*(None if v is None else v[ids] for v in self))
+        return Targets(*(None if v is None else v[ids] for v in self[:3]), self.pool)
 
 
 class Search:
     """The search for a chain's targets, with all that they share; made once for an `Asked`."""
-
-    pool = None  # threads, of a copy that is searching
 
     def __init__(self, asked: Asked):
         self.asked, self.attempts = asked, attempts(asked.chain, asked.task)
@@ -180,15 +181,14 @@ class Search:
 
     def rows(self, pose, near) -> np.ndarray:
         """Return the rows (B, width) of targets (B, t), near (B, n) or None."""
+        of = self.targets(pose, near)
         if len(pose) * ROUND <= MANY or cores() == 1:
-            return self.found(self.targets(pose, near))
+            return self.found(of)
         with side_by_side() as pool:
-            own = copy.copy(self)
-            own.pool = pool
-            return own.found(self.targets(pose, near))
+            return self.found(of._replace(pool=pool))
 
     def found(self, of: Targets) -> np.ndarray:
-        """Return the rows of targets, with the threads that the search has."""
+        """Return the rows of targets."""
         asked, finite = self.asked, self.asked.finite(*of[:2])
         usable = finite if asked.downhill else finite & ~asked.too_far(of.pose)  # nothing is tried for the others
         if not usable.all():
@@ -276,12 +276,38 @@ class Search:
         given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
         targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
         numbers = away[which], k[which], most[ids, which]
-        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=self.pool)
+        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=of.pool)
         if len(ids) == shape[0] * shape[1]:
             return made.reshape(*shape, made.shape[-1])
         rows = np.tile(blank(self.n), (*shape, 1))
         rows[ids, which] = made
         return rows
+
+
+def path(search: Search, pose, progress=None) -> np.ndarray:
+    """Return rows (B, width) of targets (B, t), each from the answer before it; the first one is free to jump.
+
+    One program goes along the targets, until there is none CLOSE to the answer before it; that one is searched for.
+    """
+    asked, n, B = search.asked, search.n, len(pose)
+    free = search if asked.jump is None else Search(replace(asked, jump=None))
+    along = search.attempts.along(search.stages[0].terms, AHEAD)
+    rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
+    while k < B:
+        rows[k] = (search if k else free).rows(pose[k : k + 1], q[None])[0]
+        row, k = row_of(rows[k], n), k + 1
+        q, count = row.q if row.status <= ReachStatus.ACCEPTED else q, AHEAD
+        while k < B and count == AHEAD:
+            ahead = pose[np.minimum(np.arange(k, k + AHEAD), B - 1)]
+            made = along((ahead, q), 1)[0, : B - k]
+            row = row_of(made, n)
+            close = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE)
+            count = len(made) if close.all() else int(np.argmin(close))
+            rows[k : k + count] = made[:count]
+            q, k = made[count - 1, :n] if count else q, k + count
+        if progress is not None:
+            progress(k, B)
+    return rows
 
 
 def search_of(asked: Asked) -> Search:

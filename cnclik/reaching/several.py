@@ -14,22 +14,22 @@ PATIENCE = 64  # the search ends after so many tries without a new answer, plus 
 AT_ONCE = 1 << 16  # answers compared at once
 
 
+def most_at_once(solutions) -> int:
+    """Return the number of targets that may be asked at once."""
+    return AT_ONCE // (MOST_DRAWN + solutions)
+
+
 def several(search: Search, pose, near, solutions) -> np.ndarray:
-    """Return rows (B, solutions, width) of targets (B, t): the nearest ones first; NO_OTHER where there are fewer."""
-    size, first, made = max(AT_ONCE // (MOST_DRAWN + solutions), 1), search.rows(pose, near), []
-    for i in range(0, len(pose), size):
-        own = search.targets(pose[i : i + size], None if near is None else near[i : i + size])
-        made.append(_several(search, first[i : i + size], own, solutions))
-    return np.concatenate(made)
+    """Return rows (B, solutions, width) of targets (B, t): the nearest ones first; NO_OTHER where there are fewer.
 
-
-def _several(search, first, of: Targets, solutions):
-    """Try until each target has as many answers as are wanted, or none has been new for long."""
+    Tries go on until each target has as many answers as are wanted, or none has been new for long.
+    """
+    of, first = search.targets(pose, near), search.rows(pose, near)
     n, B = search.n, len(first)
     found = np.concatenate([first[:, None], np.tile(_no_other(n), (B, solutions - 1, 1))], axis=1)
     count = (row_of(first, n).status <= ReachStatus.ACCEPTED).astype(int)
     newest, done, size, left = np.zeros(B, int), 0, DRAWN, np.flatnonzero(count)
-    while len(left) and solutions > 1:
+    while len(left):
         own = of.some(left)
         best, there = _nearest(
             search.asked, np.concatenate([found[left], _drawn(search, own, done, size)], 1), own.near

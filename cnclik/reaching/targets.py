@@ -31,11 +31,10 @@ def _named(name):
     return TASKS[name]()
 
 
-def read(targets, task: Task, base=None):
-    """Targets as ((B, t) position and rows of the rotation of each aim, whether it was one alone).
+def read(targets, task: Task):
+    """Return targets, see `cnclik.reach`, as (B, t) position and rows of the rotation of each aim, and if it was one.
 
-    Args:
-      targets: see `cnclik.reach`. base: where the chain's base stands in the targets' frame, a pose or one per target.
+    Coordinates that the task does not have are 0.
 
     Raises: ArgumentError for shapes that don't fit, and rotations that are none; numbers that are not finite pass.
     """
@@ -44,18 +43,15 @@ def read(targets, task: Task, base=None):
     if len(sizes) > 1:
         found = " and ".join(f"{size or 'one'} in {name}" for name, *_, size in each)
         raise errors.fail("targets", "have one target for each tip, or as many for each", f"have {found}")
-    alone, size = not sizes, sizes.pop() if sizes else 1
-    xp, stands, made = poses.library([row[2:4] for row in each], base), None if base is None else _base(base, size), []
+    size, xp, made = sizes.pop() if sizes else 1, poses.library([row[2:4] for row in each]), []
     for _, aim, where, turn, _ in each:
         where = xp.zeros(3) if where is None else where
+        where = where if len(aim.linear) == 3 else xp.where(np.isin(range(3), aim.linear), where, 0.0)
         turn = xp.eye(3) if turn is None else turn
-        if stands is not None and aim.to is None:
-            back = xp.swapaxes(stands[1], -1, -2)
-            where = xp.einsum("...ij,...j->...i", back, where - stands[0])
-            turn = back @ turn
         for own in (where.reshape(-1, 3), turn.reshape(-1, 9)):
             made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
     made = xp.concatenate(made, axis=1)
+    alone = all(count is None for *_, count in each)
     return np.ascontiguousarray(made, float) if xp is np else made, alone
 
 
@@ -137,16 +133,6 @@ def _counted(name, aim, where, turn):
     if size == 0:
         raise errors.fail(name, "hold at least one target", "hold none")
     return name, aim, where, turn, size
-
-
-def _base(base, size):
-    """Positions and rotations of where the base stands, one or as many as there are targets."""
-    stands = poses.whole("base", base)
-    if stands is None:
-        raise errors.fail("base", f"be {poses.FORMS}, or one of them per target", f"has shape {np.shape(base)}")
-    if stands[0].ndim == 2 and len(stands[0]) != size:
-        raise errors.fail("base", f"be one pose or {size}, one per target", f"holds {len(stands[0])}")
-    return stands
 
 
 def _parts(name, targets, aim):

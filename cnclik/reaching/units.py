@@ -9,7 +9,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import memoized
 from cnclik.robot.posture import arm_length
-from cnclik.task.aims import WIDTH, aims
+from cnclik.task.aims import WIDTH
 
 BASE = 16.0
 SMALLEST = 1e-5  # [m] shorter arms keep the metre
@@ -35,18 +35,16 @@ def per_unit(chain) -> np.ndarray:
     return np.where([unit == "m" for unit in chain.units], unit_of(chain), 1.0)
 
 
-def nearer(chain, task, pose, xp=np):
-    """Return targets (B, t) [m], those beyond FAR moved towards the base, and by how much (B,), or None.
+def nearer(chain, pose, xp=np):
+    """Return targets (B, t) [m], those beyond FAR moved towards the base, and by how much (B,) [m], or None.
 
     Of a target so far off only the direction matters. Of several tips the one that moved most counts.
     """
     most = FAR * unit_of(chain)
     if xp is np and np.abs(pose).max() <= most:
         return pose, None
-    counts = np.array([[i in aim.linear for i in range(3)] for aim in aims(task)], float)  # others are arbitrary
     every = pose.reshape(len(pose), -1, WIDTH)
-    size = xp.max(xp.abs(xp.where(counts > 0, every[..., :3], 0.0)), axis=2, keepdims=True)
-    shrink = xp.where(size > most, most / xp.maximum(size, most), 1.0)
-    within = xp.where(shrink < 1, shrink * every[..., :3], every[..., :3])
-    length = size[..., 0] * xp.sqrt(xp.sum((counts * every[..., :3] / xp.maximum(size, 1e-9)) ** 2, axis=2))
-    return xp.concatenate([within, every[..., 3:]], axis=2).reshape(pose.shape), ((1 - shrink[..., 0]) * length).max(1)
+    size = xp.maximum(xp.max(xp.abs(every[..., :3]), axis=2, keepdims=True), most)
+    within, length = most / size * every[..., :3], size * xp.linalg.norm(every[..., :3] / size, axis=2, keepdims=True)
+    moved = ((1 - most / size) * length)[..., 0].max(axis=1)
+    return xp.concatenate([within, every[..., 3:]], axis=2).reshape(pose.shape), moved

@@ -4,6 +4,7 @@ Vectors are tuples of scalars, matrices tuples of rows. Products with a Python 0
 geometry stays known in an arm whose link lengths are parameters. `robot.model` turns the result into arrays.
 """
 
+import functools
 import itertools
 import math
 
@@ -40,11 +41,7 @@ def add(a, b):
 
 def dot(u, v):
     """Return Σ uᵢ vᵢ, without the terms that are a Python 0."""
-    total = 0.0
-    for a, b in zip(u, v, strict=True):
-        known = type(a) is float and type(b) is float
-        total = total + a * b if known and type(total) is float else add(total, mul(a, b))
-    return total
+    return functools.reduce(add, map(mul, u, v), 0.0)
 
 
 def vadd(a, b):

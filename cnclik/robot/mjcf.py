@@ -139,24 +139,22 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
 
 def _couplings(file, model, joints) -> dict:
     """Return {joint: (the joint that it follows, multiplier, offset)}; None instead of a joint for a constant value."""
-    follows: dict = {}
-    left = []
+    follows, left = {}, []
     for k in np.flatnonzero(model.eq_active0):
         kind, one, other = int(model.eq_type[k]), int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-        if kind != 2:  # mjEQ_JOINT
-            left += ["a closed loop (connect, weld)"] if kind < 2 else ["a coupling of tendons"] if kind == 3 else []
+        if kind != 2:  # mjEQ_JOINT; 0, 1 and 3 are connect, weld and tendon
+            left += [("a closed loop", "a closed loop", "", "a coupling of tendons")[kind]] * (kind in (0, 1, 3))
             continue
         shift, factor, *higher = map(float, model.eq_data[k][:5])
         rest, its = (float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other))
         if other < 0:
             follows[joints[one]] = None, 0.0, rest + shift
         elif any(higher):
-            left.append(f"the coupling of {joints[one]} to {joints[other]}, which is not linear")
+            left.append(f"a coupling of {joints[one]} that is not linear")
         else:
             follows[joints[one]] = joints[other], factor, rest + shift - factor * its
     if left:
-        more = f" and {len(left) - 1} more" if len(left) > 1 else ""
-        errors.remark(f"{file} has {left[0]}{more}: joints are taken as if there were none.")
+        errors.remark(f"{file} has {' and '.join(dict.fromkeys(left))}: joints are taken as if there were none.")
     return follows
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.engine.constants import of_the_model
+from cnclik.engine.tracing import of_the_model
 from cnclik.record import AnyArray, Array, ArrayLike, Bool, Float, cast, mapped, memoized, record
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain
 from cnclik.robot.rotations import crossed, library, product, quaternion, rotation_from_quaternion

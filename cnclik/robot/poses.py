@@ -5,7 +5,6 @@ A rotation may be as rough as three decimals; a known one is then made exact, in
 
 from __future__ import annotations
 
-import functools
 from typing import Any, Protocol
 
 import jax
@@ -100,12 +99,9 @@ def _from_quaternions(name, value):
     with np.errstate(over="ignore", invalid="ignore"):
         norm = xp.sqrt(xp.sum(value * value, axis=-1, keepdims=True))
         if xp is np:
-            norms = norm.ravel()
-            wrong = np.isfinite(value).all(axis=-1).ravel() & ~(np.abs(norms - 1) <= NORM)
-            if wrong.any():
-                k = int(np.argmax(wrong))
-                must = f"hold {'unit quaternions' if len(wrong) > 1 else 'a unit quaternion'} w x y z"
-                raise errors.fail(name, must, f"has one of norm {norms[k]:.6g}{_at(wrong, k)}")
+            several = "unit quaternions" if value.size > 4 else "a unit quaternion"
+            wrong = np.isfinite(value).all(axis=-1) & ~(np.abs(norm[..., 0] - 1) <= NORM)
+            _refuse(name, wrong, f"hold {several} w x y z", lambda k: f"has one of norm {norm.ravel()[k]:.6g}")
         value = xp.where(xp.isfinite(norm), value / norm, xp.nan)
         rotations = xp.array(rotation_from_quaternion(value.T))
     return rotations if value.ndim == 1 else xp.moveaxis(rotations, -1, 0)
@@ -116,67 +112,33 @@ def _from_matrices(name, value):
         return value
     value = _float(value)
     with np.errstate(over="ignore", invalid="ignore"):
-        gap, right = _gaps(value)
-        if np.all(gap <= _EXACT) and np.all(right):
+        gap = np.abs(np.einsum("...ij,...kj->...ik", value, value) - np.eye(3)).max(axis=(-2, -1))
+        mirrored = ~(np.einsum("...i,...i", np.cross(value[..., 0, :], value[..., 1, :]), value[..., 2, :]) > 0)
+        if np.all(gap <= _EXACT) and not mirrored.any():
             return value
-        gap, right = np.atleast_1d(gap), np.atleast_1d(right)
-        finite = np.isfinite(value).all(axis=(-1, -2)).ravel()  # a status reports others
-        wrong = finite & ((gap > ROUGH) | ~right)
-        exact = matrices = value.reshape(-1, 3, 3)
-        if wrong.any():
-            k = int(np.argmax(wrong))
-            must = f"hold {'rotations' if len(wrong) > 1 else 'a rotation'}, with rows of length 1 at right angles"
-            raise errors.fail(name, must, f"{_what_it_is(matrices[k])}{_at(wrong, k)}")
+        several = "rotations" if value.size > 9 else "a rotation"
+        wrong = np.isfinite(value).all(axis=(-2, -1)) & ((gap > ROUGH) | mirrored)  # a status reports others
+        must = f"hold {several}, with rows of length 1 at right angles"
+        off = gap.ravel()
+        _refuse(name, wrong, must, lambda k: "is mirrored" if off[k] <= ROUGH else f"is off by {off[k]:.3g}")
+        exact = value
         for _ in range(3):  # to the nearest rotation: an error of ROUGH becomes its eighth power
             exact = exact @ (1.5 * np.eye(3) - 0.5 * exact.mT @ exact)
-    return np.where((gap <= _EXACT)[:, None, None], matrices, exact).reshape(value.shape)
-
-
-def _gaps(matrices) -> tuple:
-    """Return how far the rows of matrices (..., 3, 3) are from orthonormal, and whether they are right-handed.
-
-    Written out: for ten thousand matrices the library's product and determinant take twenty times as long; for one,
-    Python's numbers are quicker than NumPy's.
-    """
-    alone = matrices.ndim == 2
-    a, b, c, d, e, f, g, h, i = (
-        matrices.reshape(9).tolist() if alone else np.ascontiguousarray(matrices.reshape(-1, 9).T)
-    )
-    lengths = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
-    gaps = *map(abs, lengths), abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
-    right = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
-    return (max(gaps) if alone else functools.reduce(np.maximum, gaps)), right
-
-
-def _what_it_is(r) -> str:
-    """Say what is wrong with a matrix that is not a rotation."""
-    scale = np.linalg.norm(r, axis=1).mean()
-    if scale and np.abs(r @ r.T / scale**2 - np.eye(3)).max() < ROUGH:
-        if np.linalg.det(r) < 0:
-            return "holds a mirrored one, of determinant −1" if abs(scale - 1) < ROUGH else "holds a mirrored one"
-        return f"holds one scaled by {scale:.6g}"
-    return "holds another matrix"
+    return np.where((gap <= _EXACT)[..., None, None], value, exact)
 
 
 def _check_last_row(name, transforms):
     """Raise ArgumentError unless transforms (..., 4, 4), if finite, end with 0 0 0 1."""
-    if not errors.concrete(transforms):
-        return
-    transforms = np.asarray(transforms).reshape(-1, 4, 4)
-    last = transforms[:, 3]
-    if (last == _LAST).all():
-        return
-    with np.errstate(invalid="ignore"):
-        wrong = np.isfinite(last).all(axis=1) & ~(np.abs(last - _LAST) <= 1e-9).all(axis=1)
+    if errors.concrete(transforms):
+        last = np.asarray(transforms)[..., 3, :]
+        wrong = np.isfinite(last).all(axis=-1) & (np.abs(last - _LAST) > 1e-9).any(axis=-1)
+        found = "has {} (a transposed one has the translation there)"
+        row = last.reshape(-1, 4)
+        _refuse(name, wrong, "have the last row 0 0 0 1", lambda k: found.format(" ".join(f"{v:g}" for v in row[k])))
 
-    if wrong.any():
+
+def _refuse(name, wrong, must, found):
+    """Raise ArgumentError if something of one or several is wrong. Args: found: of an index, what is there."""
+    if np.any(wrong):
         k = int(np.argmax(wrong))
-        turned = np.array_equal(transforms[k, :, 3], _LAST)
-        remedy = ": the translation stands in the last row, so transpose it" if turned else ""
-        raise errors.fail(
-            name, "have the last row 0 0 0 1", f"has {' '.join(f'{v:g}' for v in last[k])}{_at(wrong, k)}{remedy}"
-        )
-
-
-def _at(wrong, k) -> str:
-    return f" at index {k}" if len(wrong) > 1 else ""
+        raise errors.fail(name, must, found(k) + (f" at index {k}" if np.size(wrong) > 1 else ""))

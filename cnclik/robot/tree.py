@@ -148,10 +148,12 @@ def _edge(file, element) -> Edge:
     def bad(what):
         return errors.fail("path", "name a valid URDF file", f"joint {name!r} of {file} {what}")
 
-    def number(part, key, text):
+    def number(part, key, text, most=MOST):
         value = quantities.number(text)
         if value is None:
             raise bad(f"has {part} {key} {text!r}{quantities.hint(text)}")
+        if not abs(value) <= most:  # refuses NaN, too
+            raise bad(f"has {part} {key} {text!r}, not within ±{most:g}")
         return value
 
     def three(part, key, default="0 0 0"):
@@ -163,15 +165,13 @@ def _edge(file, element) -> Edge:
         return values
 
     position, angles, axis = three("origin", "xyz"), three("origin", "rpy"), three("axis", "xyz", "1 0 0")
-    if not all(abs(x) <= MOST for x in (*position, *angles)):  # refuses NaN, too
-        raise bad(f"has an origin that is not finite, or not within ±{MOST:g}")
     edge = Edge(name, kind, parent, child, (snapped(position), tuple(map(snapped, _rotation(*angles)))))
     if kind in ("fixed", "floating"):
         return edge
     if kind not in (*MOVING, "planar"):
         raise bad(f"has type {kind!r}")
     length = math.hypot(*axis)
-    if not 0 < length < math.inf:
+    if not length > 0:
         raise bad(f"has axis {' '.join(f'{x:g}' for x in axis)}")
     edge = dataclasses.replace(edge, axis=snapped(x / length for x in axis))
     if kind == "planar":
@@ -179,26 +179,23 @@ def _edge(file, element) -> Edge:
     if limit is None and kind != "continuous" and follows is None:
         raise bad(f"is {kind} and has no <limit>")
     given = {} if limit is None else dict(limit.items())
-    keys = ("lower", "upper", "velocity")
-    lower, upper, velocity = (number("limit", key, given[key]) if key in given else None for key in keys)
-    velocity = abs(velocity or math.inf)  # exporters write 0 for an unknown limit
+    lower, upper, velocity = (
+        number("limit", key, given[key], math.inf) if key in given else None for key in ("lower", "upper", "velocity")
+    )
     if kind == "continuous" or (lower is None and upper is None):
         lower, upper = -math.inf, math.inf
     lower, upper = lower or 0.0, upper or 0.0  # by the format, one omitted limit is 0
-    if any(map(math.isnan, (lower, upper, velocity))):
-        raise bad("has a limit that is not a number")
-    if lower > upper:
-        raise bad(f"has lower limit {lower:g} above upper limit {upper:g}")
-    if lower > MOST or upper < -MOST:
-        raise bad(f"has limits from {lower:g} to {upper:g}, neither of them within ±{MOST:g}")
-    lower = lower if lower >= -MOST else -math.inf  # exporters write 1e16 and the like for none
-    upper = upper if upper <= MOST else math.inf
-    edge = dataclasses.replace(edge, lower=lower, upper=upper, velocity=velocity)
+    if lower > min(upper, MOST) or upper < -MOST:
+        raise bad(f"has limits from {lower:g} to {upper:g}")
+    edge = dataclasses.replace(
+        edge,
+        lower=lower if lower >= -MOST else -math.inf,  # exporters write 1e16 and the like for none
+        upper=upper if upper <= MOST else math.inf,
+        velocity=abs(velocity or math.inf),  # and 0 for an unknown limit
+    )
     if follows is None:
         return edge
     factor, shift = (number("mimic", key, follows.get(key, n)) for key, n in (("multiplier", "1"), ("offset", "0")))
-    if not (abs(factor) <= MOST and abs(shift) <= MOST):
-        raise bad(f"has a mimic multiplier or offset that is not finite, or not within ±{MOST:g}")
     return dataclasses.replace(edge, mimic=(follows.get("joint"), factor, shift))
 
 

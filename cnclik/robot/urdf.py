@@ -8,7 +8,7 @@ from cnclik.robot.bases import BALL, BASES, grounded, unfolded
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
 from cnclik.robot.masses import lumped
-from cnclik.robot.tree import MOST, Tree, read_urdf
+from cnclik.robot.tree import Tree, read_urdf
 
 _NAMED = 4  # candidates for a tip that a message names
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
@@ -185,10 +185,6 @@ def _leader(by_name, edge) -> tuple:
     while edge.mimic is not None:
         name, factor, shift = edge.mimic
         multiplier, offset = multiplier * factor, multiplier * shift + offset
-        if max(abs(multiplier), abs(offset)) > MOST:
-            raise errors.fail(
-                "path", f"have mimic joints within ±{MOST:g}", f"{next(iter(way))!r} is {multiplier:g}·q + {offset:g}"
-            )
         if name in way:
             raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*way, name))} do not")
         follower, edge = edge, by_name.get(name)
@@ -248,16 +244,6 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
         named = ", ".join(far[:_NAMED]) + f" and {len(far) - _NAMED} more" * (len(far) > _NAMED)
         raise errors.fail("tip", f"be given for {tree.file}", f"is not, and the candidates are {named}")
     return candidates[0]
-
-
-def tips_of(tree: Tree, base: str | None, named: dict) -> list[str]:
-    """Return the links of several tips, {name: the argument that names it}; all candidates if none is named."""
-    root, links = _first(tree, base), [link_of(tree, argument, link) for link, argument in named.items()]
-    for link, argument in zip(links, named.values(), strict=True):
-        if base not in ("planar", "free") and all(edge.type == "fixed" for way in tree.way(link, root) for edge in way):
-            left_out = " (leave it out for the frame of the base)" if argument.endswith("relative_to") else ""
-            raise errors.fail(argument, f"be moved by a joint{left_out}", f"is {link!r}, fixed to {root!r}")
-    return links or list(tree.tips(root)) or [tip_of(tree, None, base)]
 
 
 def _first(tree, base) -> str:

@@ -6,7 +6,6 @@ import numpy as np
 from cnclik.show import style
 
 MOST = 8  # largest number of columns shown; those that move most are chosen
-_TIME = "time $t$ [s]"
 _DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "markeredgewidth": 0.5}
 
 
@@ -26,7 +25,8 @@ def oscillation(signal, found, names):
             panel.plot(t[seen], found.path[:, i], color=style.PURPLE, linestyle=style.DASH, label="path")
         panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")
-    return _finish(figure, panels)
+    style.legend(figure, panels[0])
+    return figure
 
 
 def drive(Ts, command, motion, fit, names):
@@ -37,9 +37,10 @@ def drive(Ts, command, motion, fit, names):
     """
     figure, panels = _panels(min(motion.shape[1], MOST))
     t, positions = Ts * np.arange(len(motion)), fit.drive.command == "position"
+    look = {"color": style.BLACK, "linestyle": style.DOT, "label": "command"}
     for i, panel in enumerate(panels):
         right = panel if positions else panel.twinx()
-        right.step(t, command[:, i], where="post", color=style.BLACK, linestyle=style.DOT, label="command")
+        right.step(t, command[:, i], where="post", **look)
         panel.plot(t, motion[:, i], "o", **_DOTS, label="recorded motion")
         panel.plot(t, fit.motion[:, i], color=style.BLUE, label="motion of the fitted drive")
         panel.set_ylabel(f"{names[i]} [rad or m]")
@@ -47,16 +48,12 @@ def drive(Ts, command, motion, fit, names):
             right.set_ylabel("command [rad or m per s]")
             right.grid(False)
             right.spines["right"].set_visible(True)
-            panel.plot([], [], color=style.BLACK, linestyle=style.DOT, label="command")
-    return _finish(figure, panels)
+            panel.plot([], [], **look)
+    style.legend(figure, panels[0])
+    return figure
 
 
 def _panels(n):
     figure, panels = plt.subplots(n, 1, sharex=True, squeeze=False, figsize=(style.PAGE, 0.9 + 1.5 * n))
-    return figure, panels.ravel()
-
-
-def _finish(figure, panels):
-    panels[-1].set_xlabel(_TIME)
-    style.legend(figure, panels[0])
-    return figure
+    panels[-1, 0].set_xlabel("time $t$ [s]")
+    return figure, panels[:, 0]

@@ -51,29 +51,26 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
     """
     if not figures:
         return []
-    failed = {}
+    failed: dict = {}
     try:
         from cnclik.show import style  # here, where a broken installation of matplotlib costs no data
-    except Exception as error:  # whatever that raises
-        raise _undrawn(dict.fromkeys(figures, error), figures, path, again) from error
-    with output_folder(path, name=name, overwrite=overwrite) as folder, style.style():
-        for done, (file, (make, about)) in enumerate(figures.items()):
-            if progress is not None:
-                progress(done, len(figures), f"drawing {file}")
-            try:
-                folder.write(file, functools.partial(style.save, make(), about=about))
-            except Refused:
-                raise
-            except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
-                failed[file] = error
+
+        with output_folder(path, name=name, overwrite=overwrite) as folder, style.style():
+            for done, (file, (make, about)) in enumerate(figures.items()):
+                if progress is not None:
+                    progress(done, len(figures), f"drawing {file}")
+                try:
+                    folder.write(file, functools.partial(style.save, make(), about=about))
+                except Refused:
+                    raise
+                except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
+                    failed[file] = error
+    except errors.ArgumentError:
+        raise
+    except Exception as error:  # whatever a broken installation raises
+        failed = dict.fromkeys(figures, error)
     if failed:
-        raise _undrawn(failed, figures, path, again) from next(iter(failed.values()))
+        what = ", ".join(f"{file} ({errors.in_a_line(error)})" for file, error in failed.items())
+        message = f"Not drawn: {what}; the data are kept in {path}{f', `{again}` draws again' if again else ''}."
+        raise FigureError(message, [f for f in figures if f not in failed]) from next(iter(failed.values()))
     return list(figures)
-
-
-def _undrawn(failed, figures, path, again):
-    what = ", ".join(f"{file} ({errors.in_a_line(error)})" for file, error in failed.items())
-    again = f", `{again}` draws again" if again else ""
-    return FigureError(
-        f"Not drawn: {what}; the data are kept in {path}{again}.", [f for f in figures if f not in failed]
-    )

@@ -1,8 +1,8 @@
 """Which gain is safe at which sampling time.
 
 `gains` answers for a drive, at any posture of any robot; `advise` for a law's own gains. Below them are R(z)
-(`amplification`, `stability_limit`), the loop's own step at rest (`spectral_radius`), whole loops over a plane
-(`stability_map`), and what a run did in a sentence (`verdict`). What advises computes in float64.
+(`amplification`, `stability_limit`, `plane`), the loop's own step at rest (`spectral_radius`), whole loops over gains
+and sampling times (`stability_map`), and what a run did in a sentence (`verdict`). What advises computes in float64.
 """
 
 import lazy_loader
@@ -13,8 +13,8 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "advice": ["Advice", "Rate", "advise"],
         "ending": ["Behaviour", "Verdict", "verdict"],
         "gain": ["Gains", "Response", "Setting", "gain_table", "gains"],
-        "linear": ["amplification", "stability_limit", "stability_region"],
-        "maps": ["outcomes", "stability_map"],
+        "linear": ["amplification", "stability_limit"],
+        "maps": ["plane", "stability_map"],
         "spectrum": ["spectral_radius"],
     },
 )

@@ -11,7 +11,6 @@ from cnclik.integrate.drive import Drive, check_drive
 from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law
-from cnclik.law.walls import names_of, rate_of
 from cnclik.precision import of_numbers
 from cnclik.record import Number, record
 from cnclik.stability.gain import Gains, Response, gains, in_words
@@ -110,7 +109,7 @@ def advise(
     """
     errors.kind("law", law, Law)
     rates = rates_of(law)
-    several = {one[2] for one in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
+    several = {rate for *_, rate in rates} | set(np.ravel(np.asarray(law.alpha, float)).tolist())  # per axis, too
     if drive is not None and len(check_drive(drive, law.chain).joints) > 1 and len(several - {0.0}) > 1:
         must = (
             "be the same for all joints where gains differ: no limit holds at every posture. Use one gain for all "
@@ -118,14 +117,8 @@ def advise(
         )
         raise errors.fail("drive", must, "differs from joint to joint")
     loop = gains(Ts=Ts, drive=drive, method=method, M=passes_of(stage))
-    euler = gains(Ts=Ts, drive=drive, method="EE") if any(kind in _OF_VELOCITIES for _, kind, _ in rates) else loop
-    return Advice(
-        gains=loop,
-        rates=tuple(Rate(*one, euler if one[1] in _OF_VELOCITIES else loop) for one in rates),
-    )
-
-
-_OF_VELOCITIES = ("joint limits", "wall")
+    limits = dict.fromkeys(("task", "posture"), loop) | dict.fromkeys(("joint limits", "wall"), loop.by("EE"))
+    return Advice(gains=loop, rates=tuple(Rate(name, kind, rate, limits[kind]) for name, kind, rate in rates))
 
 
 def rates_of(law) -> list[tuple[str, str, float]]:
@@ -139,8 +132,4 @@ def rates_of(law) -> list[tuple[str, str, float]]:
     if of_limits is not None and np.isfinite([law.chain.lower, law.chain.upper]).any():
         rates.append(("joint limits", "joint limits", float(of_limits)))
     walls = getattr(law.limits, "walls", ())
-    rates += [
-        (f"wall {name}", "wall", float(rate_of(wall, of_limits)))
-        for name, wall in zip(names_of(walls), walls, strict=True)
-    ]
-    return rates
+    return rates + [(f"wall {wall.name}", "wall", float(wall.rate)) for wall in walls]

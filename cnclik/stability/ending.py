@@ -20,14 +20,13 @@ from cnclik.integrate.status import Status, rounding_of
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import Law, check_loop, evaluate
 from cnclik.law.reference import Reference
-from cnclik.law.walls import names_of
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64
 from cnclik.quantities import aloud, plainly
 from cnclik.record import ArrayLike, Number, record, replace
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
-from cnclik.stability.advice import advise
+from cnclik.stability.advice import ROUNDING, advise
 from cnclik.task.values import Joints
 
 ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled, as in `outcome`
@@ -130,167 +129,27 @@ class _Case:
         self.floor = 64 * np.finfo(dtype).eps * (1 + self.length)  # what rounding of q makes of an error
         task = law.task  # of which a posture that yields is no error
         tips = [at for name, at in task.each if not all(isinstance(part, Joints) for part in task.alone(name).parts)]
-        self.counted = np.r_[tuple(tips)] if tips else slice(None)
+        self.counted = np.arange(task.m)[np.r_[tuple(tips)] if tips else slice(None)]
         self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
         self.most = np.array(law.chain.velocity_limit, float)
-
-    # --- what is seen -------------------------------------------------------------------------------------
-
-    def size(self, some=None):
-        return np.linalg.norm(self.e[:, self.counted if some is None else some], axis=1)
-
-    def late(self, some=None):
-        """The errors of the last quarter, and those of the quarter before."""
-        size = self.size(some)
-        before = size[: -self.quarter][-self.quarter :]
-        return size[-self.quarter :], before if before.size else size[:1]
-
-    def arrived(self, some=None) -> bool:
-        """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
-        late, first = self.late(some)[0].max(), self.size(some)[0]
-        return late <= max(ARRIVED * first if self.still else 0.0, self.floor, NOISE * self.sigma)
-
-    def shrinks(self, some=None) -> bool:
-        """Whether the errors still become smaller."""
-        late, before = self.late(some)
-        return late.max() < STALL_RATIO * before.max()
-
-    def grows(self) -> bool:
-        """Whether the errors of the last quarter are larger than those before."""
-        late, before = self.late()
-        usual = np.median(late)
-        grown = usual > GROWN * np.median(before) and late.max() > max(before.max(), self.floor)
-        if self.still:
-            return grown or usual > GROWN * max(self.size()[0], self.floor)
-        return grown and usual > LARGE * max(np.median(self.size()[: -self.quarter]), self.floor)
-
-    def swing(self):
-        """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
-        e = self.e[:, self.counted]
-        late, before = _deviation(e[-self.quarter :]), _deviation(e[: -self.quarter][-self.quarter :])
-        turns = _turns(late)
-        if not self.still:
-            turns -= 2 * _turns(_deviation((self.x + self.e)[-self.quarter :]))
-        return np.abs(late).max(initial=0.0), np.abs(before).max(initial=0.0), turns
-
-    def shakes(self) -> bool:
-        """Whether joints reverse from one step to the next in the last quarter."""
-        qdot = self.qdot[-self.quarter :]
-        back = np.where(qdot[1:] * qdot[:-1] < 0, np.minimum(np.abs(qdot[1:]), np.abs(qdot[:-1])), 0.0)
-        return bool(np.linalg.norm(back) > REVERSING * np.linalg.norm(qdot))
-
-    # --- why ----------------------------------------------------------------------------------------------
-
-    def acted(self) -> tuple[np.ndarray, str]:
-        """(steps in which a limit or wall acted (N,), what acted, in words)."""
-        chain, limits = self.law.chain, self.law.limits
-        if limits is None:
-            return np.zeros(self.N, bool), ""
-        q, lower, upper = self.q[1:], np.array(chain.lower, float), np.array(chain.upper, float)
-        near = AT_LIMIT * (1 + np.abs(q))
-        stopped = ((q <= lower + near) | (q >= upper - near)) & (lower < upper)
-        fast = np.abs(self.qdot) >= (1 - AT_LIMIT) * self.most
-        acts = {}
-        if self.walls is not None:
-            held = np.asarray(self.walls, float) <= rounding_of(self.qdot)
-            acts |= {f"wall {name} held": steps for name, steps in zip(names_of(limits.walls), held.T, strict=True)}
-        for steps, where in ((stopped, "at a limit"), (fast, "at its velocity limit")):
-            acts |= {f"joint {name} was {where}": own for name, own in zip(chain.joint_names, steps.T, strict=True)}
-        words = [f"{what} in {steps.sum()} of {self.N} steps" for what, steps in acts.items() if steps.mean() >= RARE]
-        return np.any(list(acts.values()), axis=0), "; ".join(words)
-
-    def unreachable(self) -> str:
-        """How far the nearest posture is from the last targets, in words; "" where that is 0 or unknown."""
-        from cnclik.reaching.public import reach  # most runs do not need it
-        from cnclik.reaching.result import ReachStatus
-        from cnclik.reaching.targets import wanted_at
-
-        chain, limited = self.law.chain, self.law.limits is not None
-        if chain.balls:
-            return ""
-        try:
-            task, targets = wanted_at(self.reference, self.law.task, self.t[-1])
-            task = replace(task, weights=None)
-            nearest = reach(chain, targets, task=task, tolerance=(1e-4, 1e-4), limits=limited)
-        except errors.ArgumentError:  # of joint values and functions of one's own alone
-            return ""
-        if nearest.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):
-            return ""
-        far = [aloud(float(nearest.position_error), "m")] * bool(task.lengths)
-        far += [aloud(float(nearest.orientation_error), "rad")] * bool(task.angles)
-        kept = " within the joint limits" * bool(nearest.status == ReachStatus.AT_LIMIT)
-        return f"out of reach: the nearest posture found{kept} is {' and '.join(far)} away"
-
-    def pulled(self) -> bool:
-        """Whether the posture term holds the arm: without it the joints would move."""
-        if self.law.null_velocity is None:
-            return False
-        free = replace(self.law, null_velocity=None)
-        qdot = evaluate(modelled(free), self.reference, jnp.asarray(self.t[-1]), jnp.asarray(self.q[-1])).qdot
-        return bool(np.linalg.norm(self.qdot[-1]) < OFTEN * np.linalg.norm(np.asarray(qdot)))
-
-    def cause(self) -> str:
-        """What holds the robot where it rests away from its target, in words; "" where the run does not show it."""
-        if not self.alpha.any():
-            return "the gain is 0"
-        acted, held = self.acted()
-        held = held if acted[-self.quarter :].mean() >= OFTEN else ""
-        if far := self.unreachable():
-            return "; ".join(filter(None, [far, held]))
-        if held:
-            return held
-        if np.mean((self.status[-self.quarter :] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
-            return "next to a singularity"
-        if self.pulled():
-            return "the posture term pulls at the task, as I − J#J of a damped J# is no projector"
-        return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
-
-    def held(self) -> str:
-        """What acts against the motion while the error is large, in words; "" where nothing does."""
-        if self.still:
-            return "" if self.shrinks() or self.arrived() else self.cause()
-        acted, words = self.acted()
-        if not words or (acted.all() and self.lag()):
-            return ""
-        size = self.size()[1:]
-        usual = np.median(size[~acted]) if not acted.all() else 0.0
-        if size[acted].max() <= max(2 * usual, 10 * self.floor):
-            return ""
-        return f"{words}; while they acted the error was up to {self.largest(np.flatnonzero(acted) + 1)}"
-
-    def lag(self) -> str:
-        """The lag behind the path, where one explains the errors of lengths."""
-        lengths = list(self.law.task.lengths)
-        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[-self.quarter :]
-        e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
-        if not speed:
-            return ""
-        lag = np.sum(wanted * e) / speed
-        explains = np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
-        return f", as a lag of {1e3 * lag:.3g} ms explains" if explains else ""
-
-    # --- the answer ---------------------------------------------------------------------------------------
+        self.error = self.sizes()[-self.quarter :].max() if self.finite.all() else np.inf
 
     def verdict(self) -> Verdict:
-        kind, what, (change, remedy) = self.judged()
+        kind, words, (change, remedy) = self.judged()
         tasks = {name: self.of_task(at) for name, at in self.law.task.each} if self.finite.all() else {}
-        words, over = [what, *(f"{k} {v}" for k, v in tasks.items())], self.status & Status.OVER_VELOCITY != 0
+        words = [words, *(f"{name} {what}" for name, what in tasks.items())]
+        over = self.status & Status.OVER_VELOCITY != 0
         if self.law.limits is None and over.any():
-            excess = np.nanmax(np.abs(self.qdot) / np.maximum(self.most, 1e-12)) - 1
+            excess = 100 * (np.nanmax(np.abs(self.qdot) / np.maximum(self.most, 1e-12)) - 1)
             steps = f"{over.sum()} of {self.N} steps"
-            words.append(f"{steps} exceed a joint's velocity limit, by up to {plainly(100 * excess)} %")
+            words.append(f"{steps} exceed a joint's velocity limit, by up to {plainly(excess)} %")
             if not remedy:
                 change = {"limits": "velocity_scaling"}
                 remedy = "limits of velocity_scaling or bounded keep joint velocities within those of the robot"
         tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
-        return Verdict(
-            kind=kind,
-            sentence=f"{kind}: {'; '.join(words)}.{tail}",
-            remedy=remedy,
-            change=change,
-            error=float(self.late()[0].max()) if self.finite.all() else np.inf,
-            tasks=tasks,
-        )
+        sentence = f"{kind}: {'; '.join(words)}.{tail}"
+        error = float(self.error)
+        return Verdict(kind=kind, sentence=sentence, remedy=remedy, change=change, error=error, tasks=tasks)
 
     def judged(self) -> tuple[Behaviour, str, tuple[dict, str]]:
         """The ending, what is said of it, and its remedy."""
@@ -306,8 +165,8 @@ class _Case:
         held, grows = self.held(), self.grows()
         if held and (self.still or not grows):
             units = set(self.law.task.units)
-            by = aloud(float(swing), units.pop()) if len(units) == 1 else f"{swing:.3g} [m, rad]"
-            also = f"; it swings by {by}" * bool(swings)
+            size = aloud(float(swing), units.pop()) if len(units) == 1 else f"{swing:.3g} [m, rad]"
+            also = f"; it swings by {size}" * bool(swings)
             return Behaviour.HELD_BACK, f"{held}; {said}{also}", self.more_damping() if swings else NO_REMEDY
         if grows or (swings and swing > GROWN * before and before > self.floor):
             return Behaviour.GROWING, said, self.lower_gain()
@@ -315,24 +174,76 @@ class _Case:
             period = f" with a period of about {2 * self.quarter * self.Ts / turns:.2g} s" * (turns >= TURNS)
             return Behaviour.SWINGING, f"{said}; it swings{period}", self.lower_gain()
         if not self.still:
-            lag = self.lag() if self.late()[0].max() > self.floor else ""
+            lag = self.lag() if self.error > self.floor else ""
             return Behaviour.FOLLOWING, f"{said}{lag}", self.unstable()
         if self.arrived():
             return Behaviour.SETTLED, said, self.unstable()
         if self.shrinks():
-            left = self.late()[0].max() / self.late()[1].max()
+            left = self.error / self.late()[1].max()
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", self.longer(left)
         return Behaviour.HELD_BACK, f"the run does not show by what; {said} and stays", NO_REMEDY
 
+    # --- what is seen -------------------------------------------------------------------------------------
+
+    def sizes(self, some=None):
+        return np.linalg.norm(self.e[:, self.counted if some is None else some], axis=1)
+
+    def late(self, some=None):
+        """The errors of the last quarter, and those of the quarter before."""
+        size = self.sizes(some)
+        before = size[: -self.quarter][-self.quarter :]
+        return size[-self.quarter :], before if before.size else size[:1]
+
+    def arrived(self, some=None) -> bool:
+        """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
+        first = self.sizes(some)[0] if self.still else 0.0
+        return self.late(some)[0].max() <= max(ARRIVED * first, self.floor, NOISE * self.sigma)
+
+    def shrinks(self, some=None) -> bool:
+        """Whether the errors still become smaller."""
+        late, before = self.late(some)
+        return late.max() < STALL_RATIO * before.max()
+
+    def grows(self) -> bool:
+        """Whether the errors of the last quarter are larger than those before."""
+        (late, before), sizes = self.late(), self.sizes()
+        usual = np.median(late)
+        grown = usual > GROWN * np.median(before) and late.max() > max(before.max(), self.floor)
+        if self.still:
+            return grown or usual > GROWN * max(sizes[0], self.floor)
+        return grown and usual > LARGE * max(np.median(sizes[: -self.quarter]), self.floor)
+
+    def swing(self):
+        """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
+        e = self.e[:, self.counted]
+        late, before = _deviation(e[-self.quarter :]), _deviation(e[: -self.quarter][-self.quarter :])
+        path = 0 if self.still else _turns(_deviation((self.x + self.e)[-self.quarter :]))
+        return np.abs(late).max(initial=0.0), np.abs(before).max(initial=0.0), _turns(late) - 2 * path
+
+    def shakes(self) -> bool:
+        """Whether joints reverse from one step to the next in the last quarter."""
+        qdot = self.qdot[-self.quarter :]
+        back = np.where(qdot[1:] * qdot[:-1] < 0, np.minimum(np.abs(qdot[1:]), np.abs(qdot[:-1])), 0.0)
+        return bool(np.linalg.norm(back) > REVERSING * np.linalg.norm(qdot))
+
+    def lag(self) -> str:
+        """The lag behind the path, where one explains the errors of lengths."""
+        lengths = list(self.law.task.lengths)
+        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[-self.quarter :]
+        e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
+        lag = np.sum(wanted * e) / speed if speed else np.nan
+        explains = np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
+        return f", as a lag of {1e3 * lag:.3g} ms explains" if explains else ""
+
     def largest(self, instants=None, some=None) -> str:
         """The largest errors with their units, such as "1.2 mm and 0.3 rad"; by default of the last quarter."""
-        own = np.arange(self.law.task.m)[self.counted if some is None else some]
-        units = np.array([u if u in ("m", "rad") else "" for u in np.array(self.law.task.units)[own]])
-        e = self.e[-self.quarter :] if instants is None else self.e[instants]
-        if np.linalg.norm(e[:, own], axis=1).max() <= self.floor:
+        axes = self.counted if some is None else np.arange(self.law.task.m)[some]
+        units = np.array([u if u in ("m", "rad") else "" for u in np.array(self.law.task.units)[axes]])
+        e = self.e[-self.quarter :, axes] if instants is None else self.e[instants][:, axes]
+        if np.linalg.norm(e, axis=1).max() <= self.floor:
             return "rounding"
-        each = ((own[units == u], u) for u in ("m", "rad", ""))
-        return " and ".join(aloud(float(np.linalg.norm(e[:, at], axis=1).max()), u) for at, u in each if at.size)
+        each = {u: np.linalg.norm(e[:, units == u], axis=1).max() for u in ("m", "rad", "") if u in units}
+        return " and ".join(aloud(float(size), unit) for unit, size in each.items())
 
     def of_task(self, at) -> str:
         """What a task of a stack did, in words."""
@@ -344,12 +255,86 @@ class _Case:
             state = "shrinking" if self.shrinks(at) else "stays"
         return f"{self.largest(some=at)} ({state})"
 
+    # --- why ----------------------------------------------------------------------------------------------
+
+    def held(self) -> str:
+        """What acts against the motion while the error is large, in words; "" where nothing does."""
+        if self.still:
+            return "" if self.shrinks() or self.arrived() else self.cause()
+        acted, words = self.acted()
+        if not words or (acted.all() and self.lag()):
+            return ""
+        size = self.sizes()[1:]
+        usual = np.median(size[~acted]) if not acted.all() else 0.0
+        if size[acted].max() <= max(2 * usual, 10 * self.floor):
+            return ""
+        return f"{words}; while they acted the error was up to {self.largest(np.flatnonzero(acted) + 1)}"
+
+    def cause(self) -> str:
+        """What holds the robot where it rests away from its target, in words; "" where the run does not show it."""
+        if not self.alpha.any():
+            return "the gain is 0"
+        acted, held = self.acted()
+        held = held if acted[-self.quarter :].mean() >= OFTEN else ""
+        if causes := "; ".join(filter(None, [self.unreachable(), held])):
+            return causes
+        if np.mean((self.status[-self.quarter :] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
+            return "next to a singularity"
+        if self.pulled():
+            return "the posture term pulls at the task, as I − J#J of a damped J# is no projector"
+        return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
+
+    def acted(self) -> tuple[np.ndarray, str]:
+        """(steps in which a limit or wall acted (N,), what acted, in words)."""
+        chain, limits = self.law.chain, self.law.limits
+        if limits is None:
+            return np.zeros(self.N, bool), ""
+        q, lower, upper = self.q[1:], np.array(chain.lower, float), np.array(chain.upper, float)
+        near = AT_LIMIT * (1 + np.abs(q))
+        stopped = ((q <= lower + near) | (q >= upper - near)) & (lower < upper)
+        fast = np.abs(self.qdot) >= (1 - AT_LIMIT) * self.most
+        acts = {}
+        if self.walls is not None:
+            held = np.asarray(self.walls, float) <= rounding_of(self.qdot)
+            acts |= {f"wall {wall.name} held": steps for wall, steps in zip(limits.walls, held.T, strict=True)}
+        for steps, where in ((stopped, "at a limit"), (fast, "at its velocity limit")):
+            acts |= {f"joint {name} was {where}": own for name, own in zip(chain.joint_names, steps.T, strict=True)}
+        words = [f"{what} in {steps.sum()} of {self.N} steps" for what, steps in acts.items() if steps.mean() >= RARE]
+        return np.any(list(acts.values()), axis=0), "; ".join(words)
+
+    def unreachable(self) -> str:
+        """How far the nearest posture is from the last targets, in words; "" where that is 0 or unknown."""
+        from cnclik.reaching.public import reach  # most runs do not need it
+        from cnclik.reaching.result import ReachStatus
+        from cnclik.reaching.targets import wanted_at
+
+        try:
+            task, targets = wanted_at(self.reference, self.law.task, self.t[-1])
+            task, limited = replace(task, weights=None), self.law.limits is not None
+            nearest = reach(self.law.chain, targets, task=task, tolerance=(1e-4, 1e-4), limits=limited)
+        except errors.ArgumentError:  # of a free base, of joint values and functions of one's own alone
+            return ""
+        if nearest.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):
+            return ""
+        far = [aloud(float(nearest.position_error), "m")] * bool(task.lengths)
+        far += [aloud(float(nearest.orientation_error), "rad")] * bool(task.angles)
+        kept = " within the joint limits" * bool(nearest.status == ReachStatus.AT_LIMIT)
+        return f"out of reach: the nearest posture found{kept} is {' and '.join(far)} away"
+
+    def pulled(self) -> bool:
+        """Whether the posture term holds the arm: without it the joints would move."""
+        if self.law.null_velocity is None:
+            return False
+        free = modelled(replace(self.law, null_velocity=None))
+        qdot = evaluate(free, self.reference, jnp.asarray(self.t[-1]), jnp.asarray(self.q[-1])).qdot
+        return bool(np.linalg.norm(self.qdot[-1]) < OFTEN * np.linalg.norm(np.asarray(qdot)))
+
     # --- remedies: one, from a formula ----------------------------------------------------------------------
 
     def longer(self, left) -> tuple[dict, str]:
         """More steps, for an error of which a share is left after each quarter of the run."""
-        goal, error = max(ARRIVED * self.size()[0], self.floor), self.late()[0].max()
-        quarters = 3 + math.log(goal / error) / math.log(left) if left > 0 else 0  # then the last one begins
+        goal = max(ARRIVED * self.sizes()[0], self.floor)
+        quarters = 3 + math.log(goal / self.error) / math.log(left) if left > 0 else 0  # then the last one begins
         steps = math.ceil(1.01 * quarters * self.quarter / 0.75)
         return ({"N": steps}, f"run {steps} steps") if self.N < steps <= errors.MOST else NO_REMEDY
 
@@ -357,7 +342,7 @@ class _Case:
         """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
         if self.advice is not None and (gains := self.advice.gains).recommended:
             tasks = [rate for rate in self.advice.rates if rate.kind == "task"]
-            high = [rate.name for rate in tasks if rate.rate > gains.without_overshoot * (1 + 1e-9)]
+            high = [rate.name for rate in tasks if rate.rate > gains.without_overshoot * (1 + ROUNDING)]
             words = f"an alpha of at most {gains.recommended:.4g} 1/s"
             if high and self.law.task.tasks:
                 return {"alpha": dict.fromkeys(high, gains.recommended)}, f"give {' and '.join(high)} {words}"
@@ -367,7 +352,7 @@ class _Case:
         slowest = self.most.min(initial=np.inf)
         if not near.size or not np.isfinite(slowest):
             return NO_REMEDY
-        damping = float(f"{self.alpha.max() * self.size()[near[0]] / (2 * slowest):.1g}")
+        damping = float(f"{self.alpha.max() * self.sizes()[near[0]] / (2 * slowest):.1g}")
         words = f"near the singularity use a damping of {damping:g}, which keeps joint velocities below |v|/(2 λ)"
         return {"damping": damping}, words
 
@@ -377,8 +362,7 @@ class _Case:
         damping = getattr(self.law.inverse, "damping", None)
         if damping is None or np.ndim(damping):
             return NO_REMEDY
-        needed = math.sqrt(self.alpha.max() * self.Ts * self.late()[0].max() * self.length / 2)
-        needed = math.ceil(100 * needed) / 100
+        needed = math.ceil(100 * math.sqrt(self.alpha.max() * self.Ts * self.error * self.length / 2)) / 100
         if needed <= float(damping):
             return self.lower_gain()
         return {"damping": needed}, f"a damping of {needed:g} lets it rest in front of the target"

@@ -8,6 +8,7 @@ remove, and a method gives the gain that removes it.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +77,7 @@ class Gains:
       recommended: the same even with one more sample of dead time, and at most 1/Ts; 0 where there is none.
       Ts: sampling time [s]. method, M: of the loop. drive: of all joints, as given or as assumed.
       assumed: whether nothing was known of the drives, so that a dead time of 30 ms and a lag of 100 ms are assumed.
+      shares: the three limits as shares of an error that a step may remove, whatever the method.
       response: what the loop does with the recommended gain; None without one.
     """
 
@@ -87,18 +89,33 @@ class Gains:
     M: int | None
     drive: Drive
     assumed: bool
-    response: Response | None
+    shares: tuple[float, float, float]
+
+    @functools.cached_property
+    def response(self) -> Response | None:
+        return self.at(self.recommended) if self.recommended else None
 
     def at(self, alpha: float) -> Response | None:
         """Return what the loop does with a gain [1/s]; None where it is unstable."""
         alpha = float(errors.number("alpha", alpha, positive=True))
         return _worst(self, alpha) if alpha < self.largest_stable else None
 
+    def by(self, method: MethodLike, M: int | None = None) -> Gains:
+        """Return the gains of the same loop by another method."""
+        return _gains(self.shares, self.Ts, named(method), passes_of(M), self.drive, self.assumed)
+
     @property
     def reason(self) -> str:
         """The meaning of the recommended gain, in words."""
+        if not self.recommended and self.drive.feedback == "rebased":
+            return (
+                "no gain: each position command starts at the measured joints, and with this servo and dead time the "
+                "loop may swing and grow however small alpha is, here or in a posture of other inertia. Start commands "
+                'at the last one (feedback="commanded"), or send velocities'
+            )
         if not self.recommended:
-            return f"no gain: {_no_gain(self.drive, self.Ts)}"
+            drive = drive_in_words(self.drive, self.Ts)
+            return f"no gain: the motion overshoots by more than {100 * OVERSHOOT:g} % with any, on {drive}"
         if self.drive.feedback == "commanded":
             return (
                 "the motion does not overshoot, even if the loop uses its commands one sample later. The drives are "
@@ -112,17 +129,13 @@ class Gains:
     @property
     def elsewhere(self) -> dict[str, Setting]:
         """The same loop by explicit Euler in other libraries: {where: `Setting`}."""
-        return settings(self.Ts, None if self.assumed else self.drive)
+        return settings(self)
 
     def __str__(self):
         how = f"{describe(self.method, self.M)}, Ts = {1e3 * self.Ts:g} ms"
-        rows = (
-            ("largest stable", self.largest_stable),
-            ("without overshoot", self.without_overshoot),
-            ("recommended", self.recommended),
-        )
         lines = [f"{how}, {drive_in_words(self.drive, self.Ts)}{', assumed' * self.assumed}"]
-        lines += [f"  {name:<18}{in_words(alpha)} 1/s" for name, alpha in rows]
+        for name in ("largest stable", "without overshoot", "recommended"):
+            lines.append(f"  {name:<18}{in_words(getattr(self, name.replace(' ', '_')))} 1/s")
         return "\n".join([*lines, f"Recommended: {self.reason}."])
 
 
@@ -146,22 +159,13 @@ def gains(*, Ts: Number, drive: Drive | None = None, method: MethodLike = DEFAUL
         if not all(map(errors.concrete, values)):
             raise errors.fail(name, "hold numbers", "is traced by JAX: call gains outside of jit, vmap and grad")
     Ts, method, M = float(errors.number("Ts", Ts, positive=True)), named(method), passes_of(M)
-    assumed = drive is None
-    drive = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
-    shares = limits(drive, Ts)
-    stable, smooth, recommended = (s and gain_removing(s, method, M) for s in shares)
-    answer = Gains(
-        largest_stable=stable / Ts,
-        without_overshoot=smooth / Ts,
-        recommended=min(recommended, MOST_Z) / Ts,
-        Ts=Ts,
-        method=method,
-        M=M,
-        drive=drive,
-        assumed=assumed,
-        response=None,
-    )
-    return replace(answer, response=answer.at(answer.recommended) if answer.recommended else None)
+    known = assumed_drive(Ts) if drive is None else errors.kind("drive", drive, Drive, "be Drive(...)")
+    return _gains(limits(known, Ts), Ts, method, M, known, assumed=drive is None)
+
+
+def _gains(shares, Ts, method, M, drive, assumed) -> Gains:
+    stable, smooth, recommended = (share and gain_removing(share, method, M) / Ts for share in shares)
+    return Gains(stable, smooth, min(recommended, MOST_Z / Ts), Ts, method, M, drive, assumed, shares)
 
 
 def gain_table(*, Ts, dead_time, drive: Drive = Drive(), method: MethodLike = DEFAULT, M: int | None = None):
@@ -369,16 +373,6 @@ def in_words(alpha: float) -> str:
     return "none" if alpha == 0 else f"{alpha:.4g}" if alpha < np.inf else "any"
 
 
-def _no_gain(drive: Drive, Ts: float) -> str:
-    if drive.feedback == "rebased":
-        return (
-            "each position command starts at the measured joints, and with this servo and dead time the loop may swing "
-            "and grow however small alpha is, here or in a posture of other inertia. Start commands at the last one "
-            '(feedback="commanded"), or send velocities'
-        )
-    return f"the motion overshoots by more than {100 * OVERSHOOT:g} % with any, on {drive_in_words(drive, Ts)}"
-
-
 # --- the same loop elsewhere --------------------------------------------------------------------------
 
 
@@ -393,56 +387,52 @@ class Setting(NamedTuple):
     meaning: str
 
 
-def settings(Ts: float, drive: Drive | None) -> dict[str, Setting]:
-    """Return the recommended gain of the same loop by explicit Euler in other libraries; None: unknown drives.
+def settings(found: Gains) -> dict[str, Setting]:
+    """Return the recommended gain of the same loop by explicit Euler in other libraries.
 
     These loops were run: pink, mink and Placo themselves, and copies of Isaac Lab's, MoveIt Servo's and servoj's.
     """
-    safe = assumed_drive(Ts) if drive is None else drive
-    measured = replace(safe, feedback="measured")
+    Ts, drive, unknown = found.Ts, found.drive, found.assumed
 
-    def gain(one) -> float | None:
-        return min(MOST_Z, limits(one, Ts)[2]) or None
+    def gain(drive: Drive) -> float | None:
+        return min(MOST_Z, (found.shares if drive is found.drive else limits(drive, Ts))[2]) or None
 
-    z = gain(measured)
-    first = (
-        "gain per step of {}, dt = Ts, where the configuration is measured"
-        + f"; {OWN_COMMANDS} where it is the last command"
+    z = gain(drive if drive.feedback == "measured" else replace(drive, feedback="measured"))
+    per_step = (
+        "gain per step of FrameTask and PostureTask, dt = Ts, where the configuration is measured; "
+        f"{OWN_COMMANDS} where it is the last command"
     )
-    elsewhere = {
-        "pink": Setting(z, first.format("FrameTask and PostureTask")),
-        "mink": Setting(z, first.format("FrameTask and PostureTask")),
-        "Placo": Setting(z, "share of the way from the measured state to the target at which each solve's target lies"),
-        "MoveIt Servo": Setting(
-            z and z / Ts, "x, y, z and angular_proportional_gain [1/s], publish_period = Ts, joint velocities published"
-        ),
-    }
-    k_val, why = None, "each position target starts at the measured joints, and "
-    if drive is None or (drive.order == 0 and not drive.prompt):
-        why += "servos with ζ below 0.71 and dead time may run away: identify yours first (cnclik diagnose --step)"
-    elif drive.order and drive.command == "velocity":
-        why += "the drive given is a velocity servo: identify it with position commands"
-    else:
-        k_val = gain(replace(safe, command="position", feedback="rebased")) if safe.order else MOST_Z
-        why = why.removesuffix(", and ") if k_val else why + "this servo may then swing or run away"
-    elsewhere["Isaac Lab"] = Setting(k_val, f"k_val of DifferentialIKControllerCfg: {why}")
-    if drive is not None and drive.order and drive.command == "velocity":
-        elsewhere["UR servoj"] = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
-    else:
-        z = gain(_of_servoj(drive, Ts))
-        meaning = (
-            "alpha [1/s], error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd, "
-            f"lookahead_time {LOOKAHEAD}"
+    share = "share of the way from the measured state to the target at which each solve's target lies"
+    rate = "x, y, z and angular_proportional_gain [1/s], publish_period = Ts, joint velocities published"
+    k_val, why = None, "each position target starts at the measured joints"
+    if unknown or (drive.order == 0 and not drive.prompt):
+        why += (
+            ", and servos with ζ below 0.71 and dead time may run away: identify yours first (cnclik diagnose --step)"
         )
-        elsewhere["UR servoj"] = Setting(z and z / Ts, meaning)
-    return elsewhere
+    elif drive.order and drive.command == "velocity":
+        why += ", and the drive given is a velocity servo: identify it with position commands"
+    else:
+        k_val = gain(replace(drive, command="position", feedback="rebased")) if drive.order else MOST_Z
+        why += "" if k_val else ", and this servo may then swing or run away"
+    if not unknown and drive.order and drive.command == "velocity":
+        servoj = Setting(None, "alpha: servoj takes positions, and the drive given is a velocity servo")
+    else:
+        most = gain(_of_servoj(drive, Ts, unknown))
+        from_last = "error and J at the measured joints, q_cmd += q̇ Ts from the last q_cmd"
+        servoj = Setting(most and most / Ts, f"alpha [1/s], {from_last}, lookahead_time {LOOKAHEAD}")
+    return {
+        "pink": Setting(z, per_step),
+        "mink": Setting(z, per_step),
+        "Placo": Setting(z, share),
+        "MoveIt Servo": Setting(z and z / Ts, rate),
+        "Isaac Lab": Setting(k_val, f"k_val of DifferentialIKControllerCfg: {why}"),
+        "UR servoj": servoj,
+    }
 
 
-def _of_servoj(drive: Drive | None, Ts: float) -> Drive:
+def _of_servoj(drive: Drive, Ts: float, unknown: bool) -> Drive:
     """The drive with the lag of servoj's look-ahead; where there is another, as dead time."""
-    if drive is None:
-        return Drive(delay=min(ASSUMED_DELAY / Ts, MOST - SPARE), lag=LOOKAHEAD, command="position")
     drive = replace(drive.lumped, feedback="measured", command="position")
-    if drive.order == 0:
+    if unknown or drive.order == 0:
         return replace(drive, lag=LOOKAHEAD)
     return replace(drive, delay=min(drive.delay + LOOKAHEAD / Ts, MOST - SPARE))

@@ -122,34 +122,6 @@ def first_beyond(holds: Callable, reach: float, points: int = POINTS, halvings: 
     return float(low)
 
 
-def stability_region(method: MethodLike, M=None, *, real=(-2.0, 4.0), imaginary=(-4.0, 4.0), points=401):
-    """Return |R(z)| over the complex plane as an xarray.DataArray over (im, re); stable where it is at most 1.
-
-    Complex z belong to a law that turns, such as one whose Jacobian is wrong by an angle φ: z exp(iφ).
-    """
-    import xarray as xr
-
-    method, M = named(method), passes_of(M)
-    points = errors.integer("points", points, at_least=2, at_most=10_000)
-    ends = (np.asarray(errors.array(name, v, (2,)), float) for name, v in (("real", real), ("imaginary", imaginary)))
-    x, y = (np.linspace(low, high, points) for low, high in ends)
-    return xr.DataArray(
-        np.abs(amplification(method, x + 1j * y[:, None], M)),
-        dims=("im", "re"),
-        coords={
-            "re": ("re", x, {"units": "1", "long_name": "Re z"}),
-            "im": ("im", y, {"units": "1", "long_name": "Im z"}),
-        },
-        name="amplification",
-        attrs={
-            "units": "1",
-            "long_name": "|R(z)|",
-            "method": method.name,
-            "stage": "exact" if M is None else f"M = {M}",
-        },
-    )
-
-
 def describe(method: Method, M) -> str:
     """Return a method with its passes in words: "CN, M = 5"."""
     return f"{method.name}, {'solved exactly' if M is None else f'M = {M}'}" if method.implicit else method.name

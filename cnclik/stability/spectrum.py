@@ -14,15 +14,15 @@ from cnclik import errors
 from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
-from cnclik.law import reference as ref
-from cnclik.law.law import Law, check_loop, evaluate, observe
+from cnclik.law.law import Law, check_loop, observe, weighted
 from cnclik.law.paths import hold_at
+from cnclik.law.reference import Reference
 from cnclik.precision import in_float64_if_known
 from cnclik.record import ArrayLike, Float, Number, cast, replace
 from cnclik.robot import chart
 from cnclik.robot.model import as_joint_values, modelled, one_off
 from cnclik.robot.posture import arm_length
-from cnclik.robot.rotations import safe_sqrt
+from cnclik.robot.rotations import safe_norm, safe_sqrt
 
 REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [m, rad]; float32 resolves a tenth of it
 
@@ -30,7 +30,7 @@ REST = 1e-5  # of (1 + the arm's length in m): an error above this is not rest [
 @in_float64_if_known
 def spectral_radius(
     law: Law,
-    reference: ref.Reference | None,
+    reference: Reference | None,
     q: Float[ArrayLike, " n"],
     Ts: Number,
     method: MethodLike = DEFAULT,
@@ -51,62 +51,34 @@ def spectral_radius(
       method, stage: as for `solve`.
     Raises: ArgumentError where q is not at rest on the target, or Ts is not a positive number.
     """
-    method = named(method)
-    Ts = 1.0 * errors.number("Ts", Ts, positive=True)
-    law, held = at_rest(law, reference, q)
-    given = law, held, as_joint_values(law.chain, q), Ts
-    if all(map(errors.concrete, jax.tree.leaves(given))):
-        return np.float64(_radius_of_numbers(*given, method, stage))
-    return _radius(*given, method, stage)
+    method, Ts = named(method), 1.0 * errors.number("Ts", Ts, positive=True)
+    check_loop(law, *(() if reference is None else (reference,)))
+    q = as_joint_values(law.chain, q, finite=True)
+    if law.null_velocity is not None:
+        law = replace(law, null_velocity=replace(law.null_velocity, rest=q))
+    if not all(map(errors.concrete, jax.tree.leaves((law, reference, q, Ts)))):
+        return _radius(law, reference, q, Ts, method, stage)[0]
+    radius, away = _radius_of_numbers(law, reference, q, Ts, method, stage)
+    if not away < REST * (1 + arm_length(law.chain)):
+        raise errors.fail("q", "be at rest on the target", f"leaves an error of {float(away):.3g}")
+    return np.float64(radius)
 
 
 def _radius(law, reference, q, Ts, method, stage):
-    eigenvalues = jnp.linalg.eigvals(task_map(law, reference, q, Ts, method, stage))
-    return safe_sqrt(jnp.max(eigenvalues.real**2 + eigenvalues.imag**2))
+    """Return the radius, and the error that a reference has at t = 0."""
+    law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
+    t = jnp.zeros_like(Ts)
+    away = t if reference is None else safe_norm(observe(law, reference, t, q).e)
+    held = hold_at(law.chain, law.task, q)
+
+    def move(y):
+        return chart.into(law.chain, q, advance(law, held, chart.out(law.chain, q, y), t, Ts, method, stage).q)
+
+    moved, rows = jax.jacfwd(move)(chart.centre(law.chain, q)), weighted(law.task, observe(law, held, t, q).rows)
+    eye = jnp.eye(len(rows), dtype=rows.dtype)
+    task_map = eye + rows @ (moved - jnp.eye(len(moved), dtype=rows.dtype)) @ jnp.linalg.pinv(rows)
+    eigenvalues = jnp.linalg.eigvals(task_map)
+    return safe_sqrt(jnp.max(eigenvalues.real**2 + eigenvalues.imag**2)), away
 
 
 _radius_of_numbers = one_off(_radius, static_argnames=("method",))  # one program, not one for each operation
-
-
-def task_map(law, reference, q, Ts, method, stage):
-    """Return the (m, m) matrix by which one step multiplies the (weighted) error at rest. Pure; nothing is checked."""
-    moved, rows = one_step(law, reference, q, Ts, method, stage)
-    eye = jnp.eye(len(q), dtype=rows.dtype)
-    return jnp.eye(len(rows), dtype=rows.dtype) + rows @ (moved - eye) @ jnp.linalg.pinv(rows)
-
-
-def one_step(law, reference, q, Ts, method, stage):
-    """Return ∂q[k+1]/∂q[k] of the step from t = 0 in the chart at q (n, n), and the rows of the weighted J (m, n)."""
-    law, reference, Ts = cast((modelled(law), reference, Ts), q.dtype)
-    t = jnp.zeros_like(Ts)
-
-    def move(y):
-        now = chart.out(law.chain, q, y)
-        return chart.into(law.chain, q, advance(law, reference, now, t, Ts, method, stage).q)
-
-    return jax.jacfwd(move)(chart.centre(law.chain, q)), evaluate(law, reference, t, q).rows
-
-
-# --- rest ---------------------------------------------------------------------------------------------
-
-
-def at_rest(law, reference, q) -> tuple[Law, ref.Reference]:
-    """Return the law and a constant reference of a loop at rest at q; a posture term with its rest there.
-
-    Raises: ArgumentError where `reference` (None: any) is elsewhere at t = 0 by more than REST.
-    """
-    check_loop(law, *(() if reference is None else (reference,)))
-    q = as_joint_values(law.chain, q, finite=True)
-    if reference is not None and all(map(errors.concrete, jax.tree.leaves((law, reference, q)))):
-        size = float(np.linalg.norm(_error_of_numbers(law, reference, q)))
-        if not size < REST * (1 + arm_length(law.chain)):
-            raise errors.fail("q", "be at rest on the target", f"leaves an error of {size:.3g}")
-    if law.null_velocity is not None:
-        law = replace(law, null_velocity=replace(law.null_velocity, rest=q))
-    held, dtype = hold_at(law.chain, law.task, q), q.dtype
-    return law, ref.of_each(lambda one, parts: replace(one, feedforward=np.zeros(parts.width, dtype)), held, law.task)
-
-
-@one_off
-def _error_of_numbers(law, reference, q):
-    return observe(modelled(law), reference, jnp.zeros_like(q[0]), q).e

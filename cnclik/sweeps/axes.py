@@ -11,13 +11,17 @@ from cnclik.sweeps.grid import COUNTED, Axis, axis
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # their values are never expressions
 MOST_VALUES = 10_000_000  # numbers of an axis, at most
-KEYS = {"linspace": (), "geomspace": (), "samples": ("low", "high", "seed")}
+FORMS = {  # of a table: what it must be
+    "linspace": "be linspace = [first, last, count]",
+    "geomspace": "be geomspace = [first, last, count], without 0",
+    "samples": "have low ≤ high, each a number or one for every joint",
+}
 
 
-def read(name: str, value, joints=1) -> Axis:
+def read(name: str, value, joints: int | None = None) -> Axis:
     """Return an axis from its entry in a spec, a list or a table such as { linspace = [1, 40, 20] }.
 
-    Args: joints: of the widest robot, the number of values of each sample.
+    Args: joints: of the widest robot, the number of values of each sample; None where it is not known yet.
     """
     where = f"axes.{name}"
     if isinstance(value, list):
@@ -30,11 +34,13 @@ def read(name: str, value, joints=1) -> Axis:
         with np.errstate(all="ignore"):  # huge ends give values that are not finite, which `axis` reports
             values = _generated(where, value, joints)
     if name in COUNTED and not isinstance(values[0], str):
-        values = _counts(where, values)
-    found = axis(name, values, where)
-    if not isinstance(found.values[0], str):
-        check_values(where, name, np.asarray(found.values))
-    return found
+        if any(np.ndim(v) or v % 1 for v in values):
+            raise errors.fail(where, "hold one whole number each", f"is {value!r}")
+        values = np.array(values, int)
+    made = axis(name, values, where)
+    if not isinstance(made.values[0], str):
+        check_values(where, name, np.asarray(made.values))
+    return made
 
 
 def is_drawn(value) -> bool:
@@ -46,54 +52,41 @@ def _number(where, value):
     """Return the number or list that a value such as "4 ms" or "pi/2" stands for; what needs names as it is."""
     if not isinstance(value, str) or where.partition(".")[2] in NAMES or expression.names(where, value):
         return value
-    return np.asarray(expression.evaluate(where, value, None)).tolist()
-
-
-def _counts(where, values):
-    """Return whole numbers as such."""
-    if not all(isinstance(v, (int, float, np.number)) and v % 1 == 0 for v in values):
-        raise errors.fail(where, "hold one whole number each", f"is {np.array(values, object).tolist()!r}")
-    return np.array(values, int)
+    return np.asarray(expression.number(where, value)).tolist()
 
 
 def _generated(where, value, joints):
     """Return the numbers of a table such as { geomspace = [1, 40, 20] }."""
-    kind = next((kind for kind in KEYS if isinstance(value, dict) and kind in value), None)
+    kind = next((kind for kind in FORMS if isinstance(value, dict) and kind in value), None)
     if kind is None:
-        must = f"be a list, labelled tables, or a table with one of {', '.join(KEYS)}"
+        must = f"be a list, labelled tables, or a table with one of {', '.join(FORMS)}"
         raise errors.fail(where, must, f"is {value!r}")
-    known_keys(where, value, (kind, *KEYS[kind]))
-    if kind == "samples":
-        count = errors.integer(f"{where}.samples", value["samples"], at_least=1)
-        seed = errors.integer(f"{where}.seed", value.get("seed", 0), at_least=0)
-        low, high = (_end(where, value.get(key, default)) for key, default in (("low", 0.0), ("high", 1.0)))
-        _few_enough(where, count * joints)
-        try:
-            low, high = (np.broadcast_to(end, joints) for end in (low, high))
-        except ValueError:
-            low = np.inf
-        if not np.all(low <= high):
-            raise errors.fail(where, "have low ≤ high, each a number or one for every joint", f"is {value!r}")
-        return low + (high - low) * np.random.default_rng(seed).random((count, joints))
+    known_keys(where, value, (kind, *("low", "high", "seed") * (kind == "samples")))
     try:
+        if kind == "samples":
+            count = errors.integer(f"{where}.samples", value["samples"], at_least=1)
+            seed = errors.integer(f"{where}.seed", value.get("seed", 0), at_least=0)
+            if joints is None:
+                return np.zeros((1, 1))
+            ends = (_end(where, value.get(key, default)) for key, default in (("low", 0.0), ("high", 1.0)))
+            low, high = (np.broadcast_to(end, joints) for end in ends)
+            if not np.all(low <= high):
+                raise ValueError
+            _few_enough(where, count * joints)
+            return low + (high - low) * np.random.default_rng(seed).random((count, joints))
         first, last, count = value[kind]
         first, last, count = _end(where, first), _end(where, last), operator.index(count)
         _few_enough(where, count * max(first.size, last.size))
         return getattr(np, kind)(first, last, count)
     except errors.ArgumentError:
         raise
-    except (TypeError, ValueError) as error:
-        zero = "; geomspace has no 0" * ("zero" in str(error))
-        raise errors.fail(where, f"be {kind} = [first, last, count]", f"is {value[kind]!r}{zero}") from None
+    except (TypeError, ValueError):
+        raise errors.fail(where, FORMS[kind], f"is {value!r}") from None
 
 
 def _end(where, value):
     """Return a number or vector, expressions of pi included."""
-
-    def look(name):
-        raise errors.fail(where, "be numbers", f"refers to {name!r}")
-
-    return np.asarray(expression.evaluate(where, [value], look)[0])
+    return np.asarray(expression.number(where, [value])[0])
 
 
 def _few_enough(where, count):
@@ -105,6 +98,4 @@ def _few_enough(where, count):
 def known_keys(where: str, table, names) -> None:
     """Raise ArgumentError for a key of a table that is unknown, with the nearest known name."""
     for key in table:
-        if key not in names:
-            known = errors.nearest(key, names) or f" (known are {', '.join(names)})"
-            raise errors.ArgumentError(f"Argument `{where}` must hold known keys, but holds {key!r}{known}.")
+        errors.one_of(f"key of {where}", key, names)

@@ -6,6 +6,7 @@ A text that is no expression is numbers with a unit, as on the command line: del
 import ast
 import functools
 import math
+import operator
 import warnings
 
 import jax.numpy as jnp
@@ -15,74 +16,47 @@ from cnclik import errors, quantities
 from cnclik.problem.options import OPTIONS
 
 LONGEST = 500  # characters of an expression: Python's parser takes seconds for some longer ones
-_MATH = {name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log")}
-FUNCTIONS = _MATH | {"round": round, "min": min, "max": max}
-_PAIRS = {"min": "minimum", "max": "maximum"}  # names of JAX
-_ALLOWED = (
-    *(ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant),
-    *(ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd),
-)
+FUNCTIONS = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
+FUNCTIONS |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
+OPERATORS: dict = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
+OPERATORS |= {ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
+_ALLOWED = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant, *OPERATORS)
 
 
 @functools.cache
-def _code(text: str):
-    """Return an expression compiled; None for a text that is none."""
-    if len(text) > LONGEST:
-        return None
+def _tree(text: str):
+    """Return the syntax tree of an expression; None for a text that is none."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Python's own about texts such as 0in
-            tree = ast.parse(text.strip(), mode="eval")
-            calls = {node.func: node for node in ast.walk(tree) if isinstance(node, ast.Call)}
-            if all(_is_allowed(node, calls) for node in ast.walk(tree)):
-                return compile(_Floats().visit(tree), text, "eval")
-    except (SyntaxError, ValueError, RecursionError, MemoryError, OverflowError):
-        pass
-    return None
+            tree = ast.parse(text.strip() if len(text) <= LONGEST else "", mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+    return tree if all(isinstance(node, _ALLOWED) for node in ast.walk(tree)) else None
 
 
-def _is_allowed(node, calls) -> bool:
-    if isinstance(node, ast.Constant):
-        return type(node.value) in (int, float)
-    if isinstance(node, ast.Call):
-        count = 2 if getattr(node.func, "id", "") in _PAIRS else 1
-        return isinstance(node.func, ast.Name) and len(node.args) == count and not node.keywords
-    if isinstance(node, ast.Name):
-        return (node.id in FUNCTIONS) == (node in calls)
-    return isinstance(node, _ALLOWED)
-
-
-class _Floats(ast.NodeTransformer):
-    """Numbers as floats, but for exponents: powers of integers may take hours, those of floats overflow."""
-
-    def visit_Constant(self, node):
-        return ast.copy_location(ast.Constant(float(node.value)), node)
-
-    def visit_BinOp(self, node):
-        node.left = self.visit(node.left)
-        if not (isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant)):
-            node.right = self.visit(node.right)
-        return node
-
-
-class _Known(dict):
-    """What an expression's names stand for."""
-
-    def __init__(self, look):
-        super().__init__({name: functools.partial(_call, name) for name in FUNCTIONS}, pi=math.pi)
-        self.look = look
-
-    def __missing__(self, name):
-        value = self.look(name)
-        if isinstance(value, str):
-            raise TypeError(f"{name} is a name, not a number")
-        return float(value) if type(value) is int else value
-
-
-def _call(name, *arguments):
-    if all(isinstance(argument, (int, float)) for argument in arguments):
-        return FUNCTIONS[name](*arguments)
-    return getattr(jnp, _PAIRS.get(name, name))(*arguments)
+def _result(node, look):
+    """Return the value of a syntax tree. Numbers are floats: powers of integers may take hours."""
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            return float(value)
+        case ast.Name(id="pi"):
+            return math.pi
+        case ast.Name(id=name) if name not in FUNCTIONS:
+            value = look(name)
+            if isinstance(value, str):
+                raise TypeError(f"{name} is a name, not a number")
+            return float(value) if type(value) is int else value
+        case ast.UnaryOp():
+            return OPERATORS[type(node.op)](_result(node.operand, look))
+        case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int() as power)):
+            return _result(node.left, look) ** power  # of a traced number by multiplication
+        case ast.BinOp():
+            return OPERATORS[type(node.op)](_result(node.left, look), _result(node.right, look))
+        case ast.Call(func=ast.Name(id=name), keywords=[]) if name in FUNCTIONS:
+            arguments = [_result(argument, look) for argument in node.args]
+            return getattr(np if all(map(errors.concrete, arguments)) else jnp, FUNCTIONS[name])(*arguments)
+    raise TypeError(f"{ast.unparse(node)} has no value")
 
 
 def _unit(where: str) -> str:
@@ -93,7 +67,7 @@ def _unit(where: str) -> str:
 def is_quantity(value) -> bool:
     """Return whether a value is numbers with a unit, such as "34ms" or ["1 mm", 2]: it has texts, and no expression."""
     texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
-    return bool(texts) and not any(map(_code, texts))
+    return bool(texts) and not any(map(_tree, texts))
 
 
 def names(where: str, value) -> set:
@@ -102,8 +76,8 @@ def names(where: str, value) -> set:
         return set().union(*(names(where, v) for v in value))
     if not isinstance(value, str):
         return set()
-    if (code := _code(value)) is not None:
-        return set(code.co_names) - set(FUNCTIONS) - {"pi"}
+    if (tree := _tree(value)) is not None:
+        return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - {"pi", *FUNCTIONS}
     unit = _unit(where)  # a time in samples depends on the sampling time
     return {"Ts"} if unit == quantities.SAMPLES and "s" in _read(where, value, unit, 1.0).written else set()
 
@@ -130,16 +104,25 @@ def evaluate(where: str, value, look):
             raise errors.fail(where, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
         return value
-    if (code := _code(value)) is None:
+    if (tree := _tree(value)) is None:
         found = _read(where, value, _unit(where), look("Ts") if "Ts" in names(where, value) else None)
         return np.array(found) if len(found) > 1 else found[0]
     try:
         with np.errstate(all="ignore"):  # users of the value report what is not finite
-            found = eval(code, {"__builtins__": {}}, _Known(look))
-        if np.iscomplexobj(found):
+            result = _result(tree, look)
+        if np.iscomplexobj(result):
             raise ValueError("the result is complex")
-        return found
+        return result
     except errors.ArgumentError:
         raise
     except (ArithmeticError, ValueError, TypeError, RecursionError) as error:
         raise errors.fail(where, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
+
+
+def number(where: str, value):
+    """Return the value of an expression that uses no name, such as "pi/2" or "4 ms"."""
+
+    def look(name):
+        raise errors.fail(where, "be numbers", f"refers to {name!r}")
+
+    return evaluate(where, value, look)

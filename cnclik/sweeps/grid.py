@@ -49,7 +49,7 @@ def axis(name: str, values, where=None) -> Axis:
     """
     where = where or name
     if isinstance(values, Mapping):
-        found = Axis(name, tuple(values.values()), tuple(values))
+        made = Axis(name, tuple(values.values()), tuple(values))
     elif not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
         raise errors.fail(where, "be an axis: an array, a list, or a dict of labelled values", f"is {values!r}")
     elif (numbers := _numbers(name, where, values)) is None:
@@ -57,14 +57,14 @@ def axis(name: str, values, where=None) -> Axis:
         if None in labels:
             must = "hold numbers, names or named objects, or be a dict {label: value}"
             raise errors.fail(where, must, f"is {values!r}")
-        found = Axis(name, tuple(values), labels)
+        made = Axis(name, tuple(values), labels)
     else:
-        found = Axis(name, numbers)
-    if not len(found):
+        made = Axis(name, numbers)
+    if not len(made):
         raise errors.fail(where, "hold at least one value", "is empty")
-    if found.inner and not np.all(np.isfinite(found.values)):
+    if made.inner and not np.all(np.isfinite(made.values)):
         raise errors.fail(where, "hold finite values", "does not")
-    return compiled_in(found, where) if name in COMPILED_IN else found
+    return compiled_in(made, where) if name in COMPILED_IN else made
 
 
 def compiled_in(of: Axis, where: str) -> Axis:
@@ -83,19 +83,18 @@ def _numbers(name, where, values):
     if not typed and any(isinstance(v, (str, bool)) for v in values):
         return None
     try:
-        found = np.asarray(values)
+        array = np.asarray(values)
     except ValueError:
         raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
-    if found.dtype.kind not in "fiub":
+    if array.dtype.kind not in "fiub":
         return None
-    whole = found.dtype.kind != "f" and (typed or name in COUNTED)
-    return found if whole else found.astype(float)
+    whole = array.dtype.kind != "f" and (typed or name in COUNTED)
+    return array if whole else array.astype(float)
 
 
 class Block(NamedTuple):
     """A piece of the grid that is computed at once."""
 
-    number: int
     program: int  # index of the combination of the outer axes
     region: tuple  # a slice per axis of the grid
 
@@ -117,7 +116,8 @@ class Grid:
     more: Callable = dataclasses.field(default=lambda program, lanes: {}, compare=False, repr=False)
 
     def __post_init__(self):
-        counts = self.size, math.prod(map(len, self.outer)), math.prod(map(len, self._cuts()))
+        pieces = math.prod(-(-n // step) for n, step in zip(self.shape, self.block, strict=True))
+        counts = self.size, math.prod(map(len, self.outer)), pieces
         for count, (what, most) in zip(counts, MOST.items(), strict=True):
             if count > most:
                 axes = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
@@ -143,19 +143,15 @@ class Grid:
     def block(self) -> tuple:
         """Extent of a block along each axis: all of the last axes, a cut of the one before, single values of others."""
         left, extents = self.lanes, []
-        for one in reversed(self.axes):
-            if not one.inner:
+        for a in reversed(self.axes):
+            if not a.inner:
                 extents.append(1)
                 continue
             # Even cuts, so that the last block needs little padding.
-            pieces = -(-len(one) // max(left, 1))
-            extents.append(-(-len(one) // pieces))
+            pieces = -(-len(a) // max(left, 1))
+            extents.append(-(-len(a) // pieces))
             left = left // extents[-1] if pieces == 1 else 0
         return tuple(reversed(extents))
-
-    def _cuts(self) -> list:
-        """Return the starts of the blocks along each axis."""
-        return [range(0, n, step) for n, step in zip(self.shape, self.block, strict=True)]
 
     @property
     def programs(self) -> list:
@@ -166,16 +162,17 @@ class Grid:
     def blocks(self) -> list:
         """Return all blocks, program by program."""
         cuts = [
-            [slice(first, min(first + step, n)) for first in starts]
-            for n, step, starts in zip(self.shape, self.block, self._cuts(), strict=True)
+            [slice(first, min(first + step, n)) for first in range(0, n, step)]
+            for n, step in zip(self.shape, self.block, strict=True)
         ]
-        order = sorted(range(len(cuts)), key=lambda i: self.axes[i].inner)  # the outer axes first
-        per_program = math.prod(len(c) for c, a in zip(cuts, self.axes, strict=True) if a.inner)
-        out = []
-        for number, chosen in enumerate(itertools.product(*(cuts[i] for i in order))):
-            region = tuple(cut for _, cut in sorted(zip(order, chosen, strict=True), key=lambda pair: pair[0]))
-            out.append(Block(number, number // per_program, region))
-        return out
+        blocks = [Block(self._program(region), region) for region in itertools.product(*cuts)]
+        return sorted(blocks, key=lambda block: block.program)
+
+    def _program(self, region) -> int:
+        number = 0
+        for a, cut in zip(self.axes, region, strict=True):
+            number = number if a.inner else number * len(a) + cut.start
+        return number
 
     def lane_values(self, block: Block) -> dict:
         """Return the values of the inner axes, and `more`, in each lane; lanes beyond the grid repeat the last one."""

@@ -21,19 +21,19 @@ MOST_LIMITS = 1000  # each takes some milliseconds
 def coordinates(of: Grid, units) -> dict:
     """Return coordinates of all axes, {name: (dimensions, values, attributes)}; for an axis of vectors their numbers,
     with the values beside them."""
-    found = {}
+    coords = {}
     for name, values, labels in of.axes:
         about = {"units": units.get(name, ""), "long_name": SYMBOLS.get(name, name.replace("_", " "))}
         if labels is not None:
-            words = np.asarray(labels)  # such as "8ms", which have their own unit
-            found[name] = (name, words, about | {"units": "1" if words.dtype.kind == "U" else units.get(name, "1")})
-        elif values.ndim == 1:
-            found[name] = (name, values, about)
-        else:
+            values = np.asarray(labels)
+            if values.dtype.kind == "U":  # such as "8ms", which have their own unit
+                about["units"] = "1"
+        elif values.ndim > 1:
             parts = (f"{name}_{i}" for i in range(values.ndim - 1))
-            found[name] = (name, np.arange(len(values)), about | {"units": "1"})
-            found[f"{name}_value"] = ((name, *parts), values, about)
-    return found
+            coords[f"{name}_value"] = ((name, *parts), values, about)
+            values, about = np.arange(len(values)), about | {"units": "1"}
+        coords[name] = (name, values, about)
+    return coords
 
 
 def coordinates_of(spec, of: Grid) -> dict:
@@ -42,21 +42,20 @@ def coordinates_of(spec, of: Grid) -> dict:
     It holds at any posture, exactly where J# is exact; with damping a little more may be stable. inf: any z. There is
     none where the spec's own axis z is not alpha·Ts, or for more than a thousand combinations.
     """
-    found = coordinates(of, spec.all_units())
-    needs = spec.needs(LIMIT)
+    coords, needs = coordinates(of, spec.all_units()), spec.needs(LIMIT)
     axes = [a for a in of.axes if a.name in needs or needs & set().union(*spec.tables.get(a.name, {}).values())]
     if math.prod(map(len, axes)) > MOST_LIMITS:
-        return found
-    points = [dict(zip([a.name for a in axes], v, strict=True)) for v in itertools.product(*(a.values for a in axes))]
-    first = of.programs[0]
+        return coords
+    names, first = tuple(a.name for a in axes), of.programs[0]
     with jax.enable_x64(True):
         for lane in (spec.first(), spec.first(last=True)):
-            loop = spec.loop(first, lane)
+            loop = spec.loop(first | lane)
             if "z" in lane and not np.isclose(np.max(loop["alpha"]) * loop["Ts"], lane["z"], rtol=1e-6):
-                return found
-        values = [float(f"{spec.loop(first, spec.first() | point)[LIMIT]:.{DIGITS}g}") for point in points]
+                return coords
+        points = (dict(zip(names, values, strict=True)) for values in itertools.product(*(a.values for a in axes)))
+        limits = [float(f"{spec.loop(first | point)[LIMIT]:.{DIGITS}g}") for point in points]
     about = {"units": "1", "long_name": "largest stable z of linear theory"}
-    return found | {LIMIT: (tuple(a.name for a in axes), np.reshape(values, [len(a) for a in axes]), about)}
+    return coords | {LIMIT: (names, np.reshape(limits, [len(a) for a in axes]), about)}
 
 
 def environment(dtype=np.float64) -> dict:

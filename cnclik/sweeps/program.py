@@ -110,45 +110,32 @@ def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
     """Compute blocks: yield (block, {name: piece of the grid}) in their order.
 
     Each core runs its own block. The next ones already run while the caller handles one, so writing takes no extra
-    time.
+    time; and the next programs compile.
     """
-    workers = blocks_at_once()
-    waiting = collections.deque()
+
+    def compiled(number):
+        return first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
+
+    def computed(block):
+        results = program.run(of.lane_values(block))
+        return block, {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
+
     groups = [(number, list(group)) for number, group in itertools.groupby(blocks, key=lambda b: b.program)]
-    compiled = _compiled(study, of, [number for number, _ in groups], first)
-    for (number, group), program in zip(groups, compiled, strict=True):
+    programs = _ahead(as_here(compiled), [number for number, _ in groups], cores())
+    for (number, group), program in zip(groups, programs, strict=True):
         if first is not None and [o[:3] for o in program.outputs] != [o[:3] for o in first.outputs]:
             raise errors.fail("study", "return the same names and shapes everywhere", f"not at {of.programs[number]}")
-        at_once = 1 if program.alone else workers
-        with side_by_side(at_once) as pool:
-            for block in group:
-                waiting.append(pool.submit(_compute, program, of, block))
-                if len(waiting) > at_once + 1:
-                    yield waiting.popleft().result()
-            while waiting:
+        # An accelerator is kept busy by one block.
+        yield from _ahead(computed, group, cores() if jax.default_backend() == "cpu" and not program.alone else 1)
+
+
+def _ahead(fn, items, count):
+    """Yield fn(item) of items in order, `count` of them side by side, and the next ones while one is in use."""
+    waiting = collections.deque()
+    with side_by_side(count) as pool:
+        for item in items:
+            waiting.append(pool.submit(fn, item))
+            if len(waiting) > count + 1:
                 yield waiting.popleft().result()
-
-
-def _compiled(study, of, numbers, first):
-    """Yield the programs of these numbers in order; the next ones compile while one is in use."""
-    todo = iter([number for number in numbers if first is None or number != 0])
-    make = as_here(lambda number: compile_program(study, of.programs[number], of))
-    with side_by_side() as pool:
-        ahead = collections.deque(pool.submit(make, number) for number in itertools.islice(todo, cores()))
-        for number in numbers:
-            if first is not None and number == 0:
-                yield first
-                continue
-            program = ahead.popleft().result()
-            ahead.extend(pool.submit(make, more) for more in itertools.islice(todo, 1))
-            yield program
-
-
-def _compute(program, of, block):
-    results = program.run(of.lane_values(block))
-    return block, {name: of.cut(block, np.asarray(v)) for name, v in results.items()}
-
-
-def blocks_at_once() -> int:
-    """Return how many blocks run side by side: one per core, or one on an accelerator, which it keeps busy."""
-    return cores() if jax.default_backend() == "cpu" else 1
+        while waiting:
+            yield waiting.popleft().result()

@@ -37,10 +37,9 @@ from cnclik.sweeps.labels import LIMIT, UNITS
 
 KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
 TABLES = ("fixed", "axes", "units", "figure")
-RESERVED = (LIMIT, "progress", *KEYS, *TABLES)
+RESERVED = (LIMIT, *KEYS, *TABLES)
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
-STEPS = 30  # values that follow from each other, at most
 OPTIONS = options.OPTIONS
 DEFAULTS = options.DEFAULTS | {"delay": 0, "measurement_delay": 0}
 TIMED = {"lag", "natural_frequency", "cutoff"}  # options of a drive with which the largest stable z depends on Ts
@@ -78,26 +77,26 @@ class Spec:
         """Return the first, or last, value of every numeric axis."""
         return {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner}
 
-    def loop(self, program, lane=None) -> "Loop":
-        """Return the values of one loop. Args: program: of the outer axes. lane: of the others; None: the first."""
-        return Loop(self, program | (self.first() if lane is None else lane))
+    def loop(self, values: dict) -> "Loop":
+        """Return the values of one loop. Args: values: of axes; those of numeric axes are their first by default."""
+        return Loop(self, self.first() | values)
 
-    def build(self, program, lane=None) -> Problem:
+    def build(self, values: dict) -> Problem:
         """Return one loop. Args: as for `loop`."""
-        return self.loop(program, lane).build()
+        return self.loop(values).build()
 
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
-        made = self.build(values, {})
-        run = made.run(draws)
-        return measure_run(run, made.law, made.reference, self.metrics, tolerance=self.tolerance)
+        problem = self.build(values)
+        run = problem.run(draws)
+        return measure_run(run, problem.law, problem.reference, self.metrics, tolerance=self.tolerance)
 
     def draws(self, program: dict, lanes: dict) -> dict:
         """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""
-        if "seed" not in lanes or (made := self.build(program)).noise is None:
+        if "seed" not in lanes or (problem := self.build(program)).noise is None:
             return {}
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
-        size = made.N, made.law.task.m
+        size = problem.N, problem.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
 
     def evaluations(self, program: dict) -> float:
@@ -109,39 +108,40 @@ class Spec:
 
     def programs(self):
         """Yield the first combination of the outer axes, and those that differ from it along one axis."""
-        outer = Grid(self.axes, MOST["points"]).outer
+        outer = Grid(self.axes, MOST["points"]).outer  # refuses too many
         first = {a.name: a.values[0] for a in outer}
         yield first
         yield from (first | {a.name: value} for a in outer for value in a.values[1:])
 
     def needs(self, *names) -> set:
         """Return the names that some values depend on, these included."""
-        found: set = set()
+        used: set = set()
         for loop in map(self.loop, self.programs()):
             for name in names:
-                if name in loop.known or name == LIMIT:
+                if name in loop.given or name == LIMIT:
                     loop[name]
-            found |= set(loop)
-        return found
+            used |= set(loop)
+        return used
 
     def all_units(self) -> dict:
         """Return the units of the axes, given or known."""
-        law = self.build(self.grid().programs[0]).law
+        law = self.build(next(self.programs())).law
         known = dict(UNITS)
         for axis in self.axes:
             width = axis.values.shape[-1] if axis.inner and axis.values.ndim > 1 else None
             known[axis.name] = options.units(law, law.task, width).get(axis.name, known.get(axis.name, ""))
         return known | dict.fromkeys(self.tables, "1") | self.units
 
-    def given(self) -> list:
-        """Return [fixed] and all tables of axes."""
-        return [self.fixed, *(table for labels in self.tables.values() for table in labels.values())]
+    def places(self) -> dict:
+        """Return the tables that give values, {name of the table: {name: value}}."""
+        of_axes = {f"axes.{axis}.{label}": t for axis, labels in self.tables.items() for label, t in labels.items()}
+        return {"fixed": self.fixed} | of_axes
 
     def data(self) -> dict:
         """Return what the numbers depend on, for JSON; equal for equal data."""
         about = {"tolerance": self.tolerance, "metrics": list(self.metrics), "fixed": self.fixed}
         about["axes"] = self.tables | self.written
-        named = [table[name] for table in self.given() for name in FILES if name in table]
+        named = [table[name] for table in self.places().values() for name in FILES if name in table]
         named += [value for axis in self.axes if axis.name in FILES for value in axis.values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
         return about | ({"files": files} if files else {})
@@ -158,22 +158,20 @@ class Loop(dict):
     def __init__(self, spec: Spec, values: dict):
         super().__init__()
         self.spec, self.begun = spec, []  # names whose values are being evaluated
-        self.known = DEFAULTS | spec.fixed
+        self.given = DEFAULTS | spec.fixed
         for axis, labels in spec.tables.items():
             if axis in values:
-                self.known |= labels[values[axis]]
-        self.known |= {name: value for name, value in values.items() if name not in spec.tables}
+                self.given |= labels[values[axis]]
+        self.given |= {name: value for name, value in values.items() if name not in spec.tables}
 
     def __missing__(self, name):
         if name in self.begun:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*self.begun, name])}")
-        if len(self.begun) >= STEPS:
-            raise errors.fail(self.begun[0], f"follow from numbers in fewer than {STEPS} steps", "does not")
-        if name not in self.known and name != LIMIT:
-            near = errors.nearest(name, (*self.known, LIMIT))
+        if name not in self.given and name != LIMIT:
+            near = errors.nearest(name, (*self.given, LIMIT))
             raise errors.fail(self.begun[-1], "use names that have a value", f"uses {name!r}{near}")
         self.begun.append(name)
-        self[name] = value = self._limit() if name == LIMIT else self._value(name, self.known[name])
+        self[name] = value = self._limit() if name == LIMIT else self._value(name, self.given[name])
         self.begun.pop()
         return value
 
@@ -187,31 +185,31 @@ class Loop(dict):
 
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
-        robot = self.spec.file(self.known.get("robot")) or self.known.get("robot")
-        return robot_and_tip(robot, self.known.get("tip"), self.known.get("base"))[0].n
+        robot = self.spec.file(self.given.get("robot")) or self.given.get("robot")
+        return robot_and_tip(robot, self.given.get("tip"), self.given.get("base"))[0].n
 
     def build(self) -> Problem:
         """Return the loop."""
-        given = {}
-        for name in self.known:
+        made = {}
+        for name in self.given:
             if name in OPTIONS:
-                quantity = name not in NAMES and expression.is_quantity(self.known[name])
-                given[name] = self.known[name] if quantity else self[name]  # its unit must fit
+                quantity = name not in NAMES and expression.is_quantity(self.given[name])
+                made[name] = self.given[name] if quantity else self[name]  # its unit must fit
             if name in FILES:
-                given[name] = str(self.spec.file(given[name]) or given[name])
-        if "robot" not in given:
+                made[name] = str(self.spec.file(made[name]) or made[name])
+        if "robot" not in made:
             raise errors.fail("robot", "be given in [fixed] or [axes]", "is not")
         counts = self._counts()
         most = {} if counts is None else {"maximum": int(counts.max())}
-        stage = stage_from(given.pop("stage"), given.pop("M"), **most)
-        return problem_from(**given, stage=stage)
+        stage = stage_from(made.pop("stage"), made.pop("M"), **most)
+        return problem_from(**made, stage=stage)
 
     def _counts(self):
         return next((a.values for a in self.spec.axes if a.name == "M" and a.inner), None)
 
     def _limit(self):
         """Return linear theory's largest stable z, inf if there is none; for a traced M, from a table."""
-        drive = {name: self[name] for name in options.DRIVE if name in self.known}
+        drive = {name: self[name] for name in options.DRIVE if name in self.given}
         drive = tuple((name, tuple(np.ravel(v)) if np.ndim(v) else v) for name, v in drive.items())
         Ts = float(self["Ts"]) if TIMED & set(dict(drive)) else 1.0
         of = functools.partial(_largest_z, self["method"], self["stage"], drive, Ts)
@@ -227,12 +225,7 @@ class Loop(dict):
 @functools.cache
 def _largest_z(method, stage, drive, Ts, M) -> float:
     passes = M if named(method).implicit and stage == "picard" else None
-    return gain_removing(_share(drive, Ts), method, passes)
-
-
-@functools.cache
-def _share(drive, Ts) -> float:
-    return mixed_share((drive_from(dict(drive)) or Drive()).joints, Ts)
+    return gain_removing(mixed_share((drive_from(dict(drive)) or Drive()).joints, Ts), method, passes)
 
 
 # --- reading ------------------------------------------------------------------------------------------
@@ -277,20 +270,13 @@ def _change(written, change):
     table[key] = value
     if path == ["axes"]:
         fixed.pop(key, None)
-    elif path == ["fixed"] and axes.pop(key, None) and isinstance(figures := written.get("figure"), list):
-        of_axis = [figure for figure in figures if isinstance(figure, dict) and _mentions(figure, key)]
-        written["figure"] = [figure for figure in figures if figure not in of_axis]
-
-
-def _mentions(figure, axis) -> bool:
-    return axis in figure.values() or axis in (figure.get("select") or ())
+    elif path == ["fixed"] and axes.pop(key, None):  # figures of this axis have nothing to show
+        figures = errors.kind("figure", written.get("figure", []), list, "be a list of tables, [[figure]]")
+        written["figure"] = [figure for figure in figures if repr(key) not in repr(figure)]
 
 
 def _inner(table, name) -> dict:
-    inner = table.setdefault(name, {})
-    if not isinstance(inner, dict):
-        raise errors.fail(name, "be a table", f"is {inner!r}")
-    return inner
+    return errors.kind(name, table.setdefault(name, {}), dict, "be a table")
 
 
 def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
@@ -301,25 +287,21 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     known_keys("SPEC", written, (*KEYS, *TABLES))
     fixed, axes, units = (dict(_inner(dict(written), key)) for key in ("fixed", "axes", "units"))
     tables = {axis: axes.pop(axis) for axis, value in tuple(axes.items()) if _is_of_tables(value)}
-    figures = written.get("figure", [])
+    texts = {key: written.get(key, "") for key in ("question", "expectation")}
+    for key, text in [*texts.items(), *((f"units.{key}", unit) for key, unit in units.items())]:
+        errors.kind(key, text, str, "be a text")
+    figures, metrics = written.get("figure", []), written.get("metrics", [*DEFAULT])
     if not isinstance(figures, list) or not all(isinstance(figure, dict) for figure in figures):
         raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {figures!r}")
-    texts = {key: written.get(key, "") for key in ("question", "expectation")}
-    for key, text in [*texts.items(), *((f"units.{own}", unit) for own, unit in units.items())]:
-        errors.kind(key, text, str, "be a text")
-    names = written.get("metrics", list(DEFAULT))
-    if not isinstance(names, list) or not names or not all(isinstance(own, str) for own in names):
-        raise errors.fail("metrics", "be a list of names", f"is {names!r}")
-    places = {"fixed": fixed, "axes": axes}
-    places |= {f"axes.{axis}.{label}": table for axis, labels in tables.items() for label, table in labels.items()}
-    _check_names(places, tables)
+    if not isinstance(metrics, list) or not metrics or not all(isinstance(metric, str) for metric in metrics):
+        raise errors.fail("metrics", "be a list of names", f"is {metrics!r}")
     spec = Spec(
         name=name,
         question=texts["question"].strip(),
         expectation=texts["expectation"].strip(),
         tolerance=float(errors.number("tolerance", written.get("tolerance", 1e-3), positive=True)),
         lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
-        metrics=tuple(dict.fromkeys(names)),
+        metrics=tuple(dict.fromkeys(metrics)),
         fixed=fixed,
         written=axes,
         tables=tables,
@@ -327,15 +309,17 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         figures=figures,
         folder=pathlib.Path(folder),
     )
+    _check_names(spec)
     spec = dataclasses.replace(spec, axes=_axes(spec))
+    places = spec.places() | {"axes": axes}
     used = [expression.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
     for where, table in places.items():
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
         for last in (False, True):
-            made = spec.build(program, spec.first(last))
-            check_loop(made.law, made.reference)
-            check_metrics(spec.metrics, made.law)
+            problem = spec.build(program | spec.first(last))
+            check_loop(problem.law, problem.reference)
+            check_metrics(spec.metrics, problem.law)
     return spec
 
 
@@ -343,23 +327,23 @@ def _is_of_tables(value) -> bool:
     return isinstance(value, dict) and bool(value) and all(isinstance(table, dict) for table in value.values())
 
 
-def _check_names(places, tables):
+def _check_names(spec: Spec):
     """Raise ArgumentError for a value that is none, or a name that has another meaning or is given twice."""
-    for where, table in places.items():
+    for where, table in (spec.places() | {"axes": spec.written}).items():
         for name, value in table.items():
             if name in RESERVED:  # TOML counts lines below its header to it
                 must = "stand above all tables" if name in (*KEYS, *TABLES) else "have another name"
                 raise errors.fail(f"{where}.{name}", must, f"is in [{where}]")
             if where != "axes" and (not isinstance(value, (str, int, float, list)) or isinstance(value, bool)):
                 raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
-            if where != "axes" and name in places["axes"]:
+            if where != "axes" and name in spec.written:
                 raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
-    given: dict = {}  # {name: the axis of tables that gives it}
-    for axis, labels in tables.items():
+    giver: dict = {}  # {name: the axis of tables that gives it}
+    for axis, labels in spec.tables.items():
         if axis in (*OPTIONS, *RESERVED):
             raise errors.fail(f"axes.{axis}", "have a name of its own, as it has tables", f"is called {axis!r}")
         for name in set().union(*labels.values()):
-            if (other := given.setdefault(name, axis)) != axis:
+            if (other := giver.setdefault(name, axis)) != axis:
                 raise errors.fail(f"axes.{axis}", f"leave to {other} what that gives", f"holds {name!r} too")
 
 
@@ -369,15 +353,14 @@ def _axes(spec: Spec) -> tuple:
     Samples are drawn for the widest robot, and each arm uses the first ones.
     """
     tables = tuple(Axis(name, tuple(labels), tuple(labels)) for name, labels in spec.tables.items())
-    plain = {name: axis_forms.read(name, v) for name, v in spec.written.items() if not is_drawn(v)}
-    spec = dataclasses.replace(spec, axes=(*tables, *plain.values()))
-    if len(plain) < len(spec.written):
+    joints = None
+    for _ in range(2):  # the second time with the number of joints known
+        plain = [axis_forms.read(name, value, joints) for name, value in spec.written.items()]
+        spec = dataclasses.replace(spec, axes=(*tables, *plain))
+        if not any(map(is_drawn, spec.written.values())):
+            break
         joints = max(spec.loop(program).joints() for program in spec.programs())
-        drawn = {name: axis_forms.read(name, v, joints) for name, v in spec.written.items() if name not in plain}
-        plain = {name: (plain | drawn)[name] for name in spec.written}
-        spec = dataclasses.replace(spec, axes=(*tables, *plain.values()))
-    names = {name for table in spec.given() for name in table}
     wanted = spec.needs(*COMPILED_IN, *NAMES)
-    if LIMIT in spec.needs(*names):
+    if LIMIT in spec.needs(*(name for table in spec.places().values() for name in table)):
         wanted |= spec.needs(LIMIT) - {"M"}
-    return *tables, *(compiled_in(a, f"axes.{name}") if name in wanted else a for name, a in plain.items())
+    return *tables, *(compiled_in(a, f"axes.{a.name}") if a.name in wanted else a for a in plain)

@@ -1,10 +1,9 @@
 """Store: a sweep on disk, in blocks, that survives interruptions.
 
-`data.zarr` is created with all coordinates and attributes before the first block runs; one block of the grid is one
-chunk of each variable. A block is done once its checksum is in the group `progress`, written last, and only while the
-data match it. So a killed run, a lost process or a full disk costs only the blocks in progress, and a rerun ends with
-the same bytes as an undisturbed run. Description and coordinates have one checksum together, without which nothing is
-read.
+`data.zarr` is created with all coordinates and attributes before the first block runs. One block of the grid is one
+chunk of each variable, and is done once all of its chunks are there; zarr writes a chunk whole or not at all, with a
+checksum. So a killed run, a lost process or a full disk costs only the blocks in progress, and a rerun ends with the
+same bytes as an undisturbed run. Description and coordinates have one checksum together, without which nothing is read.
 """
 
 import contextlib
@@ -28,7 +27,7 @@ from cnclik.sweeps.spec import Spec
 from cnclik.writing import OWN, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
-_NOT_DONE = -1  # checksum of an unfinished block, and its value of counts
+_NOT_DONE = -1  # value of unfinished counts
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
 
 
@@ -41,57 +40,48 @@ class Store:
         self.folder, self.path = folder, folder / DATA
         try:
             mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
-            if mark["checksum"] != _checksum_of_files(self.path, mark["files"]):
+            if mark["checksum"] != _checksum(self.path, mark["files"]):
                 raise ValueError("its description or a coordinate is damaged")
-            self.group: Any = zarr.open_group(self.path, mode=mode)
-            self.config = json.loads(str(self.group.attrs["config"]))
-            self.lanes, self.names = self.config["lanes"], self.config["variables"]
-            self._checksums = self.group["progress/checksum"]
+            group: Any = zarr.open_group(self.path, mode=mode)
+            self.config = json.loads(str(group.attrs["config"]))
+            self.lanes = self.config["lanes"]
+            with zarr.config.set({"array.write_empty_chunks": True}):  # a block of NaN is done, too
+                self.arrays = {name: group[name] for name in self.config["variables"]}
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
 
-    def blocks(self) -> list:
-        """Return all blocks, numbered as when the store was created."""
+    def blocks(self) -> tuple[list, list]:
+        """Return the blocks that are done, and those that are missing or damaged, as cut when the store was created."""
         axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
-        return Grid(axes, self.lanes).blocks()
+        of = Grid(axes, self.lanes)
+        done, missing = [], []
+        for block in of.blocks():
+            (done if self._is_done(of, block) else missing).append(block)
+        return done, missing
 
-    def missing(self) -> list:
-        """Return the blocks that are not done, or whose data do not match their checksum."""
-        known = self._known()
-        return [b for b in self.blocks() if known[b.number] == _NOT_DONE or known[b.number] != self._checksum(b)]
-
-    def _known(self):
+    def _is_done(self, of, block) -> bool:
+        chunk = [str(cut.start // step) for cut, step in zip(block.region, of.block, strict=True)]
         with contextlib.suppress(*_UNREADABLE):
-            return self._checksums[:]
-        known = np.full(self._checksums.shape, _NOT_DONE)  # some chunk is unreadable: read them one by one
-        for number in range(len(known)):
-            with contextlib.suppress(*_UNREADABLE):
-                known[number] = self._checksums[number]
-        return known
-
-    def _checksum(self, block):
-        with contextlib.suppress(*_UNREADABLE):
-            return _checksum_of(self.group[name][block.region] for name in self.names)
+            for name, array in self.arrays.items():
+                if not os.path.isfile(self.path.joinpath(name, "c", *chunk)):
+                    return False
+                array[block.region]  # compares its checksum
+            return True
+        return False
 
     def write(self, block, piece) -> None:
-        """Write the data, then their checksum."""
-        for name in self.names:
-            self.group[name][block.region] = piece[name]
-        self._checksums[block.number] = _checksum_of(piece[name] for name in self.names)
+        """Write a block."""
+        for name, array in self.arrays.items():
+            array[block.region] = piece[name]
 
-    def data(self, missing):
+    def data(self, done, missing):
         """Return the data as an `xarray.Dataset`, as if the missing blocks had not been started; loaded on use."""
         import xarray
 
         with _quiet():
             data = xarray.open_zarr(self.path, chunks=None)
-        data = data[list(self.names)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
-        if not missing:
-            return data
-        numbers = {block.number for block in missing}
-        done = [block for block in self.blocks() if block.number not in numbers]
-        for name in self.names:
-            array = self.group[name]
+        data = data[list(self.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
+        for name, array in self.arrays.items() if missing else ():
             values = np.full(array.shape, array.fill_value, array.dtype)
             for block in done:
                 values[block.region] = array[block.region]
@@ -99,40 +89,18 @@ class Store:
         return data
 
 
-def _checksum_of(arrays) -> int:
-    total = 0
-    for values in arrays:
-        total = zlib.crc32(np.ascontiguousarray(values).data, total)
-    return total
-
-
-def _checksum_of_files(path, files) -> int:
+def _checksum(path, files) -> int:
     total = 0
     for file in files:
         total = zlib.crc32(read_bytes("out", path / file, "a sweep's file"), zlib.crc32(file.encode(), total))
     return total
 
 
-def _mark(path) -> None:
-    """Write the checksum of description and coordinates, which never change: the store is then complete."""
-    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
-    (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum_of_files(path, files)}))
-
-
-def _storable(values):
-    """Return names as variable-length strings, the only form of text that zarr has settled."""
-    return values.astype(object) if values.dtype.kind == "U" else values
-
-
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
-    """Create the empty store. It appears only once it is complete; one that another process made meanwhile stays."""
+    """Create the empty store. It appears only once it is complete."""
     with hidden_folder(folder) as hidden:
         _build(hidden / DATA, spec, of, outputs)
-        try:
-            (hidden / DATA).rename(folder / DATA)
-        except OSError:
-            if not os.path.exists(folder / DATA):
-                raise
+        (hidden / DATA).rename(folder / DATA)
 
 
 def _build(path, spec, of, outputs):
@@ -141,11 +109,13 @@ def _build(path, spec, of, outputs):
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     packed = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
-    coords = {name: (d, _storable(v), about) for name, (d, v, about) in coordinates_of(spec, of).items()}
-    about = environment() | attributes(spec, of, outputs)
+    coords = xarray.Dataset(coords=coordinates_of(spec, of), attrs=environment() | attributes(spec, of, outputs))
+    for name, values in coords.variables.items():
+        if values.dtype.kind == "U":  # variable-length strings, the only form of text that zarr has settled
+            coords[name] = coords[name].astype(object)
     with _quiet():
-        encoding = dict.fromkeys(coords, packed)
-        xarray.Dataset(coords=coords, attrs=about).to_zarr(path, zarr_format=3, consolidated=False, encoding=encoding)
+        encoding = dict.fromkeys(coords.variables, packed)
+        coords.to_zarr(path, zarr_format=3, consolidated=False, encoding=encoding)
         group = zarr.open_group(path, mode="r+")
         for o in outputs:
             group.create_array(
@@ -158,10 +128,10 @@ def _build(path, spec, of, outputs):
                 attributes=o.about,
                 **packed,
             )
-        checksums = {"shape": len(of.blocks()), "chunks": 1, "dtype": "int64", "fill_value": _NOT_DONE}
-        group.create_group("progress").create_array("checksum", **checksums, **packed, dimension_names=("block",))
         zarr.consolidate_metadata(path)
-    _mark(path)
+    # Description and coordinates never change: with their checksum the store is complete.
+    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
+    (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum(path, files)}))
 
 
 def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
@@ -182,10 +152,11 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
             path.rename(hidden / DATA)  # atomically: no reader sees half a store
         return None
     there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
-    for name in [*there, *here]:
+    for name in there | here:
         if there.get(name) != here.get(name):
             must = "hold results of this very spec (--fresh starts over, another --out keeps both)"
-            raise errors.fail("out", must, f"differs in {name}: {_short(there, name)} there, {_short(here, name)} here")
+            before, now = (f"{some.get(name, 'nothing')!s:.40}" for some in (there, here))
+            raise errors.fail("out", must, f"differs in {name}: {before} there, {now} here")
     with _disk(folder):
         remove_abandoned(path.rglob("*.partial"))  # left by an interrupted write
     return store
@@ -197,11 +168,6 @@ def _flat(config) -> dict:
     for table, value in (config["data"] | {"environment": config["environment"]}).items():
         flat |= {f"{table}.{name}": v for name, v in value.items()} if isinstance(value, dict) else {table: value}
     return flat
-
-
-def _short(values, name) -> str:
-    text = json.dumps(values[name], ensure_ascii=False) if name in values else "nothing"
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
@@ -228,27 +194,23 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, p
                 of, first = program.fit(spec.study, of)
                 with _disk(folder):
                     create(folder, spec, of, first.outputs)
-                store = prepare(spec, folder)  # ours, or that of a quicker process
-                assert store is not None
-                first = first if store.lanes == of.lanes else None
+                store = prepare(spec, folder)
     with _together(meet, last=True):
         store = store or prepare(spec, folder)
         if store is None:
             raise errors.fail("out", "be one folder that all processes share", f"{str(folder)!r} is empty here")
         of = dataclasses.replace(of, lanes=store.lanes)
-        missing = store.missing()
+        _, missing = store.blocks()
     share = _share(spec, of, missing, process, processes)
     todo, done = sum(b.size for b in share), 0
-    if progress is not None:
-        progress(0, todo)
+    report = progress or (lambda done, todo: None)
+    report(0, todo)
     for count, (block, piece) in enumerate(program.run_blocks(spec.study, of, share, first)):
-        when = f" after {count} of {len(missing)} blocks; they are kept, and the same command goes on from there"
-        with _disk(folder, when):
+        with _disk(folder, f" after {count} of {len(missing)} blocks; they are kept, and the same command goes on"):
             store.write(block, piece)
         done += block.size
-        if progress is not None:
-            progress(done, todo)
-    return processes == 1 or not store.missing()
+        report(done, todo)
+    return processes == 1 or not store.blocks()[1]
 
 
 @contextlib.contextmanager
@@ -281,20 +243,13 @@ def read(folder):
 
     Raises: ArgumentError if there is none, or if its description is damaged.
     """
-    return read_and_missing(folder)[0]
-
-
-def read_and_missing(folder):
-    """Return the result of `read`, and the number of blocks that are not done or damaged."""
-    folder = errors.path("folder", folder)
-    store = Store(folder, name="folder", mode="r")
-    missing = store.missing()
-    return store.data(missing), len(missing)
+    store = Store(errors.path("folder", folder), name="folder", mode="r")
+    return store.data(*store.blocks())
 
 
 def blocks_missing(folder) -> int:
     """Return the number of blocks of a folder's sweep that are not done or damaged."""
-    return len(Store(errors.path("folder", folder), name="folder", mode="r").missing())
+    return len(Store(errors.path("folder", folder), name="folder", mode="r").blocks()[1])
 
 
 @contextlib.contextmanager

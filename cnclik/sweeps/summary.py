@@ -6,8 +6,6 @@ import json
 
 import numpy as np
 
-from cnclik.measure.files import save_csv
-
 FILES = ("summary.csv", "config.json")
 _WRONG = {  # counts of steps that are 0 for a safe loop, and the words for it
     "diverged": "not diverging",
@@ -62,46 +60,40 @@ def best(data) -> list:
 
     Starts, targets and seeds count by their worst value. Loops that tie are all named.
     """
-    if (found := judged(data)) is None:
+    if (verdict := judged(data)) is None:
         return []
-    value, safe, words = found
+    value, safe, words = verdict
     drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
     value, safe = value.max(drawn, keep_attrs=True), safe.all(drawn)
-    apart, said = [d for d in _APART if d in value.dims], []
+    apart, lines = [d for d in _APART if d in value.dims], []
     for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
         where = dict(zip(apart, labels, strict=True))
         errors, fine = value.sel(where), safe.sel(where)
-        count = "".join(f"{d} {label}: " for d, label in where.items()) + _how_many(int(fine.sum()), errors.size)
-        line = f"{count} safe ({words})"
-        if fine.any():
+        count = int(fine.sum())
+        many = f"{count:,}" if count else "none"
+        line = "".join(f"{d} {label}: " for d, label in where.items())
+        line += f"{many} of {errors.size:,} loops {'are' if count > 1 else 'is'} safe ({words})"
+        if count:
             least = float(errors.where(fine).min())
-            line += f", {_named(data, errors, np.argwhere(((errors == least) & fine).values), least)}"
-        said.append(f"{line[0].upper()}{line[1:]}.")
-    return said
+            line += f", the best by {_named(data, errors, np.argwhere(((errors == least) & fine).values), least)}"
+        lines.append(f"{line[0].upper()}{line[1:]}.")
+    return lines
 
 
 def _named(data, errors, places, least) -> str:
     """Return which loops have the least error, in words."""
     size = f"{least:.3g} {errors.attrs.get('units', '')}".strip()
-    axes, one = [], {}
+    axes, first = [], {}
     for dim, numbers in zip(errors.dims, places.T, strict=True):
         values = data.get(f"{dim}_value", data[dim]).values[np.unique(numbers)]
-        one[dim] = values[0]
+        first[dim] = values[0]
         words = [text(v) for v in values]
         words = f"{words[0]} to {words[-1]}" if len(words) > 4 else " or ".join(words)
         axes.append(f"{dim} {words} {data[dim].attrs.get('units', '')}".removesuffix(" 1").strip())
-    if {"alpha", "Ts"} <= set(one) and len(places) == 1:
-        axes.append(f"z = {text(one['alpha'] * one['Ts'])}")
+    if {"alpha", "Ts"} <= set(first) and len(places) == 1:
+        axes.append(f"z = {text(first['alpha'] * first['Ts'])}")
     ties = f"; {len(places):,} loops tie" * (len(places) > 1)
-    what = f"{errors.name} {size}" if errors.size == 1 else f"the best by {errors.name} ({size}{ties})"
-    return f"{what}{': ' * bool(axes)}{', '.join(axes)}"
-
-
-def _how_many(safe, every) -> str:
-    """Return such as "3 of 4 loops are", and "the loop is not" where there is one."""
-    if every == 1:
-        return f"the loop is{' not' * (not safe)}"
-    return f"{f'{safe:,}' if safe else 'none'} of {every:,} loops {'are' if safe > 1 else 'is'}"
+    return f"{errors.name} ({size}{ties}){': ' * bool(axes)}{', '.join(axes)}"
 
 
 def text(value) -> str:
@@ -115,34 +107,31 @@ def table(data) -> list:
     """Return statistics of every scalar metric over the numeric axes, for each combination of the others.
 
     Each row is a dict with the labels of the other axes, `metric`, `units`, min, q10, median, q90, max, mean (over
-    finite values) and finite (their share).
+    finite values) and finite (their share). NaN is left out, and infinite values count as large.
     """
     inner = {d for d in data.dims if d in data.coords and (data[d].dtype.kind == "f" or f"{d}_value" in data.coords)}
     rows = []
     for name in scalars(data):
-        values = data[name]
-        outer = [d for d in values.dims if d not in inner]
-        moved = values.transpose(*outer, ...).values.astype(float)
-        for place in np.ndindex(moved.shape[: len(outer)]):
-            labels = {d: data[d].values[i] if d in data.coords else i for d, i in zip(outer, place, strict=True)}
-            rows.append(labels | {"metric": name, "units": values.attrs.get("units", "")} | _statistics(moved[place]))
+        values, over = data[name].astype(float), [d for d in data[name].dims if d in inner]
+        finite = np.isfinite(values)
+        statistics = values.quantile([*STATISTICS.values()], over, method="lower").to_dataset("quantile")
+        statistics = statistics.rename(dict(zip(STATISTICS.values(), STATISTICS, strict=True)))
+        statistics["mean"], statistics["finite"] = values.where(finite).mean(over), finite.mean(over)
+        units = ("metric", [data[name].attrs.get("units", "")])
+        frame = statistics.expand_dims(metric=[name]).assign_coords(units=units).to_dataframe().reset_index()
+        outer = [d for d in data[name].dims if d not in inner]
+        rows += frame[[*outer, "metric", "units", *STATISTICS, "mean", "finite"]].to_dict("records")
     return rows
-
-
-def _statistics(values) -> dict:
-    known, ranked = values[np.isfinite(values)], values[~np.isnan(values)]  # infinite ones count as large
-    quantiles = np.quantile(ranked, [*STATISTICS.values()], method="lower") if ranked.size else [np.nan] * 5
-    found = dict(zip(STATISTICS, map(float, quantiles), strict=True))
-    return found | {"mean": float(known.mean()) if known.size else np.nan, "finite": known.size / max(values.size, 1)}
 
 
 def write(data, folder) -> None:
     """Write the table and the configuration."""
-    rows = table(data)
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    texts = ([f"{v:.6g}" if isinstance(v, float) else v for v in map(row.get, names)] for row in rows)
+    import pandas
+
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
     numbers, settings = FILES
-    folder.write(numbers, functools.partial(save_csv, [names, *texts]))
+    frame = pandas.DataFrame(table(data))
+    csv = functools.partial(frame.to_csv, index=False, float_format="%.6g", na_rep="nan")
+    folder.write(numbers, csv)
     folder.write_text(settings, json.dumps(config, indent=1, ensure_ascii=False) + "\n")

@@ -55,7 +55,7 @@ def sweep(
     if not callable(study):
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
     of, outputs, arrays = _collect(study, grid(axes, lanes), progress)
-    units = units or {}
+    units = UNITS | dict(units or {})
     for o in outputs:
         o.about["units"] = units.get(o.name, o.about["units"])
     config = {
@@ -63,7 +63,7 @@ def sweep(
         "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
     }
     attrs = {"config": json.dumps(config), "lanes": of.lanes, **(attrs or {})}
-    return _dataset(of, outputs, arrays, coordinates(of, {**UNITS, **units}), attrs)
+    return _dataset(of, outputs, arrays, coordinates(of, units), attrs)
 
 
 def run_spec(spec, out=None, *, set=(), fresh=False, progress=None) -> "xr.Dataset":

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import memoized, record
+from cnclik.record import memoized, record, replace
 from cnclik.robot.chain import Chain
 from cnclik.task.parts import places
 from cnclik.task.task import Part, Task
@@ -63,13 +63,10 @@ def of_tips(task: Task) -> Task:
         return task
     if not any(kept):
         raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(task.names)}")
-    parts, weights, tasks, left = tuple(itertools.compress(task.parts, kept)), task.weights, [], iter(kept)
-    if weights is not None:
-        weights = np.concatenate([np.arange(task.m)[at] for at in itertools.compress(task.slices, kept)])
-        weights = task.weights[weights]  # type: ignore[index]
+    left, tasks = iter(kept), []
     for name, count in task.tasks:
         tasks += [(name, of)] if (of := sum(itertools.islice(left, count))) else []
-    return Task(parts=parts, weights=weights, tasks=tuple(tasks))
+    return replace(task.only(kept), tasks=tuple(tasks))
 
 
 def told_apart(task: Task) -> str:

@@ -13,7 +13,7 @@ from cnclik.robot.chain import Chain
 from cnclik.robot.masses import shares
 from cnclik.robot.model import as_joint_values, mass_frames, modelled
 from cnclik.task.parts import AXES, At, Orientation, Position, Vector, places
-from cnclik.task.task import Task, joined, with_weights
+from cnclik.task.task import Task, weighted, with_weights
 from cnclik.task.values import Function, Joints
 
 Weights = Float[ArrayLike, " m"] | None
@@ -133,8 +133,8 @@ def stack(**tasks: Task) -> Task:
         if errors.kind(name, task, Task, "be a task such as ck.position()").tasks:
             raise errors.fail(name, "be a task without names of its own", "is a stack")
     parts = tuple(part for task in tasks.values() for part in task.parts)
-    named = tuple((name, len(task.parts)) for name, task in tasks.items())
-    return Task(parts=parts, weights=joined(list(tasks.values())), tasks=named)
+    whole = weighted(parts, (weights for task in tasks.values() for weights in task.weight_of_parts))
+    return replace(whole, tasks=tuple((name, len(task.parts)) for name, task in tasks.items()))
 
 
 def _names(name, value):
@@ -153,7 +153,7 @@ def letters_of(name, axes):
 
 
 def _task(weights, *parts):
-    return with_weights(Task(parts=parts), weights)
+    return with_weights(parts, weights)
 
 
 # --- the centre of mass; walls keep it above the feet -------------------------------------------------
@@ -203,7 +203,7 @@ def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights
       weights: (m,) positive weights, or one for all.
     Raises: ArgumentError, when a law is made with it, for a robot without masses.
     """
-    return with_weights(Task(parts=(Center(along=letters_of("axes", axes), to=relative_to),)), weights)
+    return _task(weights, Center(along=letters_of("axes", axes), to=relative_to))
 
 
 def com(chain: Chain, q: Float[ArrayLike, " n"], *, relative_to: str | None = None) -> Float[Array, " 3"]:

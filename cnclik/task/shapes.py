@@ -1,7 +1,6 @@
 """Shapes carried by links, and distances between them as coordinates of a task, for walls or control.
 
-A sphere or a capsule is the set of all points within a radius of a point or a segment; a half-space is all points below
-a plane.
+A sphere or a capsule is the set of all points within a radius of a point or a segment.
 """
 
 from __future__ import annotations
@@ -42,23 +41,11 @@ class Rounded:
 
 
 @record
-class HalfSpace:
-    """See `half_space`."""
-
-    normal: Float[Array, " 3"]
-    offset: Number
-    tip, radius = None, 0.0
-
-    def along(self, robot: At, point, normal):
-        return jnp.zeros_like(robot.q)
-
-
-@record
 class Distance(Vector):
     """See `distance`."""
 
     one: Rounded
-    other: Rounded | HalfSpace
+    other: Rounded
     names, units = ("distance",), ("m",)
     tip, to = "distance", None
 
@@ -70,13 +57,7 @@ class Distance(Vector):
 
     def _seen(self, robot: At):
         """Return the distance, its nearest points, without radii, and the unit vector from the other to the one."""
-        ends = self.one.placed(robot)
-        if isinstance(self.other, HalfSpace):
-            heights = ends @ self.other.normal - self.other.offset
-            lower = jnp.argmin(heights)
-            near = ends[0] if len(ends) == 1 else jnp.where(lower == 0, ends[0], ends[1])
-            return jnp.min(heights) - self.one.radius, near, near, self.other.normal
-        near, far = _nearest(ends, self.other.placed(robot))
+        near, far = _nearest(self.one.placed(robot), self.other.placed(robot))
         apart = near - far
         length = safe_norm(apart)
         normal = apart / jnp.where(length > 0, length, 1.0)
@@ -142,31 +123,14 @@ def capsule(tip: str | None, radius: Number, start: Float[ArrayLike, " 3"], end:
     return Rounded(tip=tip, ends=xp.stack(ends), radius=_radius(radius))
 
 
-def half_space(normal: Float[ArrayLike, " 3"], offset: Number = 0.0) -> HalfSpace:
-    """Return all points below a plane of the base frame, such as a table: normal·p ≤ offset.
-
-    Args:
-      normal: (3,); it is normalized.
-      offset: [m], along the unit normal.
-    """
-    normal = errors.array("normal", normal, (3,))
-    if errors.concrete(normal) and not np.any(normal):
-        raise errors.fail("normal", "be other than 0", "is 0")
-    xp = np if errors.concrete(normal) else jnp
-    normal = normal / xp.max(xp.abs(normal))  # whose square is no overflow
-    return HalfSpace(normal=normal / xp.sqrt(normal @ normal), offset=leaf(errors.number("offset", offset)))
-
-
-def distance(one: Rounded, other: Rounded | HalfSpace) -> Task:
+def distance(one: Rounded, other: Rounded) -> Task:
     """Control the distance between two shapes, a task of one coordinate [m], negative where they overlap.
 
-    Use it in `wall(distance(...), above=0.02)`, or control it. For a capsule that lies on a plane, or parallel to
-    another capsule, the nearest point is not unique and the row of the Jacobian jumps. Use two spheres, or a wall for
-    each end, to avoid that.
+    Use it in `wall(distance(...), above=0.02)`, or control it. For a capsule parallel to another one, the nearest point
+    is not unique and the row of the Jacobian jumps. Use two spheres, or a wall for each end, to avoid that.
     """
-    one = errors.kind("one", one, Rounded, "be ck.sphere(...) or ck.capsule(...)")
-    known = "be ck.sphere(...), ck.capsule(...) or ck.half_space(...)"
-    other = errors.kind("other", other, (Rounded, HalfSpace), known)
+    for name, shape in (("one", one), ("other", other)):
+        errors.kind(name, shape, Rounded, "be ck.sphere(...) or ck.capsule(...)")
     if one.tip == other.tip:
         raise errors.fail("one", "be on another link than `other`", f"is on {one.tip or 'the base'}, too")
     return Task(parts=(Distance(one=one, other=other),))

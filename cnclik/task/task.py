@@ -27,12 +27,13 @@ class Task:
 
     Attributes:
       parts: positions, orientations, joints and functions, in the order of the coordinates.
-      weights: (m,) of the coordinates, in the least-squares sense, or None.
+      weights: (m,) of the coordinates, in the least-squares sense, or None; while a robot's joints are unknown, one of
+        each part.
       tasks: of a stack the names of its tasks, and how many parts each has.
     """
 
     parts: tuple[Part, ...]
-    weights: Float[ArrayLike, " m"] | None = None
+    weights: Float[ArrayLike, " m"] | tuple | None = None
     tasks: tuple[tuple[str, int], ...] = ()
 
     @property
@@ -120,12 +121,23 @@ class Task:
             have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
             raise errors.fail(argument, f"{must}; they are {have}", f"has {', '.join(names)}")
 
+    @property
+    def weight_of_parts(self) -> tuple:
+        """The weights of each part, None for ones."""
+        if self.weights is None or isinstance(self.weights, tuple):
+            return self.weights or (None,) * len(self.parts)
+        return tuple(self.weights[at] for at in self.slices)  # type: ignore[index]
+
+    def only(self, kept) -> Task:
+        """Return the task of some parts, a stack without its names. Args: kept: of each part, whether it stays."""
+        kept = list(kept)
+        parts, weights = (itertools.compress(each, kept) for each in (self.parts, self.weight_of_parts))
+        return weighted(tuple(parts), weights)
+
     def alone(self, name: str) -> Task:
         """Return one of a stack's tasks."""
         where = self.of(name)
-        inside = (where.start <= at.start < where.stop for at in self.slices)
-        weights = None if self.weights is None else self.weights[where]  # type: ignore[index]
-        return Task(parts=tuple(itertools.compress(self.parts, inside)), weights=weights)
+        return self.only(where.start <= at.start < where.stop for at in self.slices)
 
     def on(self, chain) -> Task:
         """Return the task on this robot. Raises: ArgumentError for tips and joints that the robot has not."""
@@ -137,7 +149,7 @@ class Task:
         parts = tuple(part.on(chain) if hasattr(part, "on") else part for part in self.parts)
         if all(new is old for new, old in zip(parts, self.parts, strict=True)):
             return self
-        return with_weights(replace(self, parts=parts), self.weights)
+        return replace(weighted(parts, self.weight_of_parts), tasks=self.tasks)
 
     # --- of a task of one tip's pose alone ---
 
@@ -166,7 +178,7 @@ class Task:
         for task in (self, other):
             if task.tasks:
                 raise errors.fail("task", "be joined before it has names, by ck.stack(name=task & task)", "has names")
-        return Task(parts=self.parts + other.parts, weights=joined((self, other)))
+        return weighted(self.parts + other.parts, self.weight_of_parts + other.weight_of_parts)
 
     def __repr__(self):
         said = []
@@ -199,48 +211,33 @@ def _pose(task):
 # --- weights ---------------------------------------------------------------------------------------
 
 
-def with_weights(task: Task, weights) -> Task:
-    """Return the task with checked weights (m,), or None for ones."""
-    return task if weights is None else replace(task, weights=weights_of(task, weights))
+def weighted(parts, each) -> Task:
+    """Return the task of some parts with a weight of each: None, a number, or one per coordinate.
+
+    They stay so while a part has as many coordinates as a robot has joints, and no robot is known.
+    """
+    each = tuple(each)
+    if all(weights is None for weights in each):
+        return Task(parts=parts)
+    if any(isinstance(part, Joints) and part.wanted is None for part in parts):
+        return Task(parts=parts, weights=each)
+    whole = [_spread(1.0 if weights is None else weights, part.m) for weights, part in zip(each, parts, strict=True)]
+    return Task(parts=parts, weights=(np if all(map(errors.concrete, whole)) else jnp).concatenate(whole))
 
 
-def weights_of(task, weights):
-    if any(isinstance(part, Joints) and part.wanted is None for part in task.parts):
-        return weights  # their number is known once the robot is
-    if isinstance(weights, _OfParts):
-        each = zip(weights, task.slices, strict=True)
-        weights = [_spread(1.0 if w is None else w, at.stop - at.start) for w, at in each]
-        weights = (np if all(map(errors.concrete, weights)) else jnp).concatenate(weights)
-    weights = _spread(weights, task.m)
-    if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
-        raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
-    return weights
+def with_weights(parts, weights) -> Task:
+    """Return the task of some parts with weights: None, one for all coordinates, or (m,)."""
+    if weights is None or len(parts) == 1:
+        return weighted(parts, (weights,))
+    return Task(parts=parts, weights=_spread(weights, sum(part.m for part in parts)))
 
 
 def _spread(weights, m):
-    """Return weights (m,), from one number for all too."""
+    """Return positive weights (m,), of one number for all, too."""
     weights = errors.array("weights", weights, (), (m,))
+    if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
+        raise errors.fail("weights", "be positive", f"is {np.asarray(weights).tolist()}")
     return weights if weights.ndim else weights * np.ones(m)
-
-
-class _OfParts(list):
-    """Weights of each part, None for ones; they are joined once the robot, and so the number of joints, is known."""
-
-
-def joined(tasks):
-    """Return the weights of several tasks, one after the other; None where none has any."""
-    if all(task.weights is None for task in tasks):
-        return None
-    several = _OfParts()
-    for task in tasks:
-        if isinstance(task.weights, _OfParts) or task.weights is None:
-            several += task.weights or (None,) * len(task.parts)
-        elif len(task.parts) == 1:
-            several.append(task.weights)
-        else:
-            several += [task.weights[at] for at in task.slices]
-    whole = Task(parts=tuple(part for task in tasks for part in task.parts))
-    return weights_of(whole, several)
 
 
 # --- where the robot is -------------------------------------------------------------------------------

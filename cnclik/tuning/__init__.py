@@ -1,8 +1,6 @@
-"""Gains by gradient within what the drives allow: `tune`; geometry from measured positions: `calibrate`."""
+"""Gains by gradient within what the drives allow."""
 
-from cnclik.tuning.calibrate import Calibrated, calibrate
-from cnclik.tuning.losses import LOSSES
 from cnclik.tuning.parameters import Parameter, scaled_links
-from cnclik.tuning.tune import Tuned, tune
+from cnclik.tuning.tune import LOSSES, Tuned, tune
 
-__all__ = ["LOSSES", "Calibrated", "Parameter", "Tuned", "calibrate", "scaled_links", "tune"]
+__all__ = ["LOSSES", "Parameter", "Tuned", "scaled_links", "tune"]

@@ -100,16 +100,7 @@ def descend(objective, bounds: Bounds, u, *, optimizer=None, steps=100, progress
         return best, count, "non-finite"
     if max(abs(best.loss), *abs(best.slope)) < NOTHING:
         return best, count, "nothing"
-
-    def at(u) -> Point:
-        nonlocal best, count
-        point = evaluate(objective, bounds, u, scale)
-        best, count = min(best, point, key=lambda p: p.rank), count + 1
-        if progress is not None:
-            progress(count, steps, f"loss {best.loss:.5g}")
-        return point
-
-    here, state = at(u), init(u)
+    here, state, count = evaluate(objective, bounds, u, scale), init(u), 2
     while True:
         stays = bounds.within(here.u - here.slope) == here.u
         slope = np.where(stays, 0.0, here.slope)
@@ -123,7 +114,10 @@ def descend(objective, bounds: Bounds, u, *, optimizer=None, steps=100, progress
         for shorter in SHORTENED ** np.arange(SHORTENINGS):
             if count >= steps:
                 return best, count, "steps"
-            trial = at(bounds.within(here.u + shorter * direction))
+            trial = evaluate(objective, bounds, bounds.within(here.u + shorter * direction), scale)
+            best, count = min(best, trial, key=lambda point: point.rank), count + 1
+            if progress is not None:
+                progress(count, steps, f"loss {best.loss:.5g}")
             descends = trial.merit <= here.merit + 1e-4 * slope @ (trial.u - here.u)
             if descends and np.isfinite(trial.rank).all():
                 break

@@ -51,6 +51,11 @@ class Parameter:
             object.__setattr__(self, name, value)
 
 
+def ends(parameters) -> list:
+    """Return the lower bounds, the upper bounds and the starts of all parameters, each as one vector."""
+    return [np.concatenate([getattr(p, name).ravel() for p in parameters]) for name in ("lower", "upper", "start")]
+
+
 def split(parameters, values) -> list:
     """Return the value of each parameter from one vector of all."""
     ends = np.cumsum([p.start.size for p in parameters])
@@ -91,13 +96,13 @@ def chosen(over, law: Law, bounds: dict, gains: Gains) -> tuple[Parameter, ...]:
     if not isinstance(bounds, dict):
         raise errors.fail("bounds", "be a table {name: (lower, upper)}", f"is {bounds!r}")
     each = [one for p in over for one in (_each(p, law) if isinstance(p, str) else (p,))]
-    made = tuple(p if isinstance(p, Parameter) else named(p, law, bounds, gains) for p in each)
-    names = [p.name for p in made]
+    parameters = tuple(p if isinstance(p, Parameter) else named(p, law, bounds, gains) for p in each)
+    names = [p.name for p in parameters]
     if not names or len(set(names)) < len(names):
         raise errors.fail("over", "name something to tune, each once", f"is {names}")
     for name in bounds:
         errors.one_of("bounds", name, [*names, *(name.rpartition(".")[2] for name in names)])
-    return made
+    return parameters
 
 
 def named(name, law: Law, bounds: dict, gains: Gains) -> Parameter:
@@ -117,11 +122,11 @@ def named(name, law: Law, bounds: dict, gains: Gains) -> Parameter:
         raise errors.fail(f"bounds of {name}", "be (lower, upper)", f"are {pair!r}")
     if unit == "1/s" and not gains.recommended:
         raise errors.fail("drive", "allow a gain", gains.reason.removeprefix("no gain: "))
-    made = Parameter(name=name, start=start, lower=pair[0], upper=pair[1], put=_putting(what, task), unit=unit)
-    if unit == "1/s" and not (np.all(made.lower > 0) and np.all(made.upper <= gains.largest_stable)):
+    parameter = Parameter(name=name, start=start, lower=pair[0], upper=pair[1], put=_putting(what, task), unit=unit)
+    if unit == "1/s" and not (np.all(parameter.lower > 0) and np.all(parameter.upper <= gains.largest_stable)):
         must = f"be above 0, and at most the largest stable gain, {gains.largest_stable:.4g} 1/s"
         raise errors.fail(f"bounds of {name}", must, f"are {pair[0]} and {pair[1]}")
-    return made
+    return parameter
 
 
 def _each(name, law) -> list[str]:

@@ -23,11 +23,11 @@ from cnclik.law.law import Law, check_loop, metric
 from cnclik.law.reference import Reference, References
 from cnclik.precision import in_float64
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words, record, replace, stack
+from cnclik.robot.rotations import safe_sqrt
 from cnclik.stability.advice import Advice, advise
 from cnclik.stability.gain import gains
 from cnclik.tuning.descent import KEPT, Bounds, descend, evaluate
-from cnclik.tuning.losses import terms
-from cnclik.tuning.parameters import Parameter, chosen, postures, put, split
+from cnclik.tuning.parameters import Parameter, chosen, ends, postures, put, split
 
 AT_BOUND = 1e-3  # relative distance from a bound that is none
 _STATUS = {
@@ -37,6 +37,53 @@ _STATUS = {
     "non-finite": "The run is not finite: look at the path, the start and the damping.",
     "infeasible": "No values were found that keep the limits of joint speed: make the path slower or smaller.",
 }
+
+
+# --- losses: functions of a run; the initial error is given, so none counts it --------------------------
+
+
+def tracking(run: Trajectory):
+    """Return the RMS of ‖e‖ [m, rad]."""
+    return _root_mean(run.e[1:])
+
+
+def settling(run: Trajectory, tolerance=1e-3):
+    """Return the time outside a tolerance [m, rad], smoothed: ∫ ‖e‖²/(‖e‖² + tolerance²) dt [s]."""
+    squares = jnp.sum(run.e[1:] ** 2, axis=-1)
+    return (run.t[-1] - run.t[0]) * jnp.mean(squares / (squares + tolerance**2))
+
+
+def effort(run: Trajectory):
+    """Return the RMS of ‖q̇‖ [rad/s, m/s]."""
+    return _root_mean(run.qdot)
+
+
+def jerk(run: Trajectory):
+    """Return the RMS of ‖Δ²q̇‖/Ts² [rad/s³, m/s³]."""
+    return _root_mean(jnp.diff(run.qdot, n=2, axis=0)) / (run.t[1] - run.t[0]) ** 2
+
+
+def _root_mean(rows):
+    return safe_sqrt(jnp.mean(jnp.sum(rows * rows, axis=-1)))
+
+
+LOSSES = {fn.__name__: fn for fn in (tracking, settling, effort, jerk)}
+
+
+def terms(loss) -> tuple:
+    """Return (function, weight) pairs of a loss: a name, {name: weight}, or a function of a `Trajectory`."""
+    if callable(loss):
+        return ((loss, 1.0),)
+    loss = {loss: 1.0} if isinstance(loss, str) else loss
+    if not isinstance(loss, dict) or not loss:
+        raise errors.fail("loss", "be a name, a table of names and weights, or a function", f"is {loss!r}")
+    for name, weight in loss.items():
+        errors.one_of("loss", name, LOSSES)
+        errors.number(f"weight of {name}", weight, positive=True)
+    return tuple((LOSSES[name], float(weight)) for name, weight in loss.items())
+
+
+# --- tuning -------------------------------------------------------------------------------------------
 
 
 @record
@@ -79,19 +126,15 @@ class Tuned:
     def why(self) -> str:
         """The status in a sentence, with what else decides."""
         bound = [p.name for p in self.parameters if np.any(self.values[p.name] >= p.upper * (1 - AT_BOUND))]
-        slow = max(one.rate for one in self.advice.rates if one.kind == "task") * self.loop[3] * self.loop[4] < 1
-        said = (
-            _STATUS[self.status],
-            f"At the upper bound: {', '.join(bound)}." * bool(bound),
-            "The gain is nearly zero: an error would not be removed within the run." * slow,
-            f"Above the recommended gain: {', '.join(self.advice.above)}." * bool(self.advice.above),
-        )
-        return " ".join(filter(None, said))
+        sentences = [_STATUS[self.status]]
+        sentences += [f"At the upper bound: {', '.join(bound)}."] * bool(bound)
+        sentences += [f"Above the recommended gain: {', '.join(self.advice.above)}."] * bool(self.advice.above)
+        return " ".join(sentences)
 
     def __str__(self):
         lines, runs = [], (self.before, self.after)
         for p in self.parameters:
-            unit = "" if p.unit == "1" else f" {p.unit}"
+            unit = f" {p.unit}".removesuffix(" 1")
             lines.append(f"{p.name} = {in_words(self.values[p.name])}{unit} (from {in_words(p.start)})")
         pairs = {self.loss: self.losses}
         for name, _ in self.law.task.each:
@@ -121,13 +164,12 @@ class Objective:
     def __call__(self, values):
         law = put(self.law, self.parameters, values)
 
-        def run(scenario):
-            reference, q0, noise = scenario
-            made = solve(law, reference, q0, self.Ts, *self.how, drive=self.drive, noise=noise)
-            counted = made if self.counts is None else replace(made, e=made.e * self.counts)
-            return sum(weight * fn(counted) for fn, weight in self.terms), made
+        def scenario(reference, q0, noise):
+            run = solve(law, reference, q0, self.Ts, *self.how, drive=self.drive, noise=noise)
+            counted = run if self.counts is None else replace(run, e=run.e * self.counts)
+            return sum(weight * fn(counted) for fn, weight in self.terms), run
 
-        loss, runs = jax.vmap(run)(self.scenarios)
+        loss, runs = jax.vmap(scenario)(*self.scenarios)
         return jnp.mean(loss), jnp.max(jnp.abs(runs.qdot), axis=(0, 1)) / self.limits - 1.0, runs
 
 
@@ -186,33 +228,32 @@ def tune(
     loop: dict[str, Any] = {"Ts": Ts, "method": named(method), "drive": drive}
     allowed = gains(**loop | {"M": stage})
     parameters = chosen(over, law, {} if bounds is None else bounds, allowed)
-    lower, upper, given = (
-        np.concatenate([getattr(p, name).ravel() for p in parameters]) for name in ("lower", "upper", "start")
-    )
+    lower, upper, start = ends(parameters)
     apart = lower + np.linspace(0.4, 0.6, len(lower)) * (upper - lower)
     advise(put(law, parameters, apart), stage=stage, **loop)  # refuses several gains where joints' drives differ
     how = errors.integer("N", N, at_least=3), loop["method"], stage
     objective = objective_of(law, parameters, references, q0, Ts, how, loss, allowed.drive, noise, velocity_limit)
     within = Bounds(lower, upper)
-    before = evaluate(objective, within, within.free(given))
+    before = evaluate(objective, within, within.free(start))
     after, evaluations, status = descend(
         objective, within, within.within(before.u), optimizer=optimizer, steps=steps, progress=progress
     )
     values = np.clip(within.values(after.u), lower, upper)
-    made = jax.tree.map(np.array, put(law, parameters, values))  # new arrays: these belong to float64, see `precision`
+    tuned = jax.tree.map(np.array, put(law, parameters, values))  # new arrays: these belong to float64, see `precision`
     first, q0 = jax.tree.map(np.array, references[0]), np.array(objective.scenarios[1][0])
+    runs = [jax.tree.map(lambda x: np.array(x[0]), point.seen) for point in (before, after)]
     return Tuned(
-        law=made,
-        loop=(made, first, q0, float(Ts), *how),
+        law=tuned,
+        loop=(tuned, first, q0, float(Ts), *how),
         drive=objective.drive,
         parameters=parameters,
         values=dict(zip([p.name for p in parameters], split(parameters, values), strict=True)),
-        advice=advise(made, stage=stage, **loop),
+        advice=advise(tuned, stage=stage, **loop),
         loss=" + ".join(f"{w:g} {getattr(fn, '__name__', 'loss')}".removeprefix("1 ") for fn, w in terms(loss)),
         losses=(before.loss, after.loss),
         speeds=(before.excess + 1.0, after.excess + 1.0),
-        before=jax.tree.map(lambda x: np.array(x[0]), before.seen),
-        after=jax.tree.map(lambda x: np.array(x[0]), after.seen),
+        before=runs[0],
+        after=runs[1],
         status="infeasible" if KEPT < after.excess < np.inf else status,
         evaluations=evaluations,
     )

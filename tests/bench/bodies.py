@@ -31,20 +31,19 @@ FEET = [f"{side}_ankle_roll_link" for side in SIDES]
 BODY = ["pelvis", "torso_link", *(f"{side}_{part}_link" for side in SIDES for part in PARTS)]
 TIPS = [*FEET, *BODY]
 WEIGHTS = (1.0, 0.05**0.5)  # of positions [1/m] and orientations [1/rad]
-DAMPING, STRICT = (0.02, 0.05), (1e-3, 0.05)  # of the feet and the rest
-PIECES, RUN_IN = 8, 15  # of one clip in lanes
+DAMPING = (0.02, 0.05)  # of the feet and the rest
 G1 = ck.load_urdf(robot_file("g1"), tips=TIPS, base="free")
 LEGS = ck.load_urdf(robot_file("g1"), tips=FEET)
 BASE = 6  # coordinates of the base
 
 
-def law(limits=True, damping=DAMPING):
+def law():
     def poses(tips):
         weights = [WEIGHTS[0]] * 3 + [WEIGHTS[1]] * 3
         return functools.reduce(operator.and_, (ck.pose(tip=tip, weights=weights) for tip in tips))
 
-    inverse = ck.levels(["feet"], ["body"], damping=damping)
-    held = ck.bounded(rate=1 / TS) if limits else None
+    inverse = ck.levels(["feet"], ["body"], damping=DAMPING)
+    held = ck.bounded(rate=1 / TS)
     return ck.Law(G1, ck.stack(feet=poses(FEET), body=poses(BODY)), alpha=1 / TS, inverse=inverse, limits=held)
 
 
@@ -72,7 +71,6 @@ def retarget(law):
 class Clip(NamedTuple):
     truth: np.ndarray  # q (F, n)
     seen: np.ndarray  # what is seen of it (F, tips, 3, 4)
-    still: np.ndarray  # bool (F, feet), where a foot stands
 
 
 def clip(seed):
@@ -101,7 +99,7 @@ def clip(seed):
     seen[..., 3] += 0.005 * rng.normal(size=seen.shape[:3])
     noise = Rotation.from_rotvec(np.deg2rad(1) * rng.normal(size=(FRAMES * len(TIPS), 3))).as_matrix()
     seen[..., :3] = noise.reshape(*seen.shape[:2], 3, 3) @ seen[..., :3]
-    return Clip(q, seen, np.stack([still for *_, still in feet], 1))
+    return Clip(q, seen)
 
 
 def _path(start):
@@ -111,7 +109,7 @@ def _path(start):
 
 
 def _steps(t, pace, phase, aside, place, yaw):
-    """(positions (F, 3), rotations, whether it stands (F,)) of a foot that steps so many times a second."""
+    """(positions (F, 3), rotations) of a foot that steps so many times a second."""
     cycle = pace * t + phase
     swing = np.clip((cycle % 1 - 0.6) / 0.4, 0, 1)
 
@@ -122,29 +120,18 @@ def _steps(t, pace, phase, aside, place, yaw):
     (here, turn), (there, turned) = hold(np.floor(cycle)), hold(np.floor(cycle) + 1)
     share = swing**2 * (3 - 2 * swing)
     at = np.column_stack([here + share[:, None] * (there - here), 0.035 + 0.06 * np.sin(np.pi * swing) ** 2])
-    return at, Rotation.from_euler("z", (turn + share * (turned - turn))[:, None]), swing == 0
+    return at, Rotation.from_euler("z", (turn + share * (turned - turn))[:, None])
 
 
 def _legs(place, turned, feet):
     """Joint values (F, 12) of the legs that put the feet there, from a base (F, 3) and its rotations."""
     targets, back = {}, turned.inv()
-    for tip, (at, turn, _) in zip(FEET, feet, strict=True):
+    for tip, (at, turn) in zip(FEET, feet, strict=True):
         targets[tip] = back.apply(at - place), (back * turn).as_matrix()
     squat = np.tile([-0.3, 0.0, 0.0, 0.6, -0.3, 0.0], 2)
     found = ck.reach(LEGS, targets, task=ck.pose(tip=FEET[0]) & ck.pose(tip=FEET[1]), near=squat)
     assert found.solved.all()
     return found.q
-
-
-def held(clip):
-    """What is seen of a clip, with each foot that stands at the mean of what is seen of it meanwhile."""
-    seen = clip.seen.copy()
-    for k, still in enumerate(clip.still.T):
-        for frames in np.split(np.arange(FRAMES), np.flatnonzero(np.diff(still)) + 1):
-            if still[frames[0]]:
-                turn = Rotation.from_matrix(seen[frames, k, :, :3]).mean().as_matrix()
-                seen[frames, k] = np.column_stack([turn, seen[frames, k, :, 3].mean(0)])
-    return seen
 
 
 @jax.jit
@@ -153,13 +140,6 @@ def poses(q):
     """(tips, 3, 4) of all tips."""
     every = [ck.forward(G1, q, tip=tip) for tip in TIPS]
     return jnp.stack([jnp.concatenate([at.rotation, at.position[:, None]], 1) for at in every])
-
-
-def pieces(seen):
-    """One clip in so many, each with the frames before it to run in: (PIECES, RUN_IN + F/PIECES, tips, 3, 4)."""
-    length = FRAMES // PIECES
-    at = np.arange(PIECES)[:, None] * length + np.arange(-RUN_IN, length)
-    return seen[np.maximum(at, 0)]
 
 
 def begun(q0, seen):
@@ -172,7 +152,6 @@ def begun(q0, seen):
 class Quality(NamedTuple):
     links: float  # RMS off the truth of all links [mm], after half a second
     feet: float  # of the feet [mm]
-    sliding: float  # RMS speed of a foot while it truly stands [mm/s]
     beyond: float  # of position limits, at most [rad]
     faster: float  # than velocity limits, at most [rad/s]
 
@@ -181,11 +160,9 @@ def quality(q, clip):
     """How good an answer q (F, n) is."""
     begun, ours, truth = FRAMES // 40, np.asarray(poses(q))[..., 3], np.asarray(poses(clip.truth))[..., 3]
     off, feet = np.linalg.norm(ours - truth, axis=-1)[begun:], slice(0, len(FEET))
-    speed = FPS * np.linalg.norm(np.diff(ours[:, feet], axis=0), axis=-1)[begun:]
-    still = (clip.still[1:] & clip.still[:-1])[begun:]
     beyond = np.max(np.maximum(np.array(G1.lower) - q, q - np.array(G1.upper)))
     faster = np.max(FPS * np.abs(np.diff(q[:, BASE:], axis=0)) - np.array(G1.velocity_limit)[BASE:])
-    rms = [1e3 * float(np.sqrt(np.mean(one**2))) for one in (off, off[:, feet], speed[still])]
+    rms = [1e3 * float(np.sqrt(np.mean(one**2))) for one in (off, off[:, feet])]
     return Quality(*rms, max(0.0, float(beyond)), max(0.0, float(faster)))
 
 
@@ -198,7 +175,7 @@ def cpu(call, rounds=3):
     return statistics.median(timing.cpu(call) for _ in range(rounds)), first, call()
 
 
-def mink_run(truth, seen, damping=DAMPING):
+def mink_run(truth, seen):
     """A call to q (F, n) by mink, with the same weights, damping and limits."""
     import mink
     import mujoco
@@ -206,7 +183,7 @@ def mink_run(truth, seen, damping=DAMPING):
     spec = mujoco.MjSpec.from_string(without_meshes(robot_file("g1")))
     spec.body("pelvis").add_freejoint()
     model = spec.compile()
-    more = dict.fromkeys(FEET, damping[1] / damping[0])  # the feet's level as a weight
+    more = dict.fromkeys(FEET, DAMPING[1] / DAMPING[0])  # the feet's level as a weight
     place, turn = (lambda tip, w=w: w * more.get(tip, 1.0) for w in WEIGHTS)
     tasks = {tip: mink.FrameTask(tip, "body", position_cost=place(tip), orientation_cost=turn(tip)) for tip in TIPS}
     speeds = dict(zip(G1.joint_names[BASE:], G1.velocity_limit[BASE:], strict=True))
@@ -219,7 +196,7 @@ def mink_run(truth, seen, damping=DAMPING):
             for tip, one in zip(TIPS, frame, strict=True):
                 tasks[tip].set_target(mink.SE3.from_matrix(np.vstack([one, [0.0, 0.0, 0.0, 1.0]])))
             for _ in range(STEPS):
-                how = {"damping": damping[1] ** 2, "limits": limits}
+                how = {"damping": DAMPING[1] ** 2, "limits": limits}
                 configuration.integrate_inplace(mink.solve_ik(configuration, [*tasks.values()], TS, "daqp", **how), TS)
             found.append(configuration.q.copy())
         return ck.from_model_q(G1, model, np.array(found))
@@ -229,16 +206,14 @@ def mink_run(truth, seen, damping=DAMPING):
 
 def speeds(clips, quick):
     """Rows (what, frames/s, CPU seconds of the first call, answer q (F, n) of the first clip)."""
-    (truth, seen, _), run = clips[0], retarget(law())
+    (truth, seen), run = clips[0], retarget(law())
     calls = {}
     if not quick:
-        many, cut = ck.lanes(run, cores=1), pieces(seen)
+        many = ck.lanes(run, cores=1)
         every, starts = np.stack([c.seen for c in clips]), np.stack([begun(c.truth[0], c.seen[None])[0] for c in clips])
-        whole = lambda q: np.asarray(q)[:, RUN_IN:].reshape(FRAMES, -1)  # noqa: E731
         short = [np.asarray(x, np.float32) for x in (starts, every)]
         calls["64 clips, `lanes`"] = lambda: many(starts, every), len(clips), lambda q: np.asarray(q)[0]
         calls["64 clips, `lanes`, float32"] = lambda: many(*short), len(clips), lambda q: np.asarray(q, float)[0]
-        calls["one clip in 8 pieces, `lanes`"] = lambda: many(begun(truth[0], cut), cut), 1, whole
         alone = jax.jit(run)
         calls["one clip, `jax.jit`"] = lambda: alone(begun(truth[0], seen[None])[0], seen), 1, np.asarray
     calls["one clip without a C compiler, `jax.jit`"] = without_compiler(clips[0], seen), 1, np.asarray
@@ -251,9 +226,9 @@ def speeds(clips, quick):
     return rows
 
 
-def without_compiler(clip, seen, damping=DAMPING):
+def without_compiler(clip, seen):
     """A call to q (F, n) of one clip, as where there is no C compiler."""
-    alone, start = jax.jit(retarget(law(damping=damping))), begun(clip.truth[0], seen[None])[0]
+    alone, start = jax.jit(retarget(law())), begun(clip.truth[0], seen[None])[0]
 
     def run():
         with ck.use_engine("plain"):
@@ -262,35 +237,14 @@ def without_compiler(clip, seen, damping=DAMPING):
     return run
 
 
-def feet(clip):
-    """{what is followed: {who: q (F, n)}}: the clip as seen, its standing feet held, and held before all else."""
-    seen, found = {"as seen": clip.seen, "standing feet held": held(clip)}, {}
-    for name, damping in (("as seen", DAMPING), ("standing feet held", DAMPING), ("held, feet strictly first", STRICT)):
-        followed = seen.get(name, seen["standing feet held"])
-        ours = without_compiler(clip, followed, damping)()
-        found[name] = {"cnclik": np.asarray(ours), "mink": mink_run(clip.truth, followed, damping)()}
-    return found
-
-
-def tables(rows, found, clip):
-    """(speeds, feet) as Markdown."""
+def table(rows, clip):
+    """Speeds and accuracies as Markdown."""
     slow = rows[-1][1]
-    head = ("", "frames/s", "times mink", "first call, CPU [s]", "RMS of all links [mm]")
-    each = [(name, f"{rate:,.0f}", f"{rate / slow:.3g}", f"{first:.2g}", f"{quality(q, clip).links:.2f}")
-            for name, rate, first, q in rows]  # fmt: skip
-    kinds = (".2f", ".2f", ".1f", ".1g", ".1g")
-    by = [(name, who, *(format(value, kind) for value, kind in zip(quality(q, clip), kinds, strict=True)))
-          for name, answers in found.items() for who, q in answers.items()]  # fmt: skip
-    names = (
-        "followed",
-        "by",
-        "links [mm]",
-        "feet [mm]",
-        "foot sliding [mm/s]",
-        "beyond limits [rad]",
-        "too fast [rad/s]",
-    )
-    return markdown(head, each), markdown(names, by, left=2)
+    head = ("", "frames/s", "times mink", "first call, CPU [s]", "RMS of all links [mm]", "of the feet [mm]")
+    off = [quality(q, clip) for *_, q in rows]
+    each = [(name, f"{rate:,.0f}", f"{rate / slow:.3g}", f"{first:.2g}", f"{q.links:.2f}", f"{q.feet:.2f}")
+            for (name, rate, first, _), q in zip(rows, off, strict=True)]  # fmt: skip
+    return markdown(head, each)
 
 
 def main(argv=None):
@@ -299,9 +253,7 @@ def main(argv=None):
     jax.config.update("jax_enable_x64", True)
     quick = parser.parse_args(argv).quick
     clips = [clip(seed) for seed in range(1 if quick else CLIPS)]
-    rows, found = speeds(clips, quick), feet(clips[0])
-    first, second = tables(rows, found, clips[0])
-    print(first, second, sep="\n")
+    print(table(speeds(clips, quick), clips[0]))
 
 
 if __name__ == "__main__":

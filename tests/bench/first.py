@@ -69,7 +69,7 @@ problem = ck.problem_from("arm.urdf", reference="circle")
 law, goal, q0 = problem.law, problem.reference, problem.q0
 CALL
 """
-CALLS = ("ck.solve(law, goal, q0, 0.01, 400, ck.CN)", "ck.step(law, goal, q0, 0.0, 0.01, ck.CN)")
+CALLS = ("ck.solve(law, goal, q0, 0.01, 400, 'CN')", "ck.step(law, goal, q0, 0.0, 0.01, 'CN')")
 
 
 def run(command, folder, cache) -> tuple:

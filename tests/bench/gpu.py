@@ -76,7 +76,7 @@ def two_arms(name):
 
     def one(q0, p, r, p_right, r_right):
         both = ck.references(left=ck.hold(p, r), right=ck.hold(p_right, r_right))
-        return ck.solve(law, both, q0, cases.TS, STEPS, ck.EE).q[-1]
+        return ck.solve(law, both, q0, cases.TS, STEPS, ck.METHODS["EE"]).q[-1]
 
     return Row(name, one, inputs, STEPS)
 

@@ -142,7 +142,8 @@ step to step.
 - **Recommended from a recorded step of all joints**: of {cells} cells {recommended named} have a gain; \
 {recommended unstable} of these are unstable, {recommended over 5 %} go beyond the target by more than {much:.0f} %; \
 the gain is {median of best:.2f} of the best one without overshoot in the median.
-- In the other {silent} cells, all with rebased feedback, no gain is named. In {calm where none is named} of these one \
+- In the other {silent} cells no gain is named, as with rebased feedback, or where the log leaves a drive open. \
+In {calm where none is named} of these one \
 of {any} gains up to alpha·Ts = 1 was stable, arrived and did not overshoot.
 - **With nothing said of the drives**: {unknown named} of {cells} cells have a gain (rebased feedback has none); \
 {unknown unstable} unstable, {unknown over 5 %} beyond by more than {much:.0f} %.

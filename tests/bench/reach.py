@@ -27,8 +27,8 @@ from cnclik.reaching.starts import spans
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from tests.bench import timing
-from tests.bench.reach_peers import ROBOTS, Robot
-from tests.oracles import robots
+from tests.bench.reach_peers import Robot
+from tests.oracles import ARMS, robots
 from tests.robot.test_trees import BAXTER, GRIPPERS
 
 Z1 = "z1_description/urdf/z1.urdf"
@@ -80,8 +80,8 @@ def tips(chain, q, tip=None):
 
 def asked(name, count):
     """(how to build the robot, and its task, as Python; targets; the robot beside Pinocchio or None)"""
-    if name in ROBOTS:
-        robot, (file, tip, base) = Robot(name), ROBOTS[name]
+    if name in ARMS:
+        robot, (file, tip, base) = Robot(name), ARMS[name]
         build = f"ck.load_urdf({str(robots() / file)!r}, {tip!r}, {base!r})"
         return build, "'pose'", robot.pose(robot.drawn(count)), robot
     build, task = "ck.planar_arm([0.5, 0.4, 0.3])", "ck.position('xy')"
@@ -150,7 +150,7 @@ MORE = ["solved before", "µs over before", "of 2000", "alone", "first call befo
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", choices=[*ROBOTS, *OTHERS], metavar="ROBOT")
+    parser.add_argument("--only", nargs="*", choices=[*ARMS, *OTHERS], metavar="ROBOT")
     parser.add_argument("--targets", type=int, default=20_000, metavar="N")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--against", type=pathlib.Path, metavar="TREE")
@@ -160,7 +160,7 @@ def main():
     timing.one_core()
     columns = COLUMNS + MORE * (args.against is not None)
     print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}", flush=True)
-    for name in args.only or [*ROBOTS, *OTHERS]:
+    for name in args.only or [*ARMS, *OTHERS]:
         row, missed = measured(name, args.targets, trees, args.rounds)
         print(f"| {' | '.join(row)} |", *([missed] if missed else []), flush=True)
 

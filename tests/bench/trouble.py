@@ -100,7 +100,7 @@ def measured(report) -> list[dict]:
             law = ck.Law(chain, TASK, alpha=ALPHA, inverse=inverse, error_clamp=clamp, limits=limits)
             for path, reference in ways.items():
                 run = ck.solve(law, reference, q0, TS, N, "EE")
-                found = ck.measure_run(run, law, reference, tuple(COLUMNS.values()))
+                found = ck.measure.measure_run(run, law, reference, tuple(COLUMNS.values()))
                 row = {"path": path, "robot": robot, "method": method}
                 rows.append(row | {column: found[metric].item() for column, metric in COLUMNS.items()})
             report(len(rows), len(ROBOTS) * len(kinds) * len(ways), f"{robot}, {method}")

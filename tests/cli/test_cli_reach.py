@@ -58,7 +58,7 @@ def test_random_targets_as_json(capsys):
     main(["reach", ARM, "--random", "50", "--task", "xy", "--seed", "3", "--json"])
     said = json.loads(capsys.readouterr().out)
     assert said["targets"] == 50 and said["solve_rate"] == 1.0 and said["status"] == {"SOLVED": 50}
-    assert said["us_per_target"] > 0 and said["compile_s"] >= 0 and said["cores"] >= 1
+    assert said["seconds"] > 0
 
 
 def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
@@ -68,19 +68,6 @@ def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
     assert shown.count("q1 ") == 2 and "rad" in shown and re.search(r"  error (zero|\S+ .?m); least singular", shown)
     main(["reach", ARM, "--target", "0", "1.8", "--task", "xy", "--near", "0", "0"])
     assert re.search(r"1 target in \S+ s, 1 evaluation\n", capsys.readouterr().out)
-
-
-def test_a_target_with_too_few_numbers_is_told_what_the_task_needs(capsys):
-    with pytest.raises(SystemExit):
-        main(["reach", "panda", "--task", "position", "--target", "0.3", "0.1"])
-    assert "`--target` must hold 3 numbers, x y z [m], but holds 2" in capsys.readouterr().err
-
-
-def test_a_robot_that_is_not_there_is_no_path(capsys):
-    for argv in (["reach", "none.urdf", "--random", "1"], ["robots", "none.urdf"]):
-        with pytest.raises(SystemExit):
-            main(argv)
-        assert "Argument `robot` must name a URDF file that can be read, but none.urdf" in capsys.readouterr().err
 
 
 def test_a_path_with_a_jump(tmp_path, capsys):
@@ -96,30 +83,3 @@ def test_one_target_as_solve_takes_it(capsys):
     assert "1 target in" in said and "SOLVED" in said and "q1 " in said
     main(["reach", ARM, "--task", "position", "--target", "700", "300", "0"])
     assert "OUT_OF_REACH" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("argv", "told"),
-    [
-        ([], "One of TARGETS, --target X Y Z and --random N must be given, but there is none"),
-        (["t.csv", "--random", "3"], "are TARGETS and --random"),
-        (["--target", "1"], "`--target` must hold 2 numbers, x y [m], or 3 numbers, x y z [m], but holds 1"),
-        (["--target", "0.4", "nan"], "`--target` must be finite, but is nan"),
-        (["none.csv"], "name a CSV file that can be read"),
-        (["none.npy"], "name a file that can be read, but none.npy: No such file"),
-        (["none.txt"], "`TARGETS` must end with .csv, .npy, but is 'none.txt'"),
-        (["--random", "3", "--seed", "-4"], "`--seed` must be a whole number"),
-        (["--random", "0"], "`--random` must be at least 1"),
-        (["--random", "3", "--out", "x.txt"], "`--out` must end with .nc, .csv"),
-        (["--random", "3", "--out", "nowhere/x.csv"], "`--out` must name a file in a folder that is there"),
-        (["--random", "3", "--path", "--near", "0", "0"], "`--near` must be left out"),
-        (["--random", "3", "--near", "0"], "`--near` must have 2"),
-        (["--random", "3", "--tolerance", "0", "1"], "`--tolerance` must hold positive"),
-    ],
-)
-def test_bad_input_is_one_line(argv, told, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as leaving:
-        main(["reach", ARM, *argv])
-    said = capsys.readouterr().err
-    assert leaving.value.code == 2 and told in said and said.count("\n") == 1

@@ -21,31 +21,32 @@ def test_words(given, says):
     assert progress.words("loops", *given) == says
 
 
-def lines(monkeypatch, capsys, reports):
+@pytest.mark.parametrize(
+    ("reports", "said"),
+    [
+        (
+            [(1.0, 5, 100, "EE"), (11.0, 10, 100, "EE"), (12.0, 20, 100, "EE"), (22.0, 80, 100, "EE")],
+            ["10 of 100 loops, EE, 180 s left", "80 of 100 loops, 4/s, EE, 6 s left"],
+        ),
+        # Compiling before the first are done is no work.
+        (
+            [(0.0, 0, 400), (50.0, 100, 400), (60.0, 200, 400)],
+            ["100 of 400 loops", "200 of 400 loops, 10/s, 20 s left"],
+        ),
+        # Another total is another phase.
+        (
+            [(100.0, 2, 2), (100.0, 0, 16), (104.0, 4, 16), (112.0, 8, 16)],
+            ["2 of 2 loops", "8 of 16 loops, 16 s left"],
+        ),
+    ],
+)
+def test_lines_without_a_terminal(capsys, monkeypatch, reports, said):
     now = [0.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
     with progress.bar("loops") as report:
-        for now[0], *said in reports:
-            report(*said)
-    return capsys.readouterr().err.splitlines()
-
-
-def test_lines_without_a_terminal(capsys, monkeypatch):
-    reports = [(1.0, 5, 100, "EE"), (11.0, 10, 100, "EE"), (12.0, 20, 100, "EE"), (22.0, 80, 100, "EE")]
-    assert lines(monkeypatch, capsys, reports) == [
-        "10 of 100 loops, EE, 180 s left",
-        "80 of 100 loops, 4/s, EE, 6 s left",
-    ]
-
-
-def test_compiling_before_the_first_are_done_is_no_work(capsys, monkeypatch):
-    reports = [(0.0, 0, 400), (50.0, 100, 400), (60.0, 200, 400)]
-    assert lines(monkeypatch, capsys, reports) == ["100 of 400 loops", "200 of 400 loops, 10/s, 20 s left"]
-
-
-def test_another_total_is_another_phase(capsys, monkeypatch):
-    reports = [(100.0, 2, 2), (100.0, 0, 16), (104.0, 4, 16), (112.0, 8, 16)]
-    assert lines(monkeypatch, capsys, reports) == ["2 of 2 loops", "8 of 16 loops, 16 s left"]
+        for now[0], *each in reports:
+            report(*each)
+    assert capsys.readouterr().err.splitlines() == said
 
 
 def test_quiet_is_silent(capsys, monkeypatch):

@@ -4,35 +4,30 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
-import jax
 import pytest
 
 from cnclik.cli import main
 
 # A verb whose work writes a file after its first output.
 WORK = """
-import dataclasses, pathlib, signal, sys, time, types
+import signal, sys, time
 import cnclik.cli as cli
+import cnclik.cli.robots as verb
 
 signal.signal(signal.SIGINT, INTERRUPT)  # the tests themselves may run behind `&`
 
-@dataclasses.dataclass
-class Args:
-    out: pathlib.Path
-
-def run(args):
+def run(robot):
     from cnclik.writing import output_folder
-    with output_folder(args.out) as folder:
+    with output_folder(robot) as folder:
         for _ in range(4000):  # more than a pipe holds
             print("µ² → ∞ √2 α·Ts ☃ " + chr(0xDC80), flush=True)
         print("begun", file=sys.stderr, flush=True)
         time.sleep(SLEEP)
         folder.write_text("one.txt", "1")
 
-sys.modules["cnclik.cli.plot"] = types.SimpleNamespace(Args=Args, run=run)
-sys.argv = ["cnclik", "plot", "--out", sys.argv[1]]
+verb.run = run
+sys.argv = ["cnclik", "robots", sys.argv[1]]
 cli.main()
 """
 
@@ -71,10 +66,8 @@ def test_a_reader_that_leaves(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("verb", "fate"),
-    [(["--help"], "full"), (["solve", "--what"], "full"), ([], "full"), (["--version"], "closed"),
-     (["robots", "--help"], "closed"), (["solve", "--what"], "closed")],
-)  # fmt: skip
+    ("verb", "fate"), [(["--help"], "full"), (["solve", "--what"], "full"), (["robots", "--help"], "closed")]
+)
 def test_answers_that_nobody_can_read(verb, fate):
     if fate == "full" and not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full")
@@ -86,21 +79,16 @@ def test_answers_that_nobody_can_read(verb, fate):
     assert found.returncode == wanted
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
-def test_encodings_that_lack_our_letters(tmp_path, encoding):
-    env = os.environ | {"PYTHONIOENCODING": f"{encoding}:strict", "PYTHONUTF8": "0"}
-    words = [sys.executable, "-c", work(), str(tmp_path)]
-    found = subprocess.run(words, capture_output=True, env=env)
+def test_an_encoding_that_lacks_our_letters(tmp_path):
+    env = os.environ | {"PYTHONIOENCODING": "ascii:strict", "PYTHONUTF8": "0"}
+    found = subprocess.run([sys.executable, "-c", work(), str(tmp_path)], capture_output=True, env=env)
     assert (found.returncode, found.stderr) == (0, b"begun\n")
-    first = found.stdout.decode(encoding).splitlines()[0]
-    if encoding == "ascii":
-        assert first == "?? ? ? ?2 ??Ts ? ?"
-    assert "Ts" in first
+    assert found.stdout.decode("ascii").splitlines()[0] == "?? ? ? ?2 ??Ts ? ?"
 
 
 @pytest.mark.parametrize(("sent", "code", "says"), [(signal.SIGTERM, 143, "Terminated"), (signal.SIGINT, 130, "Inter")])
 def test_signals_leave_no_half_results(tmp_path, sent, code, says):
-    process = command(tmp_path, 30, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = command(tmp_path, 10, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert process.stderr.readline() == "begun\n"
     process.send_signal(sent)
     found, _, err = ended(process)
@@ -111,7 +99,7 @@ def test_signals_leave_no_half_results(tmp_path, sent, code, says):
 def test_an_interrupt_leaves_no_bar_and_a_cursor(tmp_path):
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()
-    process = command(tmp_path, 30, stdout=subprocess.DEVNULL, stderr=theirs)
+    process = command(tmp_path, 10, stdout=subprocess.DEVNULL, stderr=theirs)
     os.close(theirs)
     with open(ours, "rb", buffering=0) as terminal:
         shown = terminal.read(100)
@@ -137,19 +125,11 @@ def test_the_signals_are_as_before_afterwards(capsys, monkeypatch):
     assert capsys.readouterr().out.startswith("cnclik ")
 
 
-@pytest.mark.parametrize("name", ["quantum", "cuda"])
-def test_platforms_that_are_not_there(name):
-    if name == "cuda" and jax.default_backend() != "cpu":
-        pytest.skip("it is there")
-    begun = time.perf_counter()
-    found = subprocess.run(
-        [sys.executable, "-m", "cnclik", "solve", "planar:1,1"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"JAX_PLATFORMS": name},
-    )
+def test_a_platform_that_is_not_there():
+    words, env = [sys.executable, "-m", "cnclik", "solve", "planar:1,1"], os.environ | {"JAX_PLATFORMS": "quantum"}
+    found = subprocess.run(words, capture_output=True, text=True, env=env)
     assert found.returncode == 2 and found.stderr.startswith("cnclik: Argument `JAX_PLATFORMS` must name a platform")
-    assert found.stderr.count("\n") == 1 and time.perf_counter() - begun < 60
+    assert found.stderr.count("\n") == 1
 
 
 @pytest.mark.slow

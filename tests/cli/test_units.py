@@ -4,14 +4,9 @@ import math
 
 import pytest
 
-import cnclik as ck
 from cnclik import quantities
 from cnclik.cli import arguments, diagnose, reach, solve, stability
-
-
-def parsed(verb, *argv):
-    return arguments.parse(verb.Args, argv, prog="cnclik", description="")
-
+from cnclik.problem.options import OPTIONS, in_own_units
 
 NUMBERS = [  # verb, arguments, option, values
     (solve, "--delay 34ms --Ts 4ms", "delay", 8.5),
@@ -32,11 +27,12 @@ NUMBERS = [  # verb, arguments, option, values
     (solve, "--target 30cm -300mm 0.5m", "target", (0.3, -0.3, 0.5)),
     (solve, "--radius 50mm", "radius", 0.05),
     (solve, "--speed 500mm/s", "speed", 0.5),
-    (solve, "--natural-frequency 5Hz", "natural_frequency", (10 * math.pi,)),
+    (solve, "--natural-frequency 5Hz", "natural_frequency", 10 * math.pi),
     (solve, "--cutoff 60Hz", "cutoff", 60.0),
     (solve, "--damping 20mm", "damping", 0.02),
-    (solve, "--alpha 5 1/s", "alpha", (5.0,)),
-    (reach, "--random 1 --tolerance 1mm 0.1deg", "tolerance", (1e-3, math.radians(0.1))),
+    (solve, "--alpha 5 1/s", "alpha", 5.0),
+    (reach, "--random 1 --near 90deg 100 mm", "near", (math.pi / 2, 0.1)),
+    (reach, "--random 1 --jump 1mrad", "jump", 1e-3),
     (stability, "--speed 100mm/s", "speed", 0.1),
     (diagnose, "--Ts 2ms", "Ts", 2e-3),
 ]
@@ -44,28 +40,10 @@ NUMBERS = [  # verb, arguments, option, values
 
 @pytest.mark.parametrize(("verb", "argv", "name", "wanted"), NUMBERS)
 def test_a_number_may_have_a_unit(verb, argv, name, wanted):
-    argv = argv.split() if isinstance(argv, str) else argv
-    made = parsed(verb, "log.csv" if verb is diagnose else "panda", *argv)
-    assert getattr(made, name) == pytest.approx(wanted, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("argv", "told"),
-    [
-        ("--q0 0deg 90", "write a unit behind each number, or once at the end, apart"),
-        ("--q0 0 90 dog", r"numbers, but is '0 90 dog' \(units: m, cm, mm, um, rad, mrad, deg\)"),
-        ("--q0 deg", "but is 'deg'"),
-        ("--Ts 4km", r"a number, but is '4km' \(units: s, ms, us\)"),
-        ("--Ts 1_0", "but is '1_0': write 10"),
-        ("--Ts 0,25", "but is '0,25': write 0.25"),
-        ("--Ts ０．０１", "write 0.01|but is"),
-        ("--N 10ms", "`--N` must be an integer"),
-        ("--feedforward 1m", "`--feedforward` must be .*number.*, but is '1m'"),
-    ],
-)
-def test_what_is_no_number_with_its_unit_is_refused(argv, told):
-    with pytest.raises(ck.ArgumentError, match=told):
-        parsed(solve, "panda", *argv.split())
+    place = "log.csv" if verb is diagnose else "panda"
+    made = arguments.parse(verb, [place, *(argv.split() if isinstance(argv, str) else argv)], prog="", description="")
+    shared = {key: value for key, value in made.items() if isinstance(value, quantities.Quantities) and key in OPTIONS}
+    assert (made | in_own_units(shared)[0])[name] == pytest.approx(wanted, rel=1e-12)
 
 
 def test_a_number_read_aloud_has_at_most_three_digits():

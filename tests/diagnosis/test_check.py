@@ -107,8 +107,8 @@ def test_a_log_on_the_command_line(tmp_path, capsys):
     ("options", "line"),
     [
         (["--limits", "fr4"], "Option `--limits` must name a CSV file that can be read, but fr4"),
-        (["--tip", "hand"], "Option `--tip` must come with --robot, but comes without."),
-        (["--robot", "panda"], "must have a column for each of the chain's 7 joints, but has 1"),
+        (["--tip", "hand"], "Option `--tip` must come with ROBOT, but comes without."),
+        (["panda"], "must have a column for each of the chain's 7 joints, but has 1"),
         (["--limits", "panda"], "must be a single number, but has 7"),
     ],
 )

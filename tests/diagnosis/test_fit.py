@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.diagnosis.fit import fit_drive
+from cnclik.diagnosis.fit import NOT_REBASED, fit_drive
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive, sampled
 from tests.diagnosis.recordings import servo
@@ -139,12 +139,23 @@ def test_what_the_log_leaves_open_has_no_gain():
     assert fit.recommended_alpha is None and "damping ratio is at the end of what is tried" in fit.note
 
 
+def test_numbers_that_a_log_leaves_open_do_not_run_away():
+    """Beside a slow joint two that follow within a sample, with dead times of their own: their ω was 0 once."""
+    command, drives = np.tile(step(200)[:, None], (1, 3)), ((150.0, 0.6, 2.0), (2e4, 14.0, 2.6), (2e4, 3.0, 2.3))
+    motion = [servo(command[:, 0], TS, late, omega=w, zeta=zeta, velocity=True) for w, zeta, late in drives]
+    fit = fit_drive(None, command, np.stack(motion, 1), TS, command_kind="velocity")
+    assert np.min(fit.drive.natural_frequency) > 100 and np.min(fit.drive.damping_ratio) > 0.1
+    assert fit.drive.natural_frequency[0] == pytest.approx(150.0, rel=1e-3)
+
+
 def test_what_no_drive_does_is_named():
     """A servo whose speed is limited: what is left of the motion has a structure."""
     command, limited = step(300, size=1.0), [0.5]
     for u in command[:-1]:
         limited.append(limited[-1] + np.clip(0.15 * (u - limited[-1]), -0.008, 0.008))
     assert "has a structure" in str(fit_drive(None, command, noisy(np.array(limited), share=1e-3), TS))
+    more = fit_drive(None, command, noisy(1.1 * np.array(limited), share=1e-3), TS).note
+    assert "has a structure" in more and NOT_REBASED in more  # whatever else there is to say
     assert "structure" not in str(fit_drive(None, command, noisy(servo(command, TS, 2.0, lag=0.02)), TS))
 
 

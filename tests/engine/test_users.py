@@ -45,16 +45,6 @@ def test_effects_and_named_axes_are_those_of_the_function():
     assert sorted(seen) == [1, 2, 3]
 
 
-def test_with_effects_it_gets_the_same_arrays():
-    """JAX takes none of another byte order."""
-
-    def tells(x):
-        jax.debug.callback(lambda v: None, x)
-        return jnp.square(x)
-
-    assert ck.native(tells)(np.arange(3, dtype=">f4")).tolist() == [0, 1, 4]
-
-
 def test_numbers_are_rounded_where_a_precision_is_asked_for():
     rounds, x = lambda x: jax.lax.reduce_precision(x, 8, 7), jnp.float32(1.2345678)
     assert ck.native(rounds)(x) == rounds(x) != x

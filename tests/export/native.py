@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+import cnclik as ck
 from cnclik.engine.compiler import command, opened
 from cnclik.export.source import Names, header, source
 from cnclik.export.trace import Request, trace
@@ -15,6 +16,12 @@ from cnclik.integrate.method import DEFAULT, named
 from cnclik.integrate.stage import picard
 
 FLAGS = "-std=c99 -O3 -march=native -ffp-contract=fast -fno-math-errno -fno-trapping-math -fPIC -shared"
+
+
+def arm(n):
+    """A planar arm with position and velocity limits."""
+    made = ck.planar_arm([1.0, 0.8, 0.6, 0.5, 0.4][:n])
+    return ck.replace(made, lower=(-2.0,) * n, upper=(2.0,) * n, velocity_limit=(1.5,) * n)
 
 
 def built(source, *flags):

@@ -9,13 +9,14 @@ from cnclik.export.example import BUILD
 from cnclik.export.fields import parameters
 from cnclik.export.trace import Request
 from cnclik.export.write import configuration
+from tests import bank
 from tests.engine.compare import NEEDS_C
 from tests.export.native import native
 from tests.oracles import close
 from tests.robot.test_trees import BAXTER, GRIPPERS
-from tests.task.test_stack_loops import ROBOT, TIPS, Q
 
-LEFT, RIGHT = TIPS
+ROBOT, Q = bank.robot("two arms"), np.array([0.2, -0.4, 0.7, 0.5, -0.6, -0.8])
+LEFT, RIGHT = TIPS = [tip.name for tip in ROBOT.tips]
 TASK = ck.stack(
     hands=ck.pose("xy", "z", tip=LEFT) & ck.position("xy", tip=RIGHT),
     apart=ck.position("xy", tip=LEFT, relative_to=RIGHT),
@@ -75,7 +76,7 @@ def test_the_header_says_in_whose_frame_a_relative_target_is(tmp_path):
 
 @NEEDS_C
 def test_names_are_words_of_c():
-    task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["a"])})
+    task = ck.stack(**{"left-hand": ck.position(tip=LEFT), "left_hand": ck.position(tip=RIGHT), "2": ck.joints(["q1"])})
     step = native(ck.Law(ROBOT, task, alpha=1.0, inverse=ck.damped(0.1)), method="EE")
     assert step.names[1:7:2] == ("left_hand_position", "left_hand_1_position", "task_2_values")
 
@@ -92,9 +93,10 @@ def test_walls_and_balance_are_described():
     assert [field.name for field in found if not field.about] == []
     shapes = [f"wall_1_{which}_{what}" for which in ("one", "other") for what in ("ends", "radius")]
     own = {field.name for field in found if field.name.startswith("wall_")}
-    assert own == {*shapes, "wall_1_normal", "wall_1_offset", "wall_1_rate", "wall_2_normal", "wall_2_offset"}
+    each = {f"wall_{i}_{what}" for i in (1, 2) for what in ("normal", "offset", "rate")}
+    assert own == {*shapes, *each}
     named = ck.bounded(walls=[ck.wall(pair, above=0.02, name="left arm")])
     found = parameters(ck.replace(law, limits=named), None)[0]
     assert {"wall_left_arm_one_ends", "wall_left_arm_other_radius", "wall_left_arm_offset"} <= {f.name for f in found}
-    request = Request(law, None, ck.EE, ck.picard(5), np.dtype(float), None)
+    request = Request(law, None, ck.METHODS["EE"], ck.picard(5), np.dtype(float), None)
     assert "?" not in "".join(configuration(request)) and "..." in "".join(configuration(request))

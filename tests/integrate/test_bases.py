@@ -105,16 +105,6 @@ def test_a_base_turns_for_ever_in_the_ball():
     assert np.abs(np.diff(w, axis=0)).max() > 3.0  # and comes in again on the other side
 
 
-def test_each_axis_of_a_base_has_its_own_velocity_limit():
-    most = np.array([0.3, 0.5, 0.4, 0.6, 0.7, 1.2, 1.0, 1.0])
-    robot = ck.replace(ROBOT, velocity_limit=tuple(most))
-    law = ck.Law(robot, HAND, alpha=4.0, inverse=ck.damped(0.02), limits=ck.bounded())
-    run = ck.solve(law, PATH, start(0.1), 0.01, 60)
-    ratio = np.abs(run.qdot) / most
-    assert ratio.max() == pytest.approx(1.0, abs=1e-9)
-    assert (ratio[:, :6].max(axis=0) > 0.999).sum() > 1
-
-
 def test_a_posture_draws_a_base_the_shorter_way():
     rest = start()
     rest[3:6] = [0.0, 0.0, 3.1]

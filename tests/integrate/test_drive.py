@@ -46,22 +46,6 @@ def test_drives_of_any_speed_are_numbers_known_or_traced(command):
             Drive(**{name: 1e-100}, command=command)
 
 
-def test_a_drive_that_follows_at_once_changes_nothing():
-    plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, "EXP-MIDPOINT")
-    for drive in (Drive(), Drive(command="position"), Drive(feedback="commanded")):
-        np.testing.assert_allclose(
-            ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20, "EXP-MIDPOINT", drive=drive).q, plain.q, atol=1e-13
-        )
-
-
-def test_dead_time_only_shifts_what_a_commanded_loop_does():
-    """It knows its own commands alone: the motion is that of the loop without drive, d samples later."""
-    plain = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 20)
-    late = ck.solve(LAW, ck.hold(TARGET), Q, Ts, 23, drive=Drive(delay=3, feedback="commanded"))
-    np.testing.assert_allclose(late.q[3:], plain.q, atol=1e-12)
-    np.testing.assert_allclose(late.q[:3], np.tile(Q, (3, 1)), atol=1e-15)
-
-
 def test_a_late_measurement_of_a_known_path_costs_nothing():
     """e[k+1] − e[k] is then what the path and its velocity leave, whatever the delay; to stability it is dead time."""
     start = np.asarray(ck.forward(ARM, Q).position)[:2]
@@ -82,14 +66,6 @@ def test_a_late_measurement_of_a_known_path_costs_nothing():
         assert (np.abs(e[-20:]).max() < 1e-7) == settles
 
 
-def test_numbers_of_each_joint_may_be_a_list():
-    runs = [
-        ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, drive=Drive(delay=1, lag=kind([0.01, 0.02])))
-        for kind in (list, np.array)
-    ]
-    np.testing.assert_array_equal(*(run.q for run in runs))
-
-
 @pytest.mark.parametrize(
     "drive", [None, Drive(delay=1), Drive(measurement_delay=2)], ids=["ideal", "late", "measured late"]
 )
@@ -105,11 +81,6 @@ def test_noise_is_added_to_the_measured_error(drive):
     close(run.q[:, 0], q, atol=1e-12)
     close(run.e[:, 0], 1.0 - np.array(q), atol=1e-12)  # the true one
     assert not np.any(run.status & ck.Status.GROWING)
-
-
-def test_noise_of_another_shape_is_refused():
-    with pytest.raises(ArgumentError, match=r"`noise` must have shape \(5, 2\)"):
-        ck.solve(LAW, ck.hold(TARGET), Q, Ts, 5, noise=np.zeros((4, 2)))
 
 
 @pytest.mark.parametrize(
@@ -144,15 +115,6 @@ def test_noise_of_another_shape_is_refused():
 def test_what_is_no_drive_is_refused(given, words):
     with pytest.raises(ArgumentError, match=words):
         Drive(**given)
-
-
-def test_a_loop_through_drives_may_begin_at_any_time():
-    drive = Drive(delay=1, lag=0.05, measurement_delay=1)
-    path = ck.lissajous([TARGET[0], TARGET[1]], [0.1, 0.1], period=2.0)
-    later = ck.path(lambda t: path.curve(t + 0.7)[0])
-    found = ck.solve(LAW, path, Q, Ts, 40, "EE", t0=0.7, drive=drive)
-    close(found.q, ck.solve(LAW, later, Q, Ts, 40, "EE", drive=drive).q, atol=1e-12)
-    assert found.t[0] == 0.7
 
 
 def test_a_drive_that_does_not_fit_the_loop_is_refused():

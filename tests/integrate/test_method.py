@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from tests.oracles import AMPLIFICATION, close, picard_amplification
+from tests.oracles import AMPLIFICATION, close
 
-IMPLICIT = ["IE", "CN", "TRAPEZOID"]
 Z = [0.1, 0.5, 1.0, 1.354, 2.0, 2.7852935634, 3.3]
-MAXIMUM = 10
 
 # --- amplification ------------------------------------------------------------------------------------
 # One joint that slides along x, and x as its task: J = 1, so one step shrinks the error by R(z), exactly.
@@ -33,16 +31,6 @@ def test_amplification(method, Ts):
     """R(z): explicit methods at once; implicit ones by chord iteration, which is exact on a linear problem."""
     for z in Z:
         close(amplification(method, z / Ts, Ts, ck.chord(1)), AMPLIFICATION[method](z), atol=1e-12)
-
-
-@pytest.mark.parametrize("method", IMPLICIT)
-def test_amplification_with_picard_passes(method):
-    """M passes from the explicit slope make R(z) a polynomial: any M through one compiled program."""
-    for M in range(MAXIMUM + 1):
-        stage = ck.picard(jnp.asarray(M), maximum=MAXIMUM)
-        for z in Z:
-            wanted = picard_amplification(method, z, M)
-            close(amplification(method, z, 1.0, stage), wanted, atol=1e-12 * max(1, z**M))
 
 
 # --- whole loops --------------------------------------------------------------------------------------
@@ -92,14 +80,6 @@ def test_against_diffrax(method):
     close(run.t, wanted.ts[: N + 1], atol=1e-14)
 
 
-def test_starts_at_t0():
-    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
-    whole = ck.solve(law, FIGURE, START, 0.05, 20, "MIDPOINT", ck.picard(40))
-    rest = ck.solve(law, FIGURE, whole.q[7], 0.05, 13, "MIDPOINT", t0=7 * 0.05)
-    close(rest.q, whole.q[7:], atol=1e-13)
-    close(rest.t, whole.t[7:], atol=1e-15)
-
-
 # --- tableaus -----------------------------------------------------------------------------------------
 
 
@@ -123,20 +103,6 @@ def test_tableau(method):
         assert np.abs(conditions[method.order + 1]).max() > 0.05
     assert method.implicit == bool(np.any(np.diag(A)))
     assert repr(method) == method.name and ck.METHODS[method.name] is method and method.source
-
-
-def test_a_method_of_ones_own():
-    """Ralston's third-order method, from its tableau."""
-    ralston = ck.Method(
-        name="RALSTON3",
-        A=((0.0,), (0.5, 0.0), (0.0, 0.75, 0.0)),
-        b=(2 / 9, 1 / 3, 4 / 9),
-        c=(0.0, 0.5, 0.75),
-        order=3,
-        source="Ralston (1962)",
-    )
-    for z in Z:
-        close(amplification(ralston, z, 1.0, ck.picard(0)), 1 - z + z**2 / 2 - z**3 / 6, atol=1e-12)
 
 
 def test_an_explicit_tableau_may_leave_out_its_diagonal():
@@ -163,7 +129,10 @@ TWO = dict(A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2)
         (dict(c=(0.0,)), "`c` must have shape"),
         (dict(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
         (dict(order=0), "`order` must be at least 1"),
-        (dict(A=ck.RK4.A, b=ck.RK4.b, c=ck.RK4.c, order=5), "`order` must be 4, that of the weights, but is 5"),
+        (
+            dict(A=ck.METHODS["RK4"].A, b=ck.METHODS["RK4"].b, c=ck.METHODS["RK4"].c, order=5),
+            "`order` must be 4, that of the weights, but is 5",
+        ),
     ],
 )
 def test_tableaus_that_are_none(named, message):

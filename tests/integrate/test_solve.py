@@ -57,16 +57,6 @@ def test_step_by_step_is_solve():
         close(q, made.q[k + 1], atol=1e-14)
 
 
-def test_a_coordinate_that_no_joint_moves():
-    """A planar arm asked for z as well: rank deficient, but a law like any other; z stays."""
-    flat = ck.Law(ARM, ck.position("xyz"), alpha=4.0)
-    for target in ([*TARGET, 0.0], [*TARGET, 0.3]):
-        made = ck.solve(flat, ck.hold(target), Q, 0.1, N, "CN", ck.picard(3))
-        close(made.q, run().q, atol=1e-13)
-        close(made.x[:, 2], 0)
-        close(made.e[:, 2], target[2])
-
-
 CONSTANT = {"pinv": ck.pseudoinverse(), "damped": ck.damped(0.1)}
 
 
@@ -106,14 +96,6 @@ def test_vmap_over_everything_at_once():
         close(many.t[i], Ts[i] * np.arange(N + 1), atol=1e-15)
 
 
-def test_step_inside_a_loop_of_ones_own():
-    @jax.jit
-    def loop(q):
-        return jax.lax.fori_loop(0, N, lambda k, q: ck.step(LAW, HOLD, q, 0.1 * k, 0.1, "CN", ck.picard(3)).q, q)
-
-    close(loop(Q), run().q[-1], atol=1e-13)
-
-
 def test_no_new_compilation_for_new_numbers():
     """A task's function is called while the loop is traced, and never again."""
     traced = []
@@ -138,12 +120,6 @@ def test_no_new_compilation_for_new_numbers():
     assert len(traced) == once
     ck.solve(law, HOLD, Q, 0.1, N + 1, "CN", ck.picard(3))
     assert len(traced) > once
-
-
-def test_float32_derivatives():
-    final = lambda alpha, q: jnp.sum(run(q, alpha=alpha, method="EE").q[-1])  # noqa: E731
-    slope = jax.jit(jax.grad(final))
-    close(slope(jnp.float32(4), Q.astype(np.float32)), slope(4.0, Q), rtol=2e-4)
 
 
 # --- what is refused ----------------------------------------------------------------------------------
@@ -181,11 +157,6 @@ def test_bad_input(call, message):
     with pytest.raises(ck.ArgumentError, match=message) as caught:
         call()
     assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
-
-
-def test_the_nearest_name_is_suggested():
-    with pytest.raises(ck.ArgumentError, match=r"did you mean 'TRAPEZOID'\?"):
-        solve(Q, 0.1, 3, "TRAPEZE")
 
 
 @pytest.mark.parametrize("around", [jax.jit, jax.vmap, jax.grad], ids=lambda f: f.__name__)

@@ -1,11 +1,15 @@
-"""picard: what it returns, and that a number of passes given as an array means the same."""
+"""picard, chord and newton: the implicit slope they reach, what they say of it, and their numbers of passes."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 
 import cnclik as ck
+from cnclik.integrate.method import evaluations_per_step
+from cnclik.law.law import evaluate
+from cnclik.robot.model import modelled
 from tests.oracles import close
 
 ARM = ck.planar_arm([1.0, 0.8, 0.5])
@@ -28,12 +32,6 @@ def test_array_of_passes_equals_static_passes_under_vmap():
         np.testing.assert_array_equal(many.status[M], one.status)
 
 
-def test_a_stage_with_a_batch_of_passes_is_itself_a_batch():
-    stages = ck.picard(jnp.array([1, 5]))
-    many = jax.vmap(lambda stage: run(stage))(stages)
-    close(many.q[1], run(ck.picard(jnp.asarray(5))).q, atol=1e-14)
-
-
 def test_residual_is_the_last_change_and_contraction_the_ratio_of_the_last_two():
     """From the slopes after M − 2, M − 1 and M passes of implicit Euler, h = Ts."""
     slopes = jax.vmap(lambda M: ck.step(LAW, TARGET, Q, 0.0, 0.1, "IE", ck.picard(M, maximum=5)))(jnp.arange(6))
@@ -44,11 +42,6 @@ def test_residual_is_the_last_change_and_contraction_the_ratio_of_the_last_two()
     first = np.linalg.norm(slopes.qdot[0])
     close(slopes.residual[0], 0.1 * first, atol=1e-15)
     close(slopes.contraction[1], changes[0] / first, atol=1e-13)
-
-
-def test_explicit_methods_have_no_residual():
-    made = run(ck.picard(5), method="RK4")
-    assert np.all(made.residual == 0) and np.all(made.contraction == 0) and np.all(made.status == 0)
 
 
 def test_converged_and_at_rest():
@@ -82,3 +75,93 @@ def test_residual_carries_no_derivative():
 def test_bad_input(build, message):
     with pytest.raises(ck.ArgumentError, match=message):
         build()
+
+
+# --- chord and newton ---------------------------------------------------------------------------------
+
+REST = ck.hold(ck.forward(ARM, Q).position[:2])
+NEAR = ck.hold(ck.forward(ARM, Q).position[:2] + jnp.array([0.12, -0.2]))
+Ts = 0.1
+
+
+def law(z, **changes):
+    return ck.Law(ARM, ck.position("xy"), alpha=z / Ts, **changes)
+
+
+def slope(law, reference, q):
+    """f(q, 0) as a NumPy function."""
+    return np.asarray(_slope(law, reference, jnp.asarray(q)))
+
+
+@jax.jit
+def _slope(law, reference, q):
+    return evaluate(modelled(law), reference, jnp.zeros(()), q).qdot
+
+
+@pytest.mark.parametrize(("stage", "tolerance"), [(ck.chord(12), 1e-6), (ck.newton(6), 1e-11)])
+def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
+    one = law(1.5)
+    root = scipy.optimize.root(lambda q: q - np.asarray(Q) - Ts * slope(one, NEAR, q), Q, tol=1e-12)
+    assert root.success
+    made = ck.step(one, NEAR, Q, 0.0, Ts, ck.METHODS["IE"], stage)
+    np.testing.assert_allclose(made.q, root.x, atol=tolerance)
+    assert float(made.residual) < tolerance * 10
+
+
+GAIN = jnp.array([5.0, 20.0])
+LAWS = {
+    "scalar": dict(alpha=15.0),
+    "damped by singular value": dict(alpha=15.0, inverse=ck.singular_damped(0.4, 20.0)),
+    "damped weighted per axis": dict(alpha=GAIN, inverse=ck.damped(0.4), weights=jnp.array([1.0, 3.0])),
+    "null space": dict(alpha=GAIN, null_velocity=ck.posture(Q, 4.0)),
+    "damped null space": dict(alpha=15.0, inverse=ck.damped(0.4), null_velocity=ck.posture(Q, 4.0)),
+}
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_correction_inverts_the_linearised_law_at_rest(kind):
+    """At rest curvature vanishes, and (I − h ∂f/∂q)⁻¹ must come out exactly, here by autodiff and NumPy."""
+    options = dict(LAWS[kind])
+    task = ck.position("xy", weights=options.pop("weights", None))
+    one = ck.Law(ARM, task, **options)
+    h, r = 0.3, np.array([0.7, -0.2, 1.1])
+
+    @jax.jit
+    def both(q, r):
+        at = evaluate(modelled(one), REST, jnp.zeros(()), q)
+        return jax.jacfwd(lambda q: _slope(one, REST, q))(q), at.newton(h, r), at.qdot
+
+    derivative, found, f = map(np.asarray, both(Q, r))
+    np.testing.assert_allclose(found, r + np.linalg.solve(np.eye(3) - h * derivative, f - r), atol=1e-9)
+
+
+@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.4)])
+def test_a_posture_passes_a_newton_step(inverse):
+    """Away from rest, by the matrix (n, n) that the formula avoids."""
+    one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=ck.posture([0.3, -0.2, 0.5], 4.0))
+    h, k = 0.3, np.array([0.7, -0.2, 1.1])
+
+    @jax.jit
+    def step(q):
+        at = evaluate(modelled(one), NEAR, jnp.zeros(()), q)
+        return at.newton(h, k), at.qdot, at.rows, jax.vmap(at.apply, out_axes=1)(jnp.eye(2))
+
+    found, f, J, inverted = map(np.asarray, step(Q))
+    slope = 15.0 * inverted @ J + 4.0 * (np.eye(3) - inverted @ J)
+    np.testing.assert_allclose(found, k + np.linalg.solve(np.eye(3) + h * slope, f - k), atol=1e-12)
+
+
+def test_cost_in_evaluations():
+    assert evaluations_per_step(ck.METHODS["EE"], ck.chord(5), 3) == 1
+    assert evaluations_per_step(ck.METHODS["IE"], ck.picard(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["IE"], ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["CN"], ck.chord(5), 3) == 6
+    assert evaluations_per_step(ck.METHODS["TRAPEZOID"], ck.newton(2), 3) == 1 + 2 * 4
+    assert int(ck.solve(law(1.0), NEAR, Q, Ts, 4, ck.METHODS["TRAPEZOID"], ck.newton(2)).evaluations) == 4 * 9
+
+
+def test_a_stage_that_is_not_there_yet_says_so():
+    status = ck.step(law(2.0), NEAR, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(0)).status
+    assert int(status) & ck.Status.NOT_CONVERGED
+    status = ck.step(law(2.0), NEAR, Q, 0.0, Ts, ck.METHODS["IE"], ck.chord(8)).status
+    assert not int(status) & ck.Status.NOT_CONVERGED

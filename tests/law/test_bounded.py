@@ -80,7 +80,7 @@ def act(limits, inverse, rows, velocity, null, low, high):
     """A limits method at q = 0 of a chain whose velocities have these bounds."""
     far = jnp.full_like(low, jnp.inf)
     chain = SimpleNamespace(bounded=True, slowed=True, lower=low / RATE, upper=high / RATE, velocity_limit=far)
-    return limits(inverse, chain, jnp.zeros_like(low), rows, velocity, null)
+    return limits(inverse.shift(rows, velocity), chain, jnp.zeros_like(low), rows, velocity, null)
 
 
 def least(rows, velocity, null, low, high, shift):
@@ -101,22 +101,24 @@ INVERSES = {
     "singular": lambda: ck.singular_damped(0.1, 0.3),
     "levels": levels,
 }
-CASES = [("panda", "damped"), ("panda", "little"), ("panda", "singular"), ("g1", "damped"), ("g1", "little")]
+CASES = [("panda", "damped"), ("panda", "little"), ("panda", "singular"), ("g1", "damped")]
 CASES += [("g1", "levels")]
 
 
-@jax.jit
-@functools.partial(jax.vmap, in_axes=(None, None, 0))
 def bound(rate, made, of):
-    """What `bounded` makes of draws; dampings are parameters, and all of a kind share a program."""
+    """What `bounded` makes of a draw; dampings are parameters, and all of a kind share a program."""
     rate, made = jax.tree.map(lambda v: jnp.asarray(v, of[0].dtype), (rate, made))
     done = act(ck.bounded(rate), made, *of)
-    return done.qdot, done.limited, made(of[0]).shift
+    return done.qdot, done.limited, done.factored.shift
+
+
+several = functools.partial(jax.vmap, in_axes=(None, None, 0))
+BOUND = {"panda": jax.jit(several(ck.native(bound))), "g1": jax.jit(several(bound))}  # as C, and as XLA has it
 
 
 def check_least(name, inverse, count, seed):
     made, drawn = INVERSES[inverse](), draws(name, count, seed, null=0.3)
-    qdot, limited, shift = map(np.asarray, bound(RATE, made, drawn[:5]))
+    qdot, limited, shift = map(np.asarray, BOUND[name](RATE, made, drawn[:5]))
     assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
     for k in range(count):
         wanted = least(*(v[k] for v in drawn[:5]), shift[k])
@@ -127,13 +129,13 @@ def check_least(name, inverse, count, seed):
 
 @pytest.mark.parametrize(("name", "inverse"), CASES)
 def test_it_is_the_least_within_bounds(name, inverse):
-    check_least(name, inverse, 150 if name == "panda" else 40, seed=1)
+    check_least(name, inverse, 100 if name == "panda" else 30, seed=1)
 
 
 def test_it_is_what_daqp_finds():
     daqp = pytest.importorskip("daqp")
-    drawn, made = draws("g1", 40, seed=3), levels()
-    qdot = bound(RATE, made, drawn[:5])[0]
+    drawn, made = draws("g1", 30, seed=3), levels()
+    qdot = BOUND["g1"](RATE, made, drawn[:5])[0]
     root = 1 / np.where(np.array(made.level) == 0, 1e-2, 0.1)
     for k, (rows, velocity, _, low, high, _) in enumerate(zip(*drawn, strict=True)):
         b = root[:, None] * rows
@@ -145,57 +147,38 @@ def test_it_is_what_daqp_finds():
 
 
 def test_single_precision():
-    drawn = draws("panda", 150, seed=4)
+    drawn = draws("panda", 100, seed=4)
     both = (tuple(v.astype(dtype) for v in drawn[:5]) for dtype in (np.float64, np.float32))
-    wide, narrow = (bound(RATE, ck.damped(0.05), of)[0] for of in both)
+    wide, narrow = (BOUND["panda"](RATE, ck.damped(0.05), of)[0] for of in both)
     assert narrow.dtype == np.float32
     size = np.abs(wide).max(1, keepdims=True)
     np.testing.assert_allclose(narrow / size, wide / size, atol=1e-4)
 
 
 def test_derivatives_are_differences():
+    """Forward over reverse: of each draw the slope along a direction, and the second derivative."""
     drawn, rng = draws("panda", 20, seed=6, null=0.3), np.random.default_rng(6)
     toward = tuple(rng.normal(size=v.shape) * np.abs(v).max() for v in drawn[:5])
     ends = rng.normal(size=drawn.low.shape)
 
-    def value(of, end):
-        return end @ act(ck.bounded(RATE), ck.damped(0.05), *of).qdot
-
     @jax.jit
-    @jax.vmap
-    def slopes(of, toward, end):
-        """Forward and reverse."""
-        reverse = sum(jnp.sum(g * t) for g, t in zip(jax.grad(value)(of, end), toward, strict=True))
-        return jax.jvp(lambda of: value(of, end), (of,), (toward,))[1], reverse
+    @functools.partial(jax.vmap, in_axes=(None, 0, 0, 0))
+    @ck.native
+    def slopes(s, of, toward, end):
+        def value(s):
+            moved = (v + s * d + s * s * jnp.sin(d) for v, d in zip(of, toward, strict=True))
+            return end @ act(ck.bounded(RATE), ck.damped(0.05), *moved).qdot
 
-    run, h = jax.jit(jax.vmap(value)), 1e-7
-    ahead, behind = (run(tuple(v + s * t for v, t in zip(drawn, toward, strict=False)), ends) for s in (h, -h))
-    wanted = np.asarray(ahead - behind) / (2 * h)
-    for made in slopes(drawn[:5], toward, ends):
-        np.testing.assert_allclose(made, wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+        return value(s), *jax.jvp(jax.grad(value), (s,), (1.0,))
 
-
-def test_a_second_derivative_is_a_difference():
-    drawn = draws("panda", 20, seed=7)
-
-    def along(s, rows, velocity, null, low, high):
-        return jnp.sum(
-            act(ck.bounded(RATE), ck.damped(0.05), rows * (1 + s * jnp.sin(rows)), velocity, null, low, high).qdot
-        )
-
-    @jax.jit
-    @functools.partial(jax.vmap, in_axes=(None, 0))
-    def slopes(s, of):
-        """The first and the second derivative, forward over reverse."""
-        return jax.jvp(lambda s: jax.grad(along)(s, *of), (s,), (1.0,))
-
-    h, second = 1e-6, slopes(0.0, drawn[:5])[1]
-    ahead, behind = (np.asarray(slopes(s, drawn[:5])[0]) for s in (h, -h))
-    np.testing.assert_allclose(second, (ahead - behind) / (2 * h), rtol=1e-4, atol=1e-4)
+    at, h = [slopes(s, drawn[:5], toward, ends) for s in (0.0, 1e-7, -1e-7)], 1e-7
+    for k in (0, 1):
+        wanted = np.asarray(at[1][k] - at[2][k]) / (2 * h)
+        np.testing.assert_allclose(at[0][k + 1], wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
 
 
 def test_every_pass_costs_less():
-    drawn = draws("g1", 200, seed=8)
+    drawn = draws("g1", 60, seed=8)
     b, w = drawn.rows / 1e-3, drawn.velocity / 1e-3
     run = jax.jit(jax.vmap(lambda of, start, passes: descent(Problem(*of), start, passes), (0, 0, None)))
     of = b, w, drawn.null, drawn.low, drawn.high
@@ -212,10 +195,10 @@ def test_every_pass_costs_less():
 
 def test_a_descent_that_is_cut_short_is_no_worse_than_clipping():
     """One step more, clipped, had a million times the cost."""
-    drawn = draws("g1", 200, seed=10)
+    drawn = draws("g1", 60, seed=10)
 
     def one(*of):
-        return act(ck.bounded(RATE, 1), levels(), *of).qdot, through(levels()(of[0]).apply, *of[:3])
+        return act(ck.bounded(RATE, 1), levels(), *of).qdot, through(levels()(of[0], of[1]).apply, *of[:3])
 
     found, asked = map(np.asarray, jax.jit(jax.vmap(one))(*drawn[:5]))
     root = 1 / np.where(np.array(levels().level) == 0, 1e-2, 0.1)
@@ -259,7 +242,7 @@ def test_c_code_makes_the_normal_matrix_once():
 
 def test_the_lower_level_gives_way_first():
     """Where the first level can be had within bounds it is, but for (λ₁/λ₂)²; clipping gives it up."""
-    drawn, (_, task) = draws("g1", 100, seed=9), robot_and_task("g1")
+    drawn, (_, task) = draws("g1", 60, seed=9), robot_and_task("g1")
     first = np.isin(np.arange(task.m), np.concatenate([np.arange(task.m)[task.of(name)] for name in ORDER[0]]))
     # Of hands and feet what some velocity within bounds does; of the torso whatever is asked.
     inner = np.random.default_rng(9).uniform(drawn.low, drawn.high)
@@ -269,7 +252,7 @@ def test_the_lower_level_gives_way_first():
 
     def one(rows, velocity, low, high):
         null = jnp.zeros_like(low)
-        return act(ck.bounded(RATE), made, rows, velocity, null, low, high).qdot, made(rows).apply(velocity)
+        return act(ck.bounded(RATE), made, rows, velocity, null, low, high).qdot, made(rows, velocity).apply(velocity)
 
     qdot, free = map(np.asarray, jax.jit(jax.vmap(one))(drawn.rows, velocity, drawn.low, drawn.high))
     missed, clipped = (
@@ -280,15 +263,10 @@ def test_the_lower_level_gives_way_first():
     assert np.max(missed / size) < 1e-4 < 0.05 < np.median(clipped / size)
 
 
-def test_an_inverse_without_damping_is_refused():
+@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), lambda rows, e: Factored(rows.T.dot, 1.0)])
+def test_an_inverse_without_damping_is_refused(inverse):
     with pytest.raises(ck.ArgumentError, match=r"`inverse` must be damped with limits=bounded\(\), .*, but is "):
-        ck.Law(ck.panda(), ck.pose(), alpha=1.0, limits=ck.bounded())
-
-
-def test_an_inverse_of_ones_own_without_damping_is_refused():
-    law = ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=lambda rows: Factored(rows.T.dot, 1.0), limits=ck.bounded())
-    with pytest.raises(ck.ArgumentError, match="`inverse` must be damped"):
-        ck.step(law, ck.hold([0.3, 0.0, 0.5], np.eye(3)), np.zeros(7), 0.0, 0.01, "EE")
+        ck.Law(ck.panda(), ck.pose(), alpha=1.0, inverse=inverse, limits=ck.bounded())
 
 
 @pytest.mark.parametrize(("name", "value"), [("rate", 0.0), ("rate", -1.0), ("passes", 0), ("passes", 2.5)])

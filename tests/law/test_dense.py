@@ -72,21 +72,59 @@ def test_its_derivatives_are_those_of_differences(shape):
 # --- Cholesky factors ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("m", [1, 3, 6])
-def test_factors_solve_and_trace(m):
+def systems(m, count=20):
     rng = np.random.default_rng(m)
-    a = rng.normal(size=(m, m + 1))
-    b = rng.normal(size=m)
+    j = rng.normal(size=(count, m, m + 2))
+    return j @ j.mT + 0.1 * np.eye(m), rng.normal(size=(count, m)), rng.normal(size=(count, m, 3))
 
-    @jax.jit
-    def solve(a, b):
-        lower = dense.cholesky(dense.shifted(a @ a.T, jnp.asarray(0.01)))
-        return dense.cholesky_solve(lower, b), dense.inverse_trace(lower)
 
-    s = a @ a.T + 0.01 * np.eye(m)
-    x, trace = solve(a, b)
-    close(x, np.linalg.solve(s, b), rtol=1e-11)
-    assert trace == pytest.approx(np.trace(np.linalg.inv(s)), rel=1e-11)
+def solved(a, b, more):
+    lower = dense.cholesky(a)
+    return dense.cholesky_solve(lower, b), dense.cholesky_solve(lower, more), dense.inverse_trace(lower)
+
+
+@pytest.mark.parametrize("m", [1, 6, 26])
+def test_a_batch_is_numpys_one_by_one(m):
+    """Without LAPACK: in batches its threads may wait for each other for good, as in a loop of two arms they did."""
+    given = systems(m)
+    batch, alone = jax.jit(jax.vmap(solved)), jax.jit(solved)
+    assert "lapack" not in batch.lower(*given).as_text()
+    assert "lapack" in alone.lower(*(v[0] for v in given)).as_text()
+    made = batch(*given)
+    for k, (a, b, more) in enumerate(zip(*given, strict=True)):
+        wanted = np.linalg.solve(a, b), np.linalg.solve(a, more), np.trace(np.linalg.inv(a))
+        found = (alone(a, b, more), [v[k] for v in made]) if k < 2 else ([v[k] for v in made],)
+        for values in found:
+            for value, expected in zip(values, wanted, strict=True):
+                close(value, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_what_is_not_positive_has_no_factor():
+    a = np.stack([np.eye(3), np.diag([1.0, -1.0, 1.0])])
+    for found in (jax.vmap(dense.cholesky)(a), jnp.stack([dense.cholesky(one) for one in a])):
+        assert np.isfinite(found[0]).all() and np.isnan(found[1]).any()
+    assert np.isinf(jax.vmap(lambda a: dense.inverse_trace(dense.cholesky(a)))(a)[1])
+
+
+@pytest.mark.parametrize(("lanes", "m"), [(False, 3), (True, 10)])
+def test_derivatives_are_differences(lanes, m):
+    """Forward, reverse and second ones, of one system and within a batch."""
+    given = systems(m, count=2)
+
+    def value(s, a, b, more):
+        return sum(jnp.sum(jnp.sin(v)) for v in solved(a + s * jnp.cos(a), b + s, more))
+
+    def slopes(s, *given):
+        """Value, both first derivatives, and the second."""
+        reverse, second = jax.jvp(lambda s: jax.grad(value)(s, *given), (s,), (1.0,))
+        return value(s, *given), jax.jvp(lambda s: value(s, *given), (s,), (1.0,))[1], reverse, second
+
+    run = jax.jit(jax.vmap(slopes, (None, 0, 0, 0)) if lanes else lambda s, *v: slopes(s, *(x[0] for x in v)))
+    h = 1e-6
+    (_, forward, reverse, second), ahead, behind = (run(s, *given) for s in (0.0, h, -h))
+    close(forward, reverse, rtol=1e-9)
+    close(reverse, (ahead[0] - behind[0]) / (2 * h), rtol=1e-5, atol=1e-6)
+    close(second, (ahead[2] - behind[2]) / (2 * h), rtol=1e-4, atol=1e-5)
 
 
 def damped_solve(rows, shift, b):
@@ -103,7 +141,7 @@ def test_a_factored_solve_has_all_derivatives():
         return jnp.linalg.solve(rows @ rows.T + jnp.diag(shift), b)
 
     for differentiated in (jax.jacfwd, jax.jacrev, lambda f, by: jax.jacfwd(jax.jacrev(f, by), by)):
-        found, wanted = (differentiated(f, (0, 1, 2))(*given) for f in (damped_solve, plainly))
+        found, wanted = (jax.jit(differentiated(f, (0, 1, 2)))(*given) for f in (damped_solve, plainly))
         jax.tree.map(lambda a, b: close(a, b, rtol=1e-9, atol=1e-9), found, wanted)
 
 

@@ -1,6 +1,4 @@
-"""pseudoinverse and damped against NumPy; what each inverse says of singularity."""
-
-import itertools
+"""Inverses against NumPy and the papers' formulas, near singularities too, with their derivatives; the error clamp."""
 
 import jax
 import jax.numpy as jnp
@@ -8,38 +6,62 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.measure.metrics import chatter
 from tests.oracles import close
 
-INVERSES = {"pseudoinverse": ck.pseudoinverse(), "damped": ck.damped(0.2)}
+LAMBDA, EPSILON = 0.2, 0.5
+INVERSES = {
+    "pseudoinverse": ck.pseudoinverse(),
+    "damped": ck.damped(LAMBDA),
+    "singular_damped": ck.singular_damped(LAMBDA, EPSILON),
+    "error_damped": ck.error_damped(LAMBDA),
+}
+LEAST = (1.0, 0.45, 0.1, 1e-3, 1e-6, 0.0)
+
+
+def matrices(m, n, seed=3):
+    """Random J with a least singular value from 1 down to exactly 0, and one of lower rank still."""
+    rng, out = np.random.default_rng(seed), []
+    for least in LEAST:
+        u, v = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (m, n))
+        values = np.linspace(1.5, 1.0, min(m, n))
+        values[-1] = least
+        out.append(u[:, : len(values)] * values @ v[:, : len(values)].T)
+    return np.array([*out, np.zeros((m, n))])
 
 
 @jax.jit
-def apply(inverse, a, v):
-    factored = inverse(a)
+def apply(inverse, j, v):
+    factored = inverse(j, v)
     return factored.apply(v), factored.least
 
 
-def damped_matrix(a):
-    return a.T @ np.linalg.inv(a @ a.T + 0.2**2 * np.eye(len(a)))
+each = jax.jit(jax.vmap(apply, (None, 0, 0)))
 
 
-@pytest.mark.parametrize(
-    ("name", "shape"), [*itertools.product(INVERSES, [(1, 3), (2, 2), (6, 7)]), ("damped", (3, 2))], ids=str
-)
-def test_against_numpy(name, shape):
-    rng = np.random.default_rng(4)
-    given = rng.normal(size=shape[0])
-    for a in (rng.normal(size=shape), np.outer(rng.normal(size=shape[0]), rng.normal(size=shape[1]))):
-        matrix = np.linalg.pinv(a, rcond=1e-12) if name == "pseudoinverse" else damped_matrix(a)
-        singular = name == "pseudoinverse" and np.linalg.matrix_rank(a) < min(shape)
-        v = (
-            a @ (a.T @ given) if singular else given
-        )  # next to a singularity what is out of reach is damped, and not cut off
-        found, least = apply(INVERSES[name], a, v)
-        close(found, matrix @ v, atol=1e-9 * np.abs(matrix @ v).max())
-        s = np.linalg.svd(a, compute_uv=False)[-1]
-        assert -1e-12 <= least <= s + 1e-5
-        assert name == "damped" or least >= s * min(shape) ** -0.5 - 1e-6
+def formula(name, j, e):
+    """λ² as the papers have it, by SVD."""
+    least = np.linalg.svd(j, compute_uv=False)[-1]
+    share = max(1 - (least / EPSILON) ** 2, 0)
+    known = {"pseudoinverse": 0.0, "damped": LAMBDA**2, "singular_damped": LAMBDA**2 * share}
+    return known.get(name, LAMBDA**2 + e @ e / 2)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (3, 2), (6, 7)], ids=str)
+@pytest.mark.parametrize("name", INVERSES)
+def test_values_are_the_formulas(name, shape):
+    """Of what some joints can do: next to a singularity the pseudoinverse damps the rest, and does not cut it off."""
+    js, given = matrices(*shape), np.random.default_rng(4).normal(size=(7, shape[1]))
+    t = np.einsum("kmn,kn->km", js, given)
+    found, least = each(INVERSES[name], js, t)
+    for j, v, qdot, estimate in zip(js, t, found, least, strict=True):
+        smallest = np.linalg.svd(j, compute_uv=False)[-1]
+        wanted = j.T @ np.linalg.pinv(j @ j.T + formula(name, j, v) * np.eye(shape[0]), rcond=1e-12) @ v
+        if name != "pseudoinverse" or smallest > 1e-3 or smallest == 0:
+            close(qdot, wanted, atol=1e-6)
+        assert -1e-12 <= estimate <= smallest + 1e-5
+        undamped = name in ("pseudoinverse", "singular_damped")
+        assert not undamped or estimate >= smallest * min(shape) ** -0.5 - 1e-6
 
 
 @pytest.mark.parametrize(("smallest", "error"), [(1e-2, 1e-13), (1e-4, 1e-10), (1e-5, 1e-6), (1e-6, 2e-3)])
@@ -47,49 +69,97 @@ def test_the_pseudoinverse_near_a_singularity(smallest, error):
     """It errs by (λ²/(σ² + λ²))², as its docstring says; in any direction not by more."""
     rng = np.random.default_rng(5)
     u, w = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (6, 7))
-    values = np.array([1, 0.9, 0.8, 0.5, 0.3, smallest])
-    a = u * values @ w[:6]
+    a = u * np.array([1, 0.9, 0.8, 0.5, 0.3, smallest]) @ w[:6]
     j = np.linalg.pinv(a, rcond=1e-12)
-    found = np.array([apply(INVERSES["pseudoinverse"], a, v)[0] for v in np.eye(6)]).T
+    found = np.array(each(INVERSES["pseudoinverse"], np.stack([a] * 6), np.eye(6))[0]).T
     assert np.linalg.norm(found - j, 2) < error * np.linalg.norm(j, 2)
     assert smallest > 1e-3 or np.linalg.norm(found - j, 2) > error / 100 * np.linalg.norm(j, 2)
 
 
-def test_its_derivatives_are_those_of_the_closed_form():
+def test_derivatives_of_the_pseudoinverse_are_those_of_the_closed_form():
     """Golub & Pereyra 1973, eq. 4.12, at full rank; finite at a singularity, and second ones with them."""
     a, d = np.random.default_rng(1).normal(size=(2, 3, 4))
     v = np.array([1.0, -2.0, 0.5])
     p, j = np.linalg.pinv(a), lambda a: apply(ck.pseudoinverse(), a, v)[0]
     wanted = -p @ d @ p + p @ p.T @ d.T @ (np.eye(3) - a @ p) + (np.eye(4) - p @ a) @ d.T @ p.T @ p
-    close(jax.jvp(j, (a,), (d,))[1], wanted @ v, rtol=1e-8, atol=1e-9)
-    close(jax.jacrev(j)(a), jax.jacfwd(j)(a), rtol=1e-8, atol=1e-8)
-    for bad in (np.ones((3, 4)), np.zeros((3, 4))):
-        assert np.all(np.isfinite(jax.jacfwd(jax.jacrev(j))(bad)))
+    forward, reverse = jax.jit(jax.jacfwd(j))(a), jax.jit(jax.jacrev(j))(a)
+    close(np.einsum("imn,mn->i", forward, d), wanted @ v, rtol=1e-8, atol=1e-9)
+    close(reverse, forward, rtol=1e-8, atol=1e-8)
+    second = jax.jit(jax.jacfwd(jax.jacrev(j)))
+    assert all(np.isfinite(second(bad)).all() for bad in (np.ones((3, 4)), np.zeros((3, 4))))
 
 
-def test_damping_is_lambda_and_not_its_square():
-    found, _ = apply(ck.damped(0.5), np.array([[2.0]]), np.array([1.0]))
-    assert found[0] == pytest.approx(2 / (4 + 0.25), rel=1e-15)
+@pytest.mark.parametrize("name", ["damped", "singular_damped", "error_damped"])
+def test_derivatives_are_finite_at_singularities_and_right_near_them(name):
+    js, t = matrices(2, 3), np.array([0.4, -1.1])
+
+    def value(j):
+        return apply(INVERSES[name], j, t)[0]
+
+    forward, reverse = jax.jit(jax.vmap(lambda j: (jax.jacfwd(value)(j), jax.jacrev(value)(j))))(js)
+    assert np.isfinite(forward).all()
+    close(forward, reverse, atol=1e-6)
+    push = 1e-6 * np.eye(6).reshape(6, 2, 3)
+    for k in (1, 2):  # σ = 0.45 and 0.1: within the threshold, away from 0
+        ahead, behind = (each(INVERSES[name], js[k] + s * push, np.stack([t] * 6))[0] for s in (1, -1))
+        close(np.reshape(forward[k], (3, 6)).T, (ahead - behind) / 2e-6, atol=1e-5)
 
 
-def test_damping_is_a_leaf():
+def test_damping_is_a_leaf_and_lambda_and_not_its_square():
     """Another damping needs no new program, and can be differentiated."""
     assert len(jax.tree.leaves(ck.damped(0.1))) == len(jax.tree.leaves(ck.damped(jnp.asarray(0.1)))) == 1
     value = lambda d: apply(ck.damped(d), jnp.array([[2.0]]), jnp.array([1.0]))[0][0]  # noqa: E731
+    assert value(0.5) == pytest.approx(2 / (4 + 0.25), rel=1e-15)
     assert jax.grad(value)(0.5) == pytest.approx(-2 * 2 * 0.5 / 4.25**2, rel=1e-14)
 
 
-@pytest.mark.parametrize("name", INVERSES)
-def test_float32_at_a_singularity(name):
-    inverse = ck.damped(0.05) if name == "damped" else INVERSES[name]
-    inverse = jax.tree.map(lambda v: jnp.asarray(v, jnp.float32), inverse)
-    a = np.array([[1, 1, 1], [1, 1, 1]], np.float32)
-    found, least = apply(inverse, a, np.array([0.5, -0.25], np.float32))
-    assert found.dtype == jnp.float32 and np.all(np.isfinite(found))
-    assert least < 0.01
+@pytest.mark.parametrize("dtype", [np.float64, np.float32], ids=["double", "single"])
+def test_damping_below_rounding_is_no_division_by_zero(dtype):
+    """As small as it may be, with J of any rank and joints that a limit has taken out: finite, and near J#."""
+    eps, rng = np.finfo(dtype).eps, np.random.default_rng(1)
+    j = np.concatenate([*(matrices(6, 7, seed) for seed in range(40)), rng.normal(size=(40, 6, 7))])
+    j[np.arange(len(j)) % 3 == 0, :, :4] = 0.0  # rank 3
+    t = np.einsum("kmn,kn->km", j, rng.normal(size=(len(j), 7)))  # within reach
+    for inverse in (*map(ck.damped, (1e-3, 1e-5, 1e-7, 1e-9, 1e-12, 1e-20)), ck.pseudoinverse()):
+        inverse = jax.tree.map(lambda v: np.asarray(v, dtype), inverse)
+        q, least = each(inverse, j.astype(dtype), t.astype(dtype))
+        assert q.dtype == dtype and np.isfinite(q).all() and np.isfinite(least).all()
+        missed = np.linalg.norm(np.einsum("kmn,kn->km", j, q) - t, axis=1)
+        # Directions that stay damped are those of σ² near the shift.
+        damping = float(getattr(inverse, "damping", 0.0))
+        assert np.all(missed <= 2 * max(damping, 20 * eps**0.5) * (1 + np.linalg.norm(t, axis=1)))
 
 
-@pytest.mark.parametrize("bad", [0.0, -1, np.nan, "x", [0.1, 0.2]])
-def test_bad_damping(bad):
-    with pytest.raises(ck.ArgumentError, match="Argument `damping` must be"):
-        ck.damped(bad)
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        *((lambda bad=bad: ck.damped(bad), "damping") for bad in (0.0, -1, np.nan, "x", [0.1, 0.2])),
+        (lambda: ck.singular_damped(0, 1), "damping"),
+        (lambda: ck.singular_damped(1, -1), "threshold"),
+    ],
+)
+def test_parameters_are_checked(call, name):
+    with pytest.raises(ck.ArgumentError, match=f"Argument `{name}` must be"):
+        call()
+
+
+# --- the error clamp ----------------------------------------------------------------------------------
+
+
+def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():
+    arm, late = ck.planar_arm([1.0, 1.0, 1.0]), {}
+    for clamp in (None, (0.1, 0.5)):
+        law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.05), error_clamp=clamp)
+        run = ck.solve(law, ck.hold([3.0, 4.0]), np.array([0.3, -0.5, -0.6]), 0.01, 1500)
+        late[clamp] = chatter(run.qdot)
+    # The bound of `clamped`: 0.05·0.1·c < 2·0.05² holds for c < 1, 0.05·2·c does not.
+    assert late[(0.1, 0.5)] < 1e-6 < 1.0 < late[None]
+    close(run.x[-1], [1.8, 2.4], atol=1e-2)  # stretched towards it
+
+
+def test_the_clamp_shortens_metres_and_radians_of_a_part_separately():
+    robot = ck.from_screws(np.zeros((3, 3)), np.eye(3), [0.0, 0, 0], kinds="PRP")
+    law = ck.Law(robot, ck.joints(), alpha=2.0, inverse=ck.pseudoinverse(), error_clamp=(0.1, 0.5))
+    for aim, shortened in (([0.3, 2.0, 0.4], [0.06, 0.5, 0.08]), ([0.03, 2.0, 0.04], [0.03, 0.5, 0.04])):
+        made = ck.step(law, ck.hold(values=aim), np.zeros(3), 0.0, 0.01, "EE")
+        close(made.qdot, np.multiply(2.0, shortened), rtol=1e-6)

@@ -111,19 +111,31 @@ def test_motion_bounds_what_the_target_moves():
             wanted.append(np.hypot(np.linalg.norm(two[0] - one[0]), turned))
         found = np.asarray(motion(reference, TASKS[task], t))
         assert np.all(found >= np.array(wanted) - 1e-12) and np.all(found <= 1.571 * np.array(wanted) + 1e-12)
-    told = ck.with_feedforward(ck.hold([1.0, 2.0]), [3.0, 4.0])
-    close(motion(told, TASKS["xy"], t), 2.5, atol=1e-14)
 
 
-def test_line():
-    reference = ck.line([1, 1], [0, 1], duration=3)  # Case II of the paper: 30 steps of 0.1 s
-    for k in range(31):
-        position, _, xdot = at(reference, 0.1 * k, "xy")
-        close(position, [1 - k / 30, 1], atol=1e-15)
-        close(xdot, [-1 / 3, 0], atol=1e-15)
-    position, _, xdot = at(reference, 3.01, "xy")
-    close(position, [0, 1])
-    close(xdot, 0)
+def wave(t):
+    return [1 + 0.5 * np.sin(2 * np.pi * t + 0.1), 2 + 0.25 * np.sin(4 * np.pi * t / 3)]
+
+
+CLOSED_FORMS = {
+    "line": (ck.line([1, 1], [0, 1], duration=3), lambda t: [1 - min(t, 3) / 3, 1]),  # Case II of the paper
+    "circle": (
+        ck.circle([1.0, 2.0], 0.5, period=3.0, phase=0.3),
+        lambda t: [1 + 0.5 * np.cos(2 * np.pi * t / 3 + 0.3), 2 + 0.5 * np.sin(2 * np.pi * t / 3 + 0.3)],
+    ),
+    "lissajous": (ck.lissajous([1, 2], [0.5, 0.25], period=3.0, frequency=[3, 2], phase=[0.1, 0]), wave),
+    "its default": (ck.lissajous([0, 0], [1, 1], period=1), lambda t: np.sin(2 * np.pi * t * np.array([1, 2]))),
+}
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_closed_forms(name):
+    reference, formula = CLOSED_FORMS[name]
+    for t in (0.0, 0.1, 0.4, 1.7, 2.0, 2.9, 3.0, 3.01, 4.0):
+        close(at(reference, t, "xy")[0], formula(t), atol=1e-14)
+    speeds = [np.linalg.norm(at(reference, t, "xy")[2]) for t in (0.3, 3.0, 3.01)]
+    wanted = {"line": [1 / 3, 1 / 3, 0.0], "circle": [np.pi / 3] * 3}.get(name, speeds)
+    close(speeds, wanted, atol=1e-14)
 
 
 def test_line_turns_the_shorter_way_at_constant_angular_velocity():
@@ -138,15 +150,6 @@ def test_line_turns_the_shorter_way_at_constant_angular_velocity():
         close(at(reference, t, "pose")[2][3:], whole / 2, atol=1e-14)
         half = Rotation.from_rotvec(whole * t / 2) * R0
         close(at(reference, t, "pose")[1], half.as_matrix(), atol=1e-14)
-
-
-def test_circle():
-    center, radius, period = np.array([1.0, 2.0]), 0.5, 3.0
-    for t in np.linspace(0, 4, 9):
-        angle = 2 * np.pi * t / period + 0.3
-        position, _, xdot = at(ck.circle(center, radius, period=period, phase=0.3), t, "xy")
-        close(position, center + radius * np.array([np.cos(angle), np.sin(angle)]), atol=1e-14)
-        assert np.linalg.norm(xdot) == pytest.approx(2 * np.pi * radius / period, rel=1e-14)
 
 
 def test_whole_numbers_of_any_size():
@@ -168,16 +171,6 @@ def test_circle_in_space():
     # The default normal is +z, with the sense of the circle in the plane.
     flat, space = ck.circle([1.0, 2], 0.5, period=3.0), ck.circle([1.0, 2, 3], 0.5, period=3.0)
     close(at(space, 0.8, "xyz")[0][:2], at(flat, 0.8, "xy")[0], atol=1e-15)
-
-
-def test_lissajous():
-    reference = ck.lissajous([1, 2], [0.5, 0.25], period=3.0, frequency=[3, 2], phase=[0.1, 0])
-    for t in (0.0, 0.4, 2.0):
-        s = 2 * np.pi * t / 3
-        wanted = [1 + 0.5 * np.sin(3 * s + 0.1), 2 + 0.25 * np.sin(2 * s)]
-        close(at(reference, t, "xy")[0], wanted, atol=1e-15)
-    default = ck.lissajous([0.0, 0.0], [1.0, 1.0], period=1.0)
-    close(at(default, 0.1, "xy")[0], np.sin(2 * np.pi * 0.1 * np.array([1, 2])), atol=1e-15)
 
 
 # --- waypoints ----------------------------------------------------------------------------------------
@@ -259,14 +252,34 @@ def test_waypoints_of_integers_and_of_traced_values():
     close(np.einsum("ikl,kl->i", slope, POINTS), place(POINTS), atol=1e-13)  # linear in its points
 
 
-# --- feed-forward -------------------------------------------------------------------------------------
+# --- streams of targets, which are never known before they come ---------------------------------------
+
+ARRIVALS = np.arange(0, 1.0, 1 / 30)
+STREAM = np.stack([np.cos(2 * ARRIVALS), ARRIVALS**2], axis=1)
 
 
-def test_with_feedforward_changes_the_velocity_alone():
-    reference = ck.with_feedforward(ck.line([1, 1], [0, 1], duration=3), [-1, 0])
-    for t in (0.0, 1.0, 5.0):
-        close(at(reference, t, "xy")[2], [-1, 0])
-    close(at(reference, 1.5, "xy")[0], [0.5, 1], atol=1e-15)
+def test_a_stream_is_smoothed_and_never_known_before_it_comes():
+    gap, t = 1 / 30, np.arange(0, 1.3, 0.001) + 1e-6
+    changed = STREAM.copy()
+    changed[20:] += 1.0
+    streams = ck.resampled(ARRIVALS, STREAM), ck.resampled(ARRIVALS, changed)
+    path, other = (np.asarray(jax.vmap(lambda t, s=s: s.curve(t)[0])(t)) for s in streams)
+    # The mean of straight lines over a period.
+    fine = np.linspace(-gap / 2, gap / 2, 401)
+    smooth = [np.interp(t[:, None] - 1.5 * gap + fine, ARRIVALS, x).mean(axis=1) for x in STREAM.T]
+    close(path, np.stack(smooth, axis=1), atol=1e-4)
+    close(other[t < ARRIVALS[20]], path[t < ARRIVALS[20]], atol=0)
+    assert np.abs(other - path).max() > 0.5 and not streams[0].known
+
+
+def test_a_stream_of_rotations_and_uneven_times():
+    turns = np.linspace(0, 1.0, 8)
+    rotations = np.stack([np.cos(turns / 2), 0 * turns, 0 * turns, np.sin(turns / 2)], axis=1)
+    stream = ck.resampled(np.cumsum([0, 0.03, 0.05, 0.03, 0.04, 0.03, 0.05, 0.03]), None, rotations)
+    at = jax.vmap(lambda t: stream.curve(t)[1])(np.linspace(0, 0.5, 101))
+    angle = np.arctan2(at[:, 1, 0], at[:, 0, 0])
+    close(angle[[0, -1]], [0.0, 1.0], atol=1e-9)
+    assert (np.diff(angle) >= -1e-12).all() and np.abs(np.diff(angle, 2)).max() < 0.02
 
 
 # --- what is refused ----------------------------------------------------------------------------------
@@ -278,10 +291,10 @@ BAD = [
     (lambda: ck.hold([1, 2, 3, 1, 0, 0, 0], TURN), "`rotation` must be left out where `target` is a whole pose"),
     (lambda: ck.hold([1, 2, 3, 4]), r"1 to 3 coordinates \(joint values are given by hold\(values=...\)\), but has 4"),
     (lambda: ck.hold(np.eye(3)), r"`target` must have shape \(n,\), but has shape \(3, 3\)"),
-    (lambda: ck.hold(2 * np.eye(4)), "`target` must hold a rotation, .* scaled by 2"),
+    (lambda: ck.hold(2 * np.eye(4)), "`target` must hold a rotation, .* off by 3"),
     (lambda: ck.hold([np.nan, 0]), r"`target` must be finite, but is nan at index \(0,\)\."),
-    (lambda: ck.hold([0.0, 0, 0], 2 * TURN), "`rotation` must hold a rotation, .* scaled by 2"),
-    (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must hold a rotation, .* mirrored one"),
+    (lambda: ck.hold([0.0, 0, 0], 2 * TURN), "`rotation` must hold a rotation, .* off by 3"),
+    (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must hold a rotation, .* mirrored"),
     (lambda: ck.hold([0.0, 0, 0], [1, 1, 0, 0]), "`rotation` must hold a unit quaternion .* norm 1.41421"),
     (lambda: ck.hold([0.0, 0, 0], [1, 0, 0]), r"`rotation` must have 4 numbers or shape \(3, 3\), but has 3"),
     (lambda: ck.line([0, 0], [1, 1], duration=0), "`duration` must be positive, but is 0"),
@@ -306,13 +319,15 @@ BAD = [
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=TURN), "`closed` must be True or False, but is"),
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=None), "`closed` must be True or False, but is None"),
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=[[1], [1, 2]]), "`closed` must be True or False, but is"),
-    (lambda: ck.with_feedforward(5, [1.0]), "`reference` must be a Reference such as"),
-    (lambda: ck.waypoints([0, 1], None, [np.diag([1, 1, -1])] * 2), "`rotations` must hold rotations, .* mirrored one"),
+    (lambda: ck.causal(5), "`reference` must be a Reference such as"),
+    (lambda: ck.waypoints([0, 1], None, [np.diag([1, 1, -1])] * 2), "`rotations` must hold rotations, .* mirrored"),
+    (lambda: ck.resampled([0.0, 1.0]), "`positions` must be given, or `rotations`"),
+    (lambda: ck.resampled([0.0, 0.0], np.zeros((2, 2))), "`times` must increase"),
+    (lambda: jax.jit(lambda t: ck.waypoints(t, POINTS).curve(0.0))(TIMES), "`times` must be known numbers"),
     (lambda: ck.resampled([0, 1], rotations=np.zeros((2, 4))), "`rotations` must hold unit quaternions .* norm 0"),
     (lambda: ck.resampled([0, 1], rotations=[np.diag([1, 1, -1])] * 2), "`rotations` must hold rotations, .* mirrored"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
     (lambda: ck.path(lambda t: (np.zeros(3), np.eye(3))).curve(0.0), "`fn` must give a position, or a pose as ck.Pose"),
-    (lambda: ck.with_feedforward(ck.hold([1, 2]), 1.0), r"`velocity` must have shape \(n,\), but has shape \(\)"),
 ]
 
 

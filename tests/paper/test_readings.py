@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.paper import READINGS, choices, claims
+from cnclik.paper import READINGS, claims
 from cnclik.paper import readings as paper
 from tests.paper import oracle
 
@@ -91,24 +91,33 @@ def test_what_rounding_decides_is_marked(results):
     assert {reading for _, reading, _, _ in found} == {"printed/once/consistent", "printed/once/printed"}
 
 
-# --- the side-by-side program does what one run does --------------------------------------------------
+# --- one run by itself --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case, reading", [("reach", "on-path/twice/printed"), ("track", "on-path/once/consistent")])
-def test_lanes_are_single_runs(results, case, reading):
-    alone = paper.experiment("2dof", case, "CN", READINGS[reading])
-    lane = results.trajectories.sel({"arm": "2dof", "case": case, "reading": reading, "method": "CN"})
-    np.testing.assert_allclose(lane.q.values[:, :2], alone.q, atol=1e-12)
-    np.testing.assert_allclose(lane.residual, alone.residual, atol=1e-12)
-    assert int(lane.evaluations) == int(alone.evaluations) == 6 * paper.N
+@pytest.mark.parametrize(
+    "arm, case, method, reading",
+    [
+        ("2dof", "reach", "CN", "on-path/twice/printed"),
+        ("2dof", "track", "EE", "on-path/once/consistent"),
+        ("5dof", "track", "CN", "on-path/once/consistent"),
+    ],
+)
+def test_an_experiment_is_the_committed_run(results, arm, case, method, reading):
+    run = paper.experiment(arm, case, method, reading)
+    committed = results.trajectories.sel({"arm": arm, "case": case, "reading": reading, "method": method})
+    np.testing.assert_allclose(run.q, committed.q[:, : run.q.shape[1]], rtol=1e-7, atol=1e-9)
+    for name in ("e", "status"):
+        np.testing.assert_allclose(getattr(run, name), committed[name], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(run.residual, committed.residual, atol=1e-12)
+    assert int(run.evaluations) == int(committed.evaluations) == paper.N * (6 if method == "CN" else 1)
 
 
 def test_paths_are_what_hold_and_line_say():
     """The explicit feed-forward of the lanes changes nothing under the consistent reading."""
     law, q0 = paper.law("2dof"), paper.start("2dof")
     for case, natural in (("reach", ck.hold([1.0, 0.0])), ("track", ck.line([1.0, 1.0], [0.0, 1.0], duration=3.0))):
-        a = ck.solve(law, paper.path("2dof", case), q0, 0.1, 30, ck.EE)
-        b = ck.solve(law, natural, q0, 0.1, 30, ck.EE)
+        a = ck.solve(law, paper.path("2dof", case), q0, 0.1, 30, ck.METHODS["EE"])
+        b = ck.solve(law, natural, q0, 0.1, 30, ck.METHODS["EE"])
         np.testing.assert_allclose(a.q, b.q, atol=1e-13)
 
 
@@ -120,17 +129,26 @@ def test_both_arms_start_on_the_path_only_with_clockwise_rotation():
 
 
 def test_twice_scales_the_diagonal_only():
-    assert paper.tableau(ck.IE, "twice").A == ((0.1,),)
-    assert paper.tableau(ck.CN, "twice").A == ((0.0,), (0.0, 0.1))
-    assert paper.tableau(ck.EE, "twice") is ck.EE and paper.tableau(ck.CN, "once") is ck.CN
+    assert paper.tableau(ck.METHODS["IE"], "twice").A == ((0.1,),)
+    assert paper.tableau(ck.METHODS["CN"], "twice").A == ((0.0,), (0.0, 0.1))
+    assert (
+        paper.tableau(ck.METHODS["EE"], "twice") is ck.METHODS["EE"]
+        and paper.tableau(ck.METHODS["CN"], "once") is ck.METHODS["CN"]
+    )
 
 
-def test_wrong_names_are_one_line():
-    for call, message in (
-        (lambda: choices.reading("on-path/once/consistant"), "did you mean 'on-path/once/consistent'"),
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (
+            lambda: paper.experiment("2dof", "reach", reading="on-path/once/consistant"),
+            "did you mean 'on-path/once/consistent'",
+        ),
         (lambda: paper.experiment("3dof", "reach"), "Argument `arm` must be one of 2dof, 5dof"),
         (lambda: paper.experiment("2dof", "hold"), "Argument `case` must be one of reach, track"),
         (lambda: paper.experiment("2dof", "reach", "CM"), "Argument `method` must be one of"),
-    ):
-        with pytest.raises(ck.ArgumentError, match=message):
-            call()
+    ],
+)
+def test_wrong_names_are_refused(call, words):
+    with pytest.raises(ck.ArgumentError, match=words):
+        call()

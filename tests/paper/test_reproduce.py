@@ -1,8 +1,6 @@
 """`cnclik reproduce`, and the committed results: they are what the code produces."""
 
 import json
-import threading
-import time
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,13 +9,11 @@ import xarray as xr
 from PIL import Image
 
 import cnclik as ck
-from cnclik import paper
 from cnclik.cli import main
-from cnclik.errors import ArgumentError
 from cnclik.paper import claims, readings, tables
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
-from cnclik.writing import LIST, output_folder
+from cnclik.writing import LIST
 from tests.paper.conftest import COMMITTED, load
 
 FIGURES = [*(f"fig{i:02d}.png" for i in range(1, 16)), "overview.png"]
@@ -42,29 +38,6 @@ def ours(fresh):
 def decided(trajectories):
     """Runs that rounding does not decide, as a mask."""
     return trajectories.spread < readings.UNDETERMINED
-
-
-@pytest.mark.parametrize(
-    "arm, case, method",
-    [("2dof", "reach", "EE"), ("2dof", "track", "CN"), ("5dof", "track", "EE")],
-)
-def test_a_run_by_itself_is_the_committed_one(arm, case, method, results):
-    run = paper.experiment(arm, case, method)
-    at = {"arm": arm, "case": case, "method": method, "reading": READING}
-    committed = results.trajectories.sel(at)
-    for name in ("e", "status"):
-        np.testing.assert_allclose(getattr(run, name), committed[name], rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(run.q, committed.q[:, : run.q.shape[1]], rtol=1e-7, atol=1e-9)
-
-
-def test_a_figure_of_others_in_the_way_is_named_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(paper_data, "everything", None)
-    with output_folder(tmp_path) as folder:
-        folder.write_text("claims.md", "of an earlier run")
-    for name in ("overview.png", "fig03.png"):
-        (tmp_path / name).write_text("mine")
-        with pytest.raises(ArgumentError, match=f"{name} there is not cnclik's own"):
-            paper.reproduce(tmp_path)
 
 
 @pytest.mark.slow
@@ -136,110 +109,48 @@ def test_numbers_of_the_page_are_those_of_the_data(results):
 
 
 @pytest.mark.slow
-def test_figures_say_what_they_were_drawn_from(fresh, ours, results):
-    """Each PNG carries the fingerprint of its data; the committed data are checked against fresh ones above."""
-    for folder, data in ((COMMITTED, results), (fresh, ours)):
-        for name, (_, about) in pictures.figures(*data, READING).items():
-            with Image.open(folder / name) as image:
-                assert image.text == {"Software": "cnclik"} | about
-                assert json.loads(image.text["Config"])["alpha"] == 5.0
-                assert image.width >= 1000 and len(image.convert("L").getcolors()) > 20  # drawn, not blank
-
-
-def test_fingerprint_sees_the_last_bit(results):
-    data = results.methods.copy(deep=True)
-    data.order[0, 0, 1] = np.nextafter(float(data.order[0, 0, 1]), 9)
-    assert pictures.fingerprint(data) != pictures.fingerprint(results.methods)
+def test_committed_figures_are_what_the_code_draws(fresh, ours):
+    """They have fewer colours."""
+    for name, (_, about) in pictures.figures(*ours, READING).items():
+        drawn, committed = (Image.open(folder / name) for folder in (fresh, COMMITTED))
+        assert drawn.text == {"Software": "cnclik"} | about == {key: committed.text[key] for key in drawn.text}
+        away = np.asarray(drawn.convert("RGB"), int) - np.asarray(committed.convert("RGB"), int)
+        assert np.mean(np.abs(away).max(axis=2) > 60) < 1e-3, name
 
 
 class OneRun(dict):
-    """The same run, whose last error is not a number, wherever one is asked for."""
+    """The same run of an arm, whose last error is not a number, wherever one is asked for."""
 
     def __missing__(self, key):
-        n, N = readings.ARMS[key[0]].n, readings.N
-        names = ("residual", "contraction", "status")
-        e = np.where(np.arange(N + 1) < N, 1.0, np.nan)[:, None] * [1.0, 0.0]
-        return ck.Trajectory(
-            t=readings.TS * np.arange(N + 1), q=np.zeros((N + 1, n)), x=e, e=e, qdot=np.zeros((N, n)),
-            evaluations=np.asarray(N), **{name: np.zeros(N, int) for name in names},
-        )  # fmt: skip
+        arm = key[0]
+        if arm not in self:
+            run = readings.experiment(arm, "reach", "EE")
+            self[arm] = ck.replace(run, e=np.where(np.arange(readings.N + 1)[:, None] < readings.N, run.e, np.nan))
+        return self[arm]
 
 
 def test_a_run_that_ends_in_nan_has_no_mean():
-    data = paper_data.trajectories(readings.Readings(OneRun(), {}))
+    data = paper_data.trajectories(OneRun())
     for name in ("mean_error", "final_error"):
         assert np.isnan(data[name]).all()
     assert np.isnan(data.error_norm).sum() == data.mean_error.size
 
 
-# --- what goes wrong ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "argv, says",
-    [
-        (["--reading", "printed/twise/printed"], "did you mean 'printed/twice/printed'"),
-        (["--ot", "x"], "did you mean --out?"),
-        (["--out", __file__], "Option `--out` must be a folder that can be written into"),
-    ],
-)
-def test_bad_input_is_one_line(argv, says, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_folder_that_cannot_be_is_refused_before_the_work(capsys):
     with pytest.raises(SystemExit) as left:
-        main(["reproduce", *argv])
-    assert left.value.code == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and says in err
-    assert not list(tmp_path.iterdir())
+        main(["reproduce", "--out", __file__])
+    error = capsys.readouterr().err
+    assert left.value.code == 2 and error.count("\n") == 1
+    assert "Option `--out` must be a folder that can be written into" in error
 
 
-def test_an_interrupted_run_leaves_what_was(tmp_path, monkeypatch):
-    def interrupt(progress):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(paper_data, "everything", interrupt)
-    old = tmp_path / "old"
-    old.mkdir()
-    (old / "claims.json").write_text("what was here")
-    for out in (old, tmp_path / "new"):
-        with pytest.raises(KeyboardInterrupt):
-            main(["reproduce", "--overwrite", "--out", str(out)])
-    assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["claims.json"]
-    assert (old / "claims.json").read_text() == "what was here" and not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_a_figure_that_fails_costs_no_data(capsys, tmp_path, monkeypatch, results, error):
+def test_a_figure_that_fails_costs_no_data(capsys, tmp_path, monkeypatch, results):
     def fail():
-        raise error("no ink")
+        raise RuntimeError("no ink")
 
     monkeypatch.setattr(paper_data, "everything", lambda progress: results)
     monkeypatch.setattr(pictures, "figures", lambda *_: {"a.png": (fail, {}), "b.png": (plt.figure, {"Title": "b"})})
-    failed = error is RuntimeError
-    with pytest.raises(SystemExit if failed else error):
+    with pytest.raises(SystemExit):
         main(["reproduce", "--out", str(tmp_path)])
-    written = {p.name for p in tmp_path.iterdir()} - {LIST}
-    assert written == (DATA | {"b.png"} if failed else DATA)
-    err = capsys.readouterr().err
-    assert not failed or (err.count("\n") == 1 and "a.png (RuntimeError: no ink)" in err)
-
-
-def test_from_python_without_a_folder(monkeypatch, results):
-    monkeypatch.setattr(paper_data, "everything", lambda progress: results)
-    assert paper.reproduce() is results
-
-
-def test_whoever_interrupts_does_not_wait_for_a_compiler(monkeypatch):
-    compiled = threading.Event()
-    monkeypatch.setattr(paper_data.paper, "run_method", lambda Ts, name: compiled.wait(20))
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    begun = time.perf_counter()
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            paper_data.everything(interrupted)
-        assert time.perf_counter() - begun < 10
-    finally:
-        compiled.set()
+    assert {p.name for p in tmp_path.iterdir()} - {LIST} == DATA | {"b.png"}
+    assert "a.png (RuntimeError: no ink)" in capsys.readouterr().err

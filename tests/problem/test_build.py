@@ -1,7 +1,5 @@
 """Builders that turn a user's words into records: defaults are usable, and nothing is accepted silently."""
 
-import itertools
-
 import jax
 import numpy as np
 import pytest
@@ -9,8 +7,10 @@ import pytest
 import cnclik as ck
 from cnclik import problem as p
 from cnclik import quantities
+from cnclik.law.law import observe
 from cnclik.problem import names
 from cnclik.problem.options import NAME, OPTIONS
+from cnclik.problem.reference import reference_from
 
 
 def test_the_papers_case_in_words():
@@ -28,21 +28,23 @@ def test_the_papers_case_in_words():
     assert abs(rms - 1.89e-4) < 0.01e-4  # CN, M = 5, from the theory notes' independent program
 
 
-ROBOTS = ("panda", "ur5", "planar:1,1,1,1,1")
-PAIRS = list(itertools.product(ROBOTS, ("hold", "line", "circle", "lissajous")))
-QUICK = [pair for pair in PAIRS if pair[0].startswith("planar")] + [("panda", "circle"), ("ur5", "line")]
+PATHS = ("hold", "line", "circle", "lissajous")
 
 
-@pytest.mark.parametrize(
-    ("robot", "reference"), [pytest.param(*pair, marks=[] if pair in QUICK else pytest.mark.slow) for pair in PAIRS]
-)
-def test_defaults_run_clean(robot, reference):
-    made = p.problem_from(robot, reference=reference, damping=1e-3)
+@pytest.mark.parametrize("robot", ["panda", "ur5", "planar:1,1,1,1,1"])
+def test_defaults_begin_where_the_tip_is(robot):
+    for reference in PATHS:
+        made = p.problem_from(robot, reference=reference, damping=1e-3)
+        e = np.asarray(observe(made.law, made.reference, 0.0, made.q0).e)
+        assert (np.abs(e).max() < 1e-12) == (reference != "hold"), reference
+
+
+@pytest.mark.parametrize("reference", PATHS)
+def test_defaults_run_clean(reference):
+    made = p.problem_from("planar:1,1,1", reference=reference, damping=1e-3, N=400)
     run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, "EE")
     ck.require_ok(run)
     assert np.abs(run.e[-1]).max() < 0.05
-    if reference != "hold":  # paths start where the tip is
-        assert np.abs(run.e[0]).max() < 1e-12
 
 
 def test_a_future_may_be_unknown():
@@ -102,23 +104,23 @@ def test_numbers_may_be_texts_with_a_unit():
     ],
 )
 def test_tasks_by_name(text, position, orientation):
-    task = p.task_from(text, ck.panda())
+    task = names.task_from(text, ck.panda())
     assert (task.position, task.orientation) == (position, orientation)
 
 
 def test_words_mean_the_plane_on_a_planar_arm():
     arm = ck.planar_arm([1.0, 1.0])
-    names = [p.task_from(text, arm).names for text in ("pose", "position", "orientation", None)]
-    assert names == [("x", "y", "rz"), ("x", "y"), ("rz",), ("x", "y")]
+    found = [names.task_from(text, arm).names for text in ("pose", "position", "orientation", None)]
+    assert found == [("x", "y", "rz"), ("x", "y"), ("rz",), ("x", "y")]
 
 
 def test_points_take_a_quaternion():
     arm, task = ck.panda(), ck.pose()
     q0 = p.start_from(arm, task)
     given = [0.4, 0.1, 0.5, 0.0, 1.0, 0.0, 0.0]
-    hold = p.reference_from("hold", arm, task, q0, target=given)
+    hold = reference_from("hold", arm, task, q0, target=given)
     np.testing.assert_allclose(hold.curve.rotation, np.diag([1, -1, -1]), atol=1e-15)
-    kept = p.reference_from("hold", arm, task, q0, target=given[:3])
+    kept = reference_from("hold", arm, task, q0, target=given[:3])
     np.testing.assert_allclose(kept.curve.rotation, ck.forward(arm, q0).rotation, atol=1e-15)
 
 
@@ -129,11 +131,11 @@ def test_waypoint_files(tmp_path):
     rows = [[0.0, *start, 0, 1, 0, 0], [1.0, *(start + 0.1), 0, 1, 0, 0]]
     text = "time,x,y,z,qw,qx,qy,qz\n# half way there\n" + "\n".join(",".join(map(str, row)) for row in rows)
     file.write_text(text, encoding="utf-8-sig")  # as spreadsheets write it
-    position, rotation = p.reference_from(str(file), arm, task, q0).curve(1.0)
+    position, rotation = reference_from(str(file), arm, task, q0).curve(1.0)
     np.testing.assert_allclose(position, start + 0.1, atol=1e-12)
     np.testing.assert_allclose(rotation, np.diag([1, -1, -1]), atol=1e-12)
     file.write_text(text.split("\n", 2)[2], encoding="utf-8-sig")
-    np.testing.assert_allclose(p.reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
+    np.testing.assert_allclose(reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
 
 
 def test_rates_are_those_of_python():
@@ -198,42 +200,28 @@ def test_every_option_has_a_help_and_takes_its_units():
 @pytest.mark.parametrize(
     "options, told",
     [
-        ({"robot": "pandda"}, "`robot`"),
         ({"robot": "planar:"}, "planar:1,1,1"),
         ({"robot": "planar:1,-1"}, "at least 0"),
-        ({"robot": "no.urdf"}, "No such file"),
-        ({"tip": "hand"}, "`tip`"),
-        ({"task": "xx"}, "`task`"),
         ({"task": ""}, "`task`"),
         ({"task": ["x"]}, "`task`"),
-        ({"reference": "cirle"}, "did you mean 'circle'"),
-        ({"reference": "no.csv"}, "No such file"),
-        ({"target": [1, 2]}, r"`target` must have 3 or 7 numbers \(x y z \[m\] and a quaternion w x y z\), but has 2"),
-        ({"target": [0, 0, 0, 1, 1, 1, 1]}, "unit quaternion"),
         ({"center": [1, 2, 3]}, "`center` must be left out for the reference 'hold'"),
         ({"reference": "circle", "speed": 0.1}, "`speed` must be left out for the reference 'circle'"),
-        ({"radius": 0.1}, "`radius` must be left out"),
         ({"period": 2.0}, "`period` must be left out for the reference 'hold'"),
         ({"robot": "planar"}, "`robot` must give link lengths such as planar:1,1,1"),
         ({"robot": "panda:1"}, "`robot` must be panda, but is 'panda:1'"),
         ({"robot": "ur5", "base": "free"}, "`base` must be left out for the robot 'ur5'"),
-        ({"begin": "on-path", "target": [300, 100, 400]}, "400 m away|m away: millimetres are written with their unit"),
         ({"reference": "circle", "radius": 0}, "positive"),
         ({"Ts": 1e308}, "`Ts` must make a run of at most"),
         ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
         ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
         ({"reference": "line", "period": 0}, "`period`"),
         ({"alpha": [1, 2]}, "alpha"),
-        ({"alpha": -5.0}, "`alpha` must not be negative"),
-        ({"q0": [0] * 6}, "`q0` must have 7 joint values, but has 6"),
-        ({"Ts": 0}, "Ts"),
         ({"N": 0}, "N"),
         ({"method": "BDF"}, "method"),
         ({"stage": "picrad"}, "did you mean 'picard'"),
         ({"M": -1}, "M"),
         ({"damping": 0}, "damping"),
         ({"threshold": 0.1}, "`threshold` must come with `damping`"),
-        ({"limits": "sns"}, "limits"),
         ({"posture": [0] * 6}, "posture"),
         ({"damping_ratio": 1.0}, "`damping_ratio` must come with `natural_frequency`, but comes without"),
         ({"posture_rate": 2.0}, "`posture_rate` must come with `posture`, but comes without"),

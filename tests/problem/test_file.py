@@ -84,6 +84,7 @@ def test_no_file_is_told():
         problem_of("nowhere/cell.py")
 
 
+@pytest.mark.slow  # tests/test_docs.py runs the arms
 @pytest.mark.parametrize("name", ["two_arms", "humanoid"])
 def test_the_examples_of_the_pages_follow_their_paths(name, tmp_path, monkeypatch):
     for robot in ("baxter", "g1"):

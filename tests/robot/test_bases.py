@@ -145,12 +145,6 @@ def test_a_planar_joint_moves_across_its_axis_and_turns_about_it(axis):
     np.testing.assert_allclose(j[3:, 2], axis)
 
 
-def test_options_know_the_base(tmp_path):
-    (tmp_path / "arm.urdf").write_text(long_chain(3), encoding="utf-8")
-    problem = ck.problem_from(tmp_path / "arm.urdf", base="free", task="position", N=3)
-    assert problem.law.chain.joint_names[3:6] == ("base_rx", "base_ry", "base_rz")
-
-
 def test_what_a_base_cannot_be_is_one_line():
     text = DOG.format(JOINT.format("legs", "floating", ""))
     with pytest.raises(

@@ -85,12 +85,6 @@ def test_from_screws(kinds, as_array):
         close(matrix(chain, q), product_of_exponentials(points, axes, TOOL, kinds, q), atol=1e-13)
 
 
-def test_from_screws_with_a_home_position():
-    chain = ck.from_screws([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]] * 2, [0.0, 2.0, 0.0])
-    q = np.array([0.3, -0.8])
-    close(matrix(chain, q), matrix(ck.planar_arm([1.0, 1.0]), q), atol=1e-15)
-
-
 def test_joints_that_share_a_coordinate():
     """A mimic joint follows: value = multiplier · q + offset, and its column is added, times the multiplier."""
     z = (0.0, 0.0, 1.0)
@@ -171,7 +165,6 @@ BAD = [
     (lambda: ck.planar_arm([1.0, math.nan]), r"`lengths\[1\]` must be finite, but is nan\."),
     (lambda: ck.planar_arm(np.array([1.0, np.inf])), r"`lengths` must be finite, but is inf at index \(1,\)\."),
     (lambda: ck.planar_arm(["a"]), r"`lengths\[0\]` must be a number, but is 'a'\."),
-    (lambda: ck.planar_arm([1.0, 1.0], joint_names=["a"]), r"`joint_names` must hold 2 different names"),
     (lambda: ck.planar_arm([1.0, 1.0], joint_names=["a", "a"]), r"`joint_names` must hold 2 different names"),
     (lambda: ck.from_dh([1.0], [0.0, 0.0], [0.0]), r"`alpha` must have shape \(1,\) like `a`, but has shape \(2,\)\."),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], [0.0, 0.0]), r"`theta` must have shape \(1,\)"),
@@ -179,37 +172,20 @@ BAD = [
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
     (lambda: ck.with_base(ARM, np.eye(3)), r"`base` must be one pose: a 4×4 transform, .*, but is array"),
     (lambda: ck.with_tool(ARM, 2 * np.eye(4)), r"`tool` must hold a rotation"),
-    (lambda: ck.with_tool(ck.planar_arm([1.0]), TOOL.T), r"`tool` must have the last row 0 0 0 1, but has"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], velocity_limit=[-1.0]), r"`velocity_limit` must be at least 0, but is -1"),
-    (
-        lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]),
-        r"`lower` must have 1 number, but has 2\.",
-    ),
-    (
-        lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[1.0], upper=[0.0]),
-        r"`lower` must not exceed `upper`, but is 1 > 0",
-    ),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]), r"`lower` must have 1 number, but has 2\."),
+    (lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[1.0], upper=[0.0]), r"must not exceed `upper`, but is 1 > 0"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], upper=[math.nan]), r"`upper` must hold no NaN"),
     # A changed copy is held to the same.
     (lambda: ck.replace(ARM, velocity_limit=(2.0, -1.0)), r"`velocity_limit` must be at least 0, but is -1\."),
-    (
-        lambda: ck.replace(ARM, velocity_limit=np.array([2.0, -1.0])),
-        r"`velocity_limit` must be at least 0, but is -1\.",
-    ),
-    (
-        lambda: ck.replace(ARM, velocity_limit=(2.0,)),
-        r"`velocity_limit` must have 2 numbers, but has 1\.",
-    ),
+    (lambda: ck.replace(ARM, velocity_limit=(2.0,)), r"`velocity_limit` must have 2 numbers, but has 1\."),
     (lambda: ck.replace(ARM, velocity_limit=2.0), r"`velocity_limit` must have 2 numbers, but is a single number\."),
     (lambda: ck.replace(ARM, velocity_limit=("2", 1.0)), r"`velocity_limit` must be an array of real numbers"),
     (lambda: ck.replace(ARM, lower=(0.0, math.nan)), r"`lower` must hold no NaN"),
-    (
-        lambda: ck.replace(ARM, upper=(1.0, -7.0), lower=(0.0, -6.0)),
-        r"`lower` must not exceed `upper`, but is -6 > -7",
-    ),
+    (lambda: ck.replace(ARM, upper=(1.0, -7.0), lower=(0.0, -6.0)), r"must not exceed `upper`, but is -6 > -7"),
+    (lambda: ck.from_dh([1e300], [0.0], [0.0]), r"`a\[0\]` must be within ±1e\+12"),
     (lambda: ck.from_screws(I3, I3[:2], [1.0, 0.0, 0.0]), r"`axes` must have shape \(3, 3\) like `points`"),
     (lambda: ck.from_screws(I3, np.zeros((3, 3)), [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
-    (lambda: ck.from_screws(I3, [[0.0, 0, 0]] * 3, [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
     (lambda: ck.from_screws(3, I3, [1.0, 0.0, 0.0]), r"`points` must have shape \(n, 3\), but has shape \(\)\."),
     (lambda: ck.from_screws([[0.0, 0.0]], I3[:1], [1.0, 0.0, 0.0]), r"`points\[0\]` must have shape \(3,\)"),
     (lambda: ck.from_screws(I3, I3, [1.0, 0.0]), r"`home` must have shape \(3,\), but has shape \(2,\)\."),
@@ -217,21 +193,12 @@ BAD = [
     (lambda: assemble([]), r"`joints` must hold at least one joint"),
     (lambda: ck.forward(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have 1 joint value, but has 2\."),
     (lambda: ck.jacobian(ck.planar_arm([1.0]), 0.0), r"`q` must have 1 joint value, but is a single number\."),
-    (lambda: ck.planar_arm([1.0], joint_names=1.0), "`joint_names` must hold 1 different names, but is 1.0"),
     (lambda: ck.planar_arm([1.0], joint_names="a"), "`joint_names` must hold 1 different names, but is 'a'"),
-    (lambda: ck.planar_arm([1.0, 1.0], joint_names=I3[:2]), "`joint_names` must hold 2 different names"),
-    (lambda: ck.planar_arm([1.0], clockwise=I3), "`clockwise` must be True or False, but is"),
     (lambda: ck.planar_arm([1.0], clockwise="no"), "`clockwise` must be True or False, but is 'no'"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=1.0), "`kinds` must be 1 letters R or P, but is 1.0"),
-    (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds=[[1]]), "`kinds` must be 1 letters R or P"),
-    (
-        lambda: ck.with_tool(ck.planar_arm([1.0]), [[1, 2], [3]]),
-        r"`tool` must be one pose: .*, or a position \(3,\), but is \[\[1, 2\], \[3\]\]",
-    ),
-    (lambda: ck.planar_arm([1.0], joint_names={"a": 1}), "`joint_names` must hold 1 different names"),
+    (lambda: ck.with_tool(ARM, [[1, 2], [3]]), r"`tool` must be one pose: .*, or a position \(3,\), but is \[\["),
     (lambda: ck.with_tool("arm", [0.0, 0.0, 1.0]), "`chain` must be a Chain, but is str"),
     (lambda: ck.jacobian(3, [0.0]), "`chain` must be a Chain, but is int"),
-    (lambda: ck.forward(None, [0.0]), "`chain` must be a Chain, but is NoneType"),
 ]
 
 
@@ -249,19 +216,6 @@ def test_limits_may_be_traced_and_differ_between_lanes():
     assert jax.jit(fast)(jnp.ones(2)) == 1
     several = stack([ck.replace(ARM, velocity_limit=(float(k), 1.0)) for k in range(3)])
     assert ck.replace(several, tips=ARM.tips).velocity_limit[0].tolist() == [0, 1, 2]
-
-
-@pytest.mark.parametrize(("bound", "side"), [({"lower": [4.0]}, 1), ({"upper": [-5.0]}, -1)])
-def test_a_start_keeps_a_limit_on_one_side(bound, side):
-    slider = ck.from_dh([0.0], [0.0], [0.0], kinds="P", **bound)
-    (start,) = start_posture(slider, ck.position("z"))
-    assert side * (start - next(iter(bound.values()))[0]) >= 0
-
-
-def test_lengths_beyond_any_robot():
-    for length in (1e300, -1e13):
-        with pytest.raises(ck.ArgumentError, match=r"`a\[0\]` must be within ±1e\+12"):
-            ck.from_dh([length], [0.0], [0.0])
 
 
 @pytest.mark.parametrize("lower", [-np.inf, -1e16, -7.0, -1.0, 0.0, 0.5, 5.0])

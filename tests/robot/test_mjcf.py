@@ -195,7 +195,7 @@ CLOSED = """<mujoco><worldbody><body name="a"><joint name="p" axis="0 1 0"/><geo
     ("constraint", "says"),
     [
         ('<connect body1="b" body2="world" anchor="1 0 0"/>', "the text has a closed loop"),
-        ('<joint joint1="r" joint2="p" polycoef="0 1 2 0 0"/>', "the coupling of r to p, which is not linear"),
+        ('<joint joint1="r" joint2="p" polycoef="0 1 2 0 0"/>', "a coupling of r that is not linear"),
     ],
 )
 def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):

@@ -79,7 +79,7 @@ class Pinocchio:
         return m.translation, m.rotation, np.vstack([turn @ velocity, turn @ (j[3:] - own[3:])])
 
 
-def compare(arm, base, path, model, tip):
+def compare(arm, base, path, model, tip, ways):
     """Largest deviation of pose and Jacobian from Pinocchio over random configurations within limits."""
     rng = np.random.default_rng(len(tip))
     low, high = (np.clip(bound, -np.pi, np.pi) for bound in (arm.lower, arm.upper))
@@ -90,18 +90,18 @@ def compare(arm, base, path, model, tip):
     arm = modelled(arm)
     return max(
         np.abs(a - np.stack(b)).max()
-        for found in (_seen(arm, q), _all_seen(arm, jnp.asarray(q)))
+        for found in (seen(arm, jnp.asarray(q) if seen is traced else q) for seen in ways)
         for a, b in zip(found, zip(*expected, strict=True), strict=True)
     )
 
 
-def _seen(arm, q):
+def numbers(arm, q):
     at = frames(arm, q)
     rows = jacobian_rows(arm, at, (0, 1, 2), (0, 1, 2))
     return at.position, at.rotation, rows
 
 
-_all_seen = jax.jit(jax.vmap(_seen, (None, 0)))  # one program for all chains of a shape
+traced = jax.jit(jax.vmap(numbers, (None, 0)))
 
 
 MOST = 2  # chains of a file that are compared: hands have twenty alike
@@ -135,7 +135,7 @@ def test_leaves_of_every_robot_match_pinocchio(file):
             continue
         compared += 1
         # Breaks for an rpy order, axis normalisation or mimic offset that is wrong, by orders of magnitude.
-        assert compare(arm, tree.root, path, model, leaf) < 1e-12, leaf
+        assert compare(arm, tree.root, path, model, leaf, [numbers]) < 1e-12, leaf
     for reason, leaves in skipped.items():
         warnings.warn(f"{file}: no chain to {', '.join(leaves)}: {reason}", stacklevel=1)
 
@@ -152,7 +152,7 @@ def test_leaves_of_every_robot_match_pinocchio(file):
 def test_a_way_through_the_root(file, base, tip):
     model, _ = oracle(ROOT / file)
     arm = ck.load_urdf(ROOT / file, tip=tip, base=base)
-    assert compare(arm, base, ROOT / file, model, tip) < 1e-12
+    assert compare(arm, base, ROOT / file, model, tip, [numbers, traced]) < 1e-12
     back = ck.load_urdf(ROOT / file, tip=base, base=tip)
     limits = dict(zip(arm.joint_names, zip(arm.lower, arm.upper, arm.velocity_limit, strict=True), strict=True))
     assert limits == dict(
@@ -211,30 +211,30 @@ def joint(name, parent, child, kind="revolute", inside="", limit='<limit lower="
     return f'<joint name="{name}" type="{kind}">{ends}<axis xyz="0 0 1"/>{limit}{inside}</joint>'
 
 
-def write(folder, body, name="robot.urdf"):
-    file = folder / name
-    file.write_text(f'<robot name="r">{body}</robot>')
-    return file
+def robot(body):
+    return f'<robot name="r">{body}</robot>'
 
 
-def test_a_mimic_joint_shares_the_coordinate_and_limits_of_its_leader(tmp_path):
+def test_a_mimic_joint_shares_the_coordinate_and_limits_of_its_leader():
     mimic = '<mimic joint="j1" multiplier="-2" offset="0.5"/>'
     body = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c", inside=mimic) + joint("j3", "c", "d", "prismatic")
-    arm = ck.load_urdf(write(tmp_path, body))
+    arm = ck.load_urdf(robot(body))
     assert arm.joint_names == ("j1", "j3")
     assert [(j.coordinate, j.multiplier, j.offset) for j in arm.joints] == [(0, 1, 0), (0, -2, 0.5), (1, 1, 0)]
     assert (arm.lower[0], arm.upper[0], arm.velocity_limit[0]) == (-1.0, 1.0, 2.0)
 
 
-def test_mimic_of_a_side_branch_keeps_its_coordinate(tmp_path):
+def test_mimic_of_a_side_branch_keeps_its_coordinate():
     mimic = '<mimic joint="side"/>'
     body = LINKS + joint("side", "a", "b") + joint("j2", "a", "c", inside=mimic) + joint("j3", "c", "d")
-    assert ck.load_urdf(write(tmp_path, body), tip="d").joint_names == ("side", "j3")
+    assert ck.load_urdf(robot(body), tip="d").joint_names == ("side", "j3")
 
 
 # --- errors, one line each ----------------------------------------------------------------------------
 
 SPLIT = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "b", "d")
+MORE = "".join(f'<link name="{k}"/>' for k in "efg")
+MORE += joint("j4", "d", "e") + joint("j5", "a", "f") + joint("j6", "a", "g")
 ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "d")
 
 
@@ -243,23 +243,8 @@ ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "
     [
         ("", "has no links"),
         (SPLIT, "candidates are c, d"),
-        (
-            SPLIT
-            + joint("j4", "d", "e")
-            + "".join(f'<link name="{k}"/>' for k in "efg")
-            + joint("j5", "a", "f")
-            + joint("j6", "a", "g"),
-            "candidates are e, c, f, g[.]",
-        ),
-        (
-            SPLIT
-            + joint("j4", "d", "e")
-            + "".join(f'<link name="{k}"/>' for k in "efgh")
-            + joint("j5", "a", "f")
-            + joint("j6", "a", "g")
-            + joint("j7", "a", "h"),
-            "candidates are e, c, f, g and 1 more",
-        ),
+        (SPLIT + MORE, "candidates are e, c, f, g[.]"),
+        (SPLIT + MORE + '<link name="h"/>' + joint("j7", "a", "h"), "candidates are e, c, f, g and 1 more"),
         (LINKS + joint("j1", "a", "b"), "3 roots: a, c, d"),
         (LINKS + joint("j1", "a", "b") + joint("j2", "b", "a"), "a loop through link 'a'"),
         (ROW + joint("j4", "d", "b"), "a loop: link 'b' hangs on 'j1' and 'j4'"),
@@ -269,25 +254,22 @@ ROW = LINKS + joint("j1", "a", "b") + joint("j2", "b", "c") + joint("j3", "c", "
         (ROW.replace("revolute", "round"), "type 'round'"),
         (ROW.replace("revolute", "fixed"), "no.*moving joint|has none"),
         (ROW.replace("0 0 1", "0 0 0"), "axis 0 0 0"),
-        (ROW.replace("0 0 1", "0 0"), "joint 'j1' of robot.urdf has axis xyz '0 0', not three numbers"),
-        (ROW.replace("0 0 1", "0 0 one"), "joint 'j1' of robot.urdf has axis xyz 'one'"),
-        (ROW.replace('lower="-1"', 'lower="2"'), "above upper limit"),
-        (ROW.replace('lower="-1"', 'lower="nan"'), "not a number"),
+        (ROW.replace("0 0 1", "0 0"), "joint 'j1' of the text has axis xyz '0 0', not three numbers"),
+        (ROW.replace("0 0 1", "0 0 one"), "joint 'j1' of the text has axis xyz 'one'"),
+        (ROW.replace('lower="-1"', 'lower="2"'), "has limits from 2 to 1"),
+        (ROW.replace('lower="-1"', 'lower="nan"'), "has limit lower 'nan', not within"),
         (ROW.replace('<limit lower="-1" upper="1" velocity="2"/>', ""), "no <limit>"),
         (ROW.replace('<parent link="a"/>', ""), "bad or missing entry"),
         (ROW.replace('<joint name="j1"', "<joint"), "bad or missing entry"),
-        (
-            LINKS + ROW[len(LINKS) :].replace("</joint>", '<mimic joint="no"/></joint>'),
-            "'no', which is not in the file",
-        ),
-        (LINKS + ROW[len(LINKS) :].replace("</joint>", '<mimic joint="j2"/></joint>', 2), "j2 -> j2"),
+        (ROW.replace("</joint>", '<mimic joint="no"/></joint>'), "'no', which is not in the file"),
+        (ROW.replace("</joint>", '<mimic joint="j2"/></joint>', 2), "j2 -> j2"),
         ('<xacro:include filename="x"/>' + ROW, "run `xacro"),
         (ROW + "<open>", "not well-formed XML"),
     ],
 )
-def test_bad_files_are_refused_in_one_line(tmp_path, body, told):
+def test_bad_files_are_refused_in_one_line(body, told):
     with pytest.raises(ck.ArgumentError, match=told) as error:
-        ck.load_urdf(write(tmp_path, body))
+        ck.load_urdf(robot(body))
     assert "\n" not in str(error.value)
 
 
@@ -306,8 +288,8 @@ def test_no_file_an_empty_file_and_no_robot(tmp_path):
             ck.load_urdf(path)
 
 
-def test_unknown_links_suggest_the_nearest(tmp_path):
-    file = write(tmp_path, ROW.replace('"d"', '"gripper"'))
+def test_unknown_links_suggest_the_nearest():
+    file = robot(ROW.replace('"d"', '"gripper"'))
     with pytest.raises(ck.ArgumentError, match=r"`tip`.*did you mean 'gripper'"):
         ck.load_urdf(file, tip="griper")
     with pytest.raises(ck.ArgumentError, match="`base`"):
@@ -317,10 +299,10 @@ def test_unknown_links_suggest_the_nearest(tmp_path):
             ck.load_urdf(file, tip=wrong)
 
 
-def test_what_is_not_kinematics_is_not_read(tmp_path):
+def test_what_is_not_kinematics_is_not_read():
     junk = '<link name="e"><visual><geometry/></visual></link><sensor:x y="1"/><gazebo><a>${b}</a></gazebo>'
     body = ROW + joint("j4", "d", "e") + junk
-    assert ck.load_urdf(write(tmp_path, body)).n == 4
+    assert ck.load_urdf(robot(body)).n == 4
 
 
 def long_chain(count, mimic=False):
@@ -332,38 +314,36 @@ def long_chain(count, mimic=False):
     return "".join(rows) + "</robot>"
 
 
-def test_large_trees_are_read_in_time_that_grows_with_their_size(tmp_path):
+def test_large_trees_are_read_in_time_that_grows_with_their_size():
     """Work counted in Python calls: doubling a file may not quadruple it."""
     import cProfile
     import pstats
 
     def calls(text):
-        (tmp_path / "r.urdf").write_text(text)
         profile = cProfile.Profile()
-        profile.runcall(read_urdf, tmp_path / "r.urdf")
+        profile.runcall(read_urdf, text)
         return pstats.Stats(profile).total_calls
 
     for make in (long_chain, lambda n: long_chain(n, mimic=True)):
         assert calls(make(800)) < 2.3 * calls(make(400))
     loose = "<robot name='r'>" + "".join(f"<link name='l{i}'/>" for i in range(5000)) + "</robot>"
-    (tmp_path / "loose.urdf").write_text(loose)
     with pytest.raises(ck.ArgumentError, match="5,000 roots: l0, l1, l2, l3, l4 and 4,995 more"):
-        read_urdf(tmp_path / "loose.urdf")
+        read_urdf(loose)
 
 
-def test_tips_and_tables_of_thousands_of_links_take_seconds(tmp_path, capsys):
+def test_tips_and_tables_of_a_thousand_links_take_seconds(tmp_path, capsys):
     from cnclik.cli import main
 
     comb = "".join(
         f'<link name="b{k}"/><joint name="k{k}" type="fixed"><parent link="l{k}"/><child link="b{k}"/></joint>'
-        for k in range(2000)
+        for k in range(500)
     )
-    (tmp_path / "comb.urdf").write_text(long_chain(2000).replace("</robot>", comb + "</robot>"))
+    (tmp_path / "comb.urdf").write_text(long_chain(500).replace("</robot>", comb + "</robot>"))
     begun = time.process_time()
     main(["robots", str(tmp_path / "comb.urdf")])
-    assert time.process_time() - begun < 10  # a walk for each link would take minutes
+    assert time.process_time() - begun < 3  # a walk for each link would take minutes
     shown = capsys.readouterr().out.splitlines()
-    assert shown[-2].startswith("4001 links") and len(shown) == 4001 + 4
+    assert shown[-2].startswith("1001 links") and len(shown) == 1001 + 4
     assert "b0," not in shown[-1] and "b1, b2," in shown[-1]
 
 
@@ -373,40 +353,28 @@ LIMITED = long_chain(1).replace("continuous", "revolute").replace("</joint>", '<
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("<limit", '<origin xyz="1e300 0 0"/><limit', "has an origin that is not finite, or not within ±1e"),
-        ("<limit", '<origin rpy="0 0 1e300"/><limit', "has an origin that is not finite, or not within ±1e"),
-        ('lower="-1"', 'lower="1e300"', "above upper"),
-        ('lower="-1" upper="1"', 'lower="1e300" upper="1e301"', "neither of them within ±1e"),
+        ("<limit", '<origin xyz="1e300 0 0"/><limit', "has origin .* not within ±1e"),
+        ("<limit", '<origin rpy="0 0 1e300"/><limit', "has origin .* not within ±1e"),
+        ('lower="-1" upper="1"', 'lower="1e300" upper="1e301"', "has limits from 1e"),
     ],
 )
-def test_numbers_beyond_any_robot(tmp_path, old, new, told):
-    (tmp_path / "a.urdf").write_text(LIMITED.replace(old, new))
+def test_numbers_beyond_any_robot(old, new, told):
     with pytest.raises(ck.ArgumentError, match=told):
-        read_urdf(tmp_path / "a.urdf")
+        read_urdf(LIMITED.replace(old, new))
 
 
-def test_limits_beyond_any_robot_are_none(tmp_path):
-    (tmp_path / "a.urdf").write_text(LIMITED.replace('lower="-1" upper="1"', 'lower="-1e308" upper="1e16"'))
-    made = ck.load_urdf(tmp_path / "a.urdf")
+def test_limits_beyond_any_robot_are_none():
+    made = ck.load_urdf(LIMITED.replace('lower="-1" upper="1"', 'lower="-1e308" upper="1e16"'))
     assert made.lower == (-np.inf,) and made.upper == (np.inf,)
 
 
-def test_mimics_that_multiply_beyond_any_robot(tmp_path):
-    text = long_chain(40, mimic=True)
-    assert "<mimic joint=" in text
-    (tmp_path / "a.urdf").write_text(text.replace("<mimic joint=", '<mimic multiplier="10" joint='))
-    with pytest.raises(ck.ArgumentError, match=r"have mimic joints within ±1e\+12"):
-        ck.load_urdf(tmp_path / "a.urdf")
-
-
-def test_loops_of_links_are_found_wherever_they_begin(tmp_path):
+def test_loops_of_links_are_found_wherever_they_begin():
     ring = "".join(
         f'<link name="{a}"/><joint name="j{a}" type="continuous"><parent link="{a}"/><child link="{b}"/></joint>'
         for a, b in ("xy", "yz", "zx")
     )
-    (tmp_path / "ring.urdf").write_text(f'<robot name="r"><link name="free"/>{ring}</robot>')
     with pytest.raises(ck.ArgumentError, match="has a loop through link 'x'"):
-        read_urdf(tmp_path / "ring.urdf")
+        read_urdf(robot(f'<link name="free"/>{ring}'))
 
 
 def test_names_with_markup(tmp_path, capsys):

@@ -1,7 +1,5 @@
 """Meshes of a page: those of the robot's own package, and no others, whatever a URDF file names."""
 
-import shutil
-
 import pytest
 
 trimesh = pytest.importorskip("trimesh")
@@ -53,22 +51,18 @@ def test_no_other_mesh_of_the_disk_is_reached(package, tmp_path):
     theirs = mesh(tmp_path / "home" / "secret")
     inside = tmp_path / "home" / "downloads" / "arm"
     mesh(inside / "meshes")
-    other = tmp_path / "home" / "other"
-    other.mkdir()
-    (other / "package.xml").write_text("<package><name>other</name></package>")
-    shutil.copy(theirs, other)
+    mesh(tmp_path / "home" / "other")
+    (tmp_path / "home" / "other" / "package.xml").write_text("<package><name>other</name></package>")
     (inside / "link.stl").symlink_to(theirs)
     if package:
         (inside / "package.xml").write_text("<package/>")
-    ancestors = [folder.name for folder in theirs.parents][:-1]
-    names = [
-        *(str(theirs), f"file://{theirs}", f"package://{theirs}", f"package://.{theirs}", f"package://..{theirs}"),
-        *(f"package://{name}/{'../' * up}{theirs.relative_to(theirs.parents[k])}" for k, name in enumerate(ancestors)
-          for up in (0, 1)),
-        *("package://home/secret/part.stl", "package://downloads/../secret/part.stl", "package://other/part.stl"),
-        *("model://home/secret/part.stl", "../../secret/part.stl", "package://arm/../../secret/part.stl", "link.stl"),
-        *("package://arm/link.stl", "package://", "package:///", "://", ""),
-    ]  # fmt: skip
-    for name in names:
+    absolute = [f"{scheme}{theirs}" for scheme in ("", "file://", "package://", "package://.", "package://..")]
+    upwards = [f"package://{folder.name}/{theirs.relative_to(folder)}" for folder in list(theirs.parents)[:-1]]
+    upwards += [
+        f"package://{folder.name}/../{theirs.relative_to(folder.parent)}" for folder in list(theirs.parents)[:-1]
+    ]
+    others = ["package://downloads/../secret/part.stl", "package://other/part.stl", "model://home/secret/part.stl"]
+    others += ["../../secret/part.stl", "package://arm/../../secret/part.stl", "link.stl", "package://arm/link.stl"]
+    for name in (*absolute, *upwards, *others, "package://", "package:///", "://", ""):
         for folder in (inside / "urdf", inside):
             assert meshes(robot(folder, name)) == [], name

@@ -17,32 +17,27 @@ from cnclik.show.sweeps.layout import arrange, defaults, view
 
 METHODS = ["EE", "IE", "CN"]
 LIMITS = [2.0, 1.0, 1.2]
+UNITS = {"alpha": ("α", "1/s"), "Ts": ("Ts", "s"), "z": ("z = α·Ts", "1")}
 
 
 def data(limit=True, **axes):
-    """A dataset such as a sweep makes: an error z^30-like over the axes, and its cost."""
-    rng = np.random.default_rng(0)
-    about = {"alpha": ("α", "1/s"), "Ts": ("Ts", "s"), "z": ("z = α·Ts", "1")}
+    """A dataset such as a sweep makes: an error over the axes, infinite at the end of the last one, and its cost."""
+    rng, shape, dims = np.random.default_rng(0), tuple(map(len, axes.values())), tuple(axes)
     coords = {}
     for name, values in axes.items():
-        label, unit = about.get(name, (name, "1"))
+        label, unit = UNITS.get(name, (name, "1"))
         coords[name] = (name, values, {"units": unit, "long_name": label})
-        if name == "q0":
-            coords["q0_value"] = (("q0", "q0_0"), rng.random((len(values), 2)), {"units": "rad"})
+    if "q0" in axes:
+        coords["q0_value"] = (("q0", "q0_0"), rng.random((len(axes["q0"]), 2)), {"units": "rad"})
     if limit and "method" in axes:
         coords["limit"] = ("method", LIMITS, {"units": "1"})
-    shape = tuple(len(v) for v in axes.values())
-    dims = tuple(axes)
     grid = xarray.Dataset(coords=coords)
     z = grid["z"] if "z" in axes else grid.get("alpha", 1.0) * grid.get("Ts", 1.0)
-    error = xarray.DataArray(rng.random(shape) * 1e-3 + 1e-6, dims=dims) * (1 + 0 * z) + np.abs(1 - z) ** 5
-    error = error.transpose(*dims)
-    error.values[..., -1] = np.inf  # a diverged edge
-    variables = {
-        "max_error": (dims, 2 * error.values, {"units": "m", "long_name": "error ‖e‖, largest"}),
-        "evaluations": (dims, np.broadcast_to(np.arange(1, shape[-1] + 1.0) * 10, shape), {"units": "1"}),
-    }
-    return xarray.Dataset(variables, coords)
+    error = (xarray.DataArray(rng.random(shape) * 1e-3 + 1e-6, dims=dims) + np.abs(1 - z) ** 5).transpose(*dims)
+    error.values[..., -1] = np.inf
+    evaluations = np.broadcast_to(np.arange(1, shape[-1] + 1.0) * 10, shape)
+    about = {"units": "m", "long_name": "error ‖e‖, largest"}
+    return grid.assign(max_error=(dims, 2 * error.values, about), evaluations=(dims, evaluations, {"units": "1"}))
 
 
 PLANE = {"method": METHODS, "alpha": np.geomspace(1, 40, 12), "Ts": np.geomspace(0.01, 0.5, 10)}
@@ -59,31 +54,38 @@ def drawn(found, table):
 
 # --- what goes where ----------------------------------------------------------------------------------
 
-
-def test_every_dimension_gets_a_place():
-    found = data(case=["reach", "track"], stage=["picard", "chord"], **PLANE)
-    layout = arrange(found, {"kind": "heat"})
-    assert (layout.value, layout.x, layout.y) == ("max_error", "alpha", "Ts")
-    assert (layout.panels, layout.rows, layout.middle) == ("stage", "method", ("case",))
-    layout = arrange(found, {"kind": "slices", "lines": "method"})
-    assert (layout.x, layout.lines, layout.panels, layout.rows) == ("alpha", "method", "stage", "case")
-    assert layout.middle == ("Ts",)  # too long for a panel each
-    layout = arrange(found, {"kind": "best"})
-    assert "method" not in (layout.panels, layout.rows, *layout.middle)
-    layout = arrange(found, {"kind": "slices", "x": "evaluations"})
-    assert (layout.over, layout.lines, layout.panels) == ("Ts", "stage", "method")
+STAGES = {"case": ["reach", "track"], "stage": ["picard", "chord"]}
+STARTS = {"method": METHODS, "q0": np.arange(20), "alpha": np.linspace(1, 9, 5), "Ts": np.linspace(0.1, 0.3, 4)}
 
 
-def test_samples_are_summed_up_or_make_a_distribution():
-    found = data(method=METHODS, q0=np.arange(20), alpha=np.linspace(1, 9, 5), Ts=np.linspace(0.1, 0.3, 4))
-    layout = arrange(found, {"kind": "heat", "reduce": "min"})
-    assert layout.reduced == ("q0",)
-    shown = view(found, layout)
-    np.testing.assert_array_equal(shown.max_error, found.max_error.min("q0"))
-    assert shown.max_error.attrs["units"] == "m"
-    np.testing.assert_array_equal(view(found, arrange(found, {"kind": "heat"})).max_error, found.max_error.median("q0"))
-    layout = arrange(found, {"kind": "distribution"})
-    assert layout.over == "q0" and layout.reduced == ()
+@pytest.mark.parametrize(
+    ("axes", "table", "places"),
+    [
+        (
+            STAGES,
+            {"kind": "heat"},
+            {"value": "max_error", "x": "alpha", "y": "Ts", "panels": "stage", "rows": "method"},
+        ),
+        (STAGES, {"kind": "heat"}, {"middle": ("case",)}),
+        (STAGES, {"kind": "slices"}, {"x": "alpha", "lines": "stage", "panels": "method", "rows": "case"}),
+        (STAGES, {"kind": "slices"}, {"middle": ("Ts",)}),  # too long for a panel each
+        (STAGES, {"kind": "best"}, {"panels": "stage", "rows": "case"}),
+        (STAGES, {"kind": "slices", "x": "evaluations"}, {"over": "Ts", "lines": "stage", "panels": "method"}),
+        (STARTS, {"kind": "heat", "reduce": "min"}, {"reduced": ("q0",)}),
+        (STARTS, {"kind": "distribution"}, {"over": "q0", "reduced": ()}),
+    ],
+)
+def test_every_dimension_gets_a_place(axes, table, places):
+    layout = arrange(data(**axes, **({} if axes is STARTS else PLANE)), table)._asdict()
+    assert {role: layout[role] for role in places} == places
+
+
+def test_samples_are_summed_up():
+    found = data(**STARTS)
+    for reduce in ("min", "median"):
+        shown = view(found, arrange(found, {"kind": "heat", "reduce": reduce}))
+        np.testing.assert_array_equal(shown.max_error, getattr(found.max_error, reduce)("q0"))
+        assert shown.max_error.attrs["units"] == "m"
     found["converged"] = (found.max_error < 0.5) * 1.0
     found.converged.attrs["long_name"] = "1 if ‖e[N]‖ ≤ tolerance"
     shown = view(found, arrange(found, {"kind": "slices", "value": "converged", "x": "Ts", "reduce": "mean"}))
@@ -100,9 +102,7 @@ def test_selections_and_middles():
     found = data(**PLANE)
     shown = view(found, arrange(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}))
     assert float(shown.alpha) == found.alpha.values[np.argmin(abs(found.alpha.values - 4.9))]
-    shown = view(found, arrange(found, {"kind": "slices", "x": "Ts"}))
-    assert float(shown.alpha) == found.alpha.values[6]  # the middle of twelve
-    assert drawn(found, {"kind": "slices", "x": "Ts"}).get_suptitle() == "α = 7.479 1/s"
+    assert drawn(found, {"kind": "slices", "x": "Ts"}).get_suptitle() == "α = 7.479 1/s"  # the middle of twelve
     found = data(z=np.linspace(0.1, 0.7, 3), Ts=[0.1, 0.2])  # linspace ends at 0.7 − 1e-16, or 0.7 + 1e-16
     for end in (np.nextafter(0.7, 9), np.nextafter(0.7, -9), 0.1):
         arrange(found, {"kind": "slices", "x": "Ts", "select": {"z": float(end)}})
@@ -134,26 +134,32 @@ def test_defaults_follow_from_the_grid():
     starts = data(q0=np.arange(5)).drop_vars("evaluations")
     assert defaults(starts) == [{"kind": "distribution", "value": "max_error", "over": "q0"}]
     found = data(**PLANE).assign_attrs(spec=json.dumps({"figures": [{"kind": "heat"}, {"kind": "heat", "log": True}]}))
-    assert list(sweeps.figures(found)) == ["heat_max_error", "heat_max_error_2"]
-    assert list(sweeps.figures(found, [{"kind": "heat", "name": "mine"}])) == ["mine"]
-    assert "best_max_error" in sweeps.figures(found.assign_attrs(spec=json.dumps({"figures": []})))
+    assert list(sweeps.drawings(found)) == ["heat_max_error", "heat_max_error_2"]
+    assert list(sweeps.drawings(found, [{"kind": "heat", "name": "mine"}])) == ["mine"]
+    assert "best_max_error" in sweeps.drawings(found.assign_attrs(spec=json.dumps({"figures": []})))
 
 
-# --- scales -------------------------------------------------------------------------------------------
+WIDE, NARROW = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
 
 
-def test_scales_follow_the_values():
-    layout = arrange(data(**PLANE), {"kind": "heat"})
-    wide, narrow = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
-    for more in ([np.inf, np.nan], [2e3, 1e57]):  # two that ran away
-        found = drawn_kinds.norm(np.append(wide, more), layout)
-        assert isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1e-9, 1.0)
-    found = drawn_kinds.norm(narrow, layout)
-    assert not isinstance(found, colors.LogNorm) and (found.vmin, found.vmax) == (1, 2)
-    assert drawn_kinds.norm(wide, layout._replace(limits=(0.1, 0.5))).vmin == 0.1
-    assert not isinstance(drawn_kinds.norm(wide, layout._replace(log=False)), colors.LogNorm)
-    assert drawn_kinds.norm(np.full(3, np.nan), layout).vmax == 1
-    assert drawn_kinds.norm(np.zeros(4), layout._replace(log=True)).vmax == 0  # nothing that a logarithm could show
+@pytest.mark.parametrize(
+    ("values", "look", "logarithmic", "ends"),
+    [
+        (np.append(WIDE, [np.inf, np.nan]), {}, True, (1e-9, 1.0)),
+        (np.append(WIDE, [2e3, 1e57]), {}, True, (1e-9, 1.0)),  # two that ran away
+        (WIDE, {"limits": (0.1, 0.5)}, True, (0.1, 0.5)),
+        (WIDE, {"log": False}, False, (1e-14, 1.0)),
+        (NARROW, {}, False, (1, 2)),
+        (np.full(3, np.nan), {}, False, (0, 1)),
+        (np.zeros(4), {"log": True}, False, (0, 0)),  # nothing that a logarithm could show
+    ],
+)
+def test_scales_follow_the_values(values, look, logarithmic, ends):
+    found = drawn_kinds.norm(values, arrange(data(**PLANE), {"kind": "heat"})._replace(**look))
+    assert isinstance(found, colors.LogNorm) == logarithmic and (found.vmin, found.vmax) == ends
+
+
+def test_geometric_axes():
     for values in (np.geomspace(1e-3, 2, 9), [0.1, 0.2, 0.5, 1, 2, 5, 50], [1, 2, 4]):
         assert style.geometric(values)
     for values in (np.linspace(1, 2, 9), [1, 2], ["a", "b", "c"], [2, 2, 2], [0.0, 1.0, 2.0], range(1, 101)):
@@ -173,9 +179,9 @@ def boundaries(figure):
 
 def test_the_boundary_is_each_panels_own_limit():
     figure = drawn(data(**PLANE), HEAT | {"panels": "method"})
-    for lines, limit in zip(boundaries(figure), LIMITS, strict=True):
-        (points,) = lines
+    for (points,), limit in zip(boundaries(figure), LIMITS, strict=True):
         np.testing.assert_allclose(points[:, 0] * points[:, 1], limit, rtol=1e-12)
+    assert figure.axes[0].get_xlim()[1] < 50  # it ends with the plane
     assert "limit" in figure.legends[0].get_texts()[0].get_text()
     assert boundaries(drawn(data(**PLANE, limit=False), HEAT)) == [[], [], []]
     other = data(method=METHODS, damping=np.geomspace(1e-3, 1, 6), distance=np.geomspace(1e-3, 1, 5))
@@ -193,13 +199,12 @@ def test_a_limit_over_passes_is_a_step_for_each():
     np.testing.assert_array_equal(M[:-1], [-0.5, 0.5, 0.5, 1.5, 1.5, 3.5, 3.5])  # the sides of M's own cells
 
 
-def test_who_is_best_beyond_every_limit_is_not_said():
-    found = data(**PLANE)
-    layout = arrange(found, HEAT | {"kind": "best"})
-    beyond = drawn_kinds.beyond_every_limit(found.max_error, layout)
-    np.testing.assert_array_equal(beyond, np.outer(found.Ts, found.alpha) > 2.0)
-    assert not drawn_kinds.beyond_every_limit(data(**PLANE, limit=False).max_error, layout).any()
-    shown = drawn(found, HEAT | {"kind": "best"}).axes[0].collections[0].get_array()
+def test_who_is_best_beyond_every_limit_is_not_shown():
+    found, best = data(**PLANE), HEAT | {"kind": "best"}
+    beyond = np.outer(found.Ts, found.alpha) > 2.0
+    np.testing.assert_array_equal(drawn_kinds.beyond_every_limit(found.max_error, arrange(found, best)), beyond)
+    assert not drawn_kinds.beyond_every_limit(data(**PLANE, limit=False).max_error, arrange(found, best)).any()
+    shown = drawn(found, best).axes[0].collections[0].get_array()
     np.testing.assert_array_equal(np.ma.getmaskarray(shown), beyond | (np.arange(10) == 9)[:, None])
 
 
@@ -216,15 +221,14 @@ def test_who_is_best_beyond_every_limit_is_not_said():
         (WORK, "evaluations", "error ‖e‖, largest [m]"),
     ],
 )
-def test_each_kind_is_drawn_with_units(table, x, y, tmp_path):
-    figure = drawn(data(**PLANE), table)
+def test_each_kind_is_drawn_with_units(table, x, y):
+    found = data(**PLANE)
+    figure = drawn(found, table)
+    FigureCanvasAgg(figure).draw()
     axes = figure.axes[0]
     assert (axes.get_ylabel(), figure.axes[-2 if table["kind"] == "heat" else -1].get_xlabel()) == (y, x)
-    figure.savefig(tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 5000
     words = " ".join(t.get_text() for legend in figure.legends for t in legend.get_texts())
     assert table["kind"] == "heat" or words == "EE IE CN"
-    found = data(**PLANE)
     for dtype in (bool, int):  # counts and verdicts
         found["ok"] = (found.max_error < 0.5).astype(dtype)
         assert drawn(found, table | {"value": "ok"})
@@ -235,8 +239,7 @@ def test_curves_hold_the_datas_numbers():
     figure = drawn(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 5.0}})
     here = found.max_error.sel(alpha=5.0, method="nearest")
     for line, values in zip(figure.axes[0].lines, here.values, strict=True):
-        np.testing.assert_array_equal(line.get_ydata()[:-1], values[:-1])
-        assert np.isnan(line.get_ydata()[-1])  # infinite: a gap
+        np.testing.assert_array_equal(line.get_ydata(), np.where(np.isfinite(values), values, np.nan))
     line = drawn(found, {"kind": "distribution", "over": "Ts"}).axes[0].lines[0]
     assert line.get_ydata()[-1] == pytest.approx(0.9)  # the diverged tenth is never reached
     figure = drawn(found, WORK)
@@ -246,12 +249,15 @@ def test_curves_hold_the_datas_numbers():
     assert (panel.lines[0].get_ydata() == panel.get_ylim()[0]).all()
 
 
-def test_lines_that_are_not_methods_have_looks_of_their_own():
+def test_lines_that_are_not_methods_have_looks_of_their_own_and_may_be_empty():
     found = data(stepper=["EE", "IE picard", "CN chord", "CN"], z=np.linspace(0.1, 3, 60), Ts=[0.1, 0.2])
     lines = drawn(found, {"kind": "slices", "x": "z", "lines": "stepper"}).axes[0].lines
     assert len({(line.get_marker()) for line in lines}) == len({line.get_color() for line in lines}) == 4
     assert lines[0].get_color() == style.METHODS["EE"].color and lines[3].get_color() == style.METHODS["CN"].color
     assert len({str(line.get_markevery()) for line in lines}) == 4  # staggered: those that coincide show
+    found["lost"] = np.inf * found.max_error  # where all diverged there is no line
+    for table in ({"kind": "distribution", "over": "z"}, {"kind": "slices", "x": "z"}):
+        FigureCanvasAgg(drawn(found, table | {"value": "lost"})).draw()
 
 
 def test_long_words_stay_within_the_figure_and_apart():

@@ -11,7 +11,7 @@ import pytest
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.integrate.march import march
-from cnclik.stability import amplification, stability_limit, stability_region
+from cnclik.stability import amplification, stability_limit
 from cnclik.stability.linear import first_beyond, gain_removing, removed
 
 Z = np.linspace(0.05, 2.5, 23)
@@ -111,13 +111,6 @@ def test_a_search_finds_the_first_place():
     assert first_beyond(lambda x: x > 2e6, 1e6) == np.inf
 
 
-def test_a_region_is_labelled():
-    region = stability_region("EE", real=(-1, 3), imaginary=(-2, 2), points=41)
-    assert region.dims == ("im", "re") and region.attrs["units"] == "1"
-    inside = np.abs(1 - (region.re.values + 1j * region.im.values[:, None])) <= 1
-    np.testing.assert_array_equal(region.values <= 1, inside)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -126,7 +119,6 @@ def test_a_region_is_labelled():
         (lambda: amplification("EE", "1"), "`z` must be a finite number"),
         (lambda: amplification("IE", 1.0, -1), "`M` must be at least 0"),
         (lambda: amplification("IE", 1.0, 2.5), "`M` must be an integer"),
-        (lambda: stability_region("EE", points=1), "`points` must be at least 2"),
     ],
 )
 def test_bad_input_is_named(call, words):
@@ -144,7 +136,7 @@ def test_gains_need_no_jax():
         "import jax\n"
         "law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position('xy'), alpha=1.0)\n"
         "drive = ck.Drive(lag=0.1, delay=1)\n"
-        "assert len(jax.tree.leaves(drive)) == 1 and not jax.tree.leaves(ck.EE)\n"
+        "assert len(jax.tree.leaves(drive)) == 1 and not jax.tree.leaves(ck.METHODS['EE'])\n"
         "ck.solve(law, ck.hold([1.0, 1.0]), [0.1, 1.0], 0.01, 3, drive=drive)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

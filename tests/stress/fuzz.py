@@ -7,7 +7,6 @@ first program is traced.
 """
 
 import contextlib
-import dataclasses
 import importlib
 import io
 import os
@@ -17,7 +16,6 @@ import resource
 import signal
 import tempfile
 import traceback
-import typing
 import warnings
 import zlib
 from unittest import mock
@@ -26,8 +24,9 @@ import jax
 import numpy as np
 
 import cnclik as ck
-from cnclik.cli import VERBS, main
+from cnclik.cli import VERBS, arguments, main
 from cnclik.errors import ArgumentError, Remark
+from cnclik.problem import options
 from cnclik.problem.words import TASKS
 from tests.specs import reaching
 
@@ -163,19 +162,17 @@ def log(rng) -> str:
 def command(rng):
     """(command line, {name: bytes of a file})."""
     verb, odd = any_of(rng, tuple(VERBS)), any_of(rng, (0.0, 0.05, 0.3))
-    args = importlib.import_module(f"cnclik.cli.{verb}").Args
-    hints, argv = typing.get_type_hints(args), [verb]
-    fields = [field for field in dataclasses.fields(args) if field.name not in LEFT_OUT]
-    first = [field for field in fields if field.metadata.get("positional", False)]
-    named = [field for field in fields if field not in first]
-    for field in first + [any_of(rng, named) for _ in range(int(rng.integers(4)) if named else 0)]:
-        name, hint = field.name.rstrip("_"), hints[field.name]
-        flag = name.replace("_", "-")
-        if bool in plain_types(hint) and field in named:
+    module = importlib.import_module(f"cnclik.cli.{verb}")
+    every = [one for some in arguments.options_of(module).values() for one in some.values() if one.name not in LEFT_OUT]
+    argv, named = [verb], [one for one in every if not one.positional]
+    first = [one for one in every if one.positional]
+    for one in first + [any_of(rng, named) for _ in range(int(rng.integers(4)) if named else 0)]:
+        flag = one.name.replace("_", "-")
+        if one.kind == options.SWITCH:
             argv.append(any_of(rng, ("--", "--no-")) + flag)
             continue
         count = 1 if rng.random() > odd else int(rng.integers(4))
-        argv += [f"--{flag}"] * (field in named) + [word(rng, name, hint, odd) for _ in range(count)]
+        argv += [f"--{flag}"] * (not one.positional) + [word(rng, one, odd) for _ in range(count)]
     if rng.random() < odd:
         k = int(rng.integers(len(argv)))
         argv[k] = slipped(rng, argv[k]).replace("\x00", "")
@@ -189,23 +186,14 @@ def command(rng):
     return [a for a in argv if "distrib" not in a], files
 
 
-def plain_types(hint) -> set:
-    """The plain types and choices inside of a type."""
-    inner = typing.get_args(hint)
-    if typing.get_origin(hint) is typing.Literal:
-        return set(inner)
-    return set().union(*map(plain_types, inner)) if inner else {hint}
-
-
-def word(rng, name, hint, odd) -> str:
+def word(rng, one, odd) -> str:
     """Right, nearly right, or anything."""
-    kinds = plain_types(hint)
-    choices = CHOICES.get(name) or tuple(kind for kind in kinds if isinstance(kind, str))
+    choices = CHOICES.get(one.name) or one.choices
     if rng.random() < odd / 2:
         return any_of(rng, (*TEXTS, *NUMBERS)).replace("\x00", "")
     if choices:
         return any_of(rng, choices)
-    return any_of(rng, ("0", "1", "2", "5", "0.1", "0.01")) if kinds & {int, float} else any_of(rng, FILES)
+    return any_of(rng, FILES) if one.kind == options.NAME else any_of(rng, ("0", "1", "2", "5", "0.1", "0.01"))
 
 
 def use_command(made, folder):
@@ -244,7 +232,7 @@ def until_traced():
             raise Reached
 
     jax.monitoring.register_scalar_listener(begun)
-    names = ("cnclik.show.output.draw", "cnclik.show.viewer.front._server", "cnclik.sweeps.program.fit")
+    names = ("cnclik.show.output.draw", "cnclik.show.viewer.scene._server", "cnclik.sweeps.program.fit")
     try:
         with contextlib.ExitStack() as stack:
             for name in names:

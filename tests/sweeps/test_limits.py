@@ -47,10 +47,12 @@ def limit(fixed=(), drop=(), **axes):
 def test_the_limit_is_over_the_axes_on_which_it_depends():
     dims, values = limit()
     assert dims == ("method",)
-    np.testing.assert_allclose(values, [2, stability_limit(ck.IE, ck.picard(5))], rtol=1e-9)
+    np.testing.assert_allclose(values, [2, stability_limit(ck.METHODS["IE"], ck.picard(5))], rtol=1e-9)
     dims, values = limit(M=[1, 2, 5], method=["IE"])
     assert dims == ("method", "M")
-    np.testing.assert_allclose(values[0], [stability_limit(ck.IE, ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9)
+    np.testing.assert_allclose(
+        values[0], [stability_limit(ck.METHODS["IE"], ck.picard(m)) for m in (1, 2, 5)], rtol=1e-9
+    )
     assert limit({"method": "EE"}, ["method"]) == ((), 2.0)
     assert limit({"N": "round(1/Ts)"})[0] == ("method",)  # Ts is compiled in, and the limit doesn't depend on it
     assert limit({"alpha": "z/Ts"}, ["alpha"], z=[0.5, 1.5])[0] == ("method",)
@@ -67,20 +69,17 @@ def test_noise_at_rest_is_as_large_as_theory_says():
     sigma, z = 1e-6, np.array([0.3, 1.0, 1.6])
     axes = {"z": z.tolist(), "noise": [[sigma, 0.0], [sigma, sigma]], "seed": list(range(8))}
     fixed = {"alpha": "z/Ts", "target": list(AT)}
-    for method, taken in (("EE", z), ("EXP-EE", -np.expm1(-z))):
+    for method, removed in (("EE", z), ("EXP-EE", -np.expm1(-z))):
         found = run_spec(spec(["rms_error"], 1000, fixed | {"method": method}, **axes)).rms_error
         variance = (found**2).mean("seed").values / sigma**2
-        theory = taken / (2 - taken)
+        theory = removed / (2 - removed)
         np.testing.assert_allclose(variance, np.stack([theory, 2 * theory], 1), rtol=0.06)
         assert len(np.unique(found)) == found.size  # every seed its own
 
 
 def test_loops_through_a_lag_end_where_theory_says():
-    """With the limit in an expression, half a sample of dead time included; and with a lag as an axis of numbers."""
+    """With the limit in an expression, half a sample of dead time included."""
     for drive in ({"lag": 0.3, "delay": 1}, {"delay": 0.5}):
         found = run_spec(spec(["final_error"], 400, drive | {"alpha": "share*limit/Ts"}, share=[0.95, 1.05]))
         assert found.final_error[0] < 0.2 * SHIFT and found.final_error[1] > SHIFT
         assert found.limit == pytest.approx(stable(Drive(**drive)), rel=1e-9)
-    bound = min(stable(Drive(lag=lag, delay=1)) for lag in (0.05, 0.3))
-    found = run_spec(spec(["final_error"], 400, {"alpha": 0.95 * bound / 0.1, "delay": 1}, lag=[0.05, 0.3]))
-    assert (found.final_error < 0.2 * SHIFT).all()

@@ -60,9 +60,9 @@ def written(**changes):
 def test_values_follow_from_expressions():
     spec = parse(written())
     assert spec.grid().shape == (2, 3, 3, 2) and spec.question == spec.expectation == ""
-    made = spec.build({"method": "CN"}, {"M": np.int64(2), "z": 0.3, "lift": 0.1})
+    made = spec.build({"method": "CN", "M": np.int64(2), "z": 0.3, "lift": 0.1})
     assert float(made.law.alpha) == pytest.approx(3.0, rel=1e-15)
-    assert (made.Ts, made.N, made.method, made.stage.M, made.stage.maximum) == (0.1, 4, ck.CN, 2, 2)
+    assert (made.Ts, made.N, made.method, made.stage.M, made.stage.maximum) == (0.1, 4, ck.METHODS["CN"], 2, 2)
     np.testing.assert_allclose(made.q0, [0, -np.pi / 2], rtol=1e-15)
     np.testing.assert_allclose(made.reference.curve.end, [0, 1.1], rtol=1e-15)
     assert float(made.reference.curve.duration) == pytest.approx(0.4)  # the run's length, when nothing is said
@@ -90,8 +90,8 @@ def test_an_axis_of_tables_and_samples_that_fit_every_arm():
     turn = next(a.values for a in spec.axes if a.name == "turn")
     assert turn.shape == (5, 3) and np.abs(turn).max() <= 1 and len(np.unique(turn)) == 15
     lane = spec.first() | {"turn": turn[2]}
-    np.testing.assert_allclose(spec.build({"case": "two", "law": "none", "method": "EE"}, lane).q0, 0.1 * turn[2, :2])
-    laws = [spec.build({"case": "three", "law": name, "method": "EE"}, lane).law for name in law]
+    np.testing.assert_allclose(spec.build(lane | {"case": "two", "law": "none", "method": "EE"}).q0, 0.1 * turn[2, :2])
+    laws = [spec.build(lane | {"case": "three", "law": name, "method": "EE"}).law for name in law]
     assert not hasattr(laws[0].inverse, "threshold") and float(laws[1].inverse.damping) == 0.1
     assert spec.all_units()["law"] == "1"
     given["axes"]["turn"]["seed"] = 4
@@ -112,33 +112,32 @@ def test_changes_on_the_command_line(tmp_path):
             read(path, changes)
 
 
-TABLES = [
-    {"start": [1, 1], "target": [0, 1], "reference": "line", "period": 2.0, "feedforward": 0.5, "alpha": [2.0, 3.0]},
-    {"reference": "lissajous", "frequency": [1, 2], "error_clamp": [0.1, 0.5], "damping": 0.1, "stage": "chord"},
-    {"target": [1, 0.5], "method": "CN", "Ts": 0.1, "N": 7, "limits": "velocity_scaling", "future": "unknown"},
-]
+TABLES = {
+    "line": {"start": [1, 1], "target": [0, 1], "period": 2.0, "feedforward": 0.5, "alpha": [2.0, 3.0]},
+    "lissajous": {"frequency": [1, 2], "error_clamp": [0.1, 0.5], "damping": 0.1, "stage": "chord", "N": 7},
+    "hold": {"target": [1, 0.5], "method": "CN", "Ts": 0.1, "limits": "velocity_scaling", "future": "unknown"},
+}
 
 
-@pytest.mark.parametrize("table", TABLES, ids=lambda t: t.get("reference", t.get("limits", "none")))
-def test_a_spec_builds_the_loop_of_problem_from(table):
-    table = {"robot": "planar:1,1", "task": "position"} | table
-    one, other = problem_from(**table), parse({"fixed": table}).build({})
-    for name in ("law", "reference", "q0", "Ts", "N", "method", "stage"):
-        one_leaves, other_leaves = (jax.tree.leaves(getattr(made, name)) for made in (one, other))
-        assert jax.tree.structure(getattr(one, name)) == jax.tree.structure(getattr(other, name))
-        for a, b in zip(one_leaves, other_leaves, strict=True):
-            np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+@pytest.mark.parametrize("reference", TABLES)
+def test_a_spec_builds_the_loop_of_problem_from(reference):
+    table = {"robot": "planar:1,1", "task": "position", "reference": reference} | TABLES[reference]
+    wanted, built = problem_from(**table), parse({"fixed": table}).build({})
+    names = ("law", "reference", "q0", "Ts", "N", "method", "stage")
+    wanted, built = ({name: getattr(problem, name) for name in names} for problem in (wanted, built))
+    assert jax.tree.structure(wanted) == jax.tree.structure(built)
+    jax.tree.map(np.testing.assert_array_equal, wanted, built)
 
 
 def test_the_linear_limit_is_a_value():
     spec = parse(written(fixed__alpha="z*min(limit, 10)/Ts", axes__method=["EE", "IE", "CN"]))
     lane = {"M": np.int64(2), "z": 0.5, "lift": 0.0}
-    gains = {m: float(spec.build({"method": m}, lane).law.alpha) / 5 for m in ("EE", "IE")}
+    gains = {m: float(spec.build(lane | {"method": m}).law.alpha) / 5 for m in ("EE", "IE")}
     assert gains == pytest.approx({"EE": 2.0, "IE": 1.3532}, abs=1e-4)  # IE: docs/gains.md
-    traced = jax.jit(lambda M: spec.build({"method": "CN"}, lane | {"M": M}).law.alpha / 5)
+    traced = jax.jit(lambda M: spec.build(lane | {"method": "CN", "M": M}).law.alpha / 5)
     assert float(traced(2)) == pytest.approx(1.4780, abs=1e-4)
     spec = parse(written(fixed__alpha="z*min(limit, 10)/Ts", fixed__stage="chord", axes__method=["IE"]))
-    assert float(spec.build({"method": "IE"}, lane).law.alpha) == pytest.approx(50.0)  # no limit
+    assert float(spec.build(lane | {"method": "IE"}).law.alpha) == pytest.approx(50.0)  # no limit
     lag = {"fixed__lag": 0.1, "fixed__Ts": None, "axes__Ts": [0.01, 0.1], "axes__method": ["EE"]}
     spec = parse(written(fixed__alpha="z*limit/Ts", **lag))
     assert [a.name for a in spec.grid().outer] == ["method", "Ts"]  # on which the limit of a lag depends
@@ -178,18 +177,13 @@ def test_units_follow_the_task(fixed, axes, unit):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"qestion": 1}, "`SPEC` must hold known keys, but holds 'qestion' (did you mean 'question'?)"),
-        ({"axes__alpah": [1.0]}, "holds 'alpah' (did you mean 'alpha'?)"),
+        ({"qestion": 1}, "`key of SPEC` must be one of question"),
+        ({"axes__alpah": [1.0]}, "is 'alpah' (did you mean 'alpha'?)"),
         ({"fixed__alpha": "zz/Ts"}, "`alpha` must use names that have a value, but uses 'zz' (did you mean 'z'?)"),
         ({"fixed__metrics": ["mean_error"]}, "`fixed.metrics` must stand above all tables, but is in [fixed]"),
-        ({"fixed__alpha": "__import__('os')"}, "`alpha` must be a number or a short expression"),
         ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
         ({"fixed__Ts": "alpha*1"}, "not depend on itself, but does, through"),
         ({"fixed__alpha": "z*limit/Ts", "fixed__M": "round(alpha)", "axes__M": None}, "not depend on itself"),
-        (
-            {f"fixed__z{k}": f"z{k - 1} + 1" for k in range(1, 60)} | {"fixed__z0": 1.0, "fixed__alpha": "z*z59"},
-            "from numbers in fewer than 30 steps",
-        ),
         ({"fixed__Ts": True}, "`fixed.Ts` must be a number"),
         ({"fixed__N": 2.5}, "`N` must be an integer"),
         ({"fixed__robot": None}, "`robot` must be given in [fixed] or [axes]"),
@@ -199,7 +193,7 @@ def test_units_follow_the_task(fixed, axes, unit):
         ({"axes__method": ["EE", "RK5"]}, "`method` must be one of"),
         ({"axes__M": [1.5]}, "`axes.M` must hold one whole number each"),
         ({"axes__z": 3}, "`axes.z` must be a list, labelled tables, or a table with one of linspace, geomspace"),
-        ({"axes__z": {"geomspace": [0, 1, 2]}}, "; geomspace has no 0"),
+        ({"axes__z": {"geomspace": [0, 1, 2]}}, "be geomspace = [first, last, count], without 0"),
         ({"axes__z": {"linspace": [0, 1, 10**12]}}, "at most 10,000,000 values, but asks for 1,000,000,000,000"),
         ({"axes__z": {"linspace": [-1e308, 1e308, 5]}}, "`axes.z` must hold finite values"),
         ({"axes__z": []}, "`axes.z` must hold at least one value"),
@@ -221,8 +215,8 @@ def test_units_follow_the_task(fixed, axes, unit):
         ({"fixed__mine": "4ms"}, "`mine` must be a number or a short expression"),
         ({"figure": [3]}, "`figure` must be a list of tables"),
         ({"figure": [{"kind": "heatmap"}]}, "`figure[0].kind` must be one of"),
-        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must be [least, greatest]"),
-        ({"figure": [{"kind": "heat", "xx": "z"}]}, "`figure[0].table` must hold known keys, but holds 'xx'"),
+        ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must have 2 numbers, but has 1"),
+        ({"figure": [{"kind": "heat", "xx": "z"}]}, "but is 'xx' (did you mean 'x'?)"),
         ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
         ({"figure": [{"kind": "heat", "select": {"z": 1e9}}]}, "`figure[0].select.z` must lie between"),
     ],
@@ -235,8 +229,7 @@ def test_everything_wrong_is_said_in_one_line(changes, words):
 
 def test_what_cannot_be_read_is_said_in_one_line(tmp_path):
     path = tmp_path / "a.toml"
-    texts = ("question = ", "\x00", "a = 1\na = 2", "question = " + "9" * 5000, "a = " + "[" * 5000 + "]" * 5000)
-    for text in (*texts, TEXT.replace("alpha = ", "alpha = " + "[" * 200 + "]" * 200 + " #")):
+    for text in ("question = ", "question = " + "9" * 5000, "a = " + "[" * 5000 + "]" * 5000):
         path.write_text(text)
         with pytest.raises(ArgumentError):
             read(path)
@@ -270,12 +263,10 @@ def test_expressions_are_arithmetic():
         with pytest.raises(ArgumentError, match="worked out"):
             expression.evaluate("x", huge, known)
     assert np.isnan(expression.evaluate("x", "a*z", {"a": np.float64(np.inf), "z": 0}.__getitem__))
-    for bad in ("a.b", "a[0]", "lambda: 1", "f(a)", "sin(a, a)", "a if a else a", "'s'", "1j", "a and a", "0in a"):
-        with pytest.raises(ArgumentError, match="be a number or a short expression"):
+    for bad in ("a.b", "a[0]", "lambda: 1", "a if a else a", "'s'", "1j", "a and a", "0in a", "f(a)", "sin(a, a)",
+                "__import__('os')", "1" + "0" * 600, "(" * 250 + "a" + ")" * 250):  # fmt: skip
+        with pytest.raises(ArgumentError, match=r"be a number or a short|be an expression that"):
             expression.evaluate("x", bad, known)
-    for long in ("1" + "0" * 600, "(" * 250 + "a" + ")" * 250):
-        with pytest.raises(ArgumentError, match="be a number or a short expression"):
-            expression.evaluate("x", long, known)
 
 
 def test_numbers_have_units_as_on_the_command_line():
@@ -283,7 +274,7 @@ def test_numbers_have_units_as_on_the_command_line():
                     fixed__q0="0 -90 deg", fixed__start=["100cm", 1], axes__method=["EE"], axes__M=[1],
                     axes__z=["pi/2", 1])  # fmt: skip
     spec = parse(given)
-    made = spec.build({"method": "EE"}, {"M": 1, "z": 0.2, "lift": 0.0})
+    made = spec.build({"method": "EE", "M": 1, "z": 0.2, "lift": 0.0})
     assert (made.Ts, made.drive.delay, made.drive.measurement_delay, made.drive.lag) == (0.004, 8.5, 2, 0.02)
     assert float(made.law.alpha) == pytest.approx(50.0)  # of an expression of Ts
     np.testing.assert_allclose(made.q0, [0, -np.pi / 2])

@@ -35,7 +35,7 @@ class Weighed(Pinocchio):
         return self.data.com[0].copy(), j, self.data.mass[0]
 
 
-@pytest.mark.parametrize("name", ["g1", "talos", "icub", "baxter", "tiago_pro", "romeo", "pr2"])
+@pytest.mark.parametrize("name", ["g1", "talos", "icub", "pr2"])
 def test_it_is_pinocchios(name):
     """Breaks for a link that is left out, and for a joint that moves what it does not carry."""
     tree, other = read_urdf(ROOT / ROBOTS[name]), Weighed(ROOT / ROBOTS[name])
@@ -159,7 +159,6 @@ def test_a_stack_has_it(leaning):
         (lambda: ck.center_of_mass("yx"), "`axes` must be letters"),
         (lambda: ck.center_of_mass(relative_to="foot").on(ck.load_urdf(G1, tip=ARMS[0])), "`tip` must be one of"),
         (lambda: ck.support_polygon([[0, 0], [1, 1], [2, 2]]), "`corners` must be three or more"),
-        (lambda: ck.support_polygon([[0, 0], [0, 2], [1, 0], [1, 2]], margin=0.51), "`margin` must be below 0.5, or"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, says):

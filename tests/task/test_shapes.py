@@ -24,8 +24,6 @@ PANDA_PAIRS = {
     "sphere, capsule": (ck.sphere("panda_hand", 0.08), ck.capsule("panda_link2", 0.07, *DOWN)),
     "capsule, sphere": (ck.capsule("panda_link4", 0.07, *DOWN), ck.sphere(None, 0.2, (0.3, 0.2, 0.4))),
     "capsules": (ck.capsule("panda_hand", 0.05, *DOWN), ck.capsule("panda_link2", 0.07, (0, -0.3, 0), (0, 0.1, 0.05))),
-    "sphere, table": (ck.sphere("panda_hand", 0.08), ck.half_space((0, 0.3, 2.0), 0.1)),
-    "capsule, table": (ck.capsule("panda_hand", 0.05, *DOWN), ck.half_space((0, 0, 1), 0.1)),
 }
 G1_PAIRS = {
     "hands": (ck.sphere(ARMS[0], 0.08), ck.sphere(ARMS[1], 0.08)),
@@ -33,7 +31,7 @@ G1_PAIRS = {
     "forearms": (ck.capsule("left_elbow_link", 0.05, *FOREARM), ck.capsule("right_elbow_link", 0.05, *FOREARM)),
     "forearm, torso": (ck.capsule("right_elbow_link", 0.05, *FOREARM), ck.capsule("torso_link", 0.12, *DOWN)),
 }
-CASES = [("panda", name) for name in PANDA_PAIRS] + [("g1", name) for name in G1_PAIRS]
+CASES = [("panda", name) for name in PANDA_PAIRS] + [("g1", "forearms"), ("g1", "forearm, torso")]
 
 
 def case(robot, name):
@@ -44,8 +42,6 @@ def case(robot, name):
 
 def by_coal(coal, shape, pose):
     """A shape and where it is, as coal has it: a capsule lies along its own z."""
-    if not hasattr(shape, "ends"):
-        return coal.Halfspace(np.asarray(shape.normal), float(shape.offset)), coal.Transform3s.Identity()
     position, rotation = (np.zeros(3), np.eye(3)) if shape.tip is None else pose(shape.tip)[:2]
     ends = position + np.asarray(shape.ends) @ rotation.T
     if len(ends) == 1:
@@ -123,10 +119,10 @@ def test_a_distance_is_controlled():
     [
         (lambda: ck.sphere("hand", -1.0), "`radius` must"),
         (lambda: ck.capsule("hand", 0.1, (0, 0, 0), (0, 0, 0)), "`end` must be another point"),
-        (lambda: ck.distance(ck.half_space((0, 0, 1)), ck.sphere("hand", 0.1)), r"`one` must be ck.sphere"),
-        (lambda: ck.distance(ck.sphere("hand", 0.1), ck.half_space((0, 0, 1))).on(FRANKA), "`tip` must"),
+        (lambda: ck.distance(ck.position(), ck.sphere("hand", 0.1)), r"`one` must be ck.sphere"),
+        (lambda: ck.distance(ck.sphere("hand", 0.1), ck.sphere(None, 0.1)).on(FRANKA), "`tip` must"),
         (lambda: ck.distance(*[ck.sphere("a", 0.1)] * 2), "`one` must be on another link than `other`, but is on a, t"),
-        (lambda: ck.distance(ck.sphere(None, 1), ck.half_space((0, 0, 1))), "`one` must be on another .* the base, t"),
+        (lambda: ck.distance(*[ck.sphere(None, 0.1)] * 2), "`one` must be on another .* the base, t"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, says):

@@ -1,4 +1,6 @@
-"""Descent alone: targets whose minimum is known on paper."""
+"""Descent alone: targets whose minimum is known on paper; and losses in plain NumPy."""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ import pytest
 
 from cnclik.record import record
 from cnclik.tuning.descent import Bounds, descend
+from cnclik.tuning.tune import LOSSES, terms
 
 
 @record
@@ -34,15 +37,16 @@ TARGETS = {  # w, centre, a, b, wall: minimum
     "wall behind the minimum": ([1, 1], [2, 2], [0, 0], 1, 2.1, [2, 2]),
     "constraint in front of a wall": ([1, 1], [3, 0], [1, 0], 1.5, 1.6, [1.5, 0]),
 }
+SQUARE = Bounds(np.full(2, -5.0), np.full(2, 5.0))
 
 
-def minimum(target, bounds=Bounds(np.full(2, -5.0), np.full(2, 5.0)), **options):
+def minimum(target, **options):
     w, centre, a, b, wall, _ = (np.asarray(v, float) for v in TARGETS[target])
     bowl = Bowl(w=w, centre=centre, a=a, b=b, wall=wall)
     with jax.enable_x64(True):
-        best, count, status = descend(bowl, bounds, bounds.free(np.array([-2.0, -1.0])), **options)
+        best, count, status = descend(bowl, SQUARE, np.array([-2.0, -1.0]), **options)
     assert count <= options.get("steps", 100) and best.excess <= 1e-9
-    np.testing.assert_array_equal(best.seen, bounds.values(best.u))
+    np.testing.assert_array_equal(best.seen, SQUARE.values(best.u))
     return best, status
 
 
@@ -55,23 +59,43 @@ def test_minima_known_on_paper(target):
     assert status == "converged"
 
 
-def test_another_optimizer():
+def test_another_optimizer_progress_and_an_end():
     best, _ = minimum("free", optimizer=optax.adam(0.3))
     np.testing.assert_allclose(best.u, [1, 2], atol=1e-2)
+    reports = []
+    _, status = minimum("badly scaled", steps=5, progress=lambda *report: reports.append(report))
+    assert status == "steps" and [report[:2] for report in reports] == [(k, 5) for k in range(3, 6)]
+    assert reports[-1][2].startswith("loss ")
 
 
 def test_bounds_are_reached_and_never_left():
     bounds = Bounds(np.array([1e-3, -1.0]), np.array([1e3, 1.0]))
-    values = np.array([[1e-3, -1.0], [0.5, 0.3], [1e3, 1.0]])
-    for some in values:
-        np.testing.assert_allclose(bounds.values(bounds.free(some)), some, rtol=1e-6)
+    for some in ([1e-3, -1.0], [0.5, 0.3], [1e3, 1.0]):
+        np.testing.assert_allclose(bounds.values(bounds.free(np.array(some))), some, rtol=1e-6)
     for far in (1.0, 50.0, 1e9):
         u = bounds.within(np.array([far, -far]))
         assert np.all(np.asarray(bounds.values(u)) <= bounds.upper * (1 + 1e-6)) and u[1] >= -1
 
 
-def test_progress_is_told_and_steps_are_an_end():
-    told = []
-    _, status = minimum("badly scaled", steps=5, progress=lambda *report: told.append(report))
-    assert status == "steps" and [report[:2] for report in told] == [(k, 5) for k in range(2, 6)]
-    assert told[-1][2].startswith("loss ")
+class Run(NamedTuple):
+    """As much of a `Trajectory` as losses look at."""
+
+    t: np.ndarray
+    e: np.ndarray
+    qdot: np.ndarray
+
+
+def test_losses_are_what_their_lines_say():
+    rng, N, Ts = np.random.default_rng(3), 12, 0.1
+    run = Run(2.0 + Ts * np.arange(N + 1), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 3)))
+    squares = np.sum(run.e[1:] ** 2, axis=1)
+    jerks = np.sum((run.qdot[2:] - 2 * run.qdot[1:-1] + run.qdot[:-2]) ** 2, axis=1) / Ts**4
+    wanted = {
+        "tracking": np.sqrt(np.mean(squares)),
+        "settling": Ts * np.sum(squares / (squares + 1e-6)),
+        "effort": np.sqrt(np.mean(np.sum(run.qdot**2, axis=1))),
+        "jerk": np.sqrt(np.mean(jerks)),
+    }
+    assert {name: pytest.approx(float(loss(run)), rel=1e-12) for name, loss in LOSSES.items()} == wanted
+    total = sum(weight * loss(run) for loss, weight in terms({"tracking": 2.0, "jerk": 1e-3}))
+    np.testing.assert_allclose(total, 2 * wanted["tracking"] + 1e-3 * wanted["jerk"], rtol=1e-12)

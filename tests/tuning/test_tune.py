@@ -9,8 +9,9 @@ import cnclik as ck
 from cnclik.integrate.method import DEFAULT
 from cnclik.tuning import Parameter, scaled_links, tune
 from cnclik.tuning.descent import Bounds, evaluate
-from cnclik.tuning.parameters import chosen
+from cnclik.tuning.parameters import chosen, ends
 from cnclik.tuning.tune import objective_of
+from tests.bank import told
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])  # the tip is at (1, 1)
@@ -36,7 +37,7 @@ def test_reach_with_explicit_euler_finds_the_dead_beat_gain():
 
 
 def test_the_papers_feedforward_is_three_times_too_large():
-    found = at(ck.with_feedforward(LINE, [-1.0, 0.0]), method="CN", over="feedforward")
+    found = at(told(LINE, np.array([-1.0, 0.0])), method="CN", over="feedforward")
     # The path moves −1/(N·Ts) = −1/3 per second. The method's own error, O(Ts²), is what remains.
     assert abs(found.values["feedforward"] - 1 / 3) < 1e-3 and found.losses[1] < 2.2e-4 < 0.1 < found.losses[0]
 
@@ -48,8 +49,8 @@ def first_error(run):
 def test_gain_under_measurement_noise_has_a_closed_form():
     """One step of a linear loop leaves e0 − z (e0 + w): the best z is that of a line fitted through the draws."""
     e0, noise = np.array([1e-4, -5e-5]), 5e-5 * np.random.default_rng(0).standard_normal((16, 30, 2))
-    found, told = at(NEAR, loss=first_error, noise=noise, **FREE), e0 + noise[:, 0]
-    assert abs(0.1 * found.values["alpha"] - np.sum(told * e0) / np.sum(told**2)) < 1e-3
+    found, measured = at(NEAR, loss=first_error, noise=noise, **FREE), e0 + noise[:, 0]
+    assert abs(0.1 * found.values["alpha"] - np.sum(measured * e0) / np.sum(measured**2)) < 1e-3
     assert found.loss == "first_error"
 
 
@@ -102,27 +103,24 @@ def test_what_was_tuned_is_what_solve_runs():
 
 def test_float32_as_float64():
     """Python's default: the same program runs in float64, and what comes back is for any setting."""
-    told = []
+    reports = []
     with jax.enable_x64(True):
         wide = at(**FREE)
     with jax.enable_x64(False):
-        found = at(**FREE, progress=lambda *report: told.append(report))
-        run = ck.solve(*found.loop)
-        assert run.q.dtype == np.float32 and len(told) > 1 and found.after.q.dtype == np.float64
+        found = at(**FREE, progress=lambda *report: reports.append(report))
+        assert ck.solve(*found.loop).q.dtype == np.float32 and len(reports) > 1 and found.after.q.dtype == np.float64
     np.testing.assert_allclose([found.values["alpha"], *found.losses], [wide.values["alpha"], *wide.losses], rtol=1e-6)
-    np.testing.assert_allclose(run.q, found.after.q, rtol=0, atol=1e-5)
 
 
 def test_a_loop_without_an_error_keeps_its_gain():
     """Roundings prefer no gain: one that they chose would be an accident."""
     found = at(ck.line([1.0, 1.0], [1.0, 1.0], duration=3.0), law=ck.replace(LAW, alpha=2.0))
     assert found.status == "nothing" and found.values["alpha"] == pytest.approx(2.0) and found.satisfied
-    assert found.why.startswith("Nothing to tune by")
 
 
 def test_runs_that_are_not_finite_are_told():
     found = at(loss=lambda run: jnp.nan * run.e[1, 0])
-    assert found.status == "non-finite" and not found.satisfied and found.why.startswith("The run is not finite")
+    assert found.status == "non-finite" and not found.satisfied
 
 
 def test_the_loss_is_the_mean_over_paths_and_starts():
@@ -183,22 +181,13 @@ def test_joint_velocity_limit_binds_and_is_kept():
 def test_a_path_that_no_gain_makes_slow_enough_is_told():
     found = at(velocity_limit=0.05)
     assert found.status == "infeasible" and not found.satisfied and found.speeds[1] > 5
-    assert found.why.startswith("No values were found that keep the limits of joint speed")
-
-
-def test_drives_that_differ_between_joints_take_one_gain():
-    lags = ck.Drive(lag=[0.05, 0.2])
-    found = at(drive=lags)
-    assert found.values["alpha"] == pytest.approx(ck.gains(Ts=0.1, drive=lags, method="EE").recommended)
-    with pytest.raises(ck.ArgumentError, match="be the same for all joints where gains differ"):
-        at(law=ck.replace(LAW, alpha=[5.0, 5.0]), drive=lags)
 
 
 RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command="position", feedback="rebased")
 
 
 @pytest.mark.parametrize(
-    "options, told",
+    "options, words",
     [
         ({"loss": "trakcing"}, "did you mean 'tracking'"),
         ({"loss": {"tracking": 0.0}}, "weight of tracking` must be positive"),
@@ -207,11 +196,15 @@ RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command
         ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
         ({"progress": 5}, "`progress` must be a function or None"),
         ({"N": 2}, "`N` must be at least 3"),
+        (
+            {"law": ck.replace(LAW, alpha=[5.0, 5.0]), "drive": ck.Drive(lag=[0.05, 0.2])},
+            "be the same for all joints where gains differ",
+        ),
         ({"drive": RUNS_AWAY}, "`drive` must allow a gain, but each position command starts at the measured joints"),
     ],
 )
-def test_what_does_not_fit_is_named(options, told):
-    with pytest.raises(ck.ArgumentError, match=told):
+def test_what_does_not_fit_is_refused(options, words):
+    with pytest.raises(ck.ArgumentError, match=words):
         at(**options)
 
 
@@ -246,18 +239,15 @@ LINKS = Parameter(
 )
 
 
-@pytest.mark.parametrize("over", ["alpha", ("alpha", LINKS, "feedforward")], ids=["forward", "reverse"])
-def test_derivatives_are_those_of_differences(over):
+def test_derivatives_in_reverse_mode_are_those_of_differences():
     with jax.enable_x64(True):
         arm, q0 = ck.planar_arm([1.0] * 5, clockwise=True), np.array([0.0, 1.2, 0.3, -0.2, 0.4])
         law = ck.Law(arm, ck.position("xy"), alpha=np.array([5.0, 3.0]))
         path = ck.line((tip := np.asarray(ck.forward(arm, q0).position)[:2]) + 0.05, tip - 0.2, duration=3.0)
-        found = chosen(over, law, {}, ck.gains(Ts=0.05, drive=ck.Drive(), method="EE"))
-        how, loss = (4, ck.EE, ck.picard(5)), {"tracking": 1.0, "jerk": 1e-5}
+        found = chosen(("alpha", LINKS, "feedforward"), law, {}, ck.gains(Ts=0.05, drive=ck.Drive(), method="EE"))
+        how, loss = (4, ck.METHODS["EE"], ck.picard(5)), {"tracking": 1.0, "jerk": 1e-5}
         objective = objective_of(law, found, [path], q0, 0.05, how, loss=loss, drive=ck.Drive(), limit=1e6)
-        lower, upper, start = (
-            np.concatenate([getattr(p, k).ravel() for p in found]) for k in ("lower", "upper", "start")
-        )
+        lower, upper, start = ends(found)
         bounds = Bounds(lower, upper)
         u, h = bounds.free(start) - 0.1, 1e-6
         fastest = 1e6 * (1 + evaluate(objective, bounds, u).excess)
@@ -267,5 +257,5 @@ def test_derivatives_are_those_of_differences(over):
             evaluate(objective, bounds, u + h * d).merit - evaluate(objective, bounds, u - h * d).merit
             for d in np.eye(len(u))
         ]
-    assert len(u) == (2 if over == "alpha" else 9)
+    assert len(u) == 9
     np.testing.assert_allclose(slope, np.array(apart) / (2 * h), rtol=2e-5, atol=1e-7 * np.abs(slope).max())

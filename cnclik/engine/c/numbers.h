@@ -11,7 +11,7 @@ static inline T K(select)(M m, T a, T b)
   return (T)((w & (BITS)a) | (~w & (BITS)b));
 }
 
-static LOADS T K(load)(const N *p, int64_t stride, int64_t n)
+static inline T K(load)(const N *p, int64_t stride, int64_t n)
 {
   T r = {0};
   if (stride == 0) return K(splat)(*p);
@@ -33,7 +33,7 @@ static inline void K(store_four)(N *p, int64_t stride, T a, T b, T c, T d, int64
   for (int i = 0; i < n; ++i) for (int k = 0; k < 4; ++k) p[i * stride + k] = v[k][i];
 }
 
-static LOADS void K(store)(N *p, int64_t stride, T v, int64_t n)
+static inline void K(store)(N *p, int64_t stride, T v, int64_t n)
 {
   if (n == W) for (int i = 0; i < W; ++i) p[i * stride] = v[i];
   else for (int i = 0; i < n; ++i) p[i * stride] = v[i];

@@ -4,25 +4,13 @@
 #define SMALL 4194304.0f /* larger numbers are whole */
 #define FAR 1e4f
 #define PI_LOW -8.742278e-08f
-#define FRACTION 23 /* bits */
 #define WIDE(name) __builtin_ia32_##name##ps512_mask
-#define ROOT_HALF 0x3f3504f3
-#define LN_2 0.69313812256f
-#define LN_2_LOW 9.0580006145e-06f
-#define LEAST 1.17549435e-38f
-#define EPSILON 2.38418579e-07f
 #else
 #define SIGN 0x8000000000000000
 #define SMALL 2251799813685248.0
 #define FAR 1e4
 #define PI_LOW 1.2246467991473532e-16
-#define FRACTION 52
 #define WIDE(name) __builtin_ia32_##name##pd512_mask
-#define ROOT_HALF 0x3fe6a09e667f3bcd
-#define LN_2 0.6931471803691238
-#define LN_2_LOW 1.9082149292705877e-10
-#define LEAST 2.2250738585072014e-308
-#define EPSILON 4.440892098500626e-16
 #endif
 
 static inline T K(abs)(T x) { return (T)((BITS)x & (BITS_NUMBER)~SIGN); }
@@ -111,35 +99,4 @@ static inline T K(atan2)(T y, T x)
   r = K(select)(left, ((N)3.1415926535897931 - r) + PI_LOW, r);
   r = K(select)(MASK((x == x) & (y == y)), r, x + y);
   return (T)((BITS)K(abs)(r) | ((BITS)y & (BITS_NUMBER)SIGN));
-}
-
-/* log (x + lost) within 2 ulp, for x not denormal and lost far smaller: x = 2^k (1 + f), √½ ≤ 1 + f < √2, and
-   log (1 + f) = f - f²/2 + s (f²/2 + R(s²)), s = f/(2 + f) (fdlibm, Sun Microsystems 1993). */
-static inline T K(log_of)(T x, T lost)
-{
-  const BITS at = (BITS)x - ROOT_HALF, k = at >> FRACTION;
-  const T f = (T)((BITS)x - (k << FRACTION)) - 1, n = __builtin_convertvector(k, T);
-  const T s = f / (2 + f), z = s * s, h = (N)0.5 * f * f;
-#if SIZE == 4
-  const T r = z * (((0.24279078841f * z + 0.28498786688f) * z + 0.40000972152f) * z + 0.66666662693f);
-#else
-  const T r = z * ((((((0.1479819860511659 * z + 0.1531383769920937) * z + 0.1818357216161805) * z
-    + 0.22222198432149784) * z + 0.2857142874366239) * z + 0.3999999999940942) * z + 0.6666666666666735);
-#endif
-  const T found = (s * (h + r) + (n * LN_2_LOW + lost / x) - h) + f + n * LN_2;
-  const T ends = K(select)(MASK(x == 0), K(splat)(-INFINITY), K(select)(MASK(x > 0), x, K(splat)(NAN)));
-  return K(select)(MASK((x > 0) & (x < K(splat)(INFINITY))), found, ends);
-}
-
-static inline T K(log)(T x)
-{
-  const M small = MASK((x > 0) & (x < LEAST));
-  const T n = K(select)(small, K(splat)(FRACTION), K(splat)(0));
-  return K(log_of)(K(select)(small, x * ((N)2 / EPSILON), x), K(splat)(0)) - n * (N)0.69314718055994531;
-}
-
-static inline T K(log1p)(T x)
-{
-  const T u = 1 + x;
-  return K(select)(MASK(x == 0), x, K(log_of)(u, K(select)(MASK(u > 2), 1 - (u - x), x - (u - 1))));
 }

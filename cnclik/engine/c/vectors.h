@@ -21,9 +21,6 @@
 #endif
 #endif
 #define W (BYTES / MAIN)
-#ifndef LOADS /* as functions that are called they build sooner */
-#define LOADS inline
-#endif
 
 #define VECTOR(name, number) typedef number name __attribute__((vector_size(W * sizeof(number))))
 VECTOR(F32, float);

@@ -59,17 +59,17 @@ def defaults(data) -> list:
     if value is None:
         return []
     methods = data.sizes.get("method", 1)
-    out: list = []
+    tables: list = []
     if len(axes) > 1:
         kinds = ("heat", "best") if methods > 1 else ("heat",)
-        out += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
+        tables += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
     elif axes:
-        out.append({"kind": "slices", "value": value, "x": axes[0]})
+        tables.append({"kind": "slices", "value": value, "x": axes[0]})
     if starts:
-        out.append({"kind": "distribution", "value": value, "over": starts[0]})
+        tables.append({"kind": "distribution", "value": value, "over": starts[0]})
     if "Ts" in data.dims and "evaluations" in scalars(data) and len(np.unique(data.evaluations)) > methods:
-        out.append({"kind": "slices", "value": value, "x": "evaluations", "over": "Ts", "name": f"work_{value}"})
-    return out
+        tables.append({"kind": "slices", "value": value, "x": "evaluations", "over": "Ts", "name": f"work_{value}"})
+    return tables
 
 
 def arrange(data, table: dict) -> Layout:
@@ -127,19 +127,14 @@ def _looks(table) -> dict:
     """Return the look of a table, checked."""
     for key in ("name", "title"):
         errors.kind(key, table.get(key, "-"), str, "be a text")
-    name = table.get("name", "-")
+    name, limits = table.get("name", "-"), table.get("limits")
     if set(name) & set("/\\") or name in ("", ".", ".."):
         raise errors.fail("name", "be a file's name without a folder", f"is {name!r}")
-    limits = table.get("limits")
-    if limits is not None and not (
-        isinstance(limits, list) and len(limits) == 2 and all(type(v) in (int, float) for v in limits)
-    ):
-        raise errors.fail("limits", "be [least, greatest]", f"is {limits!r}")
     return {
         "reduce": errors.one_of("reduce", table.get("reduce", "median"), REDUCE),
         "title": table.get("title"),
         "log": errors.truth("log", table["log"]) if "log" in table else None,
-        "limits": limits,
+        "limits": None if limits is None else tuple(np.asarray(errors.array("limits", limits, (2,))).tolist()),
     }
 
 
@@ -158,13 +153,7 @@ def view(data, layout: Layout):
     """Return the part of the data that the figure shows."""
     shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
     for dim, wanted in layout.select.items():
-        labels = shown[dim].values
-        at = (
-            abs(labels - wanted).argmin()
-            if labels.dtype.kind == "f"
-            else labels.astype(str).tolist().index(str(wanted))
-        )
-        shown = shown.isel({dim: int(at)})
+        shown = shown.sel({dim: wanted}, method="nearest" if shown[dim].dtype.kind == "f" else None)
     if layout.reduced:
         shown = getattr(shown, layout.reduce)(layout.reduced, keep_attrs=True)
         words = shown[layout.value].attrs.get("long_name", "")

@@ -1,14 +1,24 @@
-"""Scene: what viser draws of a motion: the robot, the paths of its tips, their targets, and walls."""
+"""Scene: a motion in viser: the robot, the paths of its tips, their targets, walls, and a slider over time."""
+
+import contextlib
+import html
+import io
+import threading
+import time
 
 import numpy as np
+import viser
 
-from cnclik.integrate.status import level
+from cnclik import errors
+from cnclik.integrate.status import level, names
 from cnclik.robot import poses
 from cnclik.robot.posture import arm_length, is_planar
 from cnclik.show import style
+from cnclik.show.motion import error_parts
 from cnclik.show.viewer.shapes import GREY, meshes_of, shapes_of, shapes_of_walls, thickness
 
 MOST_POINTS = 600  # of a path
+RATE = 30.0  # frames a second
 
 
 def rgb(color: str) -> tuple:
@@ -16,12 +26,13 @@ def rgb(color: str) -> tuple:
     return tuple(bytes.fromhex(color.lstrip("#")))
 
 
-class Scene:
-    """A motion on a floor; `show` moves it to an instant."""
+class Viewer:
+    """A run that a browser shows at `url` until `stop()`."""
 
-    def __init__(self, server, motion, *, walls=(), robot=None):
+    def __init__(self, motion, *, name="", walls=(), robot=None, host="localhost", port=8080):
         """Args: walls: of the run's law. robot: URDF file with the robot's meshes."""
-        self.server, self.motion, scene, chain = server, motion, server.scene, motion.chain
+        self.server, self.motion, self.name, chain = _server(host, port), motion, name, motion.chain
+        self.url, scene = f"http://{host}:{self.server.get_port()}", self.server.scene
         thick, count = thickness(chain), len(motion.poses)
         status = motion.data.status.values
         self.levels = level(np.append(status, status[-1:]))[:count]
@@ -34,14 +45,22 @@ class Scene:
         solid += [(*shape, {"opacity": 0.2, "side": "double"}) for shape in shapes_of_walls(walls, chain)]
         for k, (frame, mesh, color, look) in enumerate(solid):
             scene.add_mesh_simple(f"/{frame}/{k}", mesh.vertices, mesh.faces, color=rgb(color), **look)
-        size = (0.6 if meshes else 1.1) * thick
         tips = range(motion.poses.shape[1] - len(chain.tips), motion.poses.shape[1])
+        size = (0.6 if meshes else 1.1) * thick
         self.tips = [scene.add_icosphere(f"/{i}/tip", size, rgb(style.FINE)) for i in tips]
         self.goals = {i: target for i, target in enumerate(motion.targets) if target is not None}
         self.balls = {i: scene.add_icosphere(f"/goal{i}", 0.8 * thick, rgb(style.BLACK)) for i in self.goals}
         self._draw_paths(np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)), thick)
         self._look(self.places.reshape(-1, 3), thick)
-        self.show(0)
+        self.t, gui = motion.data.time.values.astype(float), self.server.gui
+        begin, end = float(self.t[0]), max(float(self.t[-1]), float(self.t[0]) + 1e-9)
+        self.caption = gui.add_html("")
+        self.slider = gui.add_slider("time [s]", begin, end, (end - begin) / 1000, begin)
+        self.playing = gui.add_checkbox("play", True)
+        self.slider.on_update(lambda event: self.show(self.slider.value) if event.client is not None else None)
+        self._busy, self._ended = threading.Lock(), threading.Event()
+        self.show(begin)
+        threading.Thread(target=self._play, daemon=True).start()
 
     def _draw_paths(self, some, thick):
         """Draw paths of tips in green, amber or red, and those of targets in grey."""
@@ -62,24 +81,66 @@ class Scene:
         right = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 0.87, 0.0])
         middle = (low + high) / 2 + 0.2 * span * right  # the panel covers the right of the page
         cell = 10.0 ** np.floor(np.log10(span / 2)) / 2
-        floor = (*middle[:2], min(low[2], 0.0) - 2 * thick)
-        look = {"cell_size": cell, "section_size": 5 * cell, "cell_thickness": 0.7}
-        self.server.scene.add_grid("/floor", 4 * span, 4 * span, position=floor, **look)
+        look = {"position": (*middle[:2], min(low[2], 0.0) - 2 * thick), "cell_thickness": 0.7}
+        self.server.scene.add_grid("/floor", 4 * span, 4 * span, cell_size=cell, section_size=5 * cell, **look)
         camera = self.server.initial_camera
         camera.position, camera.look_at = tuple(middle + span * away), tuple(middle)
         camera.up, camera.fov = (0, 1, 0) if flat else (0, 0, 1), np.radians(50)
 
-    def show(self, k) -> None:
-        """Show the instant of index k."""
-        with self.server.atomic():
+    def show(self, t) -> None:
+        """Show the instant nearest to a time [s]."""
+        k = int(np.abs(self.t - min(max(t, self.t[0]), self.t[-1])).argmin())  # a browser accepts any number
+        with self._busy, self.server.atomic():
             for i, frame in enumerate(self.frames):
                 frame.position, frame.wxyz = self.places[k, i], self.turns[k, i]
             for ball in self.tips:
                 ball.color = rgb(style.LEVELS[self.levels[k]])
             for i, ball in self.balls.items():
                 ball.position = self.goals[i][k]
+            self.caption.content = caption(self.name, self.motion.data, k)
+
+    def _play(self):
+        last = time.perf_counter()
+        while not self._ended.wait(1 / RATE):
+            now = time.perf_counter()
+            if self.playing.value and self.server.get_clients():
+                ended = self.slider.value >= self.slider.max
+                t = self.slider.min if ended else self.slider.value + now - last
+                self.slider.value = min(t, self.slider.max)
+                self.show(self.slider.value)
+            last = now
+
+    def stop(self) -> None:
+        """End the server."""
+        self._ended.set()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def __repr__(self):
+        return f"Viewer({self.url})"
+
+
+def caption(name, data, k) -> str:
+    """Return what is shown now, as HTML: name, time, errors, status."""
+    status = data.status.values[min(k, data.sizes["step"] - 1)] if data.sizes["step"] else 0
+    parts = [(task, np.linalg.norm(data.e.values[k, some]), unit) for task, unit, some in error_parts(data)]
+    sizes = ", ".join(f"{task} {size:.3g} {unit}".strip() for task, size, unit in parts)
+    lines = name, f"t = {data.time.values[k]:.3f} s", f"error {sizes}", names(status).replace("|", ", ")
+    return f"<div style='padding:0.1em 1em;font-size:0.85em'>{'<br>'.join(map(html.escape, lines))}</div>"
 
 
 def _segments(paths):
     """Return lines (paths, k − 1, 2, 3) from each point of some paths (paths, k, 3) to the next."""
     return np.stack([paths[:, :-1], paths[:, 1:]], 2)
+
+
+def _server(host, port):
+    """Return a viser server without its words on the terminal, on the next port that is free."""
+    errors.integer("port", port, at_least=1, at_most=65_000)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server = viser.ViserServer(host=host, port=port, label="cnclik", verbose=False)
+    except (OSError, RuntimeError) as error:
+        raise errors.fail("host", "be one that this machine can listen on", f"is {host!r}: {error}") from None
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    return server

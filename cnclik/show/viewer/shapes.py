@@ -1,5 +1,6 @@
 """Shapes: the meshes that a robot's URDF file names, or cylinders made of a chain alone; and those of walls."""
 
+import contextlib
 import os
 import pathlib
 from typing import NamedTuple
@@ -38,31 +39,20 @@ def thickness(chain) -> float:
 
 def shapes_of(chain) -> list:
     """Return shapes of a chain, or of a tree: links in one colour, joints in another. Frames are those of a Motion."""
-    thick, found = thickness(chain), []
+    thick, shapes = thickness(chain), []
     ends = [(parent + 1, joint.origin) for joint, parent in zip(chain.joints, chain.parents, strict=True)]
     for frame, offset in [*ends, *((tip.joint + 1, tip.offset) for tip in chain.tips)]:
         end = np.array(offset.position, float)
         if np.linalg.norm(end) > 0.2 * thick:
-            found.append(Shape(frame, rod(np.zeros(3), end, thick), style.SKY if frame else GREY))
+            shapes.append(
+                Shape(frame, trimesh.creation.cylinder(thick, segment=[0 * end, end]), style.SKY if frame else GREY)
+            )
     for i, joint in enumerate(chain.joints, 1):
         of_base = joint.kind == PRISMATIC and np.isinf(chain.lower[joint.coordinate])
         if joint.kind != BALL and not of_base:  # joints of a base have no shape
             along = 1.2 * thick * np.array(joint.axis, float)
-            found.append(Shape(i, rod(-along, along, 1.3 * thick), style.BLUE))
-    return found
-
-
-def rod(start, end, radius, *, round_ends=False) -> trimesh.Trimesh:
-    """Return a cylinder, or a capsule with its centres at start and end."""
-    if not round_ends:
-        return trimesh.creation.cylinder(radius, segment=[start, end])
-    along = np.subtract(end, start)
-    mesh = trimesh.creation.capsule(np.linalg.norm(along), radius)
-    return _turned(mesh, along).apply_translation(np.add(start, end) / 2)
-
-
-def _turned(mesh, z):
-    return mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], z))
+            shapes.append(Shape(i, trimesh.creation.cylinder(1.3 * thick, segment=[-along, along]), style.BLUE))
+    return shapes
 
 
 def meshes_of(file, motion) -> tuple:
@@ -97,31 +87,30 @@ def meshes_of(file, motion) -> tuple:
 def link_meshes(file, link) -> list:
     """Return the meshes of a <link>: its visual ones, or those for collisions."""
     for kind in ("visual", "collision"):
-        meshes = [_mesh(file, element) for element in link.findall(kind)]
-        if meshes and all(mesh is not None for mesh in meshes):
-            return meshes
+        with contextlib.suppress(Exception):  # damaged files raise all kinds of errors in a dozen readers
+            if meshes := [_mesh(file, element) for element in link.findall(kind)]:
+                return meshes
     return []
 
 
 def _mesh(file, element):
-    """Return the mesh of a <visual> or <collision> in its link's frame, or None."""
-    try:
-        (shape,), origin = element.find("geometry"), element.find("origin")
-        if shape.tag == "box":
-            mesh = trimesh.creation.box(_numbers(shape, "size"))
-        elif shape.tag == "cylinder":
-            mesh = trimesh.creation.cylinder(float(shape.get("radius")), float(shape.get("length")))
-        elif shape.tag == "sphere":
-            mesh = trimesh.creation.icosphere(2, float(shape.get("radius")))
-        else:
-            path = _file_of(file, shape.get("filename"))
-            mesh = trimesh.load(path, force="mesh").apply_scale(_numbers(shape, "scale", "1 1 1"))
-        if origin is not None:
-            mesh.apply_transform(trimesh.transformations.euler_matrix(*_numbers(origin, "rpy", "0 0 0")))
-            mesh.apply_translation(_numbers(origin, "xyz", "0 0 0"))
-        return mesh if len(mesh.faces) else None
-    except Exception:  # damaged files raise all kinds of errors in a dozen readers, as do those that aren't there
-        return None
+    """Return the mesh of a <visual> or <collision> in its link's frame."""
+    (shape,), origin = element.find("geometry"), element.find("origin")
+    if shape.tag == "box":
+        mesh = trimesh.creation.box(_numbers(shape, "size"))
+    elif shape.tag == "cylinder":
+        mesh = trimesh.creation.cylinder(float(shape.get("radius")), float(shape.get("length")))
+    elif shape.tag == "sphere":
+        mesh = trimesh.creation.icosphere(2, float(shape.get("radius")))
+    else:
+        path = _file_of(file, shape.get("filename"))
+        mesh = trimesh.load(path, force="mesh").apply_scale(_numbers(shape, "scale", "1 1 1"))
+    if origin is not None:
+        mesh.apply_transform(trimesh.transformations.euler_matrix(*_numbers(origin, "rpy", "0 0 0")))
+        mesh.apply_translation(_numbers(origin, "xyz", "0 0 0"))
+    if not len(mesh.faces):
+        raise ValueError("no faces")
+    return mesh
 
 
 def _numbers(element, name, default=None):
@@ -148,38 +137,30 @@ def _file_of(file, name):
 
 def shapes_of_walls(walls, chain) -> list:
     """Return shapes of walls that are of positions or of distances: planes, and what is kept off each other."""
-    found = []
-    for wall in walls:
-        part = wall.task.parts[0]
+    shapes = []
+    for part, wall in ((wall.task.parts[0], wall) for wall in walls):
         if hasattr(part, "one"):
-            found += [_solid(shape, chain) for shape in (part.one, part.other)]
+            shapes += [_solid(shape, chain) for shape in (part.one, part.other)]
         elif hasattr(part, "axes"):
             normal = np.zeros(3)
             normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
-            size = np.linalg.norm(normal)
-            mesh = _plane(normal / size, wall.offset / size, chain)
-            found.append(Shape(_frame(part.to, chain), mesh, style.LOST))
-    return found
+            wide = float(arm_length(chain))
+            mesh = trimesh.creation.box((wide, wide, 0.002 * wide))
+            mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], normal))
+            mesh.apply_translation(normal * float(wall.offset) / (normal @ normal))
+            shapes.append((_frame(part.to, chain), mesh))
+    return [Shape(frame, mesh, style.LOST) for frame, mesh in shapes]
 
 
-def _solid(shape, chain) -> Shape:
-    """Return a half space, a capsule or a sphere of a distance."""
-    if hasattr(shape, "normal"):
-        return Shape(0, _plane(shape.normal, shape.offset, chain), style.LOST)
-    ends, radius = np.asarray(shape.ends, float), float(shape.radius)
-    if len(ends) > 1:
-        mesh = rod(ends[0], ends[-1], radius, round_ends=True)
-    else:
-        mesh = trimesh.creation.icosphere(3, radius).apply_translation(ends[0])
-    return Shape(_frame(shape.tip, chain), mesh, style.LOST)
+def _solid(shape, chain) -> tuple:
+    """Return the frame and the mesh of a capsule or a sphere of a distance."""
+    (start, *_, end), radius = np.broadcast_to(shape.ends, (2, 3)).astype(float), float(shape.radius)
+    along = end - start
+    mesh = trimesh.creation.capsule(np.linalg.norm(along), radius)
+    if along.any():
+        mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along))
+    return _frame(shape.tip, chain), mesh.apply_translation((start + end) / 2)
 
 
 def _frame(tip, chain) -> int:
     return 0 if tip is None else 1 + len(chain.joints) + chain.tip_number(tip)
-
-
-def _plane(normal, offset, chain):
-    """Return a thin square at normal · x = offset."""
-    size = float(arm_length(chain))
-    mesh = _turned(trimesh.creation.box((size, size, 0.002 * size)), normal)
-    return mesh.apply_translation(np.asarray(normal, float) * float(offset))
