@@ -319,7 +319,7 @@ def _made(log, fit) -> DriveFit:
 
 def _together(log, kind, parts, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
-    information = _information(log, kind, parts, fitted)
+    every, information = np.arange(log.k), _information(log, kind, parts, fitted)
     cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean, apart = _shared(fitted, information)
     free = (log.k - 1) * len(mean)
