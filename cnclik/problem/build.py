@@ -227,6 +227,8 @@ def _law(chain, task, v, Ts) -> Law:
         if rate is None:  # at most the rate at which one step can stop a joint at its limit
             rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
         limits["bounded"] = bounded(rate)
+        if damping is None:
+            raise errors.fail("limits", "come with `damping`, such as 0.05, if it is bounded", "comes without")
     elif rate is not None:
         raise errors.fail("limit_rate", "come with limits bounded", f"comes with {v['limits'] or 'none'}")
     elif v["limits"] is not None:

@@ -186,6 +186,7 @@ def test_units_follow_the_task(fixed, axes, unit):
     [
         ({"qestion": 1}, "`key of SPEC` must be one of question"),
         ({"axes__alpah": [1.0]}, "is 'alpah' (did you mean 'alpha'?)"),
+        ({"fixed__tipp": "hand"}, "`tipp` must be an option (did you mean 'tip'?), or use names that have a value"),
         ({"fixed__alpha": "zz/Ts"}, "`alpha` must use names that have a value, but uses 'zz' (did you mean 'z'?)"),
         ({"fixed__metrics": ["mean_error"]}, "`fixed.metrics` must stand above all tables, but is in [fixed]"),
         ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
