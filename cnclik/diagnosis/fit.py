@@ -288,6 +288,8 @@ def _made(log, fit) -> DriveFit:
     if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
+    if own:  # a joint that is left out has the numbers of the others
+        values[~follows], covs[~follows] = values[follows].mean(0), covs[follows].mean(0)
     chosen = follows if own else slice(None)
     alpha, notes = _recommended(log, kind, values[chosen], covs[chosen], gain[follows])
     wide = NORMAL * np.minimum(np.sqrt(np.diagonal(covs, axis1=1, axis2=2)), WIDE)
@@ -304,7 +306,7 @@ def _made(log, fit) -> DriveFit:
     rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
     if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
         notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
-    if np.any(off := np.abs(gain - 1) > OFF):
+    if np.any(off := follows & (np.abs(gain - 1) > OFF)):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
