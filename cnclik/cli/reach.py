@@ -129,8 +129,10 @@ def _given(task, points):
 
 
 def _point(values) -> str:
-    units = " m" * (len(values) != 4) + ", quaternion w x y z" * (len(values) > 3)
-    return f"{' '.join(f'{v:.5g}' for v in values)}{units}"
+    words = [f"{v:.5g}" for v in values]
+    place, turn = (words[:-4], words[-4:]) if len(words) > 3 else (words, [])
+    said = [f"{' '.join(place)} m"] * bool(place) + [f"quaternion w x y z = {' '.join(turn)}"] * bool(turn)
+    return ", ".join(said)
 
 
 def _of_file(task, file):

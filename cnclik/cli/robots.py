@@ -34,7 +34,7 @@ def run(robot: str) -> None:
     print(f"{links}, {moving} moving joints, {mimic} of them mimic.")
     for name, straight, beyond in _past_straight(tree):
         print(
-            f"Joint {_plain(name)} is straight at {math.degrees(straight):.1f}° and bends "
+            f"Joint {_plain(name)} is straight at {round(math.degrees(straight), 1) + 0.0:.1f}° and bends "
             f"{math.degrees(beyond):.0f}° beyond: start it bent the usual way, and give `near` to reach."
         )
     print(f"Tips (leaf links that a joint moves; any link may be one): {_plain(', '.join(tips)) or 'none'}.")

@@ -6,6 +6,7 @@ import dataclasses
 import os
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -182,10 +183,13 @@ def problem_from(
     parts = names.task_from(v["task"], chain)
     check_units(chain, parts, written)
     law = _law(chain, parts, v, Ts)
-    q0 = names.start_from(chain, parts, v["q0"])
-    path = paths.reference_from(v["reference"], chain, parts, q0, horizon=N * Ts, **{k: v[k] for k in paths.OPTIONS})
-    if errors.one_of("begin", v["begin"], ("q0", "on-path")) == "on-path":
-        q0 = paths.on_path(chain, parts, path, q0)
+    begin = errors.one_of("begin", v["begin"], ("q0", "on-path"))
+    with jax.ensure_compile_time_eval():  # in a sweep, the start of a path that all loops share is searched for once
+        q0 = names.start_from(chain, parts, v["q0"])
+        options = {k: v[k] for k in paths.OPTIONS}
+        path = paths.reference_from(v["reference"], chain, parts, q0, horizon=N * Ts, **options)
+        if begin == "on-path":
+            q0 = paths.on_path(chain, parts, path, q0)
     unknown = errors.one_of("future", v["future"], ("known", "unknown")) == "unknown"
     return Problem(
         name=names.robot_name(robot, given["tip"]),
@@ -223,6 +227,8 @@ def _law(chain, task, v, Ts) -> Law:
         if rate is None:  # at most the rate at which one step can stop a joint at its limit
             rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
         limits["bounded"] = bounded(rate)
+        if damping is None:
+            raise errors.fail("limits", "come with `damping`, such as 0.05, if it is bounded", "comes without")
     elif rate is not None:
         raise errors.fail("limit_rate", "come with limits bounded", f"comes with {v['limits'] or 'none'}")
     elif v["limits"] is not None:

@@ -234,8 +234,9 @@ def starts_of(chain, task) -> Starts:
 
     def make(chain):
         q = jax.ShapeDtypeStruct((chain.n,), np.float64)
-        call = Batches(functools.partial(tips, chain, task), [q]).bound()
-        return binned(chain, task, lambda q: call((q,), len(q)))
+        with jax.ensure_compile_time_eval():
+            call = Batches(functools.partial(tips, chain, task), [q]).bound()
+            return binned(chain, task, lambda q: call((q,), len(q)))
 
     return memoized(chain, f"_starts_{told_apart(task)}", make)
 

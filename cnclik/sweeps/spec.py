@@ -169,7 +169,9 @@ class Loop(dict):
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*self.begun, name])}")
         if name not in self.given and name != LIMIT:
             near = errors.nearest(name, (*self.given, LIMIT))
-            raise errors.fail(self.begun[-1], "use names that have a value", f"uses {name!r}{near}")
+            used = self.begun[-1]
+            option = "" if used in OPTIONS else f"be an option{errors.nearest(used, OPTIONS)}, or "
+            raise errors.fail(used, f"{option}use names that have a value", f"uses {name!r}{near}")
         self.begun.append(name)
         self[name] = value = self._limit() if name == LIMIT else self._value(name, self.given[name])
         self.begun.pop()

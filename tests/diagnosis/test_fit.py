@@ -74,6 +74,15 @@ def test_joints_share_numbers_unless_they_differ():
     assert fit.recommended_alpha < 0.8 * alike.recommended_alpha
 
 
+def test_a_joint_that_is_left_out_has_the_numbers_of_the_others():
+    """A joint that does not move as commanded was said to move by -29 times it, with 0.85 ± 7668 rad/s."""
+    command = np.stack([step(), step(size=-0.3), step(size=0.25)], 1)
+    moves = [noisy(servo(command[:, i], TS, 2.0, lag=lag), i) for i, lag in enumerate((0.02, 0.05))]
+    fit = fit_drive(None, command, np.stack([*moves, np.random.default_rng(2).normal(size=150)], 1), TS)
+    assert "Joint 3 does not follow its command, and is left out." in fit.note and "Motion is" not in fit.note
+    np.testing.assert_allclose(fit.drive.lag, [0.02, 0.05, np.sqrt(0.02 * 0.05)], rtol=0.02)
+
+
 @pytest.mark.parametrize(
     ("kind", "gain", "drift"), [("velocity", 0.9, -0.02), ("position", 1.0, 0.03), ("position", 1.2, 0)]
 )

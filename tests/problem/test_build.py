@@ -232,6 +232,7 @@ def test_every_option_has_a_help_and_takes_its_units():
         ),
         ({"limits": "velocity_scaling", "limit_rate": 2.0}, "`limit_rate` must come with limits"),
         ({"limits": "bounded", "limit_rate": -2.0}, "`limit_rate` must be positive"),
+        ({"limits": "bounded"}, "`limits` must come with `damping`, such as 0.05, if it is bounded, but comes without"),
         ({"sped": 3}, r"`option` must be one of .* \(did you mean 'speed'\?\)"),
     ],
 )

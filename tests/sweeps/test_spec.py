@@ -129,6 +129,13 @@ def test_a_spec_builds_the_loop_of_problem_from(reference):
     jax.tree.map(np.testing.assert_array_equal, wanted, built)
 
 
+def test_a_start_on_a_path_that_all_loops_share_is_searched_for_outside_of_their_program():
+    table = {"robot": "planar:1,1,1", "task": "xy", "reference": "circle", "begin": "on-path"}
+    starts = []
+    jax.jit(lambda alpha: starts.append(parse({"fixed": table}).build({"alpha": alpha}).q0)).trace(2.0)
+    np.testing.assert_allclose(np.asarray(starts[0]), problem_from(**table).q0, atol=1e-9)
+
+
 def test_the_linear_limit_is_a_value():
     spec = parse(written(fixed__alpha="z*min(limit, 10)/Ts", axes__method=["EE", "IE", "CN"]))
     lane = {"M": np.int64(2), "z": 0.5, "lift": 0.0}
@@ -179,6 +186,7 @@ def test_units_follow_the_task(fixed, axes, unit):
     [
         ({"qestion": 1}, "`key of SPEC` must be one of question"),
         ({"axes__alpah": [1.0]}, "is 'alpah' (did you mean 'alpha'?)"),
+        ({"fixed__tipp": "hand"}, "`tipp` must be an option (did you mean 'tip'?), or use names that have a value"),
         ({"fixed__alpha": "zz/Ts"}, "`alpha` must use names that have a value, but uses 'zz' (did you mean 'z'?)"),
         ({"fixed__metrics": ["mean_error"]}, "`fixed.metrics` must stand above all tables, but is in [fixed]"),
         ({"fixed__alpha": "z*(method*1000000000)"}, "method is a name, not a number"),
