@@ -38,10 +38,11 @@ class Turned(NamedTuple):
     steady: bool  # whether its size stays, as of a circular path
 
 
-def turned(y) -> Turned | None:
+def turned(y, gain=None) -> Turned | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
-    A spiral leaves d open, as a turn by the angle of d rows looks alike: the least d is taken that explains it as well.
+    A spiral leaves d open, as a turn by the angle of d rows looks alike. Of those that explain it as well that is taken
+    whose z is next to a known gain, or else the least.
     """
     first, last, jumped = window(y)
     y = y[first if jumped else max(first - 1, 0) : last]
@@ -54,7 +55,8 @@ def turned(y) -> Turned | None:
         return None
     y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
-    level, plain, spins = line(N), np.inf, []
+    level, plain = line(N), np.inf
+    spins: list = []
     for theta in (0.0, *COLOURS):
         over = [1.0, -theta]
         left, acts = free(level, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
@@ -76,10 +78,12 @@ def turned(y) -> Turned | None:
     wave = analytic(free(line(len(y)), y))
     if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not circles(wave)):
         return None
+    if gain is not None:
+        alike.sort(key=lambda spin: abs(np.log(spin[2] / gain)))
     _, _, z, turn, _ = alike[0]
-    angles = [np.linalg.norm(spin[3]) for spin in alike if spin[0] <= least + BETTER]
+    angles = [float(np.linalg.norm(spin[3])) for spin in alike if spin[0] <= least + BETTER]
     third = len(y) // 3  # the first one may be a push
-    larger = np.linalg.norm(wave[-third:]) / max(np.linalg.norm(wave[third:-third]), 1e-300)
+    larger = float(np.linalg.norm(wave[-third:])) / max(float(np.linalg.norm(wave[third:-third])), 1e-300)
     degrees = np.linalg.norm(turn) * (np.sign(turn[np.argmax(np.abs(turn))]) or 1.0)
     axis = turn / degrees if degrees else np.array([0.0, 0.0, 1.0])
     return Turned(float(degrees), axis, z, max(angles) - min(angles), bool(1 / STEADY < larger < STEADY))

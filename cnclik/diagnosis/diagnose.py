@@ -147,7 +147,7 @@ def _seen(scaled, found, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
         return {"kind": Kind.QUIET, "note": STILL}
-    if scaled.shape == y.shape and (spin := cause.turned(y)) and 15 < abs(spin.degrees) < 173:
+    if scaled.shape == y.shape and (spin := cause.turned(y, alpha and alpha * Ts)) and 15 < abs(spin.degrees) < 173:
         if spin.steady if alpha is None else not SAME[0] < spin.z / (alpha * Ts) < SAME[1]:
             return {"kind": Kind.UNDECIDED, "note": CIRCLE}
         main = int(np.argmax(np.abs(spin.axis)))

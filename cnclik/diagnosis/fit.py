@@ -235,13 +235,17 @@ class Fit(NamedTuple):
     score: float
 
 
-def _least(log, kind, parts, starts) -> Fit:
-    """The least squares of each joint, from the better of its starts (k, s, p)."""
-    values, (low, high), N = np.array(starts), _ends(kind), len(log.t)
+def _least(log, kind, parts, starts, late=None) -> Fit:
+    """The least squares of each joint, from the better of its starts (k, s, p); `late`: with this dead time."""
+    (low, high), N = _ends(kind), len(log.t)
+    free = np.array([late is None, *[True] * (len(low) - 1)])
+    low, high = np.where(free, low, late or 0.0), np.where(free, high, late or 0.0)
+    values = np.clip(starts, low, high)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
     here, slope = log.slopes(kind, values, parts, joint)
     power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
+        slope = slope * free
         normal = np.einsum("...ni,...nj->...ij", slope, slope)
         scale = damping[..., None] * (np.einsum("...ii->...i", normal) + 1e-12)
         downhill = np.einsum("...ni,...n->...i", slope, here)
@@ -328,19 +332,10 @@ def _together(log, kind, parts, fitted) -> tuple:
     if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
         least = 1 / np.sum(1 / each[:, 0, 0])
         late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
-        moved, (low, high) = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None], _ends(kind)
+        moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
         most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
-        fitted = np.clip(fitted + np.clip(moved, -most, most), low, high)
-        fitted[:, 0] = late
-        for _ in range(STEPS):  # the other numbers, by Levenberg's steps
-            left, slope = log.slopes(kind, fitted, parts, np.arange(log.k))
-            slope = slope[..., 1:]
-            normal = np.einsum("kni,knj->kij", slope, slope)
-            normal = normal + 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(slope.shape[-1])
-            step = np.linalg.solve(normal, np.einsum("kni,kn->ki", slope, left)[..., None])[..., 0]
-            fitted[:, 1:] = np.clip(fitted[:, 1:] - np.clip(step, -0.5, 0.5), low[1:], high[1:])
-            if np.abs(step).max() < 1e-4:
-                break
+        starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
+        fitted = _least(log, kind, parts, starts, late).values
         each[:, 0, 0] = least
         return fitted, each, True
     return mean[None], cov[None], False

@@ -311,11 +311,16 @@ def read(y) -> Loop | None:
     best = None
     for period in periods_of(main_parts(y[first:last])) if last - first > 15 else ():
         loop = _read_at(y, period, first, last, jumped)
-        clear = best is not None and best.evidence > EVIDENCE and best.swings > SURELY
-        if loop is None or (clear and any(abs(best.period / loop.period / n - 1) < OVERTONE for n in (2, 3))):
+        if loop is None or (best is not None and (loop.evidence <= best.evidence or _is_overtone(loop, best))):
             continue
-        best = loop if best is None or loop.evidence > best.evidence else best
+        best = loop
     return best
+
+
+def _is_overtone(loop, of) -> bool:
+    """Whether a loop swings twice or three times in a period of one that clearly swings."""
+    clear = of.evidence > EVIDENCE and of.swings > SURELY
+    return clear and any(abs(of.period / loop.period / n - 1) < OVERTONE for n in (2, 3))
 
 
 def _read_at(y, period, first, last, jumped) -> Loop | None:

@@ -62,7 +62,7 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
         for n, a in (alpha or {}).items()
     }
     largest = max(gains.values()) if len(gains) == len(signals) else None  # no mode is faster
-    tasks = {}
+    tasks: dict = {}
     for name, signal in signals.items():
         with errors.within(name):
             tasks[name] = diagnose(signal, Ts, alpha=largest)

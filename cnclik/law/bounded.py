@@ -19,12 +19,13 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.law.inverse import by_shift, positive, scaled, through
+from cnclik.law.inverse import ROUNDED, by_shift, positive, scaled, through
 from cnclik.law.limits import Limited, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
 from cnclik.record import Array, Bool, Float, Int, Number, record, replace
 
 LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
+LEAST_SHARES = ROUNDED | {8: LEAST}  # the same for each level, by the bytes of a float
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
 _ENOUGH = 0.1  # of the fall of the cost that the slope along a clipped step promises
 _SWEEPS = 6  # before the descent: a sweep takes an eighth of a pass, and six save almost two passes of the slowest lane
@@ -296,6 +297,8 @@ class Bounded:
         low, high = bounds(self.rate, chain, q)
         walls = rows_at(self.walls, chain, q) if self.walls else None
         still = None if walls is None else jnp.zeros_like(walls.floor)
+
+        shift = factored.shift  # what rounding needs, too
 
         def problem():  # most steps, which are within bounds, need none
             rest = jnp.zeros_like(unlimited) if null is None else null

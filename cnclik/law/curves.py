@@ -154,23 +154,30 @@ def cubic(times, values, closed, name):
     """Return coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
     from scipy.interpolate import CubicSpline  # here, as most references are no waypoints
 
+    count = len(times) - 1
+    # After a full turn the quaternion has the other sign, which is the same rotation: its period is two turns.
+    turned = closed and name == "rotations" and values[0] @ values[-1] < 0
+
+    def spline(points, sign):
+        knots = times
+        if closed:
+            points = np.concatenate([points[:-1], sign * points[:-1], points[:1]])
+            knots = np.concatenate([times[:-1], times + times[-1] - times[0]])
+        pieces = CubicSpline(knots, points, bc_type="periodic" if closed else "clamped").c[::-1, :count]
+        return np.moveaxis(pieces, 0, 1)
+
     if not errors.concrete(values):  # they are linear in the values
-        weights = CubicSpline(times, np.eye(len(times)), bc_type="clamped").c[::-1]
-        return jnp.einsum("pkj,jd->kpd", weights, values)
-    knots, points, count = times, values, len(times) - 1
-    if closed:
-        # After a full turn the quaternion has the other sign, which is the same rotation: its period is two turns.
-        sign = -1.0 if name == "rotations" and values[0] @ values[-1] < 0 else 1.0
-        if np.abs(values[0] - sign * values[-1]).max() > 1e-6:
-            raise errors.fail(name, "end where it starts for a closed path", "does not")
-        points = np.concatenate([values[:-1], sign * values[:-1], values[:1]])
-        knots = np.concatenate([times[:-1], times + times[-1] - times[0]])
+        same, other = (jnp.einsum("kpj,jd->kpd", spline(np.eye(count + 1), sign), values) for sign in (1.0, -1.0))
+        return jnp.where(turned, other, same)
+    sign = -1.0 if turned else 1.0
+    if closed and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+        raise errors.fail(name, "end where it starts for a closed path", "does not")
     pieces = np.array(np.nan)
     with contextlib.suppress(ValueError), np.errstate(all="ignore"):  # SciPy's, of what is not finite
-        pieces = np.moveaxis(CubicSpline(knots, points, bc_type="periodic" if closed else "clamped").c[::-1], 0, 1)
+        pieces = spline(values, sign)
     if not np.isfinite(pieces).all():
         raise errors.fail(name, "be such that a smooth path leads through them", f"is {values.tolist()}")
-    return jnp.asarray(pieces[:count])
+    return jnp.asarray(pieces)
 
 
 def hermite(h, values, v):

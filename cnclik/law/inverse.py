@@ -58,7 +58,7 @@ class Pseudoinverse:
 class Damping:
     """What damped inverses share: Jᵀ (J Jᵀ + D)⁻¹, where D is λ² of all rows, or of each."""
 
-    shift: Callable  # of the rows and the error: λ²
+    shift: Callable  # of the rows and the error: λ²; and of the least share of tr(J Jᵀ), see `tiny_shift`
 
     def __call__(self, rows, e) -> Factored:
         return by_shift(rows, self.shift(rows, e))
@@ -70,7 +70,7 @@ class Damped(Damping):
 
     damping: Number  # λ, never λ²
 
-    def shift(self, rows, e):
+    def shift(self, rows, e, share=ROUNDED):
         return self.damping * self.damping
 
 
@@ -84,9 +84,9 @@ class SingularDamped(Damping):
     def __call__(self, rows, e) -> Factored:
         return super().__call__(rows, e)._replace(least=lax.stop_gradient(jnp.sqrt(least_squared(rows))))
 
-    def shift(self, rows, e):
-        share = jnp.maximum(1.0 - least_squared(rows) / (self.threshold * self.threshold), 0.0)
-        return jnp.maximum(share * self.damping * self.damping, tiny_shift(rows))
+    def shift(self, rows, e, share=ROUNDED):
+        part = jnp.maximum(1.0 - least_squared(rows) / (self.threshold * self.threshold), 0.0)
+        return jnp.maximum(part * self.damping * self.damping, tiny_shift(rows, share))
 
 
 @record
@@ -95,7 +95,7 @@ class ErrorDamped(Damping):
 
     damping: Number  # λ at e = 0, never λ²
 
-    def shift(self, rows, e):
+    def shift(self, rows, e, share=ROUNDED):
         return self.damping * self.damping + 0.5 * (e @ e)
 
 
@@ -114,22 +114,28 @@ class Levels(Damping):
         level = {name: i for i, names in enumerate(self.names) for name in names}
         return replace(self, level=tuple(level[name] for name, at in task.each for _ in range(at.start, at.stop)))
 
-    def shift(self, rows, e):
+    def shift(self, rows, e, share=ROUNDED):
         each = []
         for i, damping in enumerate(self.damping):
             at = np.flatnonzero(np.array(self.level) == i)
-            each.append(jnp.asarray(damping.shift(rows[at], e[at]), rows.dtype))
+            each.append(jnp.asarray(damping.shift(rows[at], e[at], share), rows.dtype))
         return jnp.stack([each[i] for i in self.level])
 
 
 def by_shift(rows, shift) -> Factored:
     """Factor Jᵀ (J Jᵀ + D)⁻¹, D = shift·I, or diag(shift) with one per row; a shift is at least what rounding needs."""
     m, n = rows.shape
-    even, least = scaled(rows, shift), jnp.min(jnp.asarray(shift))
+
+    def rounding(trace):
+        return lax.stop_gradient(_ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
+
+    if jnp.ndim(shift):  # each alone, as raised together the lower levels would hardly move
+        most = jnp.maximum(shift, rounding(jnp.sum(rows**2)))
+        shift = jnp.maximum(shift, rounding(jnp.sum(scaled(rows, most) ** 2)))
+    even = scaled(rows, shift)
     wide = even if m <= n else even.T[::-1]  # the smaller form; the last joints first: a tree causes no fill-in
     gram = wide @ wide.T
-    trace = lax.stop_gradient(jnp.trace(gram))
-    floor = jnp.maximum(least, _ROUNDINGS * jnp.finfo(jnp.result_type(trace)).eps * (trace + _OF_NONE))
+    floor = jnp.maximum(jnp.min(jnp.asarray(shift)), rounding(jnp.trace(gram)))
     factor = dense.cholesky(dense.shifted(gram, floor))
 
     def apply(t):
@@ -137,7 +143,7 @@ def by_shift(rows, shift) -> Factored:
         solved = dense.factored_solve(factor, lambda x: wide @ (x @ wide) + floor * x, t if m <= n else wide @ t)
         return solved @ even if m <= n else solved[::-1]
 
-    return Factored(apply, _least(factor, floor), floor if jnp.ndim(shift) == 0 else shift * (floor / least))
+    return Factored(apply, _least(factor, floor), shift if jnp.ndim(shift) else floor)
 
 
 def scaled(items, shift):

@@ -19,7 +19,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.bounded import Bounded
+from cnclik.law.bounded import LEAST_SHARES, Bounded
 from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
 from cnclik.law.limits import Limited, Scaled, slowed
 from cnclik.precision import precise
@@ -175,7 +175,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     task = law.task
     rows, velocity, e = (weighted(task, each) for each in (at.rows, velocity, at.e))
     if isinstance(law.limits, Bounded):
-        moved = law.limits(law.inverse.shift(rows, e), law.chain, q, rows, velocity, null)
+        moved = law.limits(law.inverse.shift(rows, e, LEAST_SHARES), law.chain, q, rows, velocity, null)
     else:
         factored = law.inverse(rows, e)
         moved = Limited(through(factored.apply, rows, velocity, null), factored)

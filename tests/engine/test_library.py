@@ -74,7 +74,7 @@ def squares(q0, x, **around):
 
 SLOPES = {
     "long": dict(N=90),
-    "CN by newton": dict(method="CN", stage=ck.newton(2)),
+    "IE by newton": dict(method="IE", stage=ck.newton(2)),
     "drive": dict(drive=ck.Drive(delay=2.4, lag=0.03)),
 }
 

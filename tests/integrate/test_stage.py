@@ -135,18 +135,20 @@ def test_correction_inverts_the_linearised_law_at_rest(kind):
     np.testing.assert_allclose(found, r + np.linalg.solve(np.eye(3) - h * derivative, f - r), atol=1e-9)
 
 
-@pytest.mark.parametrize("inverse", [ck.pseudoinverse(), ck.damped(0.4)])
-def test_a_posture_passes_a_newton_step(inverse):
+@pytest.mark.parametrize("damping", [0.0, 0.4])
+def test_a_posture_passes_a_newton_step(damping):
     """Away from rest, by the matrix (n, n) that the formula avoids."""
+    inverse = ck.damped(damping) if damping else ck.pseudoinverse()
     one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=ck.posture([0.3, -0.2, 0.5], 4.0))
     h, k = 0.3, np.array([0.7, -0.2, 1.1])
 
     @jax.jit
     def step(q):
         at = evaluate(modelled(one), NEAR, jnp.zeros(()), q)
-        return at.newton(h, k), at.qdot, at.rows, jax.vmap(at.apply, out_axes=1)(jnp.eye(2))
+        return at.newton(h, k), at.qdot
 
-    found, f, J, inverted = map(np.asarray, step(Q))
+    (found, f), J = map(np.asarray, step(Q)), np.asarray(ck.jacobian(ARM, Q))[:2]
+    inverted = J.T @ np.linalg.inv(J @ J.T + damping**2 * np.eye(2))
     slope = 15.0 * inverted @ J + 4.0 * (np.eye(3) - inverted @ J)
     np.testing.assert_allclose(found, k + np.linalg.solve(np.eye(3) + h * slope, f - k), atol=1e-12)
 

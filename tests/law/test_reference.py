@@ -187,6 +187,19 @@ def test_waypoints_are_the_cubic_spline(closed):
         close(xdot, oracle(t, 1), atol=1e-12)
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_traced_waypoints_are_the_known_ones(closed):
+    points, rotations = LOOP, ROUND if closed else ROUND[[0, 1, 2, 3, 2]]
+
+    def targets(points, rotations):
+        return jax.vmap(ck.waypoints(TIMES, points, rotations, closed=closed).curve)(np.linspace(0.6, 6.0, 20))
+
+    turned = Rotation.from_rotvec(np.linspace([0, 0, 0], [0, 1.2 * np.pi, 1.6 * np.pi], 5)).as_matrix()  # once
+    for turns in (rotations, turned):
+        for traced, known in zip(jax.jit(targets)(points, turns), targets(points, turns), strict=True):
+            close(traced, known, atol=1e-12)
+
+
 def test_waypoints_hold_before_and_after():
     for t, k in ((0.0, 0), (0.5, 0), (4.0, -1), (9.0, -1)):
         position, _, xdot = at(REFERENCES["waypoints"][0], t, "xyz")
