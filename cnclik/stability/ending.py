@@ -37,6 +37,7 @@ VISIBLE = 1e-5  # of 1 + the arm's length [m, rad]: a smaller swing of the error
 REVERSING = 0.15  # share of the joint speed that the next step reverses, from which on a loop shakes
 NOISE = 4.0  # an error below so many standard deviations is noise
 RARE, OFTEN = 0.01, 0.5  # shares of steps: a limit that acts more rarely is not named; a cause of rest acts that often
+FAR = 0.1  # of the arm's length: a path's error from which on it is asked whether the target can be reached
 EXPLAINED = 0.9  # share of an error's square that a lag must explain
 AT_LIMIT = 1e-3  # of 1 + a joint value, or of a velocity limit: as near a joint is at its limit
 NO_REMEDY: tuple[dict, str] = {}, ""
@@ -263,7 +264,7 @@ class _Case:
             return "" if self.shrinks() or self.arrived() else self.cause()
         acted, words = self.acted()
         if not words or (acted.all() and self.lag()):
-            return ""
+            return self.unreachable() if self.error > FAR * self.length and not self.lag() else ""
         size = self.sizes()[1:]
         usual = np.median(size[~acted]) if not acted.all() else 0.0
         if size[acted].max() <= max(2 * usual, 10 * self.floor):

@@ -96,6 +96,13 @@ def test_an_arm_at_the_end_of_its_reach():
         assert said.kind == Behaviour.HELD_BACK and "swings" not in str(said), said
 
 
+def test_a_path_out_of_reach():
+    """Two links of 1 m after a circle of 0.2 m about a point 3 m away: 0.8 to 1.2 m are missing."""
+    law = ck.Law(ck.planar_arm([1.0, 1.0]), XY, alpha=5.0, inverse=ck.damped(0.1), error_clamp=(0.1, 0.1))
+    said = judge(law, ck.circle([3.0, 0.0], 0.2, period=2.0), np.array([0.3, 0.5]), 0.02, 200)
+    assert said.kind == "held back" and "out of reach: the nearest posture found is 1.2 m away" in said.sentence, said
+
+
 def test_each_task_of_a_stack_has_its_line():
     tasks = ck.stack(hand=ck.position(), rest=ck.joints())
     levels = ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1))
