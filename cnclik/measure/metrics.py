@@ -217,7 +217,7 @@ _OTHERS = {  # function, unit, label
     "settling_time": (_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
     "converged": (lambda of: (_norms(of.run.e[-1]) <= of.tolerance) * 1.0, "1", "1 if ‖e[N]‖ ≤ tolerance"),
     "ending": (_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
-    "stable": (lambda of: stable(_ending(of)) * 1.0, "1", "ends stable"),
+    "stable": (lambda of: stable(_ending(of)) * 1.0, "1", "converged, or still does, to a target at rest"),
     "rate": (_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
     "max_qdot": (lambda of: _max(jnp.abs(of.run.qdot)), "q/s", "largest |q̇ᵢ|"),
     "rms_qddot": (_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
