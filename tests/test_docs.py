@@ -151,6 +151,9 @@ def read_aloud(page, folder, less):
         ):
             continue
         done.append(argv)
+        if less and len(argv) == 2 and argv[0] == "sweep" and any(d[0] == "sweep" and len(d) == 2 for d in done[:-1]):
+            assert pathlib.Path(argv[1]).is_file()
+            continue  # every spec is the same one
         if argv[0] == "view" and not has_viser():
             continue
         try:
