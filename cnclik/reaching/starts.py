@@ -45,9 +45,10 @@ def spans(chain: Chain):
 def turned(q, about, periodic, low, high, xp=np):
     """Return joint values (..., n), `periodic` joints by whole turns as near to `about` as the bounds allow."""
     about, turn = xp.clip(about, low, high), 2 * math.pi
-    near = q + turn * xp.round((about - q) / turn)
-    near = xp.where((near > high) & (near - turn >= low), near - turn, near)
-    return xp.where(periodic, xp.where((near < low) & (near + turn <= high), near + turn, near), q)
+    turns = xp.round((about - q) / turn)  # 0 of them leave a joint at its limit there, without rounding
+    turns = turns - ((q + turn * turns > high) & (q + turn * (turns - 1) >= low))
+    turns = turns + ((q + turn * turns < low) & (q + turn * (turns + 1) <= high))
+    return xp.where(periodic, q + turn * turns, q)
 
 
 def empty(chain, task) -> Starts:

@@ -1,5 +1,6 @@
 """Whatever `near`, `jump` and the arm's size: what forward kinematics leads to within the limits is found."""
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -235,3 +236,23 @@ def test_at_limit_names_a_joint():
     at_limit = made.status == ReachStatus.AT_LIMIT
     assert at_limit.sum() > 20 and made.at_limit[at_limit].any(axis=1).all()
     assert not made.at_limit[np.isnan(made.q).any(axis=1)].any()
+
+
+def test_an_answer_at_a_limit_stays_there_when_near_is_at_the_other():
+    """A whole turn and back again is no turn, to the last bit: rounding put it beyond its limit, and then at the other.
+
+    All poses have joint 2 at its lower limit, and `near` is more than half a turn away from there.
+    """
+    panda, rng = ck.panda(), np.random.default_rng(1)
+    q = rng.uniform(panda.lower, panda.upper, (30, 7))
+    q[:, 1] = panda.lower[1]
+    near = q + 0.01 * rng.normal(size=q.shape)
+    near[:, 1] = 0.95 * panda.upper[1]
+    with jax.enable_x64(True):
+        pose = jax.vmap(lambda q: ck.forward(panda, q))
+        wanted = pose(q)
+        made = ck.reach(panda, wanted, near=near)
+        put = pose(np.asarray(made.q))
+    assert made.solved.sum() > 25
+    np.testing.assert_allclose(put.position[made.solved], wanted.position[made.solved], atol=2e-6)
+    np.testing.assert_allclose(put.rotation[made.solved], wanted.rotation[made.solved], atol=2e-6)
