@@ -154,8 +154,8 @@ def agree():
     """Nothing is timed unless cnclik's ends are Pinocchio's."""
     for dtype, limit in TOLERANCE.items():
         with jax.enable_x64(dtype == "float64"):
-            wanted, found = (make()()[0] for _, make, *_ in (pinocchio(dtype, 1024), end("EE", dtype=dtype)))
-        off = float(np.abs(np.asarray(found)[:1024] - wanted).max())
+            wanted, found = (make()()[0] for _, make, *_ in (pinocchio(dtype, LANES), end("EE", dtype=dtype)))
+        off = float(np.abs(np.asarray(found) - wanted).max())
         assert off < limit, f"EE differs from Pinocchio by {off:g} rad in {dtype}"
 
 
