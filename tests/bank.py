@@ -11,6 +11,8 @@ import jax
 import numpy as np
 
 import cnclik as ck
+from cnclik.law.reference import Reference
+from cnclik.paper.readings import WithVelocity
 from tests.oracles import damped_inverse, planar_law, robot_file
 
 N, LANES, DAMPING = 5, 7, 0.1
@@ -60,8 +62,7 @@ def numbers(name):
 
 def told(path, velocity):
     """A path whose feed-forward is another than its own velocity."""
-    still = jax.lax.stop_gradient
-    return ck.path(lambda t: still(path.curve(t)[0]) + (t - still(t)) * velocity)
+    return Reference(curve=WithVelocity(path=path.curve, velocity=velocity))
 
 
 class Loop(NamedTuple):
