@@ -262,9 +262,11 @@ class _Case:
         """What acts against the motion while the error is large, in words; "" where nothing does."""
         if self.still:
             return "" if self.shrinks() or self.arrived() else self.cause()
-        acted, words = self.acted()
-        if not words or (acted.all() and self.lag()):
-            return self.unreachable() if self.error > FAR * self.length and not self.lag() else ""
+        (acted, words), lag = self.acted(), self.lag()
+        if not words:
+            return self.unreachable() if self.error > FAR * self.length and not lag else ""
+        if acted.all() and lag:
+            return ""
         size = self.sizes()[1:]
         usual = np.median(size[~acted]) if not acted.all() else 0.0
         if size[acted].max() <= max(2 * usual, 10 * self.floor):
