@@ -34,15 +34,10 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
         "status": (dims, reached.status, about("status", "1") | flags),
         "position_error": (dims, reached.position_error, about("position error", "m")),
         "orientation_error": (dims, reached.orientation_error, about("orientation error", "rad")),
-        "least_singular_value": (dims, reached.least_singular_value, about("least singular value", "m or 1")),
         "at_limit": ((*dims, "joint"), reached.at_limit, about("joint at a limit", "1")),
         "evaluations": (dims, reached.evaluations, about("evaluations", "1")),
         "distance": (dims, reached.distance, about("largest joint's distance from near", units)),
     }
-    if each:
-        places, turns = (np.stack(v, -1) for v in zip(*reached.each, strict=True))
-        variables["tip_position_error"] = ((*dims, "tip"), places, about("position error of a tip", "m"))
-        variables["tip_orientation_error"] = ((*dims, "tip"), turns, about("orientation error of a tip", "rad"))
     coords = {"joint": list(reached.chain.joint_names)} | ({"tip": labels} if each else {})
     return xr.Dataset(variables, coords=coords)
 
@@ -59,20 +54,15 @@ def save(data: "xr.Dataset", path) -> None:
         .stack(answer=over)
         .transpose("answer", ...)
     )
-    joints, several = rows.joint.values.astype(str), "tip" in data.sizes
-    tips = [f"{tip}." for tip in rows.tip.values] if several else [""]
+    joints = rows.joint.values.astype(str)
+    tips = [f"{tip}." for tip in rows.tip.values] if "tip" in data.sizes else [""]
     columns: dict = {name: rows[name].values for name in over}
     columns["status"] = [ReachStatus(status).name for status in rows.status.values]
     columns |= dict(zip(joints, rows.q.values.T, strict=True))
-    numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
-    columns |= {name: rows[name].values for name in numbers}
+    for name in ("position_error", "orientation_error", "evaluations", "distance"):
+        columns[name] = rows[name].values
     columns["at_limit"] = [" ".join(joints[hit.astype(bool)]) for hit in rows.at_limit.values]
-    if several:
-        for name in ("position_error", "orientation_error"):
-            columns |= {f"{tip}{name}": v for tip, v in zip(tips, rows[f"tip_{name}"].values.T, strict=True)}
     entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]
     columns |= dict(zip(entries, rows.transform.values.reshape(len(rows.answer), -1).T, strict=True))
-    table = pandas.DataFrame(
-        {k: v + 0.0 if np.asarray(v).dtype.kind == "f" else v for k, v in columns.items()}
-    )  # no −0
-    table.to_csv(path, index=False, na_rep="nan")
+    positive = {k: v + 0.0 if np.asarray(v).dtype.kind == "f" else v for k, v in columns.items()}  # no −0
+    pandas.DataFrame(positive).to_csv(path, index=False, na_rep="nan")

@@ -113,7 +113,7 @@ def _bin(aim, pose, lines, xp=jnp):
     return number
 
 
-def start(chain, task, starts: Starts, target, given, away, low, high, k, seed):
+def start(chain, task, starts: Starts, target, given, away, low, high, k):
     """Return the posture (n,) that try `k` (int32) of a target (t,) begins at.
 
     Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. Else of a joint that would
@@ -121,8 +121,8 @@ def start(chain, task, starts: Starts, target, given, away, low, high, k, seed):
     them is tried, and not their corners alone. An answer with several joints at limits has few postures about it from
     which a descent arrives, and most of them have joints there, too: so some starts are stretched about the middle.
     """
-    ends, own, base, where = spans(chain), owners(task, chain), 0, []
-    number, there = (k + seed).astype(np.uint32), ~jnp.isnan(given[0])
+    (least, most), own, base, where = spans(chain), owners(task, chain), 0, []
+    number, there = k.astype(np.uint32), ~jnp.isnan(given[0])
     anywhere = number * np.uint32(2654435761) >> 15  # even (Knuth)
     for a, aim in enumerate(aims(task)):
         first = starts.first[base + _bin(aim, target[WIDTH * a : WIDTH * (a + 1)], starts.lines[a])]
@@ -130,8 +130,8 @@ def start(chain, task, starts: Starts, target, given, away, low, high, k, seed):
         where.append(jnp.where((k < BINNED) & ~there, binned, anywhere))
         base += math.prod(_shape(aim))
     drawn = jnp.stack([starts.postures[where[own[j]], j] for j in range(chain.n)]).astype(target.dtype)
-    middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
-    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES)[(k.astype(np.uint32) // 4) % 4], 1.0)
+    middle, width = (least + most) / 2, np.maximum(most - least, 1e-9)
+    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES)[(number // 4) % 4], 1.0)
     bounded, stretch = jnp.isfinite(high - low), stretch.astype(target.dtype)
     beyond = ((drawn < low) | (drawn > high) | (stretch > 1)) & bounded
     between = low + jnp.where(bounded, high - low, 0.0) * (0.5 + stretch * (drawn - middle) * (1 / width))
