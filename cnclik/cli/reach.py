@@ -191,7 +191,6 @@ def _summary(made, seconds) -> dict:
         "solve_rate": float((first_of_each == ReachStatus.SOLVED).mean()),
         "status": count(first_of_each),
         "seconds": seconds,
-        "evaluations_per_target": float(made.evaluations.mean()),
     }
 
 
@@ -199,11 +198,8 @@ def _tell(made, summary, path) -> None:
     """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
-    from cnclik.reaching.result import ReachStatus
-
-    count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
-    evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"
-    print(f"{count:,} target{'s' * (count > 1)} in {summary['seconds']:.2f} s, {evaluations}")
+    count = summary["targets"]
+    print(f"{count:,} target{'s' * (count > 1)} in {summary['seconds']:.2f} s")
     for name, number in summary["status"].items():
         print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
     if count == 1:
@@ -216,10 +212,6 @@ def _tell(made, summary, path) -> None:
         print(f"  error {' and '.join(missed)}")
     if path and np.isfinite(made.strays).any():
         print(f"  half-way between rows the tip strays by up to {aloud(float(np.nanmax(made.strays)), 'm')}")
-    held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
-    if len(held):
-        often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
-        print("  at limits: " + ", ".join(f"{name} ({n:,} times)" for n, name in sorted(often, reverse=True)[:4]))
 
 
 _MEANING = {

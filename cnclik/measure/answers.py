@@ -35,7 +35,6 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
         "position_error": (dims, reached.position_error, about("position error", "m")),
         "orientation_error": (dims, reached.orientation_error, about("orientation error", "rad")),
         "at_limit": ((*dims, "joint"), reached.at_limit, about("joint at a limit", "1")),
-        "evaluations": (dims, reached.evaluations, about("evaluations", "1")),
         "distance": (dims, reached.distance, about("largest joint's distance from near", units)),
     }
     coords = {"joint": list(reached.chain.joint_names)} | ({"tip": labels} if each else {})
@@ -59,7 +58,7 @@ def save(data: "xr.Dataset", path) -> None:
     columns: dict = {name: rows[name].values for name in over}
     columns["status"] = [ReachStatus(status).name for status in rows.status.values]
     columns |= dict(zip(joints, rows.q.values.T, strict=True))
-    for name in ("position_error", "orientation_error", "evaluations", "distance"):
+    for name in ("position_error", "orientation_error", "distance"):
         columns[name] = rows[name].values
     columns["at_limit"] = [" ".join(joints[hit.astype(bool)]) for hit in rows.at_limit.values]
     entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]

@@ -7,12 +7,14 @@ from cnclik.cache import LRU
 from cnclik.precision import as_numbers
 from cnclik.reaching.descent import Terms, unit_of
 from cnclik.reaching.result import ReachStatus, Row, row_of, touching
-from cnclik.reaching.targets import task_of
 from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
 from cnclik.task.aims import WIDTH, aims
+from cnclik.task.build import orientation, pose, position
 from cnclik.task.task import Task
+
+TASKS = {"pose": pose(), "position": position(), "orientation": orientation()}
 
 MOST_SEEDS = ((1 << 31) - 1) // 16  # the numbers of all tries must fit int32
 SURE = 256  # tries, at least, before it is said that there is no answer
@@ -48,10 +50,10 @@ class Asked:
         """Return the terms of descents. Args: jump, limits: whether they hold. weights: whether errors have them."""
         lower, upper = self.limited() if limits else np.full((2, self.chain.n), [[-np.inf], [np.inf]])
         most = self.jump if jump and limits and self.jump is not None else np.inf
-        task = self.task
-        roots = xp.sqrt(xp.asarray(task.weights if weights and task.weights is not None else np.ones(task.m), float))
-        roots = roots / np.where(np.isin(np.arange(task.m), task.lengths), self.scale[0], 1.0)
-        return Terms(*(xp.asarray(v, float) for v in (lower, upper, most, self.tolerance, roots)))
+        roots = self.task.weights if weights and self.task.weights is not None else np.ones(self.task.m)
+        units = np.where(np.isin(np.arange(self.task.m), self.task.lengths), self.scale[0], 1.0)
+        numbers = lower, upper, most, self.tolerance, xp.sqrt(xp.asarray(roots, float)) / units
+        return Terms(*(xp.asarray(v, float) for v in numbers))
 
     def finite(self, pose, near, xp=np):
         """Return which targets (..., t) are finite, with the joint values in `near`."""
@@ -95,8 +97,7 @@ class Asked:
         certain = (self.chain.n <= FEW) | (self.squares(row, xp) >= DOUBT**2)
         held = (why == status.AT_LIMIT) & touching(self.chain, row.q).any(axis=-1) & certain
         made = xp.where(((why == status.JUMP) | held) & ~self.within(row, MISSED, xp), why, made)
-        away = False if self.jump is None else row.distance > self.jump * (1 + 1e-9)  # where `near` is beyond limits
-        made = xp.where(row.status == solved, xp.where(away, int(status.JUMP), solved), made)
+        made = xp.where(row.status == solved, solved, made)
         made = xp.where(finite, made, int(status.NON_FINITE))
         none = (made == status.JUMP) | (made == status.NON_FINITE) | ~xp.isfinite(row.position_error)
         gone = xp.where(none[..., None], xp.nan, 0.0)
@@ -122,15 +123,14 @@ def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
     if chain.balls:
         what = f"turns about any axis by {chain.joint_names[chain.balls[0][1]]}"
         raise errors.fail("chain", "have no free base and no ball joint, to be asked for joint values", what)
-    if not all(errors.concrete(v) for v in (*chain.lower, *chain.upper)):
-        raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     if jump is not None:
         errors.number("jump", jump, positive=True)
     as_numbers("reach", ("tolerance", tolerance))
     pair = np.asarray(errors.array("tolerance", tolerance, (2,), finite=False))
     if not (pair > 0).all():
         raise errors.fail("tolerance", "hold positive numbers", f"is {tolerance!r}")
-    task = task_of(task).on(chain)
+    task = task if isinstance(task, Task) else TASKS[errors.one_of("task", task, TASKS)]
+    task = task.on(chain)
     aims(task)
     return Asked(
         chain=chain,

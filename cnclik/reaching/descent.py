@@ -25,8 +25,8 @@ from cnclik.integrate.batches import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
-from cnclik.reaching.result import ReachStatus, row_of
-from cnclik.reaching.starts import Starts, binned, empty, is_free, start, turned
+from cnclik.reaching.result import ReachStatus
+from cnclik.reaching.starts import Starts, binned, empty, start, turned
 from cnclik.record import Array, Bool, Float, Int, cast, memoized
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
@@ -46,23 +46,18 @@ SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # factors of τ after an accepted an
 MOST_TRUST = 1e12
 SHORT = 100.0  # of ‖J‖²: damped by more, steps are so short that an error which still grows with them is at a kink
 CLOSE = 0.5  # [rad, m] from `near`: so close the first answer is the one that is wanted
-FREE = -1.0  # status of a descent that arrives where it is free of all bounds
 AHEAD = 64  # targets that one call goes along a path
-BASE, SMALLEST = 16.0, 1e-5  # of units; [m] shorter arms keep the metre
+SMALLEST = 1e-5  # [m] shorter arms, such as a wrist alone, keep the metre
 
 
 def unit_of(chain) -> float:
-    """Return the length [m] that counts as much as a radian: the power of BASE nearest to the arm's length.
+    """Return the length [m] that counts as much as a radian: of arms below 25 cm and above 4 m, their own.
 
-    A metre for arms between 25 cm and 4 m, and where joints slide or the geometry is traced.
+    A metre also where joints slide, or the geometry is traced.
     """
-    return memoized(chain, "_unit", _unit)
-
-
-def _unit(chain):
-    size = arm_length(chain, least=0.0)
-    sized = errors.concrete(size) and "m" not in chain.units and size > SMALLEST
-    return float(BASE ** np.round(np.log(size) / np.log(BASE))) if sized else 1.0
+    length = arm_length(chain, least=0.0)
+    odd = errors.concrete(length) and "m" not in chain.units and not 0.25 <= length <= 4.0
+    return float(length) if odd and length > SMALLEST else 1.0
 
 
 class Terms(NamedTuple):
@@ -72,7 +67,7 @@ class Terms(NamedTuple):
     upper: Float[Array, " n"]
     jump: Float[Array, ""]  # largest distance of a joint from `near` [rad, m]; infinite without one
     tolerance: Float[Array, " 2"]  # [m], chord of an angle [rad]
-    roots: Float[Array, " m"]  # of the weights of the task's coordinates, with the unit of lengths
+    roots: Float[Array, " m"]  # of the weights of the task's coordinates, lengths in units
 
     def box(self, near):
         """Return the bounds (n,) of answers about `near`: those of the limits nearest to it where it is beyond."""
@@ -128,21 +123,19 @@ def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State
     steep = jnp.where((trust > 1) & (damping > SHORT * size), 0.0, steep)  # at a kink
     best = jnp.where(better, s.q, s.best)
     onward = jnp.where(better, jnp.clip(s.q + jnp.clip(step, -LONGEST, LONGEST), low, high), best)
-    squares, cost, steep = jax.tree.map(
-        lambda new, old: jnp.where(better, new, old), (squares, cost, steep), (s.squares, s.cost, s.steep)
-    )
+    pairs = (squares, s.squares), (cost, s.cost), (steep, s.steep)
+    squares, cost, steep = (jnp.where(better, new, old) for new, old in pairs)
     return State(jnp.where(here, s.q, onward), best, squares, cost, steep, trust, s.looks + 1, here)
 
 
-def descend(chain, task: Task, terms: Terms, q, target, near, most, free) -> Array:
+def descend(chain, task: Task, terms: Terms, q, target, near, most) -> Array:
     """Descend from a posture (n,) by at most `most` looks. Returns: the row of `result.Row`.
 
-    Args: near: (n,), NaN where there is none. free: whether bounds are ignored: the row has the posture within them.
+    Args: near: (n,), NaN where there is none.
     """
     careful, around, zero = most > PLAIN, jnp.where(jnp.isnan(near), 0.0, near), 0.0 * q[0]
     low, high = terms.box(around)
-    free = free & (jnp.isfinite(low) | jnp.isfinite(high)).any()
-    bounds, q = (jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)), jnp.clip(q, low, high)
+    q = jnp.clip(q, low, high)
 
     def goes_on(s):
         close = careful & (s.cost <= COARSE**2)  # as next to singularities, where errors fall slowly
@@ -151,12 +144,13 @@ def descend(chain, task: Task, terms: Terms, q, target, near, most, free) -> Arr
 
     far = zero + jnp.inf
     begin = State(q, q, jnp.stack([far, far]), far, far, zero + 1.0, 0 * most, zero > 1)
-    s = lax.while_loop(goes_on, lambda s: _step(chain, task, terms, s, target, bounds, careful), begin)
+    s = lax.while_loop(goes_on, lambda s: _step(chain, task, terms, s, target, (low, high), careful), begin)
     q = jnp.clip(turned(s.best, around, np.array(chain.periodic), low, high, jnp), low, high)
-    status = jnp.where(s.arrived, jnp.where(free, FREE, int(ReachStatus.SOLVED)), int(ReachStatus.OUT_OF_BUDGET))
-    position, chord = jnp.sqrt(s.squares)
-    turn, cost = 2.0 * jnp.arcsin(jnp.minimum(chord / 2, 1.0)), jnp.where(free, jnp.inf, s.cost)
-    rest = status, position, turn, s.looks, jnp.max(jnp.abs(q - near)), cost, s.steep
+    distance, (position, chord) = jnp.max(jnp.abs(q - near)), jnp.sqrt(s.squares)
+    arrived = s.arrived & ~(distance > terms.jump * (1 + 1e-9))  # as where `near` is beyond the limits
+    status = jnp.where(arrived, int(ReachStatus.SOLVED), int(ReachStatus.OUT_OF_BUDGET))
+    turn, cost = 2.0 * jnp.arcsin(jnp.minimum(chord / 2, 1.0)), jnp.where(s.arrived & ~arrived, jnp.inf, s.cost)
+    rest = status, position, turn, distance, cost, s.steep
     return jnp.concatenate([q, jnp.stack([jnp.asarray(v, q.dtype) for v in rest])])
 
 
@@ -164,12 +158,12 @@ def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away
     """Make one try. Returns: the row of `result.Row`.
 
     Args:
-      near: (n,), NaN where there is none. given, away: see `starts.start`.
+      near: (n,), NaN where there is none. given (n,), away: see `starts.start`.
       k: int32, the number of the try. most: int32, looks.
     """
     low, high = terms.box(jnp.where(jnp.isnan(near), 0.0, near))
-    q = start(chain, task, starts, target, given, away, low, high, k)
-    return descend(chain, task, terms, q, target, near, most, is_free(k))
+    q = start(chain, task, starts, target, near, given, away, low, high, k)
+    return descend(chain, task, terms, q, target, near, most)
 
 
 def tips(chain, task, q):
@@ -180,19 +174,16 @@ def tips(chain, task, q):
 
 
 def along(chain, task, terms: Terms, target, near):
-    """Go along targets (N, t), plainly from each answer to the next one, until there is none that is CLOSE.
+    """Go along targets (N, t), plainly from each answer to the next one.
 
-    Returns: rows (N, width); of targets beyond that one they mean nothing.
+    Returns: rows (N, width); those after the first that is no answer, or not CLOSE, mean nothing.
     """
 
-    def once(carry, target):
-        near, going = carry
-        row = descend(chain, task, terms, near, target, near, jnp.where(going, PLAIN, 0).astype(np.int32), False)
-        made = row_of(row, chain.n)
-        going = going & (made.status == ReachStatus.SOLVED) & (made.distance <= CLOSE)
-        return (jnp.where(going, made.q, near), going), row
+    def once(near, target):
+        row = descend(chain, task, terms, near, target, near, np.int32(PLAIN))
+        return row[: chain.n], row
 
-    return lax.scan(once, (near, jnp.bool_(True)), target)[1]
+    return lax.scan(once, near, target)[1]
 
 
 # --- for batches of NumPy's numbers -----------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.result import Reached, from_rows
-from cnclik.reaching.search import path, search_of
+from cnclik.reaching.search import Targets, path, search_of
 from cnclik.reaching.several import AT_ONCE, MOST_DRAWN, several
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
@@ -77,7 +77,7 @@ def reach(
     errors.progress(progress)
     pose, alone = read(targets, asked.task)
     known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
-    previous, begin = isinstance(near, str), None
+    previous, begin = isinstance(near, str), cast(Any, None)
     if previous:
         errors.one_of("near", near, ("previous",))
     elif near is not None:
@@ -95,11 +95,11 @@ def reach(
     elif previous:
         rows = path(search_of(asked), pose, progress)
     else:
-        rows, search, size = [], search_of(asked), POOL if progress is None else REPORTED
+        rows, search, of, size = [], search_of(asked), Targets(pose, begin), POOL if progress is None else REPORTED
         size = size if solutions == 1 else min(size, AT_ONCE // (MOST_DRAWN + solutions))
         for i in range(0, len(pose), size):
-            part = pose[i : i + size], None if begin is None else begin[i : i + size]
-            rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
+            part = of.some(slice(i, i + size))
+            rows.append(several(search, part, solutions) if solutions > 1 else search.rows(part))
             if progress is not None:
                 progress(min(i + size, len(pose)), len(pose))
         rows = rows[0] if len(rows) == 1 else np.concatenate(rows)

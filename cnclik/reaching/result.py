@@ -43,7 +43,6 @@ class Reached:
     status: Int[AnyArray, " *B"]  # values of `ReachStatus`
     position_error: Float[AnyArray, " *B"]  # [m], of the task's coordinates, evaluated again in float64
     orientation_error: Float[AnyArray, " *B"]  # [rad], about the task's axes
-    evaluations: Int[AnyArray, " *B"]  # number of evaluations (kinematics, Jacobian, step)
     distance: Float[AnyArray, " *B"]  # largest joint's distance from `near` [rad, m]; NaN without it
     chain: Chain  # the robot
     task: Task  # the task
@@ -91,19 +90,15 @@ def touching(chain: Chain, q):
 
 
 class Row(NamedTuple):
-    """What a descent, or a search, comes to: views of the rows (..., n + 7) of targets."""
+    """What a descent, or a search, comes to: views of the rows (..., n + 6) of targets."""
 
     q: Float[AnyArray, "*B n"]
     status: Float[AnyArray, " *B"]
     position_error: Float[AnyArray, " *B"]  # [m]
     orientation_error: Float[AnyArray, " *B"]  # [rad]
-    evaluations: Float[AnyArray, " *B"]
     distance: Float[AnyArray, " *B"]  # from `near`; NaN without it
-    cost: Float[AnyArray, " *B"]  # squared error in the chain's unit, weighted where it is that of the nearest pose
+    cost: Float[AnyArray, " *B"]  # squared error [units, rad], weighted where it is that of the nearest pose
     steep: Float[AnyArray, " *B"]  # its gradient there, see `descent.State`
-
-
-LOOKS = 3  # place of the evaluations after q
 
 
 def width(n: int) -> int:
@@ -118,7 +113,7 @@ def row_of(rows, n: int) -> Row:
 
 def blank(n: int) -> np.ndarray:
     """Return the row of a try that was not made."""
-    return np.append(np.zeros(n), [int(ReachStatus.OUT_OF_BUDGET), np.inf, np.inf, 0.0, np.nan, np.inf, np.inf])
+    return np.append(np.zeros(n), [int(ReachStatus.OUT_OF_BUDGET), np.inf, np.inf, np.nan, np.inf, np.inf])
 
 
 def from_rows(chain, task, rows) -> Reached:
@@ -127,5 +122,4 @@ def from_rows(chain, task, rows) -> Reached:
         rows.flags.writeable = False
     row = row_of(rows, chain.n)._asdict()
     del row["cost"], row["steep"]
-    numbers = {name: row.pop(name).astype(int) for name in ("status", "evaluations")}
-    return Reached(chain=chain, task=task, **row, **numbers)
+    return Reached(chain=chain, task=task, **row | {"status": row["status"].astype(int)})

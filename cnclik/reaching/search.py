@@ -5,19 +5,17 @@ The first sixteen tries begin at postures whose tips are near the target. The fi
 go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
-from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik.engine.plan import in_c
 from cnclik.reaching.asked import SURE, Asked
-from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, FREE, PLAIN, ahead, attempts, starts_of
-from cnclik.reaching.result import LOOKS, ReachStatus, blank, row_of, width
-from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins, turned
+from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts, starts_of
+from cnclik.reaching.result import ReachStatus, blank, row_of, width
+from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins
 from cnclik.record import AnyArray, Float, memoized, replace
 from cnclik.robot.posture import start_posture
-from cnclik.threads import cores, side_by_side
 
 ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
 MANY = 512  # tries at once, at least, if there are as many
@@ -39,13 +37,14 @@ class Stage(NamedTuple):
 
 def stages(asked: Asked, xp=np) -> list:
     """Return the stages of a search, in order."""
-    seeds, own = asked.seeds, asked.terms(xp=xp)
-    four, sixteen = (times * seeds for times in LONGER)
+    seeds, own, begun = asked.seeds, asked.terms(xp=xp), asked.seeds
     nearest = Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, downhill=True)
     made = [Stage(own, 0, min(ROUND, seeds)), Stage(own, ROUND, seeds), nearest]
     if seeds < SURE:
         return made
-    made += [Stage(own, seeds, four, CLOSER[0]), Stage(own, four, sixteen, CLOSER[1])]
+    for less, times in zip(CLOSER, LONGER, strict=True):
+        made.append(Stage(own, begun, times * seeds, less))
+        begun = times * seeds
     made.append(nearest._replace(last=ISLANDS, less=CLOSER[0]))
     if asked.jump is not None:
         made.append(Stage(asked.terms(jump=False, xp=xp), 0, seeds, status=int(ReachStatus.JUMP)))
@@ -69,69 +68,56 @@ def nothing(shape, n, xp=np, dtype=float) -> Found:
 
 
 def winners(block, n, near, first, xp=np) -> tuple:
-    """Return the winning rows (..., width) of tries (..., W, width), with the looks they took, and which are answers.
+    """Return the winning rows (..., width) of tries (..., W, width), and which of them are answers.
 
     Args:
       near: whether the nearest answer wins, and not the first one.
       first: whether the first of them is the search's first, which then wins at once where it is CLOSE.
     """
     row = row_of(block, n)
-    solved, looks = row.status == ReachStatus.SOLVED, xp.cumsum(row.evaluations, axis=-1)
-    found = at_once = solved.any(axis=-1)
+    solved = row.status == ReachStatus.SOLVED
     won = xp.argmax(solved, axis=-1)
     if near:
         at_once = first & solved[..., 0] & (row.distance[..., 0] <= CLOSE)
         won = xp.where(at_once, 0, xp.argmin(xp.where(solved, row.distance, np.inf), axis=-1))
-    counted = xp.where(at_once, of_each(looks, won, xp), looks[..., -1])
-    return with_looks(of_each(block, won, xp), n, counted, xp), found
+    return of_each(block, won, xp), solved.any(axis=-1)
 
 
-def of_each(values, index, xp=np):
-    """Return an entry of each target's values: of (B, W, ...) and indices (B,), or while traced of (W, ...) and one."""
-    return values[np.arange(len(values)), index] if xp is np else values[index]
+def of_each(rows, index, xp=np):
+    """Return one row (..., width) of each target's (..., W, width)."""
+    return xp.take_along_axis(rows, index[..., None, None], -2)[..., 0, :]
 
 
-def with_looks(rows, n, looks, xp=np):
-    """Return the rows, in NumPy the same ones, with another number of evaluations."""
-    if xp is not np:
-        return rows.at[..., n + LOOKS].set(looks)
-    rows[..., n + LOOKS] = looks
-    return rows
-
-
-def wanted(asked, stage: Stage, found: Found, far, why, xp=np):
+def wanted(asked, stage: Stage, row, far, why, xp=np):
     """Return which targets (...,) need a stage: those too far off for the arm its first tries, and the nearest pose."""
-    row = row_of(found.rows, asked.chain.n)
     near = xp.isinf(stage.less) | (asked.squares(row, xp) < stage.less**2)
     return (row.status != ReachStatus.SOLVED) & (why == 0) & near & (~far | (stage.first + stage.status == 0))
 
 
-def advanced(stage: Stage, found: Found, k, inside, tried, block=None, xp=np) -> Found:
+def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> Found:
     """Return what was found, after tries k (W,) of a stage, and the careful ones that follow.
 
-    Args: inside: `near` within the limits, or None. tried: makes tries, see `Search.tried`. block: those already made.
+    Args: near: whether there is one. tried: makes tries, see `Search.tried`. block: those already made.
     """
-    n, island, first = found.places.shape[-1], island_of(k), (k[0] == 0) & xp.logical_not(stage.downhill)
+    n, island, uphill = found.places.shape[-1], island_of(k), xp.logical_not(stage.downhill)
     if block is None:
-        number, given, away = origins(k, stage.downhill, inside, found.places, found.costs, xp)
-        block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(stage.downhill, DOWNHILL, PLAIN))
+        number, given, away = origins(k, stage.downhill, found.places, found.costs, xp)
+        block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(uphill, PLAIN, DOWNHILL))
     row = row_of(block, n)
-    none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & xp.logical_not(stage.downhill)
+    none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & uphill
     better = xp.isfinite(row.cost) & ((k % 2 == 1) | (row.cost < found.costs[..., island]))
-    careful = none & (better | (row.status == FREE))
-    again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(careful, CAREFUL, 0))
+    again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(none & better, CAREFUL, 0))
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
-    rows, solved = winners(both, n, inside is not None, first, xp)
+    rows, solved = winners(both, n, near, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
     nearest = of_each(both, xp.argmin(row.cost, axis=-1), xp)
     nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
-    looks = row_of(found.rows, n).evaluations + row_of(rows, n).evaluations
     rows = xp.where(solved[..., None], rows, xp.where(nearer[..., None], nearest, found.rows))
     mine = np.arange(ISLANDS)[:, None] == xp.concatenate([np.arange(ISLANDS), island])
     costs = xp.concatenate([found.costs, row.cost], axis=-1)
     best = xp.argmin(xp.where(mine, costs[..., None, :], np.inf), axis=-1)
     places = xp.take_along_axis(xp.concatenate([found.places, row.q], axis=-2), best[..., None], -2)
-    return Found(with_looks(rows, n, looks, xp), places, xp.take_along_axis(costs, best, -1))
+    return Found(rows, places, xp.take_along_axis(costs, best, -1))
 
 
 class Targets(NamedTuple):
@@ -139,12 +125,10 @@ class Targets(NamedTuple):
 
     pose: Float[np.ndarray, "B t"]
     near: Float[np.ndarray, "B n"] | None
-    inside: Float[np.ndarray, "B n"] | None  # `near`, turned into the limits
-    pool: Executor | None = None  # threads for more than a few tries
 
     def some(self, ids):
         """Return some of them, or each several times."""
-        return Targets(*(None if v is None else v[ids] for v in self[:3]), self.pool)
+        return Targets(self.pose[ids], None if self.near is None else self.near[ids])
 
 
 class Search:
@@ -152,39 +136,22 @@ class Search:
 
     def __init__(self, asked: Asked):
         chain, task = asked.chain, asked.task
-        bound = attempts(chain, task).bound
-        starts = starts_of(chain, task)
+        bound, starts = attempts(chain, task).bound, starts_of(chain, task)
         self.asked, self.n, self.nowhere = asked, chain.n, np.full(chain.n, np.nan)
         self.stages = [stage._replace(terms=bound(*starts, *stage.terms)) for stage in stages(asked)]
         self.wide = bound(*starts, *asked.terms(limits=False))
 
-    def targets(self, pose, near) -> Targets:
-        """Return targets (B, t), near (B, n) or None, as the search takes them."""
-        turn = np.array(self.asked.chain.periodic), *self.asked.limited()
-        return Targets(pose, near, None if near is None else turned(near, near, *turn))
-
-    def rows(self, pose, near) -> np.ndarray:
-        """Return the rows (B, width) of targets (B, t), near (B, n) or None."""
-        of = self.targets(pose, near)
-        if len(pose) * ROUND <= MANY or cores() == 1:
-            return self.found(of)
-        with side_by_side() as pool:
-            return self.found(of._replace(pool=pool))
-
-    def found(self, of: Targets) -> np.ndarray:
-        """Return the rows of targets."""
-        finite = self.asked.finite(*of[:2])
+    def rows(self, of: Targets) -> np.ndarray:
+        """Return the rows (B, width) of targets."""
+        finite = self.asked.finite(*of)
         if not finite.all():
             rows = self.asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), False, 0, False)
             if finite.any():
-                rows[finite] = self.found(of.some(finite))
+                rows[finite] = self.rows(of.some(finite))
             return rows
         rows, block, left = self.first(of)
         if len(left):
             rows[left] = self.rest(of.some(left), block)
-        if self.asked.jump is not None:  # of answers at once: where `near` is outside the limits
-            solved = row_of(rows, self.n).status == ReachStatus.SOLVED
-            rows[solved] = self.asked.concluded(rows[solved], True, 0, False)
         return rows
 
     def first(self, of: Targets) -> tuple:
@@ -193,21 +160,16 @@ class Search:
         Returns: rows (B, width); the tries (K, W, width) of targets that have no answer; the indices of these.
         """
         n, count, near, ids = self.n, min(ROUND, self.asked.seeds), of.near is not None, np.arange(len(of.pose))
-        rows, block, k = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n))), 0
-        while len(ids) and k < count:
-            one, of_ = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
+        rows, block = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n)))
+        while len(ids) and (k := block.shape[1]) < count:
+            one, part = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
             order = np.arange(k, k + 1 if one else count)
-            _, given, away = origins(order, False, of_.inside, *nothing((), n)[1:]) if near else (0, None, 0.0 * order)
-            tries = self.tried(of_, self.stages[0].terms, given, away, order, PLAIN)
-            block, k = tries if k == 0 else np.concatenate([block, tries], axis=1), order[-1] + 1
-            if one:
-                made, row = tries[:, 0], row_of(tries[:, 0], n)
-                solved = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE if near else True)
-                made = with_looks(made[solved], n, row_of(block[solved], n).evaluations.sum(axis=1))
-            else:
-                made, solved = winners(block, n, near, first=True)
-                made = made[solved]
-            rows[ids[solved]] = made
+            tries = self.tried(part, self.stages[0].terms, None, 0.0 * order, order, PLAIN)
+            block = np.concatenate([block, tries], axis=1) if k else tries
+            made, solved = winners(block if near else tries, n, near, first=True)
+            if near and one:
+                solved &= row_of(made, n).distance <= CLOSE
+            rows[ids[solved]] = made[solved]
             ids, block = ids[~solved], block[~solved]
         return rows, block, ids
 
@@ -215,9 +177,9 @@ class Search:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
         asked, n, K = self.asked, self.n, len(of.pose)
         far, why, order = asked.too_far(of.pose), np.zeros(K, int), np.arange(block.shape[1])
-        found = advanced(self.stages[0], nothing((K,), n), order, of.inside, self.tries(of), block)
+        found = advanced(self.stages[0], nothing((K,), n), order, of.near is not None, self.tries(of), block)
         for stage in self.stages[1:]:
-            ids = np.flatnonzero(wanted(asked, stage, found, far, why))
+            ids = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
             into = nothing((K,), n) if stage.status else found
             self.stage(stage, into, ids, of)
             if stage.status:
@@ -231,7 +193,7 @@ class Search:
             count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
             for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
                 own, before = of.some(some), Found(*(v[some] for v in found))
-                made = advanced(stage, before, k + np.arange(count), own.inside, self.tries(own))
+                made = advanced(stage, before, k + np.arange(count), of.near is not None, self.tries(own))
                 for whole, part in zip(found, made, strict=True):
                     whole[some] = part
             ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
@@ -252,8 +214,8 @@ class Search:
         if not len(ids):
             return np.tile(blank(self.n), (*shape, 1))
         given = np.broadcast_to(given, (*shape, self.n))[ids, which] if given.ndim > 1 else given
-        pose, near = (v if v.ndim < 2 or (shape[1] == 1 and len(ids) == len(v)) else v[ids] for v in (of.pose, near))
-        made = call((pose, near, given, away[which], k[which], most[ids, which]), len(ids), of.pool)
+        near = near[ids] if near.ndim > 1 else near
+        made = call((of.pose[ids], near, given, away[which], k[which], most[ids, which]), len(ids))
         if len(ids) == shape[0] * shape[1]:
             return made.reshape(*shape, made.shape[-1])
         rows = np.tile(blank(self.n), (*shape, 1))
@@ -271,7 +233,7 @@ def path(search: Search, pose, progress=None) -> np.ndarray:
     along = ahead(asked.chain, asked.task).bound(*asked.terms())
     rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
     while k < B:
-        rows[k] = (search if k else free).rows(pose[k : k + 1], q[None])[0]
+        rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], np.asarray(q)[None]))[0]
         row, k = row_of(rows[k], n), k + 1
         q, count = row.q if row.status == ReachStatus.SOLVED else q, AHEAD
         while k < B and count == AHEAD:

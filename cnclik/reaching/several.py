@@ -13,12 +13,12 @@ PATIENCE = 64  # the search ends after so many tries without a new answer, plus 
 AT_ONCE = 1 << 16  # answers compared at once
 
 
-def several(search: Search, pose, near, solutions) -> np.ndarray:
-    """Return rows (B, solutions, width) of targets (B, t): the nearest ones first; NO_OTHER where there are fewer.
+def several(search: Search, of: Targets, solutions) -> np.ndarray:
+    """Return rows (B, solutions, width) of targets: the nearest ones first; NO_OTHER where there are fewer.
 
     Tries go on until each target has as many answers as are wanted, or none has been new for long.
     """
-    of, first = search.targets(pose, near), search.rows(pose, near)
+    first = search.rows(of)
     n, B = search.n, len(first)
     no_other = blank(n) + np.where(np.arange(len(blank(n))) < n + 3, np.nan, 0.0)
     no_other[n] = int(ReachStatus.NO_OTHER)

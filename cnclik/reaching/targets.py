@@ -1,6 +1,5 @@
 """Targets: the accepted forms of a target, read into 12 numbers for each tip."""
 
-import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,19 +8,7 @@ from cnclik import errors
 from cnclik.law.reference import Reference, References, aims_of
 from cnclik.robot import poses
 from cnclik.task.aims import WIDTH, aims, of_tips
-from cnclik.task.build import orientation, pose, position
 from cnclik.task.task import Task
-
-TASKS = {"pose": pose, "position": position, "orientation": orientation}
-
-
-def task_of(task) -> Task:
-    return task if isinstance(task, Task) else _named(errors.one_of("task", task, TASKS))
-
-
-@functools.cache
-def _named(name):
-    return TASKS[name]()
 
 
 def read(targets, task: Task):

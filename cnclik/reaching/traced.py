@@ -13,9 +13,8 @@ from cnclik.reaching.asked import Asked
 from cnclik.reaching.descent import attempt, look, starts_of
 from cnclik.reaching.result import ReachStatus, row_of, touching
 from cnclik.reaching.search import ROUND, Found, Stage, advanced, nothing, stages, wanted
-from cnclik.reaching.starts import Starts, empty, turned
+from cnclik.reaching.starts import Starts, empty
 from cnclik.record import replace
-from cnclik.task.aims import aims
 
 LEAST = 64  # smallest tolerance, in roundings
 _attempt = native(attempt)
@@ -47,7 +46,6 @@ def _searched(asked, starts, pose, near, finite, far):
     every = stages(asked, jnp)
     table = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x) for x in v]), *every)
     table = jax.tree.map(lambda v: v.astype({"f": dtype, "i": np.int32, "b": bool}[v.dtype.kind]), table)
-    inside = None if near is None else turned(near, near, np.array(chain.periodic), *asked.limited(), jnp)
     there = jnp.full(n, jnp.nan, dtype) if near is None else near
     starts, none = Starts(*map(jnp.asarray, starts)), nothing((), n, jnp, dtype)
 
@@ -59,28 +57,27 @@ def _searched(asked, starts, pose, near, finite, far):
         return jax.vmap(one)(given, away.astype(dtype), k, jnp.broadcast_to(most, k.shape).astype(jnp.int32))
 
     def once(carry):
-        (p, k), found, beyond, why = carry
+        (p, k), found, kept, why = carry
         stage = Stage(*jax.tree.map(lambda v: v[p], table))
         aside = stage.status > 0
-        beyond = _choose(k == 0, none, beyond)
-        want = wanted(asked, stage, found, far, why, jnp)
+        found = _choose(aside & (k == 0), none, found)
+        want = wanted(asked, stage, row_of(kept, n), far, why, jnp)
         stage = stage._replace(last=jnp.where(want, stage.last, 0))  # nothing is tried then
-        made = _choose(aside, beyond, found)
         order = k + jnp.arange(ROUND, dtype=jnp.int32)
-        made = _choose(want, advanced(stage, made, order, inside, tried, xp=jnp), made)
-        found, beyond = _choose(aside, found, made), _choose(aside, made, beyond)
-        over = (row_of(made.rows, n).status == ReachStatus.SOLVED) | (k + ROUND >= stage.last)
-        meaning = asked.meaning(stage.status, made.rows, made.costs.min(), jnp)
+        found = _choose(want, advanced(stage, found, order, near is not None, tried, xp=jnp), found)
+        over = (row_of(found.rows, n).status == ReachStatus.SOLVED) | (k + ROUND >= stage.last)
+        meaning = asked.meaning(stage.status, found.rows, found.costs.min(), jnp)
         why = jnp.where(aside & over & want, meaning, why).astype(np.int32)
         following = table.first[jnp.minimum(p + 1, len(every) - 1)]
-        return (p + over, jnp.where(over, following, k + ROUND)), found, beyond, why
+        where = p + over, jnp.where(over, following, k + ROUND)
+        return where, found, jnp.where(aside, kept, found.rows), why
 
     def goes_on(carry):
-        (p, _), found, _, why = carry
-        return (p < len(every)) & (row_of(found.rows, n).status != ReachStatus.SOLVED) & finite & (why == 0)
+        (p, _), _, kept, why = carry
+        return (p < len(every)) & (row_of(kept, n).status != ReachStatus.SOLVED) & finite & (why == 0)
 
-    _, found, _, why = lax.while_loop(goes_on, once, ((jnp.int32(0), jnp.int32(0)), none, none, jnp.int32(0)))
-    return found.rows, why
+    _, _, kept, why = lax.while_loop(goes_on, once, ((jnp.int32(0), jnp.int32(0)), none, none.rows, jnp.int32(0)))
+    return kept, why
 
 
 def _choose(which, one: Found, other: Found) -> Found:
@@ -96,10 +93,7 @@ def refined(chain, task, target, q, held, found):
     q, held = lax.stop_gradient((q, held))
     held_chain, held_target = lax.stop_gradient((chain, target))
     e, _, _ = look(chain, task, q, target)
-    if any(len(aim.angular) in (1, 2) for aim in aims(task)):  # what is left about other axes turns these with it
-        j = -jax.jacfwd(lambda v: look(held_chain, task, v, held_target)[0])(q)
-    else:
-        j = look(held_chain, task, q, held_target)[1]
-    j = jnp.where(held, 0.0, j)
+    # not J: where a task leaves some axes of the turn free, what is left about these turns the others with it
+    j = jnp.where(held, 0.0, -jax.jacfwd(lambda v: look(held_chain, task, v, held_target)[0])(q))
     step = dense.cholesky_solve(dense.cholesky(dense.shifted(j @ j.T, tiny_shift(j))), e) @ j
     return q + jnp.where(found, step - lax.stop_gradient(step), 0.0)
