@@ -1,4 +1,4 @@
-"""Figures of a sweep: heat maps, who is best, slices, distributions.
+"""Figures of a sweep: heat maps, who is best, slices.
 
 Every kind works from the dataset alone. Dimensions that a figure doesn't name become lines, panels and rows; samples of
 starts are summed up by their median, and what is left is shown at its middle.
@@ -28,7 +28,7 @@ LONGEST = 8  # a longer dimension gets no panels
 MOST_IN_A_ROW = 5  # panels
 LETTER = 0.06  # [in] mean width
 RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work
-AXES = {"heat": ("x", "y"), "best": ("x", "y"), "slices": ("x", "over", "lines"), "distribution": ("over", "lines")}
+AXES = {"heat": ("x", "y"), "best": ("x", "y"), "slices": ("x", "over", "lines")}
 ROLES = ("x", "y", "over", "lines", "panels", "rows", "across")  # keys that name a dimension
 REDUCE = ("median", "mean", "min")
 KEYS = ("kind", "name", "title", "value", "panels", "rows", "across", "reduce", "select", "log", "limits")
@@ -93,11 +93,7 @@ class Layout(NamedTuple):
     across: str | None  # a dimension summed up by `reduce`, as samples are
     reduced: tuple  # dimensions summed up
     middle: tuple  # dimensions without a role: shown at their middle
-    select: dict
-    reduce: str
-    title: str | None
-    log: bool | None  # None: as the values are
-    limits: tuple | None
+    table: dict  # as [[figure]] in a spec, checked
 
 
 def numeric(data) -> list:
@@ -113,7 +109,7 @@ def samples(data) -> list:
 
 def defaults(data) -> list:
     """Return figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
-    axes, starts, value = numeric(data), samples(data), main_value(data)
+    axes, value = numeric(data), main_value(data)
     if value is None:
         return []
     methods = data.sizes.get("method", 1)
@@ -123,8 +119,6 @@ def defaults(data) -> list:
         tables += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
     elif axes:
         tables.append({"kind": "slices", "value": value, "x": axes[0]})
-    if starts:
-        tables.append({"kind": "distribution", "value": value, "over": starts[0]})
     if "Ts" in data.dims and "evaluations" in scalars(data) and len(np.unique(data.evaluations)) > methods:
         tables.append({"kind": "slices", "value": value, "x": "evaluations", "over": "Ts", "name": f"work_{value}"})
     return tables
@@ -140,6 +134,13 @@ def arrange(data, table: dict) -> Layout:
     """
     kind = errors.one_of("kind", table.get("kind"), AXES)
     known_keys("table", table, (*KEYS, *AXES[kind]))
+    for key in ("name", "title"):
+        errors.kind(key, table.get(key, "-"), str, "be a text")
+    if pathlib.PurePath(name := table.get("name", "-")).name != name or "\\" in name:
+        raise errors.fail("name", "be a file's name without a folder", f"is {name!r}")
+    errors.one_of("reduce", table.get("reduce", "median"), REDUCE)
+    errors.truth("log", table.get("log", True))
+    errors.array("limits", table.get("limits", (0, 1)), (2,))
     value = errors.one_of("value", table.get("value", main_value(data)), scalars(data))
     select = errors.kind("select", table.get("select", {}), dict, "be a table of a dimension and its value")
     for dim, wanted in select.items():
@@ -153,14 +154,12 @@ def arrange(data, table: dict) -> Layout:
         if role in AXES[kind] and roles[role] is None:
             roles[role] = next((d for d in axes if d != roles[other]), None)
             if roles[role] is None:
-                need = "'slices' for one numeric axis" if "y" in AXES[kind] else "'distribution' without a numeric axis"
-                raise errors.fail("kind", f"be {need}", f"is {kind!r}, and the axes are {axes}")
+                must = f"have {'two numeric axes' if 'y' in AXES[kind] else 'a numeric axis'}"
+                raise errors.fail("kind", must, f"is {kind!r}, and the axes are {axes}")
     if kind == "best" and ("method" not in dims or "method" in roles.values()):
         raise errors.fail("kind", "be 'heat' for a single method", "is 'best'")
     if kind == "slices" and roles["x"] not in dims:
         roles["over"] = errors.one_of("over", roles["over"] or "Ts", dims)
-    if kind == "distribution":
-        roles["over"] = roles["over"] or next(iter((*drawn, *axes)), None)
     free = [d for d in dims if d not in (*roles.values(), *["method"] * (kind == "best"))]
     reduced = tuple(d for d in dims if d == roles["across"] or (d in free and d in drawn))
     # The rest: methods and stages first, then M.
@@ -170,20 +169,7 @@ def arrange(data, table: dict) -> Layout:
         if roles[role] is None:
             roles[role] = next((d for d in free if data.sizes[d] <= most), None)
             free = [d for d in free if d != roles[role]]
-    return Layout(kind, value, **roles, reduced=reduced, middle=tuple(free), select=dict(select), **_looks(table))
-
-
-def _looks(table) -> dict:
-    """Return the look of a table, checked."""
-    name, limits = errors.kind("name", table.get("name", "-"), str, "be a text"), table.get("limits")
-    if pathlib.PurePath(name).name != name or "\\" in name:
-        raise errors.fail("name", "be a file's name without a folder", f"is {name!r}")
-    return {
-        "reduce": errors.one_of("reduce", table.get("reduce", "median"), REDUCE),
-        "title": errors.kind("title", table.get("title"), str | None, "be a text"),
-        "log": errors.truth("log", table["log"]) if "log" in table else None,
-        "limits": None if limits is None else tuple(np.asarray(errors.array("limits", limits, (2,))).tolist()),
-    }
+    return Layout(kind, value, **roles, reduced=reduced, middle=tuple(free), table=table)
 
 
 def _check_selected(where, wanted, coordinate):
@@ -200,12 +186,13 @@ def _check_selected(where, wanted, coordinate):
 def view(data, layout: Layout):
     """Return the part of the data that the figure shows."""
     shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
-    for dim, wanted in layout.select.items():
+    for dim, wanted in layout.table.get("select", {}).items():
         shown = shown.sel({dim: wanted}, method="nearest" if shown[dim].dtype.kind == "f" else None)
     if layout.reduced:
-        shown = getattr(shown, layout.reduce)(layout.reduced, keep_attrs=True)
+        reduce = layout.table.get("reduce", "median")
+        shown = getattr(shown, reduce)(layout.reduced, keep_attrs=True)
         words = shown[layout.value].attrs.get("long_name", "")
-        if layout.reduce == "mean" and words.startswith("1 if "):  # a verdict
+        if reduce == "mean" and words.startswith("1 if "):  # a verdict
             shown[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
     return shown.isel({d: shown.sizes[d] // 2 for d in layout.middle})
 
@@ -231,7 +218,7 @@ def heat(view, layout):
     if limited:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend([plt.Line2D([], [], **style.OUTLINED)], [words], loc="outside lower center")
-    extend = "both" if layout.limits else "max" if np.nanmax(value.values, initial=0.0) > scale.vmax else "neither"
+    extend = "both" if "limits" in layout.table else "max" if np.nanmax(value.values, initial=0.0) > scale.vmax else "neither"
     grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02, label=axis_label(value))
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
 
@@ -286,7 +273,7 @@ def slices(view, layout):
 
 def _value_scale(ax, values, layout):
     """Set the y axis of a value: logarithmic where the values say so."""
-    limits = layout.limits
+    limits = layout.table.get("limits")
     if is_logarithmic(values, layout):
         positive = values[np.isfinite(values) & (values > 0)]
         bottom = limits[0] if limits and limits[0] > 0 else 0.7 * max(positive.min(), positive.max() * 1e-16)
@@ -298,23 +285,7 @@ def _value_scale(ax, values, layout):
         ax.set_ylim(*limits)
 
 
-def distribution(view, layout):
-    """Draw the share of loops at or below a value; one that is not finite is never reached."""
-    value = view[layout.value].astype(float)
-    grid = Panels(view, layout)
-    for ax, part in grid.each(value):
-        for i, look in enumerate(grid.looks()):
-            sample = part.isel({layout.lines: i} if layout.lines else {}).values
-            sample = np.sort(sample[~np.isnan(sample)])
-            share, shown = np.arange(1, len(sample) + 1) / max(len(sample), 1), np.isfinite(sample)
-            ax.step(sample[shown], share[shown], where="post", **look | {"marker": ""})
-        if is_logarithmic(value.values, layout):
-            style.log_scale(ax.xaxis, value.values)
-        ax.set(ylim=(0, 1), xlim=layout.limits)
-    return grid.finish(axis_label(value), "share of loops at or below")
-
-
-KINDS = {"heat": heat, "best": best, "slices": slices, "distribution": distribution}
+KINDS = {"heat": heat, "best": best, "slices": slices}
 
 
 # --- panels ---------------------------------------------------------------------------------------------
@@ -377,7 +348,7 @@ class Panels:
             about = {"title": axis_label(self.view[self.layout.lines]), "loc": "outside lower center"}
             self.figure.legend(handles, labels, ncols=columns, **about)
         fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
-        self.figure.suptitle(self.layout.title or ", ".join(map(described, fixed)))
+        self.figure.suptitle(self.layout.table.get("title") or ", ".join(map(described, fixed)))
         return self.figure
 
 
@@ -386,10 +357,10 @@ def norm(values, layout):
     known = values[np.isfinite(values)]
     if not known.size:
         return colors.Normalize(0, 1)
-    logarithmic = is_logarithmic(values, layout)
-    if layout.limits or not logarithmic:
+    logarithmic, limits = is_logarithmic(values, layout), layout.table.get("limits")
+    if limits or not logarithmic:
         of = colors.LogNorm if logarithmic else colors.Normalize
-        return of(*(layout.limits or (known.min(), known.max())))
+        return of(*(limits or (known.min(), known.max())))
     # Loops that ran away, or values at rounding, would waste the colours on decades that nobody looks at.
     positive = known[known > 0]
     high = positive[positive <= RAN_AWAY].max(initial=0.0) or positive.max()
@@ -400,8 +371,8 @@ def is_logarithmic(values, layout) -> bool:
     """Return whether a value is drawn on a logarithmic scale: as the table asks, or where values spread."""
     known = values[np.isfinite(values)].astype(float)  # counts and verdicts too
     positive = known[known > 0]
-    if layout.log is not None or not positive.size or known.min() < 0:
-        return bool(layout.log and positive.size)
+    if "log" in layout.table or not positive.size or known.min() < 0:
+        return bool(layout.table.get("log") and positive.size)
     low, high = np.quantile(positive, [0.02, 0.98])
     return high > 50 * low
 
