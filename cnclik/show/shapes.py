@@ -123,8 +123,9 @@ def _file_of(file, name):
     marked = (folder for folder in file.parents if os.path.isfile(folder / "package.xml"))
     root = next(marked, file.parent.parent if laid_out else file.parent)
     scheme, mark, rest = name.partition("://")
-    inner = [root / rest, root / rest.partition("/")[2]] if mark and scheme != "file" else [file.parent / (rest or name)]
-    inside = (place for place in map(pathlib.Path.resolve, inner) if place.is_relative_to(root))
+    package = mark and scheme != "file"
+    places = [root / rest, root / rest.partition("/")[2]] if package else [file.parent / (rest or name)]
+    inside = (place for place in map(pathlib.Path.resolve, places) if place.is_relative_to(root))
     return next((place for place in inside if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
 
 

@@ -218,7 +218,8 @@ def heat(view, layout):
     if limited:
         words = value.coords["limit"].attrs.get("long_name", "limit")
         grid.figure.legend([plt.Line2D([], [], **style.OUTLINED)], [words], loc="outside lower center")
-    extend = "both" if "limits" in layout.table else "max" if np.nanmax(value.values, initial=0.0) > scale.vmax else "neither"
+    beyond = bool(np.any(np.isfinite(value.values) & (value.values > scale.vmax)))
+    extend = "both" if "limits" in layout.table else "max" if beyond else "neither"
     grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02, label=axis_label(value))
     return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
 

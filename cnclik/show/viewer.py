@@ -1,4 +1,4 @@
-"""The viewer: `view` plays a run in viser: the robot, the paths of its tips, their targets, walls, a slider over time."""
+"""The viewer: `view` plays a run in viser: the robot, paths of its tips, their targets, walls, and a time slider."""
 
 import contextlib
 import html

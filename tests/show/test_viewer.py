@@ -13,14 +13,13 @@ from cnclik.cli import view as cli
 from cnclik.measure.dataset import to_dataset
 from cnclik.problem.build import problem_from
 from cnclik.robot.urdf import load_urdf
-from cnclik.show import motion
-from cnclik.show import viewer
+from cnclik.show import motion, viewer
 from tests.oracles import robot_file
 
 if not viewer.has_viser():
     pytest.skip("needs viser, the extra `viewer`", allow_module_level=True)
 
-from cnclik.show import shapes, viewer
+from cnclik.show import shapes
 
 ARM = "planar:1,0.8"
 SLIDER = ck.from_dh([0.3, 0, 0.2], [0.4, -0.5, 0], [0.1, 0.2, 0], kinds="RPR", lower=[-1, -0.2, -1], upper=[1, 0.5, 1])
