@@ -11,26 +11,15 @@ def run(*, out: str = "reproduced", overwrite: bool = False) -> None:
       out: folder for data, claims.json, claims.md and figures.
     """
     prepare()
-    from cnclik import paper
-
-    with progress.bar("done") as report:
-        found = paper.reproduce(out, progress=report, overwrite=overwrite)
-    _show(found)
-    print(f"Wrote data, claims and figures to {out}/; read {out}/claims.md first.")
-
-
-def _show(found) -> None:
-    """The tables of claims.md on the terminal."""
     import rich.box
 
-    from cnclik.paper import claims, judge, readings, tables
+    from cnclik import paper
+    from cnclik.paper import claims, readings
 
-    judged = judge(found.trajectories, found.passes)
+    with progress.bar("done") as report:
+        results = paper.reproduce(out, progress=report, overwrite=overwrite)
     look = dict(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0), style=lambda row: "green" if row[-1] == "yes" else None)
-    for title, header, rows, left in (
-        tables.claim_table(judged, claims.undetermined(found.trajectories)),
-        tables.method_table(found.methods),
-        tables.picard_table(judged),
-    ):
+    for title, header, rows, left in claims.tables(claims.judge(results.trajectories, results.passes), results):
         print_table(rows, header, title=title, left=left, **look)
     print(f"* decided by rounding: starts {readings.NUDGE:.0e} rad apart give other digits.\n")
+    print(f"Wrote data, claims and figures to {out}/; read {out}/claims.md first.")

@@ -54,25 +54,21 @@ def save(data: "xr.Dataset", path) -> None:
     import pandas
 
     over = [name for name in ("target", "solution") if name in data.sizes]
-    rows = (
-        data.assign_coords({name: np.arange(data.sizes[name]) for name in over})
-        .stack(answer=over)
-        .transpose("answer", ...)
-    )
-    joints, several = rows.joint.values.astype(str), "tip" in data.sizes
-    tips = [f"{tip}." for tip in rows.tip.values] if several else [""]
+    rows = data.assign_coords({name: np.arange(data.sizes[name]) for name in over}).stack(answer=over)
+    rows = rows.transpose("answer", ...)
+    joints = rows.joint.values.astype(str)
     columns: dict = {name: rows[name].values for name in over}
     columns["status"] = [ReachStatus(status).name for status in rows.status.values]
     columns |= dict(zip(joints, rows.q.values.T, strict=True))
     numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
     columns |= {name: rows[name].values for name in numbers}
     columns["at_limit"] = [" ".join(joints[hit.astype(bool)]) for hit in rows.at_limit.values]
-    if several:
-        for name in ("position_error", "orientation_error"):
-            columns |= {f"{tip}{name}": v for tip, v in zip(tips, rows[f"tip_{name}"].values.T, strict=True)}
+    tips = [f"{tip}." for tip in rows.tip.values] if "tip" in data.sizes else [""]
+    for name in numbers[:2] if len(tips) > 1 else ():
+        columns |= dict(zip([tip + name for tip in tips], rows[f"tip_{name}"].values.T, strict=True))
     entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]
     columns |= dict(zip(entries, rows.transform.values.reshape(len(rows.answer), -1).T, strict=True))
-    table = pandas.DataFrame(
-        {k: v + 0.0 if np.asarray(v).dtype.kind == "f" else v for k, v in columns.items()}
-    )  # no −0
+    table = pandas.DataFrame(columns)
+    numeric = table.select_dtypes("float").columns
+    table[numeric] += 0.0  # no −0
     table.to_csv(path, index=False, na_rep="nan")

@@ -39,19 +39,16 @@ BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT")
 class Reading(NamedTuple):
     """One way to read the paper where its text leaves a choice."""
 
-    rotation: str
-    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
-    Ts: str
-    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
-    feedforward: str
-    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
+    rotation: str  # on-path: positive angles turn clockwise, Case II starts on its path; printed: right-handed about +z
+    Ts: str  # once: as eqs. 2-5 have it; twice: eq. 7 as printed multiplies by Ts what eq. 6 already did
+    feedforward: str  # consistent: the path's own velocity −1/(N·Ts); printed: −1, as eqs. 16 and 19
 
     def __str__(self):
         return "/".join(self)
 
 
-_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
-READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
+_CHOICES = itertools.product(("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
+READINGS = {str(r): r for r in itertools.starmap(Reading, _CHOICES)}
 DEFAULT = READINGS["on-path/once/consistent"]
 
 
