@@ -62,7 +62,7 @@ def _answer(made, trajectory, out) -> None:
     from cnclik.stability.ending import verdict
 
     with progress.bar("verdict"):
-        loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
+        loop = dict(method=made.method, stage=made.stage, drive=made.drive or Drive())
         judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
