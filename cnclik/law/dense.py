@@ -35,6 +35,7 @@ def factored_solve(lower, product, b):
     return lax.custom_linear_solve(product, b, lambda _, b: cholesky_solve(lower, b), symmetric=True)
 
 
+@functools.partial(jax.jit, static_argnames="transposed", inline=True)  # its derivatives are traced once, too
 def triangular(lower, b, *, transposed=False):
     """Solve L x = b, or Lᵀ x = b."""
     whole = jnp.where(np.tri(len(lower), dtype=bool), lower, 0.0)
