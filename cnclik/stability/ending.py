@@ -42,7 +42,7 @@ NO_REMEDY: tuple[dict, str] = {}, ""
 
 
 class Behaviour(enum.StrEnum):
-    """How a run ended."""
+    """Ways in which a run ends."""
 
     SETTLED = "settled"
     FOLLOWING = "following"
