@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -19,6 +19,14 @@ from cnclik.version import __version__
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+class Labelled(NamedTuple):
+    """Labelled arrays {name: (dims, values, attrs)}: what `xarray.Dataset(*labelled)` takes."""
+
+    variables: dict
+    coords: dict
+    attrs: dict
 
 
 @of_numbers
@@ -46,6 +54,11 @@ def to_dataset(
     """
     import xarray as xr
 
+    return xr.Dataset(*labelled(run, law, dims, coords, config))
+
+
+def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> Labelled:
+    """Return the arrays of `to_dataset`, without loading xarray."""
     check_run(run, errors.kind("law", law, Law))
     dims = tuple(dims)
     t, evaluations = np.asarray(run.t), np.asarray(run.evaluations)
@@ -93,8 +106,8 @@ def to_dataset(
     else:  # each lane has its own times, as in a sweep over Ts
         variables["t"] = (instant, t, about("time", "s"))
     variables = {name: (d, np.asarray(v), words) for name, (d, v, words) in variables.items()}
-    found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(run.q.dtype))
-    return found if config is None else found.assign_attrs(config=as_json(config))
+    attrs = provenance(run.q.dtype) | ({} if config is None else {"config": as_json(config)})
+    return Labelled(variables, labels | dict(coords or {}), attrs)
 
 
 def _tips(task, chain) -> list:
