@@ -48,12 +48,14 @@ def triangular(lower, b, *, transposed=False):
     )
 
 
+@functools.partial(jax.jit, inline=True)
 def inverse_trace(lower):
     """Return the trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite without a factor."""
     trace = jnp.sum(triangular(lower, jnp.eye(len(lower), dtype=lower.dtype)) ** 2)
     return jnp.where(trace > 0, trace, jnp.inf)
 
 
+@functools.partial(jax.jit, inline=True)
 def least_squared(rows, tiny):
     """Return σ_min² of J, or up to m^(1/32) less where others are as small (6 % for six rows), with smooth derivatives.
 

@@ -57,8 +57,8 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     rows = pathlib.Path(log).read_text().splitlines(keepends=True)
     for lines, Ts, told in (
         (rows, "1ms", "--Ts, though the stamps are 2 ms apart"),
-        (rows[:60] + rows[63:], "2ms", "--Ts, though of the stamps row 60 comes 0.008 s after the one before"),
-        ([rows[0], *reversed(rows[1:])], "2ms", "--Ts, though of the stamps the median step is -0.002 s"),
+        (rows[:60] + rows[63:], "2ms", "--Ts"),
+        ([rows[0], *reversed(rows[1:])], "2ms", "--Ts, though the stamps are -2 ms apart"),
     ):
         (tmp_path / "other.csv").write_text("".join(lines))
         assert f"({told})" in answer(capsys, tmp_path / "other.csv", "--Ts", Ts)
