@@ -156,8 +156,11 @@ class Grid:
             for n, step in zip(self.shape, self.block, strict=True)
         ]
         outer = [i for i, a in enumerate(self.axes) if not a.inner]
-        of_program = lambda region: [region[i].start for i in outer]  # noqa: E731
-        groups = itertools.groupby(sorted(itertools.product(*cuts), key=of_program), key=of_program)
+
+        def places(region):  # on the outer axes: those of a program
+            return [region[i].start for i in outer]
+
+        groups = itertools.groupby(sorted(itertools.product(*cuts), key=places), key=places)
         return [Block(number, region) for number, (_, regions) in enumerate(groups) for region in regions]
 
     def lane_values(self, block: Block) -> dict:

@@ -266,7 +266,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     Args: folder: where files named in the spec are searched first.
     """
     known_keys("SPEC", written, KINDS)
-    words = {str: "be a text", list: "be a list", dict: "be a table"}
+    words: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
     texts = {key: errors.kind(key, written.get(key, of()), of, words.get(of)) for key, of in KINDS.items()}
     fixed, axes, units = (dict(texts[key]) for key in ("fixed", "axes", "units"))
     for key, value in units.items():
