@@ -42,10 +42,10 @@ def run(
             trajectory = made.run()
         _answer(made, trajectory, out if json else None)
         from cnclik.measure.dataset import labelled
-        from cnclik.measure.files import save_csv, save_labelled
+        from cnclik.measure.files import save_csv, save_netcdf
 
         data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | numbers(loop))
-        folder.write("trajectory.nc", functools.partial(save_labelled, data))
+        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         if csv:
             folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
     with progress.bar("figures") as report:
