@@ -11,7 +11,7 @@ import numpy as np
 
 
 def save_netcdf(data, path) -> None:
-    """Write an `xarray.Dataset`, or a `Labelled`, as compressed netCDF, without xarray, whose import takes half a second.
+    """Write an `xarray.Dataset`, or a `Labelled`, as compressed netCDF, without xarray, which takes long to import.
 
     It is made in memory: HDF5 ends the process if the disk is full.
     """
