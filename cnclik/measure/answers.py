@@ -62,5 +62,5 @@ def save(data: Labelled, path) -> None:
     transforms = np.asarray(data.variables["transform"][1]).reshape(shape[0], -1)
     entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]
     columns |= dict(zip(entries, np.repeat(transforms, np.prod(shape[1:], dtype=int), axis=0).T, strict=True))
-    plain = [(v + 0.0).tolist() if getattr(v, "dtype", None) == float else v for v in columns.values()]  # no −0
+    plain = [(v + 0.0).tolist() if np.asarray(v).dtype.kind == "f" else v for v in columns.values()]  # no −0
     save_csv([list(columns), *zip(*plain, strict=True)], path)
