@@ -23,13 +23,11 @@ NUMBERS["velocity PI"] = ("lag", "integral")  # v' = (u − v + ∫(u − v)/int
 BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0), "integral": (0.3, 1e4)}
 SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts: bounds are in samples
 TIMES, RATIOS = np.geomspace(0.3, 150, 12), (0.3, 0.8, 2.0)  # lags [samples] and ζ to start from, a factor of 2 apart
-PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
 STEPS = 25  # of Gauss and Newton, from within a factor of two
 EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
 BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
 EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
-STRUCTURE, SEEN = 4.0, 2e-3  # correlation length [samples] and share of a motion of a residual that a drive leaves out
 OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
 FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
 NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
@@ -46,8 +44,8 @@ class DriveFit:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
       interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
-      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
-      explained: share of the motions' variance.
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m], NaN of a joint
+        that is left out; motion: (N, k) of the fit. explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
     """
@@ -76,7 +74,7 @@ class DriveFit:
             wide = f"{_said(low)} to {_said(high)}" if np.ndim(low) == 0 else f"± {_said(np.max(high - low) / 2)}"
             said.append(f"{name.replace('_', ' ')} {value}{units[name]} ({wide})")
         kind = ("dead time", "lag", "second order")[self.drive.order]
-        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
+        left = f"{np.nanmax(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
         alpha = f"Recommended alpha: {self.recommended_alpha:.4g} 1/s." if self.recommended_alpha else ""
         return " ".join(filter(None, (f"{kind}: {', '.join(said)}; {left}.", alpha, self.note)))
 
@@ -123,13 +121,10 @@ def fit_drive(
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts, velocity)
-    best = Fit("", (), np.empty(0), np.inf)
-    for one in kinds:
-        fit = _least(log, one, PARTS[0], _starts(log, one))
+    best = Fit("", np.empty(0), np.inf)
+    for each in kinds:
+        fit = _least(log, each, _starts(log, each))
         best = fit if fit.score < best.score - BETTER else best
-    for parts in PARTS[1:]:
-        fewer = _least(log, best.kind, parts, best.values[:, None])
-        best = fewer if fewer.score < best.score + BETTER else best
     return _made(log, best)
 
 
@@ -152,23 +147,20 @@ class _Log:
         steps = step_response(kind, np.exp(values[..., None, 1:]), self.t - values[..., :1], self.velocity)
         return np.fft.irfft(self.changes[joint] * np.fft.rfft(steps, self.length), self.length)[..., : len(self.t)]
 
-    def free(self, a, parts):
-        """Rows (..., N) without offset, and without drift where there is one."""
-        level = self.line[: 1 + parts[1]]
-        return a - (a @ level.T) @ level
+    def free(self, a):
+        """Rows (..., N) without offset and drift."""
+        return a - (a @ self.line.T) @ self.line
 
-    def left(self, kind, values, parts, joint):
+    def left(self, kind, values, joint):
         """((..., N) residuals, (...) gains) of drives (..., p) of joints (...)."""
-        moved = self.free(self.response(kind, values, joint) + self.base[joint], parts)
-        wanted, gain = self.free(self.y[joint], parts), np.ones(moved.shape[:-1])
-        if parts[0]:
-            gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
+        moved, wanted = self.free(self.response(kind, values, joint) + self.base[joint]), self.free(self.y[joint])
+        gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
         return wanted - gain[..., None] * moved, gain
 
-    def slopes(self, kind, values, parts, joint):
+    def slopes(self, kind, values, joint):
         """((..., N) residuals, (..., N, p) their derivatives by the values)."""
         p, step = values.shape[-1], 1e-4
-        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), parts, joint[..., None])
+        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), joint[..., None])
         return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
 
 
@@ -217,7 +209,7 @@ def _starts(log, kind):
         return np.fft.irfft(np.fft.rfft(row, log.length) * spectrum, log.length)[..., : latest + 1]
 
     power = np.cumsum(moved**2, -1)[..., N - 1 - np.arange(latest + 1)] - sum(across(row) ** 2 for row in log.line)
-    cost = -(across(log.free(log.y - log.base, PARTS[0])) ** 2) / np.maximum(power, 1e-9 * N)
+    cost = -(across(log.free(log.y - log.base)) ** 2) / np.maximum(power, 1e-9 * N)
     order = np.argsort(np.min(cost, -1), axis=0)[:2]
     found = values[order]  # (1 or 2, k, p)
     found[..., 0] = np.take_along_axis(np.argmin(cost, -1), order, 0) + 0.2 * (kind != "delay")
@@ -230,19 +222,18 @@ class Fit(NamedTuple):
     """Fitted values (k, p) of all joints: dead time [samples], logarithms of numbers in samples."""
 
     kind: str
-    parts: tuple
     values: np.ndarray
     score: float
 
 
-def _least(log, kind, parts, starts, late=None) -> Fit:
+def _least(log, kind, starts, late=None) -> Fit:
     """The least squares of each joint, from the better of its starts (k, s, p); `late`: with this dead time."""
     (low, high), N = _ends(kind), len(log.t)
     free = np.array([late is None, *[True] * (len(low) - 1)])
     low, high = np.where(free, low, late or 0.0), np.where(free, high, late or 0.0)
     values = np.clip(starts, low, high)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
-    here, slope = log.slopes(kind, values, parts, joint)
+    here, slope = log.slopes(kind, values, joint)
     power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
         slope = slope * free
@@ -251,7 +242,7 @@ def _least(log, kind, parts, starts, late=None) -> Fit:
         downhill = np.einsum("...ni,...n->...i", slope, here)
         step = np.linalg.solve(normal + scale[..., None] * np.eye(len(low)), downhill[..., None])[..., 0]
         tried = np.clip(values - np.clip(step, -1.5, 1.5), low, high)
-        there, slopes = log.slopes(kind, tried, parts, joint)
+        there, slopes = log.slopes(kind, tried, joint)
         better = np.sum(there**2, -1) < power
         ends = np.all(better | (damping > 1e3)) and np.all((np.abs(tried - values) < 1e-4) | ~better[..., None])
         values, here = np.where(better[..., None], tried, values), np.where(better[..., None], there, here)
@@ -263,8 +254,7 @@ def _least(log, kind, parts, starts, late=None) -> Fit:
     left = power[each] / N + EXACT**2
     _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
     numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
-    score = N * np.sum(np.log(left)) + log.k * (1 + sum(parts)) * np.log(N) + numbers
-    return Fit(kind, parts, values[each], float(score))
+    return Fit(kind, values[each], float(N * np.sum(np.log(left)) + numbers))
 
 
 def _ends(kind):
@@ -277,9 +267,9 @@ def _ends(kind):
 
 def _made(log, fit) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
-    (kind, parts, fitted, _), names, every = fit, NUMBERS[fit.kind], np.arange(log.k)
-    values, covs, own = _together(log, kind, parts, fitted)
-    left, gain = log.left(kind, np.broadcast_to(values, fitted.shape), parts, every)
+    kind, names, every = fit.kind, NUMBERS[fit.kind], np.arange(log.k)
+    values, covs, own = _together(log, kind, fit.values)
+    left, gain = log.left(kind, np.broadcast_to(values, fit.values.shape), every)
     explained = 1.0 - np.mean(left**2, -1)  # of each motion's variance; a joint may also move as others shake it
     follows = explained > EXPLAINED
     if not follows.any():
@@ -303,15 +293,13 @@ def _made(log, fit) -> DriveFit:
     if not follows.all():
         said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
         notes.append(f"Joint {said} does not follow its command, and is left out.")
-    rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
-    if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
-        notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
+    rms = np.where(follows, np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.nan)
     if np.any(off := follows & (np.abs(gain - 1) > OFF)):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
-    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fitted.shape), every) + log.base)
-    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * parts[1] * log.size[:, 0]
+    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fit.values.shape), every) + log.base)
+    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * log.size[:, 0]
     given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
     motion = log.motion - (left * log.size).T
     return DriveFit(
@@ -323,9 +311,9 @@ def _made(log, fit) -> DriveFit:
     )
 
 
-def _together(log, kind, parts, fitted) -> tuple:
+def _together(log, kind, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
-    information = _information(log, kind, parts, fitted)
+    information = _information(log, kind, fitted)
     cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean, apart = _shared(fitted, information)
     free = (log.k - 1) * len(mean)
@@ -335,17 +323,17 @@ def _together(log, kind, parts, fitted) -> tuple:
         moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
         most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
         starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
-        fitted = _least(log, kind, parts, starts, late).values
+        fitted = _least(log, kind, starts, late).values
         each[:, 0, 0] = least
         return fitted, each, True
     return mean[None], cov[None], False
 
 
-def _information(log, kind, parts, values):
+def _information(log, kind, values):
     """(k, p, p) of the values of each joint: residuals count as often as they are independent, and may be larger where
     the motion is fast (White 1980)."""
-    left, slope = log.slopes(kind, values, parts, np.arange(log.k))
-    free = max(len(log.t) - slope.shape[-1] - 1 - sum(parts), 1)
+    left, slope = log.slopes(kind, values, np.arange(log.k))
+    free = max(len(log.t) - slope.shape[-1] - 3, 1)
     power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
     flat = np.linalg.pinv(np.einsum("kni,knj->kij", slope, slope))
     lever = np.einsum("kni,kij,knj->kn", slope, flat, slope)
