@@ -1,7 +1,5 @@
 """Cause: what no smaller gain ends, a wrong sign and turned frames; and what is no loop, a sweep."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from cnclik.diagnosis.loop import DEAD, UNMODELLED, averaged, fits, free, path_basis, slowest, window
@@ -11,24 +9,18 @@ LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
 ROUND, COHERENT = 0.6, 0.8  # |vᵀv| of a shape v of columns that circle: 0 for a circle, 1 in phase; its energy
+OPEN = 10.0  # range of the angles [degrees], with more dead time, that leaves the answer unsure
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
 FASTER = 1.3  # least ratio of the last two quarters of a growth
 
 
-class Turned(NamedTuple):
-    degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
-    axis: np.ndarray  # (3,) in the order of the coordinates; of two coordinates the third axis
-    z: float  # per row
-    open: float  # range of angles that explain the log as well, with more dead time [degrees]
-    steady: bool  # whether its size stays, as of a circular path
-
-
-def turned(y, gain=None) -> Turned | None:
+def turned(y, gain=None) -> tuple | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
-    A spiral leaves d open, as a turn by the angle of d rows looks alike. Of those that explain it as well that is taken
+    Returns its rotation vector (3,) [degrees], z per row, whether its size stays as of a circle, whether it is sure. A
+    spiral leaves d open, as a turn by the angle of d rows looks alike. Of those that explain it as well that is taken
     whose z is next to a known gain, or else the least.
     """
     from scipy.signal import lfilter
@@ -80,9 +72,8 @@ def turned(y, gain=None) -> Turned | None:
     angles = [np.linalg.norm(turn) for turn, spin in zip(turns, alike, strict=True) if spin[0] <= least + BETTER]
     third = len(y) // 3  # the first one may be a push
     larger = float(np.linalg.norm(wave[-third:])) / max(float(np.linalg.norm(wave[third:-third])), 1e-300)
-    degrees = np.linalg.norm(turns[0]) * (np.sign(turns[0][np.argmax(np.abs(turns[0]))]) or 1.0)
-    axis = turns[0] / degrees if degrees else np.array([0.0, 0.0, 1.0])
-    return Turned(float(degrees), axis, alike[0][2], max(angles) - min(angles), 1 / STEADY < larger < STEADY)
+    steady = 1 / STEADY < larger < STEADY  # as of a circular path
+    return turns[0], alike[0][2], steady, max(angles) - min(angles) < OPEN and not steady
 
 
 def growth(y) -> tuple[float, float]:

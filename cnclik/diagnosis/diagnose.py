@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import enum
-
 import numpy as np
 
 from cnclik import errors
@@ -15,19 +13,8 @@ from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record, replace
 from cnclik.stability.gain import gains
 
-
-class Kind(enum.StrEnum):
-    """What a log shows."""
-
-    RINGING = "ringing"
-    SUSTAINED = "sustained oscillation"
-    GROWING = "growing oscillation"
-    DIVERGING = "growth without oscillation"
-    SPIRAL = "spiral"
-    CALM = "calm"
-    UNDECIDED = "undecided"
-
-
+RINGING, SUSTAINED, GROWING = OSCILLATIONS = "ringing", "sustained oscillation", "growing oscillation"
+DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
 EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # as EVIDENCE, of a loop whose gain is known, and the mode's by less than this factor,
 EVIDENCE_EXCITED, MANY = 90.0, 10.0  # or it does not decay as its mode does: then over so many periods
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
@@ -59,7 +46,8 @@ class Diagnosis:
     """What a log shows. A field that is unknown is None.
 
     Attributes:
-      kind: a `Kind`. cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
+      kind: "ringing", "sustained oscillation", "growing oscillation", "growth without oscillation", "spiral", "calm" or
+        "undecided". cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
       Ts: sampling time of log and loop [s]. period: of the oscillation [samples]. growth: factor per sample.
       delay: dead time [samples], and interval: its ends, where dead time alone explains the log.
       drive: a likely `Drive`. recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the drives may
@@ -70,7 +58,7 @@ class Diagnosis:
         column's unit; of the rows that were read, from `first` on. note: further remarks.
     """
 
-    kind: Kind
+    kind: str
     Ts: float
     cause: str | None = None
     period: float | None = None
@@ -90,10 +78,10 @@ class Diagnosis:
     @property
     def rings(self) -> bool:
         """Whether it oscillates."""
-        return self.kind in (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
+        return self.kind in OSCILLATIONS
 
     def __str__(self):
-        words = str(self.kind)
+        words = self.kind
         if self.drive is not None:
             late = self.drive if self.delay is None else Drive(delay=self.delay)
             words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
@@ -142,32 +130,35 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
 def _seen(scaled, read, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
-        return {"kind": Kind.CALM, "note": STILL}
-    if scaled.shape == y.shape and (spin := cause.turned(y, alpha and alpha * Ts)) and 15 < abs(spin.degrees) < 173:
-        if spin.steady if alpha is None else not SAME[0] < spin.z / (alpha * Ts) < SAME[1]:
-            return {"kind": Kind.UNDECIDED, "note": CIRCLE}
-        main = int(np.argmax(np.abs(spin.axis)))
-        axis = "xyz"[main] if abs(spin.axis[main]) > 0.99 else np.round(spin.axis, 2)
-        note = f"Error and Jacobian are in frames turned by {abs(spin.degrees):.3g}° against each other about {axis}"
-        note += f": no gain helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
-        sure = UNSURE if spin.steady or spin.open > 10 else SURE
-        return dict(kind=Kind.SPIRAL, cause="turned frames", angle=spin.degrees, confidence=sure, note=note)
+        return {"kind": CALM, "note": STILL}
+    spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
+    if spin is not None and 15 < np.linalg.norm(spin[0]) < 173:
+        turn, z, steady, sure = spin
+        if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
+            return {"kind": UNDECIDED, "note": CIRCLE}
+        main = int(np.argmax(np.abs(turn)))
+        angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
+        axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
+        note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
+        note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
+        confidence = SURE if sure else UNSURE
+        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=confidence, note=note)
     rate, evidence = cause.growth(scaled)
     if rate:
         sure = SURE if evidence > cause.BETTER else UNKNOWN
-        return dict(kind=Kind.DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
+        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
             fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
             if fields is not None:
                 return fields
         elif read.swings < 1 - SURELY and read.rests:
-            return {"kind": Kind.CALM, "note": DECAYS}
+            return {"kind": CALM, "note": DECAYS}
     tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
     x = (x - np.median(x[-tail:])) / ((x[0] - np.median(x[-tail:])) or 1.0)
     if np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED:
-        return {"kind": Kind.CALM, "note": DECAYS}
-    return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+        return {"kind": CALM, "note": DECAYS}
+    return {"kind": UNDECIDED, "note": UNFINISHED}
 
 
 def _swing(rows, read, Ts, alpha) -> dict | None:
@@ -184,7 +175,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         wave = np.exp(mode * np.arange(len(rows)) - max(mode.real, 0.0) * len(rows)).real[:, None]
         excited = unrest > cause.swept(wave, read.period)[2] + UNREST
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
-        return {"kind": Kind.UNDECIDED, "note": CHANGES}
+        return {"kind": UNDECIDED, "note": CHANGES}
     drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.alone)
     # Long dead times are computed at a larger Ts, which takes less time.
     n = max(1, int(drives.careful.delay // LONG))
@@ -192,7 +183,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     best, off = gains(Ts=n * Ts, drive=careful, method="EE").recommended, drives.off > NEAR
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
         note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
-        return {"kind": Kind.CALM, "note": note}
+        return {"kind": CALM, "note": note}
     needed, many = EVIDENCE if alpha is None or off else EVIDENCE_KNOWN, 2.0 if change > -np.log(2) else 1.2
     if excited or held:
         needed, many = EVIDENCE_EXCITED if alpha is None else needed, MANY if excited and alpha is None else PERIODS
@@ -213,7 +204,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
     stretched = off or (turns < PERIODS and abs(change) < np.log(1.5))
     return {
-        "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,
+        "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
         "cause": "dead time" if read.alone else "drive",
         "period": read.period,
         "growth": float(np.exp(mode.real)),

@@ -17,9 +17,12 @@ from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
-SERVO = ("natural_frequency", "damping_ratio")
-NUMBERS = {"delay": (), "lag": ("lag",), "second-order": SERVO}  # besides the dead time
-NUMBERS["velocity PI"] = ("lag", "integral")  # v' = (u − v + ∫(u − v)/integral)/lag
+NUMBERS = {  # of each model besides the dead time
+    "delay": (),
+    "lag": ("lag",),
+    "second-order": ("natural_frequency", "damping_ratio"),
+    "velocity PI": ("lag", "integral"),  # v' = (u − v + ∫(u − v)/integral)/lag
+}
 BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0), "integral": (0.3, 1e4)}
 SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts: bounds are in samples
 TIMES, RATIOS = np.geomspace(0.3, 150, 12), (0.3, 0.8, 2.0)  # lags [samples] and ζ to start from, a factor of 2 apart
@@ -90,25 +93,22 @@ def fit_drive(
     motion: Float[ArrayLike, "N ..."],
     Ts: float | None = None,
     *,
-    kind: str | None = None,
     command_kind: str = "position",
 ) -> DriveFit:
     """Fit a drive to recorded commands and motion, such as of a step: dead time, and a lag or a second-order servo.
 
-    Each model is fitted by least squares with the exactly sampled drive, with a gain and a drift of each joint if the
-    log needs them. The simplest one is chosen unless another is much better by an information criterion (Schwarz 1978).
+    Each model is fitted by least squares with the exactly sampled drive, with a gain and a drift of each joint; of
+    velocity commands a servo with an integral part, too. The simplest one is chosen unless another is much better by an
+    information criterion (Schwarz 1978).
     The first command is assumed to be constant for a long time before the log.
 
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: the joint values or
         velocities sent at t, and the joint values measured then [rad, m].
       Ts: sampling time [s]; default: from t. command_kind: "position" or "velocity".
-      kind: "delay", "lag", "second-order" or, of velocities, "velocity PI"; None: the simplest that explains the log.
     Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
-    kinds = list(NUMBERS)[: 3 + velocity]
-    kinds = kinds if kind is None else [errors.one_of("kind", kind, kinds)]
     command, motion = (columns(n, v, "fit_drive") for n, v in (("command", command), ("motion", motion)))
     if command.shape != motion.shape:
         raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
@@ -121,9 +121,9 @@ def fit_drive(
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts, velocity)
-    best = Fit("", np.empty(0), np.inf)
-    for each in kinds:
-        fit = _least(log, each, _starts(log, each))
+    best = _least(log, "delay", _starts(log, "delay"))
+    for kind in list(NUMBERS)[1 : 3 + velocity]:
+        fit = _least(log, kind, _starts(log, kind))
         best = fit if fit.score < best.score - BETTER else best
     return _made(log, best)
 
@@ -228,7 +228,8 @@ class Fit(NamedTuple):
 
 def _least(log, kind, starts, late=None) -> Fit:
     """The least squares of each joint, from the better of its starts (k, s, p); `late`: with this dead time."""
-    (low, high), N = _ends(kind), len(log.t)
+    low, high = np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
+    N = len(log.t)
     free = np.array([late is None, *[True] * (len(low) - 1)])
     low, high = np.where(free, low, late or 0.0), np.where(free, high, late or 0.0)
     values = np.clip(starts, low, high)
@@ -255,11 +256,6 @@ def _least(log, kind, starts, late=None) -> Fit:
     _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
     numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
     return Fit(kind, values[each], float(N * np.sum(np.log(left)) + numbers))
-
-
-def _ends(kind):
-    """The least and largest values (p,)."""
-    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
 
 
 # --- all joints together ------------------------------------------------------------------------------
@@ -293,20 +289,20 @@ def _made(log, fit) -> DriveFit:
     if not follows.all():
         said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
         notes.append(f"Joint {said} does not follow its command, and is left out.")
-    rms = np.where(follows, np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.nan)
     if np.any(off := follows & (np.abs(gain - 1) > OFF)):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
     moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fit.values.shape), every) + log.base)
-    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * log.size[:, 0]
-    given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
-    motion = log.motion - (left * log.size).T
     return DriveFit(
-        **given,
+        drive=_drive(log, kind, values),
+        interval=interval,
+        gain=gain,
+        drift=np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * log.size[:, 0],
+        rms=np.where(follows, np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.nan),
         explained=float(explained[follows].mean()),
         recommended_alpha=alpha,
-        motion=motion,
+        motion=log.motion - (left * log.size).T,
         note=" ".join(notes),
     )
 
@@ -362,9 +358,9 @@ def _drive(log, kind, values) -> Drive:
     """The `Drive` of values (1, p), or (k, p) of joints that differ."""
     names = [name for name in NUMBERS[kind] if name != "integral"]
     numbers = {name: np.exp(values[:, i]) * log.Ts ** SCALES[name] for i, name in enumerate(names, 1)}
-    made: dict = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
+    shared: dict = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
     delay = float(np.clip(values[0, 0], 0, MOST - 1))
-    return Drive(command="velocity" if log.velocity else "position", delay=delay, **made)
+    return Drive(command="velocity" if log.velocity else "position", delay=delay, **shared)
 
 
 def _recommended(log, kind, values, covs, gain) -> tuple:
@@ -372,9 +368,8 @@ def _recommended(log, kind, values, covs, gain) -> tuple:
     for i, name in enumerate(NUMBERS[kind], 1):
         slow = np.log(BOUNDS[name][SCALES[name] > 0])  # the end at which a drive is slow, or swings
         if name != "integral" and np.any(np.abs(values[:, i] - slow) < OFF):
-            return None, [
-                f"No gain: the {name.replace('_', ' ')} is at the end of what is tried. Record a longer step."
-            ]
+            said = name.replace("_", " ")
+            return None, [f"No gain: the {said} is at the end of what is tried. Record a longer step."]
     drive = _drive(log, kind, values)
     rows = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
     slow = drive.lag if drive.order < 2 else 2 * np.maximum(np.pi, drive.damping_ratio) / drive.natural_frequency

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnclik.diagnosis.recording import line
 from cnclik.integrate.drive import MOST, Drive
 
 ROWS = 2000  # rows that are read, those that move most: more change no digit of a gain
@@ -76,23 +75,12 @@ def prepared(y):
 
 
 def window(y) -> tuple:
-    """(first row of the motion after a push, last one before it rests, whether the push is a jump in the error)."""
+    """(first row of the motion after a push, last one that is read, whether the push is a jump in the error)."""
     N, span = len(y), np.ptp(y, axis=0)
-    first, last = 0, N
-    step = np.max(np.abs(np.diff(y, axis=0)) / span, axis=1)
-    jump = int(np.argmax(step))
-    jumped = jump < N // 2 and step[jump] > 0.2 and step[jump] > 4 * np.max(np.delete(step, jump))
-    if jumped:
-        first = jump + 1
-    else:
-        away = np.any(np.abs(y - y[0]) > 6 * noise_of(y) + 2e-3 * span, axis=1)
-        first = int(np.argmax(away)) if np.argmax(away) < 0.6 * N else 0
-    tail = y[-max(N // 5, 8) :]
-    left = np.sqrt(np.mean(np.sum(free(line(len(tail)), tail) ** 2, 1)))
-    away = np.linalg.norm(y - np.median(tail, axis=0), axis=1)
-    if left < 0.03 * away.max():
-        moving = np.flatnonzero(away > max(4 * left, 0.01 * away.max()))[-1]
-        last = int(min(max(moving + 10 + 0.3 * (moving - first), first + 16), N))
+    away = np.any(np.abs(y - y[0]) > 6 * noise_of(y) + 2e-3 * span, axis=1)
+    first, last = int(np.argmax(away)) if np.argmax(away) < 0.6 * N else 0, N
+    step = np.max(np.abs(np.diff(y[max(first - 1, 0) : first + 8], axis=0)) / span, axis=1)
+    jumped = bool(first > 0 and step[0] > 0.2 and step[0] > 4 * step[1:].max())
     if last - first > ROWS and not jumped:
         power = np.concatenate([[0.0], np.cumsum(np.sum(np.diff(y[first:last], axis=0) ** 2, 1))])
         first += int(np.argmax(power[ROWS:] - power[:-ROWS]))

@@ -7,7 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
-from cnclik.diagnosis import Kind, diagnose, diagnose_tasks
+from cnclik.diagnosis import diagnose, diagnose_tasks
 from cnclik.errors import ArgumentError
 from tests.diagnosis import logs
 from tests.diagnosis.logs import TS, ends, limits, loop, monotone, stable
@@ -84,13 +84,13 @@ def test_a_clipped_oscillation_is_sustained_and_a_mended_loop_calm(d):
     rng, z = np.random.default_rng(2), 2.0 * stable(d)
     e = loop(z, d, 400, clip=0.3) + 0.002 * rng.standard_normal(400)
     found = diagnose(e, TS, alpha=z / TS)
-    assert found.kind is Kind.SUSTAINED and found.growth == pytest.approx(1, abs=2e-3) and ends(found, z, d)
+    assert found.kind == "sustained oscillation" and found.growth == pytest.approx(1, abs=2e-3) and ends(found, z, d)
     z = 0.97 * stable(d)
     found = diagnose(loop(z, d, 400), TS, alpha=z / TS)
     assert found.rings and found.confidence >= 0.8 and "clip" not in str(found)
     assert "Use an alpha of " in str(found) and "at the measured joints a smaller gain may not" in found.note
     calm = diagnose(loop(z * found.factor, d, 400), TS)
-    assert calm.kind is Kind.CALM and calm.cause is calm.confidence is None
+    assert calm.kind == "calm" and calm.cause is calm.confidence is None
 
 
 @pytest.mark.parametrize(("z", "d"), [(9.0, 1), (1.5, 2), (0.9, 3), (1.1 * stable(4), 4), (1.003 * stable(3), 3)])
@@ -98,7 +98,7 @@ def test_growing_oscillations_of_any_speed(z, d):
     N = 1500 if z < 1.01 * stable(d) else 60 if z > 1.2 * stable(d) else 200
     e = loop(z, d, N)
     found = diagnose(e[np.abs(e) < 1e12], TS, alpha=z / TS)
-    assert found.kind in (Kind.GROWING, Kind.SUSTAINED) and ends(found, z, d), str(found)
+    assert found.kind in ("growing oscillation", "sustained oscillation") and ends(found, z, d), str(found)
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(1.0, 5.0), (3.4, 6.0)])
@@ -120,7 +120,7 @@ def test_growth_without_swinging_is_a_wrong_sign(growth, noise):
     e = 0.1 * growth ** np.arange(max(min(8000, int(np.log(1e5) / np.log(growth))), 16), dtype=float)
     y = np.stack([0.3 + e, 1 - 0.5 * e], 1)
     found = diagnose(y + noise * np.ptp(y, axis=0) * rng.standard_normal(y.shape), TS)
-    assert found.kind is Kind.DIVERGING and found.cause == "wrong sign", str(found)
+    assert found.kind == "growth without oscillation" and found.cause == "wrong sign", str(found)
     assert np.log(found.growth) == pytest.approx(np.log(growth), rel=0.1) and found.factor is None
     other = np.stack([loop(0.1, 1, 120), loop(-0.05, 2, 120)], 1)  # the sign of one column alone
     assert diagnose(other, TS, alpha=0.05 / TS).cause == "wrong sign"
@@ -193,7 +193,7 @@ def test_what_is_said_surely_is_right_and_short_logs_do_not_grow(count=18):
     rng = np.random.default_rng(0)
     for N, d, share in zip(rng.integers(16, 25, 10), rng.integers(0, 9, 10), rng.uniform(0.1, 0.98, 10), strict=True):
         y = np.outer(loop(share * stable(d), int(d), N), rng.uniform(-0.1, 0.1, 2))
-        assert diagnose(y, TS).kind not in (Kind.GROWING, Kind.DIVERGING)
+        assert diagnose(y, TS).kind not in ("growing oscillation", "growth without oscillation")
 
 
 @pytest.mark.parametrize(
