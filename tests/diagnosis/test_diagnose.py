@@ -251,20 +251,3 @@ def test_the_limit_of_one_task_binds_all(gains, known, change, tmp_path, capsys)
     assert f"No task may have an alpha above {found.recommended_alpha:.4g} 1/s." in capsys.readouterr().out
     main(["diagnose", str(tmp_path / "log.csv"), "--Ts", "5ms", "--tasks", *signals, "--json"])
     assert change[0] in json.loads(capsys.readouterr().out)["change"]
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["--tasks", "left=fast"], "`--tasks` must give gains as positive numbers"),
-        (["--tasks", "left=62", "left=8"], "`--tasks` must name each task once, but names left twice"),
-        (["--tasks", "lfet"], "`--tasks` must have columns such as lfet.x in LOG"),
-        (["--tasks", "left", "--alpha", "5"], "`--alpha` must be left out with --tasks; gains are given as"),
-        (["--tasks", "left", "--step"], "`--step` must be left out with --tasks"),
-    ],
-)
-def test_what_does_not_fit_is_named(options, told, tmp_path, capsys):
-    (tmp_path / "log.csv").write_text("time,left.x\n" + "".join(f"{k},0\n" for k in range(20)))
-    with pytest.raises(SystemExit):
-        main(["diagnose", str(tmp_path / "log.csv"), *options])
-    assert told in capsys.readouterr().err
