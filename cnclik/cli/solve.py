@@ -34,19 +34,18 @@ def run(
       json: print the answer as JSON: what was asked, the numbers, and the verdict with its remedy.
     """
     made = problem(robot, loop)
-    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * figures)
+    load_ahead("h5netcdf", *["xarray", "cnclik.show.style"] * figures)
     files, pictures = ["trajectory.nc", *["trajectory.csv"] * csv], [f"{kind}.png" for kind in _FIGURES]
     names = dict(files=[*files, *pictures * figures], replaces=["trajectory.csv", *pictures])
     with output_folder(Path(out), overwrite=overwrite, **names) as folder:
         with progress.bar("steps"):
             trajectory = made.run()
         _answer(made, trajectory, out if json else None)
-        from cnclik.measure.dataset import to_dataset
-        from cnclik.measure.files import save_csv, save_netcdf
+        from cnclik.measure.dataset import labelled
+        from cnclik.measure.files import save_csv, save_labelled
 
-        config = {"verb": "solve", "robot": robot} | numbers(loop)
-        data = to_dataset(trajectory, made.law, config=config)
-        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | numbers(loop))
+        folder.write("trajectory.nc", functools.partial(save_labelled, data))
         if csv:
             folder.write("trajectory.csv", functools.partial(save_csv, list(_rows(data))))
     with progress.bar("figures") as report:
@@ -63,7 +62,7 @@ def _answer(made, trajectory, out) -> None:
     from cnclik.stability.ending import verdict
 
     with progress.bar("verdict"):
-        loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
+        loop = dict(method=made.method, stage=made.stage, drive=made.drive or Drive())
         judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     title = heading.robot_and_task(made.name, made.tip, made.law.task)
     title += f", N = {made.N} steps of Ts = {1e3 * made.Ts:g} ms"
@@ -86,22 +85,24 @@ _COLUMNS = {  # of trajectory.csv: {variable of the dataset: (prefix of the name
 
 def _rows(data):
     """One row per instant; the values of a step are in the row of its beginning."""
-    names, columns = [], []
+    names, columns, arrays = [], [], data.variables | data.coords
     for variable, (prefix, dimension) in _COLUMNS.items():
-        if variable in data.variables:
-            labels = [""] if dimension is None else data[dimension].values
+        if variable in arrays:
+            labels, values = [""] if dimension is None else arrays[dimension][1], arrays[variable][1]
             names += [f"{prefix}{label}" for label in labels]
-            columns += data[variable].values.reshape(data[variable].shape[0], -1).T.tolist()
+            columns += values.reshape(len(values), -1).T.tolist()
     yield names
     yield from itertools.zip_longest(*columns, fillvalue="")
 
 
 def _figures(data, made) -> dict:
+    import xarray as xr
+
     from cnclik.show import run as pictures
 
     return {
         f"{kind}.png": (
-            functools.partial(pictures.KINDS[kind], data, made.law.chain),
+            functools.partial(pictures.KINDS[kind], xr.Dataset(*data), made.law.chain),
             {"Title": f"{made.name}: {kind}", "Comment": data.attrs["config"]},
         )
         for kind in _FIGURES

@@ -33,7 +33,7 @@ NEAR = 0.25  # how far that of a hundred rows may be from it; motion of period 2
 
 @record
 class Finding:
-    """The worst of one kind in a log.
+    """The largest value of one kind in a log, or its number of bad rows.
 
     Attributes:
       what: "velocity", "acceleration", "jerk", "beyond its range", "jump", "wrap by 2π", "half-way between rows",
@@ -63,7 +63,7 @@ class Finding:
 
 @record
 class LogCheck:
-    """What a log breaks: each `Finding`, the usual sampling time Ts [s], and the number of rows."""
+    """Answer of `check_log`: each `Finding`, the usual sampling time Ts [s], and the number of rows."""
 
     findings: tuple[Finding, ...]
     Ts: float

@@ -43,7 +43,7 @@ UNLESS = "Where position commands start at the measured joints a smaller gain ma
 
 @record
 class Diagnosis:
-    """What a log shows. A field that is unknown is None.
+    """Answer of `diagnose`: what a log shows. A field that is unknown is None.
 
     Attributes:
       kind: "ringing", "sustained oscillation", "growing oscillation", "growth without oscillation", "spiral", "calm" or
@@ -223,7 +223,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
 
 @record
 class StackDiagnosis:
-    """What the logs of several tasks show.
+    """Answer of `diagnose_tasks`: what the logs of several tasks show.
 
     Attributes:
       tasks: {name: `Diagnosis`}. change: tasks whose gain is to be changed, the largest oscillation first.

@@ -53,7 +53,7 @@ def test_unknown_drives_are_assumed_and_it_says_how_to_measure_them(capsys):
     assert f"recommended │ {ck.gains(Ts=0.01).recommended:.4g} │" in said
     said = shown(capsys, "--delay", 0)
     assert "by explicit Euler ┃" in said and "by explicit Euler ┃" not in shown(capsys, "--method", "EE")
-    assert "ideal drives." in said and "assumed" not in said and "largest stable │ any │ any │ 200 │" in said
+    assert "ideal drives." in said and "assumed" not in said and "largest stable │ no limit │ no limit │ 200 │" in said
 
 
 def test_the_given_gain_is_judged(capsys):
