@@ -176,7 +176,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         excited = unrest > cause.swept(wave, read.period)[2] + UNREST
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": CHANGES}
-    drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.alone)
+    drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.dead is not None)
     # Long dead times are computed at a larger Ts, which takes less time.
     n = max(1, int(drives.careful.delay // LONG))
     careful = replace(drives.careful, delay=(drives.careful.delay + 0.5) / n - 0.5)
@@ -199,17 +199,17 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         notes.append(PATH)
     if off:
         notes.append(f"No drive with this mode has this alpha: the gain differs by a factor of {drives.off:.2g}.")
-    if not read.alone:
+    if read.dead is None:
         ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
         notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
     stretched = off or (turns < PERIODS and abs(change) < np.log(1.5))
     return {
         "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
-        "cause": "dead time" if read.alone else "drive",
+        "cause": "drive" if read.dead is None else "dead time",
         "period": read.period,
         "growth": float(np.exp(mode.real)),
-        "delay": read.dead[0] if read.alone else None,
-        "interval": read.dead[1:] if read.alone else None,
+        "delay": read.dead and read.dead[0],
+        "interval": read.dead and read.dead[1:],
         "drive": drives.careful,
         "recommended_alpha": best,
         "factor": best / (alpha or drives.alpha),
@@ -227,22 +227,17 @@ class StackDiagnosis:
 
     Attributes:
       tasks: {name: `Diagnosis`}. change: tasks whose gain is to be changed, the largest oscillation first.
-      recommended_alpha: the largest gain for any task [1/s], or None. factor: of the gains to be changed.
+      recommended_alpha: the largest gain for any task [1/s], or None.
     """
 
     tasks: dict
     change: tuple
     recommended_alpha: float | None
-    factor: dict
 
     def __str__(self):
-        lines = []
-        for name, found in self.tasks.items():
-            words = f"{found.kind}, with {self.change[0]}" if self.change and found.rings else str(found)
-            factor = f"{found.kind}: {self.factor[name]:.3g} times its gain" if name in self.factor else words
-            lines.append(f"{name}: {factor}")
+        lines = [f"{name}: {found}" for name, found in self.tasks.items()]
         if self.recommended_alpha is not None:
-            lines.append(f"No task may have an alpha above {self.recommended_alpha:.4g} 1/s.")
+            lines.append(f"No task may have an alpha above {self.recommended_alpha:.4g} 1/s: {', '.join(self.change)}.")
         return "\n".join(lines)
 
 
@@ -268,12 +263,11 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
             tasks[name] = diagnose(signal, Ts, alpha=largest)
     swing = [found for found in tasks.values() if found.rings]
     if not swing:
-        return StackDiagnosis(tasks=tasks, change=(), recommended_alpha=None, factor={})
+        return StackDiagnosis(tasks=tasks, change=(), recommended_alpha=None)
     lead = max(swing, key=lambda found: (found.confidence, found.growth**found.period))
     best = lead.recommended_alpha
-    factor = {name: best / gain for name, gain in known.items() if gain > ABOVE * best}
-    for name, found in tasks.items():
-        if name not in known and found.rings and abs(found.period / lead.period - 1) < ALIKE:
-            factor[name] = lead.factor
-    change = tuple(sorted(factor, key=lambda name: -np.max(tasks[name].amplitude)))
-    return StackDiagnosis(tasks=tasks, change=change, recommended_alpha=best, factor=factor)
+    change = [name for name, gain in known.items() if gain > ABOVE * best]
+    along = [name for name, found in tasks.items() if found.rings and abs(found.period / lead.period - 1) < ALIKE]
+    change += [name for name in along if name not in known]
+    change.sort(key=lambda name: -np.max(tasks[name].amplitude))
+    return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)

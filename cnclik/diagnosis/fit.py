@@ -229,15 +229,14 @@ class Fit(NamedTuple):
 def _least(log, kind, starts, late=None) -> Fit:
     """The least squares of each joint, from the better of its starts (k, s, p); `late`: with this dead time."""
     low, high = np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
+    low[0], high[0] = (0.0, MOST - 1.0) if late is None else (late, late)
     N = len(log.t)
-    free = np.array([late is None, *[True] * (len(low) - 1)])
-    low, high = np.where(free, low, late or 0.0), np.where(free, high, late or 0.0)
     values = np.clip(starts, low, high)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
     here, slope = log.slopes(kind, values, joint)
     power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
-        slope = slope * free
+        slope = slope * (high > low)
         normal = np.einsum("...ni,...nj->...ij", slope, slope)
         scale = damping[..., None] * (np.einsum("...ii->...i", normal) + 1e-12)
         downhill = np.einsum("...ni,...n->...i", slope, here)
@@ -253,8 +252,7 @@ def _least(log, kind, starts, late=None) -> Fit:
             break
     each = np.arange(log.k), np.argmin(power, 1)
     left = power[each] / N + EXACT**2
-    _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
-    numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
+    numbers = log.k * len(low) * np.log(N)
     return Fit(kind, values[each], float(N * np.sum(np.log(left)) + numbers))
 
 
@@ -310,19 +308,18 @@ def _made(log, fit) -> DriveFit:
 def _together(log, kind, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
     information = _information(log, kind, fitted)
-    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
-    mean, apart = _shared(fitted, information)
+    shared, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
+    mean = shared @ np.einsum("kij,kj->i", information, fitted)
+    apart = np.einsum("ki,kij,kj->", fitted - mean, information, fitted - mean)
     free = (log.k - 1) * len(mean)
-    if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
-        least = 1 / np.sum(1 / each[:, 0, 0])
-        late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
-        moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
-        most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
-        starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
-        fitted = _least(log, kind, starts, late).values
-        each[:, 0, 0] = least
-        return fitted, each, True
-    return mean[None], cov[None], False
+    if len(mean) == 1 or apart <= free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
+        return mean[None], shared[None], False
+    late = np.average(fitted[:, 0], weights=1 / each[:, 0, 0])
+    moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+    most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
+    each[:, 0, 0] = 1 / np.sum(1 / each[:, 0, 0])
+    starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
+    return _least(log, kind, starts, late).values, each, True
 
 
 def _information(log, kind, values):
@@ -337,12 +334,6 @@ def _information(log, kind, values):
     robust, plain = (np.diagonal(m, axis1=1, axis2=2) for m in (flat @ seen @ flat, power[:, None, None] * flat))
     wider = np.maximum(np.max(robust / np.maximum(plain, 1e-300), -1), 1.0)
     return np.linalg.pinv(flat * (power * wider)[:, None, None])
-
-
-def _shared(values, information):
-    """(values (p,) that all joints share, χ² of how far each joint's own (k, p) are from them)."""
-    mean = np.linalg.pinv(information.sum(0)) @ np.einsum("kij,kj->i", information, values)
-    return mean, float(np.einsum("ki,kij,kj->", values - mean, information, values - mean))
 
 
 def correlated(left) -> float:

@@ -38,8 +38,7 @@ class Loop(NamedTuple):
     mode: complex  # s [1/row] of the oscillation or decay that ends last
     evidence: float  # decrease of the information criterion by this loop
     swings: float  # share of the probability of loops that pass their target by VISIBLE
-    dead: tuple  # dead time in rows of the best loop without a lag, and its ends
-    alone: bool  # whether dead time alone explains the log much better than any lag
+    dead: tuple | None  # rows of dead time, and its ends, where that alone explains the log much better than any lag
     rests: bool  # whether its steps are smaller in the end
     first: int  # rows that were read
     last: int
@@ -222,15 +221,16 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
         likely, modes = likely[decays], modes[decays]
     swings = modes.imag > 1e-9
     over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
-    alone, least = lag == 0, score[lag == 0].min(initial=np.inf)
-    near = dead[alone & (score < least + AS_WELL)]
-    interval = (dead[score == least][0], near.min() - 0.25, near.max() + 0.25) if len(near) else (0.0, 0.0, DEAD)
+    alone, least, interval = lag == 0, score[lag == 0].min(initial=np.inf), None
+    if least < score[~alone].min(initial=np.inf) - ALONE:
+        near = dead[alone & (score < least + AS_WELL)]
+        ends = np.array([dead[score == least][0], near.min() - 0.25, near.max() + 0.25])
+        interval = tuple(np.maximum((ends + 0.5) * m - 0.5, 0.0).tolist())
     return Loop(
         mode=complex(modes[np.argmax(odds[likely])]),
         evidence=float(none - score.min()),
         swings=float(np.sum(odds[likely] * over) / np.sum(odds[likely])),
-        dead=tuple(float(max((end + 0.5) * m - 0.5, 0.0)) for end in interval),
-        alone=bool(least < score[~alone].min(initial=np.inf) - ALONE),
+        dead=interval,
         rests=rests,
         first=first,
         last=last,

@@ -183,20 +183,28 @@ def answers(count, seed=0):
         yield KINDS[i % len(KINDS)], log, found, is_right(log, found)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.diagnosis.logs", description=__doc__.splitlines()[0])
-    parser.add_argument("count", type=int, nargs="?", default=144)
-    parser.add_argument("--seed", type=int, default=0)
-    args, rows, told = parser.parse_args(), collections.defaultdict(collections.Counter), collections.defaultdict(list)
-    for kind, log, found, right in answers(args.count, args.seed):
-        rows[kind]["no cause" if right is None else "right" if right else "wrong"] += 1
-        if right is not None:
-            told[found.confidence, "alpha" if log.alpha else "no alpha"].append(right)
-    for kind, row in rows.items():
-        print(f"{kind}: {dict(row)}")
-    for (confidence, alpha), rights in sorted(told.items()):
+def report(told) -> None:
+    """Print how often what was said of each group of (group, whether alpha is known, answer, what it is worth)."""
+    rows, sure = collections.defaultdict(collections.Counter), collections.defaultdict(list)
+    for group, alpha, found, worth in told:
+        rows[group][worth] += 1
+        if found.confidence is not None:
+            sure[found.confidence, "alpha" if alpha else "no alpha"].append(worth == "right")
+    for group, row in rows.items():
+        print(f"{group}: {dict(row)}")
+    for (confidence, alpha), rights in sorted(sure.items()):
         print(f"confidence {confidence}, {alpha}: {sum(rights)} of {len(rights)} right")
 
 
+def arguments(*defaults):
+    """Numbers of logs, and a seed, from the command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("counts", type=int, nargs="*", default=defaults)
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
 if __name__ == "__main__":
-    main()
+    args, words = arguments(144), {None: "no cause", True: "right", False: "wrong"}
+    each = answers(*args.counts, args.seed)
+    report((kind, log.alpha, found, words[right]) for kind, log, found, right in each)
