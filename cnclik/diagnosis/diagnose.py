@@ -54,8 +54,7 @@ class Diagnosis:
         scale a gain, so factor is what the present one is to be multiplied by.
       angle: of frames that are turned against each other [degrees]: turn the error by −angle, about the note's axis.
       confidence: that cause and gain are right, 0 to 1; without alpha at most 0.8.
-      amplitude: (k,) half the range of the oscillation in each column, and fitted: (n, k) path and oscillation, in the
-        column's unit; of the rows that were read, from `first` on. note: further remarks.
+      fitted: (n, k) path and oscillation in the rows that were read, from `first` on. note: further remarks.
     """
 
     kind: str
@@ -70,7 +69,6 @@ class Diagnosis:
     factor: float | None = None
     angle: float | None = None
     confidence: float | None = None
-    amplitude: Float[np.ndarray, " k"]
     fitted: Float[np.ndarray, "n k"]
     first: int = 0
     note: str = ""
@@ -109,22 +107,19 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     y = columns("signal", signal, "diagnose")
     if len(y) < LEAST or y.shape[1] == 0:
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
-    unit = np.abs(y - y[0]).max() or 1.0
-    scaled = loop.prepared((y - y[0]) / unit)
+    y_ = (y - y[0]) / (np.abs(y - y[0]).max() or 1.0)
+    scaled = loop.prepared(y_)
     read = loop.read(scaled) if scaled.shape[1] else None
-    fields = _seen(scaled, read, (y - y[0]) / unit, Ts, alpha)
+    fields = _seen(scaled, read, y_, Ts, alpha)
     if alpha is None and "confidence" in fields:
         fields["confidence"] = min(fields["confidence"], UNKNOWN)
     first, last = (0, len(y)) if read is None else (read.first, read.last)
-    t, period = np.arange(last - first), fields.get("period", np.inf)
-    basis, wave = loop.path_basis(len(t), period), np.empty((len(t), 0))
-    if "period" in fields:
+    t, basis = np.arange(last - first), loop.path_basis(last - first, fields.get("period", np.inf))
+    if read is not None and "period" in fields:
         swing = np.exp(read.mode * (t - t[-1] * (read.mode.real > 0)))
-        wave = np.stack([swing.real, swing.imag], 1)
-    weights = np.linalg.lstsq(np.hstack([basis, wave]), (y[first:last] - y[0]) / unit, rcond=None)[0]
-    modes = unit * wave @ weights[basis.shape[1] :]
-    fitted = y[0] + unit * basis @ weights[: basis.shape[1]] + modes
-    return Diagnosis(Ts=Ts, first=first, fitted=fitted, amplitude=np.ptp(modes, axis=0) / 2, **fields)
+        basis = np.column_stack([basis, swing.real, swing.imag])
+    fitted = y[first:last] - loop.free(basis, y[first:last])
+    return Diagnosis(Ts=Ts, first=first, fitted=fitted, **fields)
 
 
 def _seen(scaled, read, y, Ts, alpha) -> dict:
@@ -226,7 +221,7 @@ class StackDiagnosis:
     """Answer of `diagnose_tasks`: what the logs of several tasks show.
 
     Attributes:
-      tasks: {name: `Diagnosis`}. change: tasks whose gain is to be changed, the largest oscillation first.
+      tasks: {name: `Diagnosis`}. change: tasks whose gain is to be changed.
       recommended_alpha: the largest gain for any task [1/s], or None.
     """
 
@@ -269,5 +264,4 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     change = [name for name, gain in known.items() if gain > ABOVE * best]
     along = [name for name, found in tasks.items() if found.rings and abs(found.period / lead.period - 1) < ALIKE]
     change += [name for name in along if name not in known]
-    change.sort(key=lambda name: -np.max(tasks[name].amplitude))
     return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)

@@ -15,7 +15,7 @@ def oscillation(signal, found, names):
     Args:
       signal: (N, k). found: `Diagnosis` of it. names: of the columns.
     """
-    shown = np.sort(np.argsort(-found.amplitude, kind="stable")[:MOST])
+    shown = np.sort(np.argsort(-np.ptp(found.fitted, axis=0), kind="stable")[:MOST])
     figure, panels = _panels(len(shown))
     t = found.Ts * np.arange(len(signal))
     seen = t[found.first : found.first + len(found.fitted)]

@@ -37,7 +37,7 @@ def test_a_sentence_with_the_gain_that_would_end_it_and_its_numbers(log, tmp_pat
     said = answer(capsys, log, "--Ts", 0.002, "--columns", "q2", "--json")
     assert said["kind"] == "ringing" and said["rings"] and said["delay"] == 4 and said["factor"] < 0.3
     assert said["drive"]["delay"] == pytest.approx(4, abs=0.01) and said["drive"]["lag"] is None
-    assert 20 < said["recommended_alpha"] < 41 and said["confidence"] == 0.8 and len(said["amplitude"]) == 1
+    assert 20 < said["recommended_alpha"] < 41 and said["confidence"] == 0.8
 
 
 def test_a_drive_to_paste(tmp_path, capsys):
@@ -68,7 +68,7 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     head = "/header/stamp,/position,/status,/header/frame_id,/header/seq"
     (tmp_path / "bag.csv").write_text("\n".join([head, *rows]))
     found = answer(capsys, tmp_path / "bag.csv", "--json")
-    assert found["delay"] == 4 and found["Ts"] == pytest.approx(0.002, rel=0.01) and len(found["amplitude"]) == 1
+    assert found["delay"] == 4 and found["Ts"] == pytest.approx(0.002, rel=0.01)
     assert found["Ts_from"] == "/header/stamp, read in ns"
 
 
