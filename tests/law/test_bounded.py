@@ -11,11 +11,9 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import cnclik as ck
-from cnclik.engine.reader import read, trace
-from cnclik.engine.source import write
-from cnclik.law.bounded import LEAST, LEAST_SHARES, Problem, descent
+from cnclik.law.bounded import LEAST, LEAST_SHARES
 from cnclik.law.inverse import through
-from cnclik.law.law import resolve, rows_at
+from cnclik.law.law import rows_at
 from cnclik.robot.model import modelled
 from tests.robot.test_trees import ARMS, G1
 
@@ -189,22 +187,6 @@ def test_derivatives_are_differences():
         np.testing.assert_allclose(at[0][k + 1], wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
 
 
-def test_every_pass_costs_less():
-    drawn = draws("g1", 60, seed=8)
-    b, w = drawn.rows / 1e-3, drawn.velocity / 1e-3
-    run = jax.jit(jax.vmap(lambda of, start, passes: descent(Problem(*of), start, passes), (0, 0, None)))
-    of = b, w, drawn.null, drawn.low, drawn.high
-    before = np.inf
-    for passes in range(14):
-        found = run(of, drawn.null, passes)
-        qdot = np.asarray(found.qdot)
-        cost = np.sum((np.einsum("kmn,kn->km", b, qdot) - w) ** 2, 1) + np.sum((qdot - drawn.null) ** 2, 1)
-        assert np.all((qdot >= drawn.low) & (qdot <= drawn.high)) and np.all(cost <= before * (1 + 1e-12))
-        before = cost
-    assert np.mean(found.settled) > 0.99
-    assert np.mean(found.passes) < 3.5  # without sweeps 4.0
-
-
 def test_a_descent_that_is_cut_short_is_no_worse_than_clipping():
     """One step more, clipped, had a million times the cost."""
     drawn = draws("g1", 60, seed=10)
@@ -233,23 +215,6 @@ def test_a_descent_that_is_cut_short_is_told(passes):
     status = jax.jit(jax.vmap(lambda q: ck.solve(law, held, q, 0.01, 2, "EE").status))(q)
     assert np.any(status & ck.Status.NOT_CONVERGED) == (passes == 1)
     assert np.any(status & ck.Status.AT_LIMIT)
-
-
-def test_c_code_makes_the_normal_matrix_once():
-    """With more rows than joints the inverse has it already; made twice, there were 4.3 times as many operations."""
-    task = ck.pose() & ck.joints(list(ck.panda().joint_names))
-
-    def operations(limits):
-        law = ck.Law(ck.panda(), task, alpha=1.0, inverse=ck.damped(0.05), limits=limits)
-        law = ck.replace(law, chain=modelled(law.chain))
-
-        def one(q, velocity):
-            return resolve(law, q, rows_at(law, q), velocity, None).qdot
-
-        traced = trace(one, (jax.typeof(np.zeros(7)), jax.typeof(np.zeros(task.m))))
-        return write(*read(traced.closed), traced.shapes)[1]
-
-    assert operations(ck.bounded()) < 3.5 * operations(None)
 
 
 REFUSED = {

@@ -114,39 +114,6 @@ def step_of(law, reference, q):
     return np.asarray(ck.step(law, reference, q, 0.0, 1e-3, "EE").qdot)
 
 
-def moving(q, seed=0):
-    """References some way off the posture's own tips, moving."""
-    rng, task = np.random.default_rng(seed), STACK
-
-    def off(tip, turn=True):
-        at = ck.forward(HUMANOID, q, tip=tip)
-        where, v = np.asarray(at.position), 0.1 * rng.normal(size=3)
-        start = where + 0.05 * rng.normal(size=3)
-        return ck.line(start, start + v, duration=1.0, rotation=np.asarray(at.rotation) if turn else None)
-
-    feet, hands = ({tip: off(tip) for tip in tips} for tips in (FEET, ARMS))
-    torso = ck.hold(None, np.asarray(ck.forward(HUMANOID, q, tip="torso_link").rotation))
-    return ck.references(feet=ck.references(**feet), hands=ck.references(**hands), torso=torso), task
-
-
-def test_a_weighted_step_is_numpys_least_squares():
-    alpha = {"feet": 50.0, "hands": 10.0, "torso": [5.0, 2.0]}
-    q = postures(HUMANOID, 1, seed=2)[0]
-    aims, task = moving(q)
-    law, lam = ck.Law(HUMANOID, task, alpha=alpha, inverse=ck.damped(0.05)), 0.05
-    e, j = (np.asarray(v) for v in seen(modelled(HUMANOID), law.task, q, aims))
-    gains = np.concatenate([np.full(12, 50.0), np.full(9, 10.0), [5.0, 2.0]])
-    xdot = []
-    for name, tips in (("feet", FEET), ("hands", ARMS)):
-        for tip in tips:
-            v = np.asarray(aims[name][tip].curve.end) - np.asarray(aims[name][tip].curve.start)
-            xdot += [*v] if tip == ARMS[1] else [*v, 0, 0, 0]
-    w, v = np.asarray(task.weights), np.array([*xdot, 0, 0]) + gains * e
-    matrix = np.concatenate([w[:, None] * j, lam * np.eye(HUMANOID.n)])
-    wanted = np.linalg.lstsq(matrix, np.concatenate([w * v, np.zeros(HUMANOID.n)]), rcond=None)[0]
-    close(step_of(law, aims, q), wanted, atol=1e-9)
-
-
 def recursion(levels, lams):
     """Damped priorities with the projectors that match (Siciliano & Slotine 1991): [(J, v)] of each level."""
     n = levels[0][0].shape[1]
@@ -165,10 +132,11 @@ def test_levels_are_the_recursion(lams):
     task = ck.stack(tip=ck.position("xy"), angle=ck.orientation("z"), rest=ck.joints())
     there = ck.hold_at(PLANAR, task, q + 0.1)
     aims = ck.hold_at(PLANAR, task, np.add(q, [0.2, -0.1, 0.1, 0.0]), tip=there["tip"], rest=ck.hold(values=-q))
-    law = ck.Law(PLANAR, task, alpha=4.0, inverse=ck.levels(*([n] for n in order), damping=lams))
+    gains = {"angle": 4.0, "tip": np.array([3.0, 5.0]), "rest": 2.0}
+    law = ck.Law(PLANAR, task, alpha=gains, inverse=ck.levels(*([n] for n in order), damping=lams))
     e, j = (np.asarray(v) for v in seen(modelled(PLANAR), law.task, q, aims))
     parts = {name: law.task.of(name) for name in order}
-    wanted = recursion([(j[rows], 4.0 * e[rows]) for rows in parts.values()], lams)
+    wanted = recursion([(j[rows], gains[name] * e[rows]) for name, rows in parts.items()], lams)
     close(step_of(law, aims, q), wanted, atol=1e-8 * np.abs(wanted).max())
 
 
