@@ -25,14 +25,14 @@ def prepare() -> None:
 
         jax.config.update("jax_enable_x64", True)
         jax.devices()
-        from cnclik.cache import use_cache
-
-        use_cache()
     except (RuntimeError, AssertionError):
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
         raise errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}") from None
     finally:
         gc.enable()
+    from cnclik.cache import use_cache
+
+    use_cache()
 
 
 def problem(robot, loop, **defaults):
@@ -41,14 +41,7 @@ def problem(robot, loop, **defaults):
     from cnclik.problem.file import problem_of
 
     with progress.bar("start and path"):
-        return problem_of(robot, **({} if robot.endswith(".py") else defaults), **loop)
-
-
-def numbers(loop) -> dict:
-    """The options that a user gave, as plain numbers, lists and names."""
-    from cnclik.problem.options import in_own_units
-
-    return in_own_units(loop)[0]
+        return problem_of(robot, **({} if robot.endswith(".py") else defaults) | loop)
 
 
 def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, **look) -> None:
@@ -68,21 +61,19 @@ def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, 
 
 @contextlib.contextmanager
 def remarks(verb):
-    """Context manager that prints each remark of the library once, on stderr, with the names of a verb's options;
-    other warnings are not changed.
-    """
+    """Context manager that prints each remark of the library once, on stderr, with the names of a verb's options."""
     _said.clear()
+    usual = warnings.showwarning
+
+    def show(message, category, *rest, **more):
+        if not issubclass(category, errors.Remark):
+            usual(message, category, *rest, **more)
+        elif (text := of_options(verb, message)) not in _said:
+            _said.append(text)
+            print(f"cnclik: {text}", file=sys.stderr)
+
     with warnings.catch_warnings():
         warnings.simplefilter("always", errors.Remark)
-        usual = warnings.showwarning
-
-        def show(message, category, *rest, **more):
-            if not issubclass(category, errors.Remark):
-                usual(message, category, *rest, **more)
-            elif (text := of_options(verb, message)) not in _said:
-                _said.append(text)
-                print(f"cnclik: {text}", file=sys.stderr)
-
         warnings.showwarning = show
         yield
 

@@ -30,15 +30,7 @@ def draw(data, folder: Path, *, tables=None, form="png", overwrite=False) -> Non
     """
     from cnclik.show import output, sweeps
 
-    about = {"Description": data.attrs.get("spec", "")}
-    made = {f"{name}.{form}": (make, {"Title": name} | about) for name, make in sweeps.drawings(data, tables).items()}
-    written = []
-    try:
-        again = f"cnclik plot {folder}"
-        written = output.draw(made, folder, name="folder", again=again, overwrite=overwrite)
-    except output.FigureError as error:
-        written = error.written
-        raise
-    finally:
-        for file in written:
-            print(f"Wrote {folder / file}")
+    about, figures = {"Description": data.attrs.get("spec", "")}, sweeps.drawings(data, tables)
+    made = {f"{name}.{form}": (make, {"Title": name} | about) for name, make in figures.items()}
+    for file in output.draw(made, folder, name="folder", again=f"cnclik plot {folder}", overwrite=overwrite):
+        print(f"Wrote {folder / file}")

@@ -14,23 +14,24 @@ class _Stream:
     """A stream that drops everything after a failed write, and remembers why; letters that it lacks become "?"."""
 
     def __init__(self, stream):
-        self.stream, self.problem = stream, None
+        self.stream, self.problem = stream or io.StringIO(), None  # None: it was closed from the beginning
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
     def write(self, text):
-        self._unless_failed(lambda: self.stream.write(text))
-        return len(text)
+        self._unless_failed(self.stream.write, text)
 
     def flush(self):
         self._unless_failed(self.stream.flush)
 
-    def _unless_failed(self, act):
-        if self.problem is None:
-            try:
-                act()
-            except (OSError, ValueError) as error:  # ValueError: the stream is closed
-                self.problem = error
+    def _unless_failed(self, act, *words):
+        try:
+            if self.problem is None:
+                act(*words)
+        except (OSError, ValueError) as error:  # ValueError: the stream is closed
+            self.problem = error
+            with contextlib.suppress(OSError, ValueError):  # at its end Python would fail to write the rest
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
 
     def __getattr__(self, name):
         return getattr(self.stream, name)
@@ -47,57 +48,40 @@ def guarded(process: bool):
       process: whether this process only runs the command. Then SIGTERM and SIGINT end it at once, and an early end does
         not wait for threads that still load or compile: waiting for those of compiled code may hang or crash.
     """
-    own = sys.stdout, sys.stderr
-    out, err = (_Stream(stream or io.StringIO()) for stream in own)  # None: it was closed from the beginning
-    sys.stdout, sys.stderr = out, err
-    leaving, before = None, _listen() if process else {}
+    for sent in STOPS if process else ():
+        if signal.getsignal(sent) is not signal.SIG_IGN:  # as a shell has it for what runs behind `&`
+            signal.signal(sent, end)
+    own, code = (sys.stdout, sys.stderr), 0
+    out, _ = sys.stdout, sys.stderr = _Stream(own[0]), _Stream(own[1])
     try:
         yield
-    except SystemExit as ended:
-        leaving = ended
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else int(bool(leaving.code))
     finally:
-        for sent, handler in before.items():
-            signal.signal(sent, handler)
-        out.flush()
-        err.flush()
+        sys.stdout.flush()
+        sys.stderr.flush()
         sys.stdout, sys.stderr = own
-        for stream in (out, err):
-            if stream.problem is not None:  # at its end Python would fail to write the rest
-                with contextlib.suppress(OSError, ValueError):
-                    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    if leaving is not None and (leaving.code or out.problem is None):
-        if process and leaving.code and threading.active_count() > 1:
-            os._exit(leaving.code if isinstance(leaving.code, int) else 1)
-        raise leaving
-    if isinstance(out.problem, BrokenPipeError):
-        sys.exit(141)
-    if out.problem is not None:
-        from cnclik.errors import reason
-
-        print(f"cnclik: The output could not be written ({reason(out.problem)}); the work was done.", file=sys.stderr)
-        sys.exit(1)
-
-
-def _listen() -> dict:
-    """End the process at SIGTERM and SIGINT, unless the shell had it ignore them. Returns: {signal: handler before}.
-
-    An exception would not do: extensions that are being loaded turn it into another error, compiled code drops it.
-    """
-    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
-        return {}
-    heard = [sent for sent in STOPS if signal.getsignal(sent) not in (signal.SIG_IGN, None)]  # None: not set by Python
-    return {sent: signal.signal(sent, end) for sent in heard}
+    if not code and out.problem is not None:
+        code = 141 if isinstance(out.problem, BrokenPipeError) else 1
+        if code == 1:
+            reason = getattr(out.problem, "strerror", None) or out.problem
+            print(f"cnclik: The output could not be written ({reason}); the work was done.", file=sys.stderr)
+    if code and process and threading.active_count() > 1:
+        os._exit(code)
+    if code:
+        sys.exit(code)
 
 
 def end(sent, _) -> None:
-    """The handler of a signal: it removes half-written files and prints one line."""
+    """Handle a signal: remove half-written files and print one line.
+
+    An exception would not do: extensions that are being loaded turn it into another error, compiled code drops it.
+    """
     from cnclik.writing import remove_begun
 
     remove_begun()
-    with contextlib.suppress(OSError):
-        bar = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # erases the bar's line, and shows the cursor again
+    bar = "\r\x1b[2K\x1b[?25h" * os.isatty(2)  # erases the bar's line, and shows the cursor again
+    with contextlib.suppress(OSError, ValueError, RuntimeError, AttributeError):  # in the middle of a write, or unread
         os.write(2, f"{bar}cnclik: {STOPS[sent]}; what was complete is kept.\n".encode())
-    # Flush earlier output, unless the signal came in the middle of a write, or nobody reads it.
-    with contextlib.suppress(OSError, ValueError, RuntimeError, AttributeError):
         sys.stdout.flush()
     os._exit(128 + sent)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive
+from cnclik.integrate.drive import Drive, check_drive, drive_in_words
 from cnclik.integrate.method import Method, MethodLike, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage
@@ -21,14 +21,14 @@ from cnclik.law.inverse import damped, pseudoinverse, singular_damped
 from cnclik.law.law import Law, posture
 from cnclik.law.limits import velocity_scaling
 from cnclik.law.paths import causal
-from cnclik.law.reference import Reference, References
+from cnclik.law.reference import Reference, References, aims_of
 from cnclik.problem import names
 from cnclik.problem import reference as paths
 from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
-from cnclik.record import AnyArray, ArrayLike, Float, Number
+from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words
 from cnclik.robot.chain import Chain
+from cnclik.robot.poses import quaternions
 
-LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
 Point = Float[ArrayLike, " d"]  # position in the task's coordinates or x y z [m], perhaps with a quaternion
 
 
@@ -37,8 +37,8 @@ class Problem:
     """A loop, `solve(*p.loop)`, with its drive and noise; `run()` uses all of it.
 
     `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the measured
-    error, or None; `seed` is the seed of random numbers. `name` and `tip` are the robot's, and `robot` its
-    file, with the meshes that the viewer shows; `given` holds the names of the options that are not the defaults.
+    error, or None; `seed` is the seed of random numbers. `robot` is the robot's file, with the meshes that the viewer
+    shows.
     """
 
     name: str
@@ -52,12 +52,30 @@ class Problem:
     drive: Drive | None = None
     noise: AnyArray | None = None
     seed: int = 0
-    tip: str = ""
     robot: str | None = None
-    given: frozenset[str] = frozenset()
 
-    def __repr__(self) -> str:
-        return f"Problem({self.name!r}, Ts={self.Ts:g}, N={self.N}, method={str(self.method)!r})\n  {self.law!r}"
+    def __str__(self) -> str:
+        """Robot and task, law and loop, start and target."""
+        law, task, drive = self.law, self.law.task, drive_in_words(self.drive or Drive(), float(self.Ts))
+        stage = f" by {self.stage}" * self.method.implicit
+        gains = (
+            [f"{name} {law.alpha[part][0]:.5g}" for name, part in task.each]
+            if np.ndim(law.alpha) and task.tasks
+            else []
+        )
+        alpha = ", ".join(gains) or in_words(law.alpha)
+        lines = [
+            f"{self.name}, {str(task)[6:]}; N = {self.N} steps of Ts = {1e3 * self.Ts:g} ms",
+            f"{self.method}{stage}, {type(law.inverse).__name__.lower()}, alpha = {alpha} 1/s, {drive}",
+            f"Start: q0 = {in_words(self.q0)} {', '.join(dict.fromkeys(law.chain.units))}",
+        ]
+        if isinstance(self.reference, Reference):
+            aims = zip(task.parts, aims_of(self.reference, task, 0.0), strict=True)
+            each = [(part, quaternions(np.array(v)) if getattr(part, "turns", False) else v) for part, v in aims]
+            points = (f"{in_words(v)} {'as w x y z' if np.size(v) == 4 else part.units[0]}" for part, v in each)
+            path = "Target" if self.reference.still else f"Path {type(self.reference.curve).__name__.lower()}, from"
+            lines.append(f"{path} {', '.join(points)}")
+        return "\n".join(lines)
 
     @property
     def loop(self) -> tuple:
@@ -84,15 +102,12 @@ def problem_from(
     robot: str | os.PathLike | Chain,
     *,
     tip: str | None = None,
-    base: str | None = None,
     task: str | None = None,
     q0: Float[ArrayLike, " n"] | None = None,
     reference: str = "hold",
     target: Point | None = None,
     start: Point | None = None,
-    center: Point | None = None,
     radius: Number | None = None,
-    normal: Float[ArrayLike, " 3"] | None = None,
     amplitude: Float[ArrayLike, " d"] | None = None,
     frequency: Float[ArrayLike, " d"] | None = None,
     phase: Float[ArrayLike, " d"] | None = None,
@@ -103,10 +118,8 @@ def problem_from(
     alpha: ArrayLike = 5.0,
     damping: Number | None = None,
     threshold: Number | None = None,
-    limits: str | None = None,
-    limit_rate: Number | None = None,
+    limits: Literal["velocity_scaling", "bounded"] | None = None,
     posture: Float[ArrayLike, " n"] | None = None,
-    posture_rate: Number | None = None,
     feedforward: Number = 1.0,
     error_clamp: ArrayLike | None = None,
     method: MethodLike = "EXP-MIDPOINT",
@@ -127,7 +140,6 @@ def problem_from(
       robot: a URDF or MJCF file; panda; ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. For
         commands also FILE.py, whose function problem() returns law, reference and q0.
       tip: last link of the chain. Required where the file has several (`cnclik robots FILE` lists them).
-      base: first link of the chain (default: the root of the file), or a moving base: planar or free.
       task: what to control: pose, position, orientation, or coordinates such as xy or xyrz. Default: pose where the
         robot has enough joints for it.
       q0: joint values at the start [rad, m]; default: a posture within the limits and away from singularities.
@@ -136,12 +148,10 @@ def problem_from(
       target: hold and line: the target, or the end of the line [m]; for a pose, optionally a quaternion w x y z after
         it. Default: where the tip is after every joint has moved a little.
       start: line: where it begins [m], as the target; default: where the tip is at q0.
-      center: circle and lissajous: centre [m]; default: so that the path starts at the tip.
       radius: circle: radius [m], positive; default: a tenth of the arm's length.
-      normal: circle: normal vector of its plane; default: z.
       amplitude: lissajous: amplitude [m], one number or one per axis; default: a twentieth of the arm's length.
       frequency: lissajous: cycles per period, one per axis; default: 1, 2, 3.
-      phase: angle at t = 0 [rad]; lissajous takes one per axis.
+      phase: circle and lissajous: angle at t = 0 [rad]; lissajous takes one per axis.
       period: duration of one turn (negative: opposite direction) or of the line [s], other than 0; default: that of the
         run.
       speed: tip speed [m/s], positive: along the waypoints of a file, in place of their times.
@@ -152,9 +162,7 @@ def problem_from(
       damping: damping λ (not λ²) of the inverse of the Jacobian [m, 1], positive; default: none, the pseudoinverse.
       threshold: least singular value of the Jacobian [m, 1], positive, below which alone the inverse is damped.
       limits: how joint limits are respected: velocity_scaling or bounded (also their positions). Default: not at all.
-      limit_rate: bounded: rate at which a joint may approach its limit [1/s], positive; default: 1/Ts, at most 10.
       posture: preferred joint values, approached in the null space [rad, m].
-      posture_rate: rate at which the posture is approached [1/s], positive; default: 1.
       feedforward: factor of the target's velocity: 1 is full feed-forward, 0 pure feedback.
       error_clamp: limits of the position and orientation error that the gain multiplies [m, rad], positive. They keep
         joint velocities small when the target is far away.
@@ -176,97 +184,61 @@ def problem_from(
     for name in drive:
         errors.one_of("option", name, OPTIONS)
     v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
+    for name in ("begin", "future", "limits"):
+        if v[name] is not None:
+            errors.one_of(name, v[name], OPTIONS[name].choices)
     Ts, N = errors.number("Ts", v["Ts"], positive=True), errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
-    if errors.concrete(Ts) and float(Ts) > LONGEST / N:
-        raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    chain, tip = names.robot_and_tip(robot, v["tip"], v["base"])
-    parts = names.task_from(v["task"], chain)
-    check_units(chain, parts, written)
+    chain, own_tip = (robot, tip) if isinstance(robot, Chain) else (names.load(robot, tip), None)
+    parts = names.task_from(v["task"], chain, own_tip)
+    check_units(chain, written)
     law = _law(chain, parts, v, Ts)
-    begin = errors.one_of("begin", v["begin"], ("q0", "on-path"))
     with jax.ensure_compile_time_eval():  # in a sweep, the start of a path that all loops share is searched for once
         q0 = names.start_from(chain, parts, v["q0"])
         options = {k: v[k] for k in paths.OPTIONS}
         path = paths.reference_from(v["reference"], chain, parts, q0, horizon=N * Ts, **options)
-        if begin == "on-path":
+        if v["begin"] == "on-path":
             q0 = paths.on_path(chain, parts, path, q0)
-    unknown = errors.one_of("future", v["future"], ("known", "unknown")) == "unknown"
     return Problem(
-        name=names.robot_name(robot, given["tip"]),
-        tip=tip,
+        name=names.robot_name(robot, tip),
         robot=None if isinstance(robot, Chain) else str(robot),
         law=law,
-        reference=causal(path) if unknown else path,
+        reference=causal(path) if v["future"] == "unknown" else path,
         q0=q0,
         Ts=Ts,
         N=N,
         method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
         drive=drive_from({name: v[name] for name in drive}, chain),
-        noise=noise_from(v["noise"], parts.m),
+        noise=None if v["noise"] is None else errors.array("noise", v["noise"], (), (parts.m,)),
         seed=errors.seed(v["seed"]),
-        given=frozenset(name for name, value in given.items() if not _is_default(name, value)),
     )
 
 
-def _is_default(name, value) -> bool:
-    return value is None or (isinstance(value, (int, float, str)) and value == DEFAULTS.get(name))
-
-
 def _law(chain, task, v, Ts) -> Law:
-    for name, other in (("threshold", "damping"), ("posture_rate", "posture")):
-        _needs(v, name, other)
-    damping, threshold, rest, rate = v["damping"], v["threshold"], v["posture"], v["limit_rate"]
-    if damping is None and task.m > chain.n:
-        names.require_free(chain, task)
-    if rest is not None:
-        rest = errors.array("posture", rest, (chain.n,), of="joint values")
-        rest = posture(rest, 1.0 if v["posture_rate"] is None else v["posture_rate"])
-    limits: dict[str | None, Any] = {None: None, "velocity_scaling": velocity_scaling()}
-    if v["limits"] == "bounded":
-        if rate is None:  # at most the rate at which one step can stop a joint at its limit
-            rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
-        limits["bounded"] = bounded(rate)
-        if damping is None:
-            raise errors.fail("limits", "come with `damping`, such as 0.05, if it is bounded", "comes without")
-    elif rate is not None:
-        raise errors.fail("limit_rate", "come with limits bounded", f"comes with {v['limits'] or 'none'}")
-    elif v["limits"] is not None:
-        errors.one_of("limits", v["limits"], ("velocity_scaling", "bounded"))
+    damping, threshold, rest = v["damping"], v["threshold"], v["posture"]
+    for name, value in (("threshold", threshold), ("limits", v["limits"] == "bounded" or None)):
+        if value is not None and damping is None:
+            raise errors.fail(name, "come with `damping`, such as 0.05", "comes without")
+    limits = velocity_scaling() if v["limits"] == "velocity_scaling" else None
+    if v["limits"] == "bounded":  # at most the rate at which one step can stop a joint at its limit
+        limits = bounded(min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts))
     regular = pseudoinverse() if damping is None else damped(damping)
     return Law(
         chain,
         task,
         alpha=v["alpha"],
         inverse=regular if threshold is None else singular_damped(damping, threshold),
-        limits=limits[v["limits"]],
-        null_velocity=rest,
+        limits=limits,
+        null_velocity=None if rest is None else posture(errors.array("posture", rest, (chain.n,), of="joint values")),
         feedforward=v["feedforward"],
         error_clamp=v["error_clamp"],
     )
 
 
-def _needs(given, name, other) -> None:
-    if given.get(name) is not None and given.get(other) is None:
-        raise errors.fail(name, f"come with `{other}`", "comes without")
-
-
 def drive_from(given, chain=None) -> Drive | None:
     """Return the drive of a table of options, of which lists are one number per joint; None if it has none."""
-    _needs(given, "damping_ratio", "natural_frequency")
-    made: dict[str, Any] = {
-        name: errors.array(name, v, (None if chain is None else chain.n,)) if isinstance(v, (tuple, list)) else v
-        for name, v in given.items()
-        if v is not None
-    }
-    return Drive(**made) if made else None
-
-
-def noise_from(sigma, m):
-    """Return the standard deviation of the measured error as an array, checked; or None."""
-    if sigma is None:
+    given = {name: v for name, v in given.items() if v is not None}
+    lists = {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
+    if not given:
         return None
-    sigma = errors.array("noise", sigma, (), (1,), (m,))
-    if errors.concrete(sigma) and (sigma < 0).any():
-        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
-    return sigma
+    return Drive(**given | lists) if chain is None else check_drive(Drive(**given | lists), chain)

@@ -11,12 +11,11 @@ from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import named
 from cnclik.law.law import Law, check_loop
 from cnclik.law.paths import hold_at
-from cnclik.problem.build import Problem, drive_from, noise_from, problem_from
+from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import stage_from, start_from
 from cnclik.problem.options import DEFAULTS, DRIVE, OPTIONS, check_units, in_own_units
 from cnclik.reading import read_bytes
 
-ORDER = ("law", "reference", "q0", "drive")  # of a tuple
 _LOOP = ("Ts", "N", "method", "M", *DRIVE)  # options that replace what the file says
 
 
@@ -33,8 +32,8 @@ def problem_of(robot, **options) -> Problem:
     path = pathlib.Path(str(robot))
     if path.suffix != ".py":
         return problem_from(robot, **options)
-    options = {name: value for name, value in options.items() if value is not None}
-    numbers, written = in_own_units({name: value for name, value in options.items() if name in OPTIONS})
+    names = {name: value for name, value in options.items() if name in OPTIONS and value is not None}
+    numbers, written = in_own_units(names)
     options |= numbers
     make = _executed(path).get("problem")
     if not callable(make):
@@ -45,52 +44,46 @@ def problem_of(robot, **options) -> Problem:
             must = f"be an argument of problem() in {path.name}, or be left out"
             raise errors.fail(name, must, f"is given, and problem() takes {', '.join(takes) or 'none'}")
     made = _called(path, lambda: make(**{name: value for name, value in options.items() if name in takes}))
-    fields = _fields(f"problem() in {path.name}", made)
-    found = _problem(path.stem, fields, {k: v for k, v in options.items() if k not in takes})
-    check_units(found.law.chain, found.law.task, written)
-    return found
+    fields = {"name": path.stem} | _fields(f"problem() in {path.name}", made)
+    loop = {name: value for name, value in options.items() if name not in takes}
+    check_units(fields["law"].chain, written)
+    return _problem(fields, loop)
 
 
 def _fields(what, made) -> dict:
     """What the function returned, by name."""
-    if isinstance(made, Problem):
-        return {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
-    if isinstance(made, (tuple, list)) and 2 <= len(made) <= len(ORDER):
-        made = dict(zip(ORDER, made, strict=False))
+    if isinstance(made, tuple):
+        made = dict(zip(("law", "reference", "q0", "drive"), made, strict=False))
+    made = vars(made) if isinstance(made, Problem) else made
     if not isinstance(made, dict) or not isinstance(made.get("law"), Law):
         raise errors.fail(what, "return a law, a reference and q0, as a tuple or a dict", f"returns {made!r}")
     for name in made:
-        errors.one_of(what, name, sorted(field.name for field in dataclasses.fields(Problem)))
+        errors.one_of(what, name, [field.name for field in dataclasses.fields(Problem)])
     return made
 
 
-def _problem(name, made, options) -> Problem:
+def _problem(made, options) -> Problem:
     """The problem of what a function returned; options, of `_LOOP`, replace it."""
-    law, given = made["law"], frozenset(made) | set(options) | {"alpha"}
+    made = {name: DEFAULTS[name] for name in ("Ts", "N", "method", "stage")} | made | options
+    law, drive, noise = made["law"], made.get("drive"), made.get("noise")
     q0 = start_from(law.chain, law.task, made.get("q0"))
-    reference, drive = made.get("reference"), made.get("drive")
-    if reference is None:
-        reference, given = hold_at(law.chain, law.task, q0), given - {"reference"}
+    reference = made.get("reference")
+    reference = hold_at(law.chain, law.task, q0) if reference is None else reference
     check_loop(law, reference)
+    changes = {name: value for name, value in options.items() if name in DRIVE}
     if drive is not None:
-        errors.kind("drive", drive, Drive)
-    changes = {key: value for key, value in options.items() if key in DRIVE}
-    if own := drive_from(changes, law.chain):
-        drive = own if drive is None else dataclasses.replace(drive, **{key: getattr(own, key) for key in changes})
-    loop = {key: options.get(key, made.get(key, DEFAULTS[key])) for key in ("Ts", "N", "method")}
-    stage = stage_from("picard", options["M"]) if "M" in options else stage_from(made.get("stage", "picard"))
+        changes = {name: getattr(errors.kind("drive", drive, Drive), name) for name in DRIVE} | changes
     return Problem(
-        **{"name": name} | {key: made[key] for key in ("seed", "tip", "name", "robot") if key in made},
+        **{name: made[name] for name in ("name", "seed", "robot") if name in made},
         law=law,
         reference=reference,
         q0=q0,
-        Ts=errors.number("Ts", loop["Ts"], positive=True),
-        N=errors.integer("N", loop["N"], at_least=1, at_most=errors.MOST),
-        method=named(loop["method"]),
-        stage=stage,
-        noise=noise_from(made.get("noise"), law.task.m),
-        drive=drive,
-        given=given,
+        Ts=errors.number("Ts", made["Ts"], positive=True),
+        N=errors.integer("N", made["N"], at_least=1, at_most=errors.MOST),
+        method=named(made["method"]),
+        stage=stage_from("picard", options["M"]) if "M" in options else stage_from(made["stage"]),
+        noise=None if noise is None else errors.array("noise", noise, (), (law.task.m,)),
+        drive=drive_from(changes, law.chain),
     )
 
 

@@ -25,7 +25,7 @@ from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
 from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
-from cnclik.problem.names import robot_and_tip, stage_from
+from cnclik.problem.names import load, stage_from
 from cnclik.reading import read_toml, toml
 from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
@@ -188,7 +188,7 @@ class Loop(dict):
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
         robot = self.spec.file(self.given.get("robot")) or self.given.get("robot")
-        return robot_and_tip(robot, self.given.get("tip"), self.given.get("base"))[0].n
+        return load(robot, self.given.get("tip")).n
 
     def build(self) -> Problem:
         """Return the loop."""

@@ -7,8 +7,6 @@ import sys
 
 import pytest
 
-from cnclik.cli import main
-
 # A verb whose work writes a file after its first output.
 WORK = """
 import signal, sys, time
@@ -115,14 +113,6 @@ def test_a_signal_that_is_ignored_stays_ignored(tmp_path):
     assert process.stderr.readline() == "begun\n"
     process.send_signal(signal.SIGINT)
     assert ended(process)[0] == 0 and (tmp_path / "one.txt").exists()
-
-
-def test_the_signals_are_as_before_afterwards(capsys, monkeypatch):
-    before = [signal.getsignal(sent) for sent in (signal.SIGTERM, signal.SIGINT)]
-    monkeypatch.setattr(sys, "argv", ["cnclik", "--version"])
-    main()
-    assert [signal.getsignal(sent) for sent in (signal.SIGTERM, signal.SIGINT)] == before
-    assert capsys.readouterr().out.startswith("cnclik ")
 
 
 def test_a_platform_that_is_not_there():
