@@ -18,7 +18,7 @@ import jax
 import pytest
 
 from cnclik.cli import main
-from cnclik.show.viewer.front import has_viser
+from cnclik.show.viewer import has_viser
 from tests.oracles import robot_file
 
 ROOT = pathlib.Path(__file__).parents[1]

@@ -4,6 +4,7 @@ A verb's module has a function `run`, whose arguments are its options (see `argu
 of shared options that it takes. To add one, name it in `VERBS`.
 """
 
+import gc
 import importlib
 import os
 import sys
@@ -36,6 +37,7 @@ def main(argv=None) -> None:
     process = argv is None
     argv = list(sys.argv[1:] if process else argv)
     if process:
+        gc.set_threshold(100_000)  # of what JAX's import and traces make nearly all stays: a tenth of the time
         os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever backend the user has set for windows
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads slow small matrices down, up to ten times
     with terminal.guarded(process):

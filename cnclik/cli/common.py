@@ -1,7 +1,6 @@
 """What several verbs do: JAX's settings, the problem that options describe, tables, JSON and remarks."""
 
 import contextlib
-import gc
 import json
 import os
 import sys
@@ -19,19 +18,16 @@ def prepare() -> None:
 
     Raises: ArgumentError where JAX finds no device to run on.
     """
-    gc.disable()  # it takes an eighth of the time of imports, and finds nothing
-    try:
-        import jax
+    import jax
 
-        jax.config.update("jax_enable_x64", True)
+    from cnclik.cache import use_cache
+
+    jax.config.update("jax_enable_x64", True)
+    try:
         jax.devices()
     except (RuntimeError, AssertionError):
         named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
         raise errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}") from None
-    finally:
-        gc.enable()
-    from cnclik.cache import use_cache
-
     use_cache()
 
 
@@ -44,19 +40,12 @@ def problem(robot, loop, **defaults):
         return problem_of(robot, **({} if robot.endswith(".py") else defaults) | loop)
 
 
-def print_table(rows, header=(), *, title=None, left=1, style=lambda row: None, **look) -> None:
-    """Print rows of texts as a table; the first `left` columns are aligned left; style(row) is rich's name of it."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    title = title and Text(title, style="table.title")
-    shown = Table(title=title, title_justify="left", show_header=bool(header), **look)
-    for i, name in enumerate(header):
-        shown.add_column(Text(name), justify="left" if i < left else "right")
+def print_table(*rows, left=1) -> None:
+    """Print rows of texts in columns, of which the first `left` are aligned left."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
-        shown.add_row(*map(Text, row), style=style(row))
-    Console().print(shown)
+        cells = [f"{text:{'<' if k < left else '>'}{widths[k]}}" for k, text in enumerate(row)]
+        print("  ".join(cells).rstrip())
 
 
 @contextlib.contextmanager

@@ -16,8 +16,16 @@ def bar(unit: str, total=None, quiet=False):
       total: their number, if it is known before the first report.
       quiet: whether to show nothing.
     """
+    last = time.perf_counter()
+
+    def lines(done, total, note=""):
+        nonlocal last
+        if not quiet and time.perf_counter() - last >= _BETWEEN_LINES:
+            last = time.perf_counter()
+            print(words(unit, done, total, note), file=sys.stderr, flush=True)
+
     if quiet or not sys.stderr.isatty():
-        yield (lambda done, total, note="": None) if quiet else _lines(unit)
+        yield lines
         return
     from rich import progress
     from rich.console import Console
@@ -40,22 +48,3 @@ def words(unit, done, total, note="") -> str:
     """The text of a report: "120 of 4,000 loops, EE"; before any work is done, programs compile."""
     counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
     return ", ".join(filter(None, (counted if done else "" if note else f"compiling, {unit}", note)))
-
-
-def _lines(unit):
-    """A report that prints a line at most every 10 s. Time left counts from the first work, before which programs
-    compile; another total begins another phase."""
-    phase, first, last = None, (0, 0.0), time.perf_counter()
-
-    def report(done, total, note=""):
-        nonlocal phase, first, last
-        now = time.perf_counter()
-        if total != phase or not first[0]:
-            phase, first = total, (done, now)
-        if now - last >= _BETWEEN_LINES:
-            worked = (now - first[1]) / (done - first[0]) if done > first[0] else 0.0  # [s] each
-            left = f", {(total - done) * worked:,.0f} s left" * bool(total and worked)
-            print(words(unit, done, total, note) + left, file=sys.stderr, flush=True)
-            last = now
-
-    return report

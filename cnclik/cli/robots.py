@@ -2,6 +2,7 @@
 
 import math
 
+from cnclik.cli.common import print_table
 from cnclik.problem.words import PLANAR, ROBOTS
 
 
@@ -21,14 +22,8 @@ def run(robot: str) -> None:
         return
     tree = read_robot(file_of(robot) or robot)
     print(_plain(f"{tree.name}, base {tree.root}"))
-    rows = [("link", "joint", "type", "lower", "upper", "velocity"), (tree.root, *[""] * 5)]
-    rows = [tuple(map(_plain, row)) for row in (*rows, *_branches(tree))]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = [
-            f"{text:{'<' if k < 3 else '>'}{width}}" for k, (text, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        print("  ".join(cells).rstrip())
+    rows = ("link", "joint", "type", "lower", "upper", "velocity"), (tree.root, *[""] * 5), *_branches(tree)
+    print_table(*(tuple(map(_plain, row)) for row in rows), left=3)
     moving = sum(edge.type != "fixed" for edge in tree.edges)
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     print(f"{len(tree.links)} link{'s' * (len(tree.links) != 1)}, {moving} moving joints, {mimic} of them mimic.")

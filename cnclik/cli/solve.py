@@ -1,12 +1,11 @@
 """`cnclik solve`: one loop on one robot, with its data, figures, a summary and a verdict."""
 
 import functools
-import itertools
 from pathlib import Path
 
 from cnclik.cli import progress
 from cnclik.cli.arguments import PROBLEM
-from cnclik.cli.common import print_json, problem
+from cnclik.cli.common import print_json, print_table, problem
 from cnclik.problem.options import in_own_units
 from cnclik.quantities import aloud, plainly
 from cnclik.show.output import draw, drawn_by, load_ahead
@@ -20,7 +19,6 @@ def run(
     robot: str,
     *,
     out: str = "solved",
-    csv: bool = False,
     figures: bool = True,
     json: bool = False,
     overwrite: bool = False,
@@ -30,25 +28,22 @@ def run(
 
     Args:
       out: folder for trajectory and figures.
-      csv: also write trajectory.csv.
       figures: draw joint values, error, joint velocities, status and the path of the tip.
       json: print the answer as JSON: what was asked, the numbers, and the verdict with its remedy.
     """
     made = problem(robot, loop)
     load_ahead("h5netcdf", *["xarray", "cnclik.show.style"] * figures)
-    files, pictures = ["trajectory.nc", *["trajectory.csv"] * csv], [f"{kind}.png" for kind in _FIGURES]
-    names = dict(files=[*files, *pictures * figures], replaces=["trajectory.csv", *pictures])
+    pictures = [f"{kind}.png" for kind in _FIGURES]
+    names = dict(files=["trajectory.nc", *pictures * figures], replaces=pictures)
     with output_folder(Path(out), overwrite=overwrite, **names) as folder:
         with progress.bar("steps"):
             trajectory = made.run()
         _answer(made, trajectory, out if json else None)
         from cnclik.measure.dataset import labelled
-        from cnclik.measure.files import save_csv, save_labelled
+        from cnclik.measure.files import save_labelled
 
         data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop)[0])
         folder.write("trajectory.nc", functools.partial(save_labelled, data))
-        if csv:
-            folder.write("trajectory.csv", functools.partial(save_csv, _rows(data)))
     about = {"Title": made.name, "Comment": data.attrs["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}
     with progress.bar("figures") as report:
@@ -64,15 +59,15 @@ def _answer(made, trajectory, out) -> None:
     from cnclik.stability.ending import verdict
 
     with progress.bar("verdict"):
-        loop = dict(Ts=made.Ts, method=made.method, stage=made.stage, drive=made.drive or Drive())
+        loop = dict(method=made.method, stage=made.stage, drive=made.drive or Drive())
         judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     answer, facts = f"{judged.sentence[0].upper()}{judged.sentence[1:]}", _facts(made.law, trajectory)
     if out is not None:
-        said = {"asked": str(made).splitlines(), "facts": facts, "verdict": plain(judged) | {"sentence": answer}}
-        print_json(said | {"out": out})
+        judged = plain(judged) | {"sentence": answer}
+        print_json({"asked": str(made).splitlines(), "facts": facts, "verdict": judged, "out": out})
         return
-    width = max(map(len, facts))
-    print(made, answer, *(f"  {name:<{width}}  {text}" for name, text in facts.items()), sep="\n")
+    print(made, answer, sep="\n")
+    print_table(*facts.items(), left=2)
 
 
 def _facts(law, run) -> dict:
@@ -95,14 +90,3 @@ def _facts(law, run) -> dict:
     fast = f"up to {plainly(most[i])} {law.chain.units[i]}/s ({law.chain.joint_names[i]})"
     limit = f", {plainly(100 * share[i])} % of its limit" if share.any() else ", no limits"
     return facts | {"steps": counted(run.status), "joint velocity": fast + limit}
-
-
-def _rows(data):
-    """The header, and a row per instant; the values of a step are in the row of its beginning."""
-    names, columns, arrays = [], [], data.variables | data.coords
-    for name in ("time", "q", "x", "e", "qdot", "status", "task_status", "walls"):
-        if name in arrays:
-            (_, *dims), values, _ = arrays[name] if name != "time" else (("time",), *arrays[name][1:])
-            names += [f"{name.removeprefix('task_')}_{label}" for label in arrays[dims[0]][1]] if dims else [name]
-            columns += values.reshape(len(values), -1).T.tolist()
-    return [names, *itertools.zip_longest(*columns, fillvalue="")]

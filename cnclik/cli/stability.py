@@ -9,7 +9,7 @@ from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.common import prepare, print_json, print_table, problem
+from cnclik.cli.common import prepare, print_table, problem
 from cnclik.problem.options import DEFAULTS, DRIVE, in_own_units
 from cnclik.quantities import aloud, in_samples
 from cnclik.show.output import draw as draw_figures
@@ -20,8 +20,7 @@ TAKES = ("robot and task", "law", "loop", "drive")
 GAINS = ("largest_stable", "without_overshoot", "recommended")
 METHODS = ("EE", "HEUN", "MIDPOINT", "RK4", "IE", "CN", "TRAPEZOID")  # of the figure of regions
 PASSES = (0, 1, 2, 3, 4, 5, 12)
-CHART_TS = (1e-3, 2e-2)  # [s], of the figure of gains
-CHART_POINTS = 13
+CHART_POINTS = 13  # of the figure of gains along each axis
 CELLS = 128  # of a map along each axis
 
 
@@ -31,7 +30,6 @@ def run(
     speed: float = 0.1,
     draw: tuple[Literal["gains", "plane", "map"], ...] = (),
     out: str = "stability-out",
-    json: bool = False,
     overwrite: bool = False,
     **loop,
 ) -> None:
@@ -46,8 +44,6 @@ def run(
         of simulated loops over alpha and Ts, of the robot or of the paper's planar arm.
       out: folder for figures and their data (netCDF).
     """
-    if json and draw:
-        raise errors.fail("json", "be left out with --draw", "is given")
     from cnclik.integrate.drive import Drive
     from cnclik.integrate.method import named
     from cnclik.stability.linear import passes_of
@@ -59,18 +55,25 @@ def run(
     made = None if robot is None else problem(robot, loop)
     if made is None:
         each, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
-        asked = {"drive": Drive(**each) if each else None, "method": named(known["method"])}
-        asked |= {name: known[name] for name in ("Ts", "M")}
+        drive = Drive(**each) if each else None
+        asked = {"Ts": known["Ts"], "drive": drive, "method": named(known["method"]), "M": known["M"]}
     else:
         asked = {"Ts": made.Ts, "drive": made.drive, "method": made.method, "M": passes_of(made.stage)}
     if draw != ("plane",):
-        _answer(asked, given, made, robot, speed, json)
+        _answer(asked, given, made, robot, speed)
     if not draw:
         return
-    with output_folder(
-        pathlib.Path(out), overwrite=overwrite, files=[f"{d}.{e}" for d in draw for e in ("nc", "png")]
-    ) as folder:
-        drawn = {f"{kind}.png": _FIGURES[kind](folder, asked, given, made) for kind in dict.fromkeys(draw)}
+    drawn, files = {}, [f"{kind}.{end}" for kind in draw for end in ("nc", "png")]
+    with output_folder(pathlib.Path(out), overwrite=overwrite, files=files) as folder:
+        from cnclik.measure.dataset import as_json, provenance
+        from cnclik.measure.files import save_netcdf
+
+        for kind in dict.fromkeys(draw):
+            data, how = _FIGURES[kind](asked, given, made)
+            data = data.assign_attrs(provenance(float) | {"config": as_json({"robot": robot} | given)})
+            folder.write(f"{kind}.nc", functools.partial(save_netcdf, data))
+            about = {"Title": how.get("title", "stability regions")}
+            drawn[f"{kind}.png"] = drawn_by("stability", kind.replace("map", "stability_map"), data, **how), about
     written = folder.made + draw_figures(drawn, out, overwrite=overwrite)
     print(f"Wrote {', '.join(sorted(written))} to {out}/.")
 
@@ -78,7 +81,7 @@ def run(
 # --- the answer ---------------------------------------------------------------------------------------
 
 
-def _answer(asked, given, made, robot, speed, json) -> None:
+def _answer(asked, given, made, robot, speed) -> None:
     """Print the gains, what the recommended one costs, what the given one does, and the same loop elsewhere."""
     from cnclik.integrate.drive import drive_in_words
     from cnclik.stability.gain import gains, in_words
@@ -88,40 +91,30 @@ def _answer(asked, given, made, robot, speed, json) -> None:
     euler = found if found.method.name == "EE" else found.by("EE")
     alpha = given.get("alpha", ())
     yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
-    responses = {alpha: found.at(alpha) if alpha else None for alpha in yours}
-    of_robot = [] if made is None else _of_robot(found, made, speed, robot.endswith(".py"))
-    how, drives = describe(found.method, found.M), drive_in_words(found.drive, found.Ts)
-    if json:
-        print_json({
-            **{name: getattr(found, name) for name in ("reason", "assumed", "Ts", *GAINS)},
-            "method": how, "drive": drives, "recommended_response": found.response,
-            "explicit_euler": {k: getattr(euler, k) for k in GAINS},
-            "alpha": [{"alpha": a, "stable": r is not None, "response": r} for a, r in responses.items()],
-            "elsewhere": {where: one._asdict() for where, one in found.elsewhere.items()}, "robot": of_robot,
-        })  # fmt: skip
-        return
-    print(f"{how}, Ts {1e3 * found.Ts:g} ms, {drives}{', assumed' * found.assumed}.")
+    drives = drive_in_words(found.drive, found.Ts) + ", assumed" * found.assumed
+    print(f"{describe(found.method, found.M)}, Ts {1e3 * found.Ts:g} ms, {drives}.")
     if found.assumed:
         print(_MEASURE)
-    each = [(name.replace("_", " "), getattr(found, name), getattr(euler, name)) for name in GAINS]
-    rows = [(name, in_words(a), in_words(a * found.Ts), in_words(by_euler)) for name, a, by_euler in each]
+    rows: list[tuple[str, ...]] = [("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")]
+    for name in GAINS:
+        alpha = getattr(found, name)
+        each = (alpha, alpha * found.Ts, getattr(euler, name))
+        rows.append((name.replace("_", " "), *map(in_words, each)))
     rows += [("yours", f"{a:.4g}", f"{a * found.Ts:.4g}", "") for a in yours]
-    print_table(rows, ("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler"))
+    print_table(*(row[: 3 if euler is found else 4] for row in rows))
     print(f"Recommended: {found.reason}.")
     print("These gains hold for any robot, posture, task and stack, each task's alpha and the rate of a posture alike.")
     if found.response:
-        print(*_costs(found, found.response, speed), sep="\n")
-    for alpha, response in responses.items():
+        _costs(found, found.response, speed)
+    for alpha in yours:
+        response = found.at(alpha) if alpha else None
         unstable = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
         judged = f"is stable: a step {_in_words(response, found.Ts)}" if response else unstable
         print(f"Your gain (alpha = {alpha:g} 1/s) {judged if alpha else 'asks for no motion'}.")
-    for line in of_robot:
-        print(line)
-    elsewhere: dict = {}
-    for where, setting in found.elsewhere.items() if found.recommended else ():
-        elsewhere.setdefault(setting, []).append(where)
-    rows = [(", ".join(names), in_words(of.value or 0.0), of.meaning) for of, names in elsewhere.items()]
-    print_table(rows, ("by explicit Euler in", "gain", "which is"), left=3)
+    if made is not None:
+        _of_robot(found, made, speed, robot.endswith(".py"))
+    print("The same loop elsewhere, by explicit Euler:")
+    print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
 
 
 _MEASURE = (
@@ -134,72 +127,63 @@ def _in_words(response, Ts) -> str:
     """What a step does, and what the loop tolerates."""
     over = f"overshoots by {100 * response.overshoot:.2g} % (ζ = {response.damping_ratio:.2g})"
     over = over if response.overshoot > 1e-3 else "does not overshoot"
-    slow = response.settling_time == math.inf
-    settles = (
-        "does not settle to within 2 % in the simulated time" if slow else f"settles in {response.settling_time:.3g} s"
-    )
+    settles = f"settles in {response.settling_time:.3g} s"
+    settles = settles if response.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     late = f"{in_samples(response.delay_margin / Ts, Ts)} more" if response.delay_margin < math.inf else "any"
     return f"{over} and {settles}; it tolerates {response.gain_margin:.3g} times this gain, or {late} dead time"
 
 
-def _costs(found, response, speed) -> list[str]:
-    """Sentences about the recommended gain."""
-    lines = [f"With it a step {_in_words(response, found.Ts)}."]
+def _costs(found, response, speed) -> None:
+    """Print what the recommended gain does."""
+    print(f"With it a step {_in_words(response, found.Ts)}.")
     if found.drive.feedback != "commanded":
-        lines.append(
-            f"Noise: 1 mrad RMS of measurement noise moves the joints by {response.noise_gain:.3g} mrad RMS, and the "
-            f"commanded velocities by {response.velocity_noise_gain:.3g} mrad/s RMS."
+        moved, sent = response.noise_gain, response.velocity_noise_gain
+        print(
+            f"Noise: 1 mrad RMS of measurement noise moves the joints by {moved:.3g} mrad RMS, and the commanded "
+            f"velocities by {sent:.3g} mrad/s RMS."
         )
     behind, fed, start = (aloud(v * speed, "m") for v in (response.lag, response.lag_fed_forward, response.start_error))
-    lines.append(
+    print(
         f"At {speed:g} m/s the tip lags by {behind} without feed-forward. With feed-forward the lag is {fed} after a "
         f"transient of at most {start}."
     )
-    return lines
 
 
-def _of_robot(found, made, speed, of_file) -> list[str]:
-    """Sentences that need a robot: joint speed at a tip speed, and the rates of its tasks, posture and limits."""
+def _of_robot(found, made, speed, of_file) -> None:
+    """Print what needs a robot: joint speed at a tip speed, and the rates of its tasks, posture and limits."""
     import numpy as np
 
     from cnclik.robot.posture import task_jacobians
     from cnclik.stability.advice import advise
 
-    law, lines = made.law, []
+    law = made.law
     limit = np.asarray(law.chain.velocity_limit, float)
     if law.task.lengths and np.isfinite(limit).any():
         inverse = np.linalg.pinv(task_jacobians(law.chain, law.task, np.asarray(made.q0, float)[None])[0])
         share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
-        i = int(np.argmax(share))
-        lines.append(
-            f"{made.name} at its start: {speed:g} m/s in the worst direction needs {100 * share[i]:.3g} % of joint "
-            f"{law.chain.joint_names[i]}'s velocity limit."
-        )
-    rates = advise(law, Ts=made.Ts, method=made.method, stage=made.stage, drive=None if found.assumed else made.drive)
-    return lines + [f"{r}." for r in rates.rates if of_file or r.kind != "task" or len(rates.rates) > 1]
+        joint = law.chain.joint_names[int(np.argmax(share))]
+        most = f"{100 * share.max():.3g} % of joint {joint}'s velocity limit"
+        print(f"{made.name} at its start: {speed:g} m/s in the worst direction needs {most}.")
+    drive = None if found.assumed else made.drive
+    rates = advise(law, Ts=made.Ts, method=made.method, stage=made.stage, drive=drive).rates
+    for rate in rates if of_file or len(rates) > 1 else ():
+        print(f"{rate}.")
 
 
-# --- figures: each function writes its data, and returns its figure as `draw` takes it -----------------
+# --- figures: each function returns data and how to draw them -------------------------------------------
 
 
-def _write(folder, file, data, given) -> None:
-    from cnclik.measure.dataset import as_json, provenance
-    from cnclik.measure.files import save_netcdf
-
-    about = provenance(float) | {"config": as_json(given)}
-    folder.write(file, functools.partial(save_netcdf, data.assign_attrs(about)))
-
-
-def _plane(folder, asked, given, made):
+def _plane(asked, given, made):
     from cnclik.stability.maps import limit_table, plane
 
     data = plane(METHODS, PASSES)
-    _write(folder, "plane.nc", data, given)
-    print_table(*limit_table(data), title="Limits of z = alpha·Ts on the real axis", left=2)
-    return drawn_by("stability", "plane", data), {"Title": "stability regions"}
+    rows, header = limit_table(data)
+    print("Limits of z = alpha·Ts on the real axis")
+    print_table(header, *rows, left=2)
+    return data, {}
 
 
-def _gains(folder, asked, given, made):
+def _gains(asked, given, made):
     import numpy as np
 
     from cnclik.integrate.drive import drive_in_words
@@ -208,18 +192,16 @@ def _gains(folder, asked, given, made):
 
     Ts, method, M = (asked[name] for name in ("Ts", "method", "M"))
     drive = asked["drive"] or assumed_drive(Ts)
-    low, high = min(Ts / 2, CHART_TS[0]), max(2 * Ts, CHART_TS[1])
-    late = min(max(2 * drive.lumped.delay * Ts, 0.02), 100 * low)
-    axes = {"Ts": np.geomspace(low, high, CHART_POINTS), "dead_time": np.linspace(0, late, CHART_POINTS)}
+    late = min(max(2 * drive.lumped.delay * Ts, 0.02), 50 * Ts)  # no more samples than a drive may have
+    axes = {"Ts": np.geomspace(Ts / 2, 10 * Ts, CHART_POINTS), "dead_time": np.linspace(0, late, CHART_POINTS)}
     with progress.bar("gains"):
         data = gain_table(**axes, drive=drive, method=method, M=M)
-    _write(folder, "gains.nc", data, given)
     lag = drive_in_words(dataclasses.replace(drive, delay=0.0, measurement_delay=0), Ts)
     title = textwrap.fill(f"{describe(method, M)}, {lag}", 60)
-    return drawn_by("stability", "gains", data, title=title, operating=(Ts, drive.lumped.delay * Ts)), {"Title": title}
+    return data, {"title": title, "operating": (Ts, drive.lumped.delay * Ts)}
 
 
-def _map(folder, asked, given, made):
+def _map(asked, given, made):
     prepare()
     import numpy as np
 
@@ -239,13 +221,10 @@ def _map(folder, asked, given, made):
     with progress.bar("loops") as report:
         how = dict(method=made.method, stage=made.stage, drive=drive, N=N, progress=report)
         data = stability_map(made.law, made.reference, made.q0, **axes, **how)
-    _write(folder, "map.nc", data, {"robot": made.name} | given)
-    title = f"{made.name}, {describe(made.method, asked['M'])}, N = {N}\n"
-    title += textwrap.fill(drive_in_words(drive, made.Ts), 60)
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(f"{endings.size:,} loops:", ", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
-    drawn = drawn_by("stability", "stability_map", data, title=title, operating=(rate, made.Ts))
-    return drawn, {"Title": f"stability map, {made.name}"}
+    title = f"{made.name}, {describe(made.method, asked['M'])}, N = {N}\n"
+    return data, {"title": title + textwrap.fill(drive_in_words(drive, made.Ts), 60), "operating": (rate, made.Ts)}
 
 
 _FIGURES = {"plane": _plane, "gains": _gains, "map": _map}

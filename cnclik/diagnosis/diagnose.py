@@ -17,7 +17,7 @@ from cnclik.stability.gain import gains
 
 
 class Kind(enum.StrEnum):
-    """What a log shows."""
+    """Kinds of motion in a log."""
 
     RINGING = "ringing"
     SUSTAINED = "sustained oscillation"
@@ -57,7 +57,7 @@ UNLESS = "Where position commands start at the measured joints a smaller gain ma
 
 @record
 class Diagnosis:
-    """What a log shows. A field that is unknown is None.
+    """Answer of `diagnose`: what a log shows. A field that is unknown is None.
 
     Attributes:
       kind: a `Kind`. cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".

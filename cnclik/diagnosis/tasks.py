@@ -19,7 +19,7 @@ NEAR = 1.25  # factor above the recommended gain up to which a gain may stay
 
 @record
 class StackDiagnosis:
-    """What the logs of several tasks show.
+    """Answer of `diagnose_tasks`: what the logs of several tasks show.
 
     Attributes:
       tasks: {name: `Diagnosis`}. share: {name: its part of gain · error² in the mode that swings}, 0 where it does not.

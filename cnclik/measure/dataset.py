@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import json
-import subprocess
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -139,30 +136,14 @@ def as_json(config) -> str:
 
 
 def provenance(dtype) -> dict:
-    """Return what the numbers may depend on besides the configuration: versions, commit, device and `dtype`."""
+    """Return what the numbers may depend on besides the configuration: versions, device and `dtype`."""
     return {
         "cnclik": __version__,
-        "commit": _commit(),
         "jax": jax.__version__,
         "numpy": np.__version__,
         "dtype": str(np.dtype(dtype)),
         "device": jax.default_backend(),
     }
-
-
-@functools.cache
-def _commit() -> str:
-    """Return the commit of the checkout of this package, with "+" for local changes; "unknown" if it is installed."""
-    package = Path(__file__).parents[1]
-
-    def git(*args):
-        return subprocess.run(["git", *args], cwd=package, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        git("ls-files", "--error-unmatch", "__init__.py")  # a venv inside another checkout does not count
-        return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "--", ".") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
 
 
 def about(name, units) -> dict:

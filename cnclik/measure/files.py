@@ -26,7 +26,9 @@ def save_labelled(data, path) -> None:
         with h5netcdf.File(memory, "w") as file:
             for name, (dims, values, attrs) in (data.variables | data.coords).items():
                 values, dims = np.asarray(values), (dims,) if isinstance(dims, str) else dims
-                file.dimensions.update({dim: n for dim, n in zip(dims, values.shape) if dim not in file.dimensions})
+                file.dimensions.update(
+                    {dim: n for dim, n in zip(dims, values.shape, strict=True) if dim not in file.dimensions}
+                )
                 text, packed = values.dtype.kind == "U", {"compression": "gzip", "compression_opts": 6}
                 kind, packed = (h5py.string_dtype(), {}) if text else (values.dtype, packed if dims else {})
                 variable = file.create_variable(name, dims, kind, **packed)

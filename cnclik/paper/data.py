@@ -63,7 +63,7 @@ def everything(progress=None) -> Results:
 
 
 def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False):
-    """All experiments of Section V under all eight readings of its text, in float64; half a minute, mostly to compile.
+    """Run all experiments of Section V under all eight readings of its text, in float64, in about half a minute.
 
     Args:
       out: folder for data, claims.json, claims.md and, after them, figures; None: nothing is written.

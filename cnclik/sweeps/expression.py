@@ -6,7 +6,6 @@ A text that is no expression is numbers with a unit, as on the command line: del
 import ast
 import functools
 import math
-import operator
 import warnings
 
 import jax.numpy as jnp
@@ -16,47 +15,40 @@ from cnclik import errors, quantities
 from cnclik.problem.options import OPTIONS
 
 LONGEST = 500  # characters of an expression: Python's parser takes seconds for some longer ones
-FUNCTIONS = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
-FUNCTIONS |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
-OPERATORS: dict = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
-OPERATORS |= {ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
-_ALLOWED = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant, *OPERATORS)
+_NAMES = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
+_NAMES |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
+_ALLOWED = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant)
+_ALLOWED += (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
+
+
+def _call(name, *arguments):
+    return getattr(np if all(map(errors.concrete, arguments)) else jnp, name)(*arguments)
+
+
+KNOWN = {name: functools.partial(_call, its) for name, its in _NAMES.items()} | {"pi": math.pi}
 
 
 @functools.cache
 def _tree(text: str):
-    """Return the syntax tree of an expression; None for a text that is none."""
+    """Return the syntax tree of an expression of numbers, names and functions; None for a text that is none."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Python's own about texts such as 0in
-            tree = ast.parse(text.strip() if len(text) <= LONGEST else "", mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
+            tree = ast.parse(text.strip() if len(text) <= LONGEST else "", mode="eval")
+        exponents = [node.right for node in ast.walk(tree) if isinstance(getattr(node, "op", None), ast.Pow)]
+        for node in ast.walk(tree.body):
+            if not isinstance(node, _ALLOWED) or getattr(node, "keywords", ()):
+                return None
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") not in _NAMES:
+                return None
+            if isinstance(node, ast.Constant):
+                if type(node.value) not in (int, float):
+                    return None
+                # Powers of integers may take hours; a traced number to the power of an integer is multiplied.
+                node.value = node.value if node in exponents else float(node.value)
+    except (SyntaxError, ValueError, RecursionError, MemoryError, OverflowError):
         return None
-    return tree if all(isinstance(node, _ALLOWED) for node in ast.walk(tree)) else None
-
-
-def _result(node, look):
-    """Return the value of a syntax tree. Numbers are floats: powers of integers may take hours."""
-    match node:
-        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-            return float(value)
-        case ast.Name(id="pi"):
-            return math.pi
-        case ast.Name(id=name) if name not in FUNCTIONS:
-            value = look(name)
-            if isinstance(value, str):
-                raise TypeError(f"{name} is a name, not a number")
-            return float(value) if type(value) is int else value
-        case ast.UnaryOp():
-            return OPERATORS[type(node.op)](_result(node.operand, look))
-        case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            return _result(node.left, look) ** power  # of a traced number by multiplication
-        case ast.BinOp():
-            return OPERATORS[type(node.op)](_result(node.left, look), _result(node.right, look))
-        case ast.Call(func=ast.Name(id=name), keywords=[]) if name in FUNCTIONS:
-            arguments = [_result(argument, look) for argument in node.args]
-            return getattr(np if all(map(errors.concrete, arguments)) else jnp, FUNCTIONS[name])(*arguments)
-    raise TypeError(f"{ast.unparse(node)} has no value")
+    return tree
 
 
 def _unit(where: str) -> str:
@@ -77,16 +69,16 @@ def names(where: str, value) -> set:
     if not isinstance(value, str):
         return set()
     if (tree := _tree(value)) is not None:
-        return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - {"pi", *FUNCTIONS}
-    unit = _unit(where)  # a time in samples depends on the sampling time
-    return {"Ts"} if unit == quantities.SAMPLES and "s" in _read(where, value, unit, 1.0).written else set()
+        return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - set(KNOWN)
+    timed = _unit(where) == quantities.SAMPLES and "s" in _read(where, value, 1.0).written
+    return {"Ts"} if timed else set()  # a time in samples depends on the sampling time
 
 
-def _read(where, text, unit, Ts):
+def _read(where, text, Ts):
     try:
-        return quantities.read(text, unit, Ts, marked=True)
+        return quantities.read(text, _unit(where), Ts, marked=True)
     except ValueError as error:
-        allowed = f"numbers, names, + - * / ** and {', '.join(sorted(FUNCTIONS))}"
+        allowed = f"numbers, names, + - * / ** and {', '.join(sorted(_NAMES))}"
         raise errors.fail(where, f"be a number or a short expression of {allowed}", str(error)) from None
 
 
@@ -104,25 +96,25 @@ def evaluate(where: str, value, look):
             raise errors.fail(where, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
         return value
+    used = {name: look(name) for name in names(where, value)}
     if (tree := _tree(value)) is None:
-        found = _read(where, value, _unit(where), look("Ts") if "Ts" in names(where, value) else None)
+        found = _read(where, value, used.get("Ts"))
         return np.array(found) if len(found) > 1 else found[0]
     try:
+        if texts := [name for name, v in used.items() if isinstance(v, str)]:
+            raise TypeError(f"{texts[0]} is a name, not a number")
+        used = {name: float(v) if type(v) is int else v for name, v in used.items()}
         with np.errstate(all="ignore"):  # users of the value report what is not finite
-            result = _result(tree, look)
+            result = eval(compile(tree, "spec", "eval"), KNOWN | {"__builtins__": {}}, used)
         if np.iscomplexobj(result):
             raise ValueError("the result is complex")
         return result
-    except errors.ArgumentError:
-        raise
     except (ArithmeticError, ValueError, TypeError, RecursionError) as error:
         raise errors.fail(where, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
 
 
 def number(where: str, value):
     """Return the value of an expression that uses no name, such as "pi/2" or "4 ms"."""
-
-    def look(name):
-        raise errors.fail(where, "be numbers", f"refers to {name!r}")
-
-    return evaluate(where, value, look)
+    if used := sorted(names(where, value)):
+        raise errors.fail(where, "be numbers", f"refers to {used[0]!r}")
+    return evaluate(where, value, None)

@@ -159,7 +159,7 @@ ck.step(law, there, q0, 0.0, 0.01)
 ck.lanes(lambda q: ck.solve(law, there, q, 0.01, 3).q[-1])(np.tile(q0, (8, 1)))
 jax.jit(ck.native(jnp.sin))(q0)
 assert ck.reach(arm, (np.array([1.2, 0.9, 0.0]), None), task=ck.position("xy")).solved
-assert ck.verdict(law, there, run, Ts=0.01).kind == "settled"
+assert ck.verdict(law, there, run).kind == "settled"
 print(ck.advise(law, Ts=0.01).gains.recommended > 0, end=" ")
 ck.export.c(law, out={str(tmp_path / "made")!r})
 try:

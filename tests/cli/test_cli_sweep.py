@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cnclik.cli import main
-from cnclik.show.sweeps import kinds
+from cnclik.show import sweeps as pictures
 from cnclik.sweeps import open_sweep, run_spec, store
 from cnclik.writing import LIST
 from tests.specs import reaching
@@ -109,7 +109,7 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
     def broken(view, layout):
         raise RuntimeError("no\npaint")
 
-    monkeypatch.setitem(kinds.KINDS, "heat", broken)
+    monkeypatch.setitem(pictures.KINDS, "heat", broken)
     code, out, err = left(["sweep", other, "--out", copy], capsys)
     assert code == 1 and err.strip().splitlines()[-1] == (
         f"cnclik: Not drawn: heat_final_error.png (RuntimeError: no paint); the data are kept in {copy}, "

@@ -96,7 +96,6 @@ MISTAKES = [
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .nc, .csv"),
     ("reach planar:1,1 --random 3 --out nowhere/x.csv", "`--out` must name a file in a folder that is there"),
     ("stability --cutoff -1", "`--cutoff` must be positive, but is -1."),
-    ("stability --json --draw map", "Option `--json` must be left out with --draw, but is given."),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
     ("stability --N 3 --draw map", "Option `--N` must be at least 4, but is 3."),
     ("sweep study.toml --distributed here", "must be auto or HOST:PORT:PROCESSES:PROCESS, but is 'here'"),
