@@ -31,13 +31,13 @@ def prepare() -> None:
     use_cache()
 
 
-def problem(robot, loop, **defaults):
+def problem(robot, loop):
     """The `Problem` of a robot and of the options that a user gave. Raises: ArgumentError."""
     prepare()
     from cnclik.problem.file import problem_of
 
     with progress.bar("start and path"):
-        return problem_of(robot, **({} if robot.endswith(".py") else defaults) | loop)
+        return problem_of(robot, **loop)
 
 
 def print_table(*rows, left=1) -> None:

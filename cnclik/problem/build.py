@@ -12,15 +12,14 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive, check_drive, drive_in_words
-from cnclik.integrate.method import Method, MethodLike, named
+from cnclik.integrate.method import MethodLike, named
 from cnclik.integrate.solve import solve
-from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.bounded import bounded
 from cnclik.law.inverse import damped, pseudoinverse, singular_damped
-from cnclik.law.law import Law, posture
+from cnclik.law.law import Law, check_loop
 from cnclik.law.limits import velocity_scaling
-from cnclik.law.paths import causal
+from cnclik.law.paths import causal, hold_at
 from cnclik.law.reference import Reference, References, aims_of
 from cnclik.problem import names
 from cnclik.problem import reference as paths
@@ -36,23 +35,48 @@ Point = Float[ArrayLike, " d"]  # position in the task's coordinates or x y z [m
 class Problem:
     """A loop, `solve(*p.loop)`, with its drive and noise; `run()` uses all of it.
 
-    `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the measured
-    error, or None; `seed` is the seed of random numbers. `robot` is the robot's file, with the meshes that the viewer
-    shows.
+    Attributes:
+      law, reference, q0: the loop. A reference of None stays where q0 is, and q0 of None is a posture away from
+        singularities.
+      Ts, N, method, stage: as for `solve`; method and stage also by name.
+      drive: `Drive`, or None: ideal.
+      noise: standard deviation of the measured error, a number or (m,), or None. seed: of its random numbers.
+      name: in titles. robot: its file, with the meshes that the viewer shows.
+
+    Raises: ArgumentError naming the attribute that does not fit.
     """
 
-    name: str
     law: Law
-    reference: Reference | References
-    q0: Float[AnyArray, " n"]
-    Ts: Number
-    N: int
-    method: Method
-    stage: Stage
+    reference: Reference | References = None  # type: ignore[assignment]  # given after the constructor, as all below
+    q0: Float[AnyArray, " n"] = None  # type: ignore[assignment]
+    Ts: Number = 0.01
+    N: int = 1000
+    method: Any = "EXP-MIDPOINT"
+    stage: Any = "picard"
     drive: Drive | None = None
-    noise: AnyArray | None = None
+    noise: Any = None
     seed: int = 0
+    name: str = "problem"
     robot: str | None = None
+
+    def __post_init__(self):
+        law = errors.kind("law", self.law, Law)
+        q0 = names.start_from(law.chain, law.task, self.q0)
+        reference = hold_at(law.chain, law.task, q0) if self.reference is None else self.reference
+        check_loop(law, reference)
+        checked = {
+            "q0": q0,
+            "reference": reference,
+            "Ts": errors.number("Ts", self.Ts, positive=True),
+            "N": errors.integer("N", self.N, at_least=1, at_most=errors.MOST),
+            "method": named(self.method),
+            "stage": names.stage_from(self.stage),
+            "drive": None if self.drive is None else check_drive(self.drive, law.chain),
+            "noise": None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,)),
+            "seed": errors.seed(self.seed),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
         """Robot and task, law and loop, start and target."""
@@ -87,15 +111,11 @@ class Problem:
 
         Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
         """
-        return solve(*self.loop, drive=self.drive, noise=self.drawn(draws))
-
-    def drawn(self, draws=None) -> Float[AnyArray, "N m"] | None:
-        """Return the noise of the measured error; None without noise. Args: draws: as for `run`."""
-        if self.noise is None:
-            return None
-        if draws is None:
-            draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
-        return self.noise * draws
+        noise = self.noise
+        if noise is not None:
+            size = self.N, self.law.task.m
+            noise = noise * (np.random.default_rng(self.seed).standard_normal(size) if draws is None else draws)
+        return solve(*self.loop, drive=self.drive, noise=noise)
 
 
 def problem_from(
@@ -119,7 +139,6 @@ def problem_from(
     damping: Number | None = None,
     threshold: Number | None = None,
     limits: Literal["velocity_scaling", "bounded"] | None = None,
-    posture: Float[ArrayLike, " n"] | None = None,
     feedforward: Number = 1.0,
     error_clamp: ArrayLike | None = None,
     method: MethodLike = "EXP-MIDPOINT",
@@ -140,47 +159,39 @@ def problem_from(
       robot: a URDF or MJCF file; panda; ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. For
         commands also FILE.py, whose function problem() returns law, reference and q0.
       tip: last link of the chain. Required where the file has several (`cnclik robots FILE` lists them).
-      task: what to control: pose, position, orientation, or coordinates such as xy or xyrz. Default: pose where the
-        robot has enough joints for it.
-      q0: joint values at the start [rad, m]; default: a posture within the limits and away from singularities.
+      task: pose, position, orientation, or coordinates such as xy or xyrz; default: pose where there are the joints.
+      q0: joint values at the start [rad, m]; default: within the limits and away from singularities.
       reference: the target's path: hold, line, circle, lissajous, or FILE.csv with waypoints: time, x, y, z and perhaps
         qw, qx, qy, qz, in this order or by these names.
-      target: hold and line: the target, or the end of the line [m]; for a pose, optionally a quaternion w x y z after
-        it. Default: where the tip is after every joint has moved a little.
+      target: hold and line: the target, or the end of the line [m]; for a pose perhaps a quaternion w x y z after it.
       start: line: where it begins [m], as the target; default: where the tip is at q0.
       radius: circle: radius [m], positive; default: a tenth of the arm's length.
       amplitude: lissajous: amplitude [m], one number or one per axis; default: a twentieth of the arm's length.
       frequency: lissajous: cycles per period, one per axis; default: 1, 2, 3.
       phase: circle and lissajous: angle at t = 0 [rad]; lissajous takes one per axis.
-      period: duration of one turn (negative: opposite direction) or of the line [s], other than 0; default: that of the
-        run.
+      period: duration of a turn (negative: the other sense) or of the line [s], other than 0; default: that of the run.
       speed: tip speed [m/s], positive: along the waypoints of a file, in place of their times.
-      begin: where the loop starts: at q0, or on-path, at the path's first point with the joint values nearest to q0.
-      future: whether the controller knows the path ahead (known) or only the target's position and velocity at each
-        step's start (unknown).
-      alpha: gain [1/s], at least 0: one number or one per task coordinate. alpha·Ts is the dimensionless gain per step.
+      begin: where the loop starts: at q0, or on-path, with the joint values nearest to q0.
+      future: whether the controller knows the path ahead, or at each step the target's position and velocity alone.
+      alpha: gain [1/s], at least 0: one number or one per task coordinate.
       damping: damping λ (not λ²) of the inverse of the Jacobian [m, 1], positive; default: none, the pseudoinverse.
       threshold: least singular value of the Jacobian [m, 1], positive, below which alone the inverse is damped.
-      limits: how joint limits are respected: velocity_scaling or bounded (also their positions). Default: not at all.
-      posture: preferred joint values, approached in the null space [rad, m].
+      limits: how joint limits are respected: velocity_scaling or bounded (also positions); default: not at all.
       feedforward: factor of the target's velocity: 1 is full feed-forward, 0 pure feedback.
-      error_clamp: limits of the position and orientation error that the gain multiplies [m, rad], positive. They keep
-        joint velocities small when the target is far away.
+      error_clamp: largest position and orientation error that the gain multiplies [m, rad], positive.
       method: how a step is integrated: EE, IE, CN (the paper's), TRAPEZOID, HEUN, MIDPOINT, RK4, EXP-EE, EXP-HEUN,
         EXP-MIDPOINT, EXP-RK4.
       stage: iteration that solves an implicit step: picard, chord, newton.
       M: number of iterations per implicit step, at least 0.
       Ts: sampling time [s], positive; with a unit as in 4ms.
       N: number of steps.
-      noise: standard deviation of white noise in the measured error [m, rad], at least 0: one number or one per task
-        coordinate.
+      noise: standard deviation of white noise in the measured error [m, rad], at least 0: one or one per coordinate.
       seed: seed of the random numbers, at least 0.
       drive: fields of `Drive`.
 
     Raises: ArgumentError naming the entry that does not fit.
     """
-    given = locals() | drive
-    del given["robot"], given["drive"]
+    given = {name: value for name, value in locals().items() if name not in ("robot", "drive")} | drive
     for name in drive:
         errors.one_of("option", name, OPTIONS)
     v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
@@ -199,46 +210,38 @@ def problem_from(
         if v["begin"] == "on-path":
             q0 = paths.on_path(chain, parts, path, q0)
     return Problem(
-        name=names.robot_name(robot, tip),
-        robot=None if isinstance(robot, Chain) else str(robot),
         law=law,
         reference=causal(path) if v["future"] == "unknown" else path,
         q0=q0,
-        Ts=Ts,
-        N=N,
-        method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
-        drive=drive_from({name: v[name] for name in drive}, chain),
-        noise=None if v["noise"] is None else errors.array("noise", v["noise"], (), (parts.m,)),
-        seed=errors.seed(v["seed"]),
+        drive=drive_from({name: v[name] for name in drive}),
+        name=names.robot_name(robot, tip),
+        robot=None if isinstance(robot, Chain) else str(robot),
+        **{name: v[name] for name in ("Ts", "N", "method", "noise", "seed")},
     )
 
 
 def _law(chain, task, v, Ts) -> Law:
-    damping, threshold, rest = v["damping"], v["threshold"], v["posture"]
-    for name, value in (("threshold", threshold), ("limits", v["limits"] == "bounded" or None)):
-        if value is not None and damping is None:
-            raise errors.fail(name, "come with `damping`, such as 0.05", "comes without")
-    limits = velocity_scaling() if v["limits"] == "velocity_scaling" else None
-    if v["limits"] == "bounded":  # at most the rate at which one step can stop a joint at its limit
-        limits = bounded(min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts))
-    regular = pseudoinverse() if damping is None else damped(damping)
+    damping, threshold, limits = (v[name] for name in ("damping", "threshold", "limits"))
+    if damping is None and (threshold is not None or limits == "bounded"):
+        name = "limits" if threshold is None else "threshold"
+        raise errors.fail(name, "come with `damping`, such as 0.05", "comes without")
+    inverse = pseudoinverse() if damping is None else damped(damping)
+    # At most the rate at which one step can stop a joint at its limit.
+    rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
     return Law(
         chain,
         task,
         alpha=v["alpha"],
-        inverse=regular if threshold is None else singular_damped(damping, threshold),
-        limits=limits,
-        null_velocity=None if rest is None else posture(errors.array("posture", rest, (chain.n,), of="joint values")),
+        inverse=inverse if threshold is None else singular_damped(damping, threshold),
+        limits=None if limits is None else bounded(rate) if limits == "bounded" else velocity_scaling(),
         feedforward=v["feedforward"],
         error_clamp=v["error_clamp"],
     )
 
 
-def drive_from(given, chain=None) -> Drive | None:
-    """Return the drive of a table of options, of which lists are one number per joint; None if it has none."""
+def drive_from(given, drive=None) -> Drive | None:
+    """Return a drive with the options of a table in place of its own, of which lists are one number per joint."""
     given = {name: v for name, v in given.items() if v is not None}
-    lists = {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
-    if not given:
-        return None
-    return Drive(**given | lists) if chain is None else check_drive(Drive(**given | lists), chain)
+    given |= {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
+    return dataclasses.replace(drive or Drive(), **given) if given else drive

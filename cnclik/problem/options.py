@@ -152,7 +152,7 @@ def check_units(chain, written: dict) -> None:
 
     Args: written: {option: the given unit of each number, or None}; see `cnclik.quantities.read`.
     """
-    for name in {"q0", "posture", "near"} & set(written):
+    for name in {"q0", "near"} & set(written):
         for joint, unit, given in zip(chain.joint_names, chain.units, written[name], strict=False):
             if given and given != unit:
                 found = f"joint {joint!r} is in {unit}, and {given} is given"

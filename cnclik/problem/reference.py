@@ -23,7 +23,7 @@ from cnclik.task.parts import At
 from cnclik.task.task import Task
 
 
-class ArmAtStart(NamedTuple):
+class Arm(NamedTuple):
     """The arm at the start, from which a path is completed."""
 
     chain: Chain
@@ -40,17 +40,16 @@ def reference_from(name, chain: Chain, task: Task, q0, *, horizon=10.0, **option
 
     Args: horizon: length of the run [s], the default of `period`.
     """
-    arm, given = ArmAtStart(chain, task, q0, _tip(chain, q0)), {k: v for k, v in options.items() if v is not None}
-    maker: Callable = waypoints
+    given = {k: v for k, v in options.items() if v is not None}
     if str(name).lower().endswith(".csv"):
-        given = {"file": name} | given
+        maker, given = waypoints, {"file": name} | given
     else:
         maker = _KINDS[errors.one_of("reference", name, (*_KINDS, "FILE.csv"))]
     takes = inspect.signature(maker).parameters
     for key, value in given.items():
         if key not in takes:
             raise errors.fail(key, f"be left out for the reference {name!r}", f"is {value!r}")
-    return maker(arm, **(({"period": horizon} if "period" in takes else {}) | given))
+    return maker(Arm(chain, task, q0, _tip(chain, q0)), **({"period": horizon} if "period" in takes else {}) | given)
 
 
 def hold(arm, target=None):
@@ -86,8 +85,8 @@ _KINDS: dict[str, Callable] = {"hold": hold, "line": line, "circle": circle, "li
 
 def waypoints(arm, file, speed=None):
     """Waypoints of a CSV file. Args: speed: of the tip along them [m/s], in place of their times."""
-    name, task = pathlib.Path(file).name, arm.task
-    times, points = read_points("reference", file, task, timed=speed is None)
+    name = pathlib.Path(file).name
+    times, points = read_points("reference", file, arm.task, timed=speed is None)
     if len(points) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(points)}")
     each = [_point(f"{name} row {k + 1}", row, arm) for k, row in enumerate(points)]
@@ -97,10 +96,9 @@ def waypoints(arm, file, speed=None):
         if positions is None:
             raise errors.fail("speed", "be left out for a task without position", f"is {speed:g}")
         times = np.cumsum([0.0, *np.linalg.norm(np.diff(positions, axis=0), axis=1) / speed])
-    late = ~(times[1:] > times[:-1])  # also if one is not finite
-    if late.any():
-        k, what = int(np.argmax(late)), "times that increase" if speed is None else "points that differ, with a speed"
-        raise errors.fail("reference", f"hold {what}", f"{name} has {times[k]:g} s and then {times[k + 1]:g} s")
+    if not np.all(np.diff(times) > 0):  # also if one is not finite
+        must = f"hold {'times that increase' if speed is None else 'points that differ, with a speed'}"
+        raise errors.fail("reference", must, f"{name} has times {', '.join(f'{t:g}' for t in times[:9])}")
     return paths.waypoints(times, positions, rotations)
 
 

@@ -26,7 +26,7 @@ def test_help_of_every_verb(verb, capsys):
     shown = capsys.readouterr().out
     assert f"usage: cnclik {verb}" in shown
     assert not re.search(r"\w-\n", shown)  # a name in two lines can't be copied
-    if verb in ("solve", "tune"):
+    if verb in ("solve", "export"):
         titles = re.findall(r"^([a-z ]+):$", shown, re.M)
         assert [t for t in titles if t != "options"] == ["robot and task", "path", "law", "loop", "drive", "output"]
 

@@ -29,9 +29,8 @@ COMMANDS = {  # verbs that write results, on small cases
     "sweep": ["sweep", str(SPEC), *(word for axis in AXES for word in ("--set", f"axes.{axis}"))],
     "solve": ["solve", *PLANAR, "--N", "50"],
     "reach": ["reach", "planar:1,1", "--random", "20", "--out", "{out}/answers.csv"],
-    "tune": ["tune", *PLANAR, "--N", "20"],
 }
-DATA = {"trajectory.nc", "tuned.json", "summary.md", "answers.csv"}
+DATA = {"trajectory.nc", "summary.md", "answers.csv"}
 
 
 def start(name, out):
