@@ -21,7 +21,6 @@ VERBS = {
     "check": "read a log of joints: the limits that it breaks and where, missing rows, jumps; exit code 1 if one is",
     "diagnose": "read a recording: does the loop ring, what is its dead time, which gain stops it; or fit its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
-    "plot": "draw the figures of a finished sweep",
     "view": "play a run in a browser: the robot by its meshes, targets, walls, a slider over time",
     "export": "write a step of the loop as C for a controller: header, source, test vectors, README",
 }

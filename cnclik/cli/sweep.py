@@ -1,11 +1,11 @@
 """`cnclik sweep SPEC.toml`: a study of many loops, from one file: a labelled dataset and its figures."""
 
 import pathlib
+from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import prepare
-from cnclik.cli.plot import draw
 from cnclik.writing import check_free, output_folder
 
 
@@ -16,6 +16,7 @@ def run(
     out: str | None = None,
     check: bool = False,
     figures: bool = True,
+    format: Literal["png", "pdf", "svg"] = "png",
     distributed: str | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -27,6 +28,7 @@ def run(
       out: folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec.
       check: only check the spec, and print what it would run.
       figures: draw the figures at the end.
+      format: file format of the figures.
       distributed: share the work with other processes: HOST:PORT:PROCESSES:PROCESS of process 0, of how many, and of
         this one (from 0); or auto, where SLURM or MPI knows them.
     """
@@ -37,7 +39,7 @@ def run(
 
     study = specs.read(spec, set or ())
     if figures:
-        from cnclik.show import sweeps
+        from cnclik.show import output, sweeps
 
         sweeps.check(study)
     folder = pathlib.Path(out or f"sweep-{study.name}")
@@ -57,8 +59,12 @@ def run(
     with output_folder(folder, overwrite=overwrite) as whole:
         summary.write(data, whole)
     print(*(f"Wrote {folder / file}" for file in (store.DATA, *whole.made)), *summary.best(data), sep="\n")
-    if figures:  # last, as they can be drawn again
-        draw(data, folder, tables=study.figures, overwrite=overwrite)
+    if figures:  # last, as the same command draws them again
+        about, each = {"Description": data.attrs.get("spec", "")}, sweeps.drawings(data, study.figures)
+        made = {f"{name}.{format}": (make, {"Title": name} | about) for name, make in each.items()}
+        again = f"cnclik sweep {spec} --out {folder}"
+        for file in output.draw(made, folder, again=again, overwrite=overwrite):
+            print(f"Wrote {folder / file}")
 
 
 def _join(place) -> dict:

@@ -1,4 +1,4 @@
-"""`cnclik sweep` and `cnclik plot`, end to end on a tiny spec."""
+"""`cnclik sweep`, end to end on a tiny spec."""
 
 import csv
 import json
@@ -113,7 +113,7 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
     code, out, err = left(["sweep", other, "--out", copy], capsys)
     assert code == 1 and err.strip().splitlines()[-1] == (
         f"cnclik: Not drawn: heat_final_error.png (RuntimeError: no paint); the data are kept in {copy}, "
-        f"`cnclik plot {copy}` draws again."
+        f"`cnclik sweep {other} --out {copy}` draws again."
     )
     assert {p.name for p in copy.iterdir()} == {LIST, "data.zarr", "summary.csv", "config.json", "at5.png"}
     assert "summary.csv" in out
@@ -126,11 +126,10 @@ def test_a_title_that_cannot_be_set_shows_when_it_is_written(other, copy, capsys
     assert (copy / "heat_final_error.png").exists() and not (copy / "at5.png").exists()
 
 
-def test_plot_draws_in_another_format_and_says_what_is_missing(copy, capsys):
+def test_a_damaged_block_is_computed_again_and_figures_drawn_in_another_format(other, copy, capsys):
     next(p for p in (copy / "data.zarr/final_error/c").rglob("*") if p.is_file()).unlink()
-    main(["plot", str(copy), "--format", "svg"])
-    said = capsys.readouterr().out
-    assert said.startswith("1 blocks are not done yet, or damaged") and f"Wrote {copy}/heat_final_error.svg\n" in said
+    main(["sweep", str(other), "--out", str(copy), "--format", "svg"])
+    assert f"Wrote {copy}/heat_final_error.svg\n" in capsys.readouterr().out and not store.blocks_missing(copy)
     assert "<svg" in (copy / "heat_final_error.svg").read_text()
 
 

@@ -99,7 +99,6 @@ MISTAKES = [
     ("stability --N 3 --draw map", "Option `--N` must be at least 4, but is 3."),
     ("sweep study.toml --distributed here", "must be auto or HOST:PORT:PROCESSES:PROCESS, but is 'here'"),
     ("sweep study.toml --distributed localhost:1234:2:x", "must be auto or HOST:PORT:PROCESSES:PROCESS"),
-    ("plot .", "Argument `folder` must hold a sweep's data.zarr or none, but '.' does not."),
     ("sweep study.toml", "'alpa' (did you mean 'alpha'?)."),
     ("sweep nowhere.toml", "must name a TOML file that can be read, but nowhere.toml: No such file"),
     ("solve panda --delay -1", "`--delay` must be at least 0"),
