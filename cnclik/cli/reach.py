@@ -108,7 +108,7 @@ def _robot_and_task(robot, tips, near, task=None) -> tuple:
         chain = load(robot, tips=tips) if len(tips) > 1 else load(robot, *tips)
     each = [task_from(task, chain, one).on(chain) for one in (tips if len(tips) > 1 else [None])]
     whole = functools.reduce(operator.and_, each)
-    check_units(chain, {} if near is None else {"near": near.written})
+    check_units("near", near, chain)
     return chain, whole, f"{robot_name(robot, ' '.join(tips))}, {str(whole)[6:]}"
 
 

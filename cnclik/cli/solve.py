@@ -42,7 +42,7 @@ def run(
         from cnclik.measure.dataset import labelled
         from cnclik.measure.files import save_labelled
 
-        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop)[0])
+        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
         folder.write("trajectory.nc", functools.partial(save_labelled, data))
     about = {"Title": made.name, "Comment": data.attrs["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}

@@ -45,22 +45,23 @@ def run(
       out: folder for figures and their data (netCDF).
     """
     from cnclik.integrate.drive import Drive
-    from cnclik.integrate.method import named
-    from cnclik.stability.linear import passes_of
+    from cnclik.stability.gain import gains
 
-    given = in_own_units(loop)[0]
+    given, made = in_own_units(loop), None
     if draw:
         errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
         load_ahead("cnclik.show.style")
-    made = None if robot is None else problem(robot, loop)
-    if made is None:
-        each, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
-        drive = Drive(**each) if each else None
-        asked = {"Ts": known["Ts"], "drive": drive, "method": named(known["method"]), "M": known["M"]}
+    if robot is None:
+        drive, known = {name: value for name, value in given.items() if name in DRIVE}, DEFAULTS | given
+        how = {name: known[name] for name in ("Ts", "method", "M")}
+        found = gains(**how, drive=Drive(**drive) if drive else None)
     else:
-        asked = {"Ts": made.Ts, "drive": made.drive, "method": made.method, "M": passes_of(made.stage)}
+        made = problem(robot, loop)
+        found = gains(Ts=made.Ts, method=made.method, M=made.stage, drive=made.drive)
     if draw != ("plane",):
-        _answer(asked, given, made, robot, speed)
+        _answer(found, given.get("alpha", ()), speed)
+        if made is not None:
+            _of_robot(found, made, speed, robot.endswith(".py"))
     if not draw:
         return
     drawn, files = {}, [f"{kind}.{end}" for kind in draw for end in ("nc", "png")]
@@ -69,7 +70,7 @@ def run(
         from cnclik.measure.files import save_netcdf
 
         for kind in dict.fromkeys(draw):
-            data, how = _FIGURES[kind](asked, given, made)
+            data, how = _FIGURES[kind](found, given, made)
             data = data.assign_attrs(provenance(float) | {"config": as_json({"robot": robot} | given)})
             folder.write(f"{kind}.nc", functools.partial(save_netcdf, data))
             about = {"Title": how.get("title", "stability regions")}
@@ -81,15 +82,13 @@ def run(
 # --- the answer ---------------------------------------------------------------------------------------
 
 
-def _answer(asked, given, made, robot, speed) -> None:
-    """Print the gains, what the recommended one costs, what the given one does, and the same loop elsewhere."""
+def _answer(found, alpha, speed) -> None:
+    """Print the gains, what the recommended one and the given one do, and the same loop elsewhere."""
     from cnclik.integrate.drive import drive_in_words
-    from cnclik.stability.gain import gains, in_words
+    from cnclik.stability.gain import in_words
     from cnclik.stability.linear import describe
 
-    found = gains(**asked)
     euler = found if found.method.name == "EE" else found.by("EE")
-    alpha = given.get("alpha", ())
     yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
     drives = drive_in_words(found.drive, found.Ts) + ", assumed" * found.assumed
     print(f"{describe(found.method, found.M)}, Ts {1e3 * found.Ts:g} ms, {drives}.")
@@ -111,8 +110,6 @@ def _answer(asked, given, made, robot, speed) -> None:
         unstable = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
         judged = f"is stable: a step {_in_words(response, found.Ts)}" if response else unstable
         print(f"Your gain (alpha = {alpha:g} 1/s) {judged if alpha else 'asks for no motion'}.")
-    if made is not None:
-        _of_robot(found, made, speed, robot.endswith(".py"))
     print("The same loop elsewhere, by explicit Euler:")
     print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
 
@@ -173,7 +170,7 @@ def _of_robot(found, made, speed, of_file) -> None:
 # --- figures: each function returns data and how to draw them -------------------------------------------
 
 
-def _plane(asked, given, made):
+def _plane(found, given, made):
     from cnclik.stability.maps import limit_table, plane
 
     data = plane(METHODS, PASSES)
@@ -183,15 +180,14 @@ def _plane(asked, given, made):
     return data, {}
 
 
-def _gains(asked, given, made):
+def _gains(found, given, made):
     import numpy as np
 
     from cnclik.integrate.drive import drive_in_words
-    from cnclik.stability.gain import assumed_drive, gain_table
+    from cnclik.stability.gain import gain_table
     from cnclik.stability.linear import describe
 
-    Ts, method, M = (asked[name] for name in ("Ts", "method", "M"))
-    drive = asked["drive"] or assumed_drive(Ts)
+    Ts, method, M, drive = found.Ts, found.method, found.M, found.drive
     late = min(max(2 * drive.lumped.delay * Ts, 0.02), 50 * Ts)  # no more samples than a drive may have
     axes = {"Ts": np.geomspace(Ts / 2, 10 * Ts, CHART_POINTS), "dead_time": np.linspace(0, late, CHART_POINTS)}
     with progress.bar("gains"):
@@ -201,7 +197,7 @@ def _gains(asked, given, made):
     return data, {"title": title, "operating": (Ts, drive.lumped.delay * Ts)}
 
 
-def _map(asked, given, made):
+def _map(found, given, made):
     prepare()
     import numpy as np
 
@@ -209,7 +205,7 @@ def _map(asked, given, made):
     from cnclik.stability.linear import describe
     from cnclik.stability.maps import largest_stable, stability_map
 
-    drive = asked["drive"] or Drive()
+    drive = Drive() if found.assumed else found.drive
     made = made or problem("planar-clockwise:1,1,1,1,1", given)
     rate = float(np.max(np.asarray(made.law.alpha)))
     limit = min(largest_stable(made.method, made.stage, drive, Ts=made.Ts), 20 / made.Ts)
@@ -217,13 +213,13 @@ def _map(asked, given, made):
     half = np.sqrt(limit / rate)
     ends = [(now * min(1, half) / 3, now * max(1, half) * 3) for now in (rate, made.Ts)]
     axes = {k: np.geomspace(*of, CELLS) for k, of in zip(("alpha", "Ts"), ends, strict=True)}
-    N = given.get("N", 400 if asked["drive"] else 100)
+    N = given.get("N", 100 if found.assumed else 400)
     with progress.bar("loops") as report:
         how = dict(method=made.method, stage=made.stage, drive=drive, N=N, progress=report)
         data = stability_map(made.law, made.reference, made.q0, **axes, **how)
     endings, names = data.ending.values, data.ending.attrs["flag_meanings"].split()
     print(f"{endings.size:,} loops:", ", ".join(f"{name} {np.sum(endings == i)}" for i, name in enumerate(names)))
-    title = f"{made.name}, {describe(made.method, asked['M'])}, N = {N}\n"
+    title = f"{made.name}, {describe(made.method, found.M)}, N = {N}\n"
     return data, {"title": title + textwrap.fill(drive_in_words(drive, made.Ts), 60), "operating": (rate, made.Ts)}
 
 

@@ -194,14 +194,14 @@ def problem_from(
     given = {name: value for name, value in locals().items() if name not in ("robot", "drive")} | drive
     for name in drive:
         errors.one_of("option", name, OPTIONS)
-    v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
+    v = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
     for name in ("begin", "future", "limits"):
         if v[name] is not None:
             errors.one_of(name, v[name], OPTIONS[name].choices)
     Ts, N = errors.number("Ts", v["Ts"], positive=True), errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
     chain, own_tip = (robot, tip) if isinstance(robot, Chain) else (names.load(robot, tip), None)
     parts = names.task_from(v["task"], chain, own_tip)
-    check_units(chain, written)
+    check_units("q0", v["q0"], chain)
     law = _law(chain, parts, v, Ts)
     with jax.ensure_compile_time_eval():  # in a sweep, the start of a path that all loops share is searched for once
         q0 = names.start_from(chain, parts, v["q0"])

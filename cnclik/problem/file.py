@@ -29,9 +29,7 @@ def problem_of(robot, **options) -> Problem:
     path = pathlib.Path(str(robot))
     if path.suffix != ".py":
         return problem_from(robot, **options)
-    names = {name: value for name, value in options.items() if name in OPTIONS and value is not None}
-    numbers, written = in_own_units(names)
-    options |= numbers
+    options |= in_own_units({name: value for name, value in options.items() if name in OPTIONS})
     make = _executed(path).get("problem")
     if not callable(make):
         raise errors.fail("robot", "name a Python file with a function problem()", f"{path.name} has none")
@@ -50,7 +48,7 @@ def problem_of(robot, **options) -> Problem:
     if not isinstance(made, Problem):
         must = "return a law, a reference and q0, as a tuple or a dict"
         raise errors.fail(f"problem() in {path.name}", must, f"returns {made!r}")
-    check_units(made.law.chain, written)
+    check_units("q0", options.get("q0"), made.law.chain)
     loop = {name: value for name, value in options.items() if name not in takes}
     if "M" in loop:
         loop["stage"] = stage_from("picard", loop.pop("M"))

@@ -124,39 +124,33 @@ def _check(one, value) -> None:
         raise errors.fail(one.name, f"be {one.must}", f"is {value:g}")
 
 
-def in_own_units(given: dict) -> tuple[dict, dict]:
-    """Return ({option: value}, {option: the unit of each number}): texts such as "34ms" become numbers.
+def in_own_units(given: dict) -> dict:
+    """Return {option: value} with texts such as "34ms" as numbers in the option's own unit.
 
     Raises: ArgumentError for a text that holds no such numbers, and for a number that an option can't be.
     """
-    made, written = dict(given), {}
+    made = dict(given)
     for name in sorted(given, key=lambda name: OPTIONS[name].unit == SAMPLES):  # samples last: they need Ts
         one, value = OPTIONS[name], given[name]
-        if one.kind == NAME:
-            continue
-        several = one.several and type(value) in (list, tuple)
-        if isinstance(value, str) or (several and any(isinstance(v, str) for v in value)):
+        several = one.several and isinstance(value, (list, tuple)) and any(isinstance(v, str) for v in value)
+        if one.kind != NAME and (isinstance(value, str) or several):
             Ts = made.get("Ts", DEFAULTS["Ts"]) if one.unit == SAMPLES else None
             value = numbers_of(one, value, Ts and errors.number("Ts", Ts, positive=True))
-        if isinstance(value, Quantities):
-            written[name] = value.written
-            single = len(value) == 1 and one.unit not in ("q", "x")
-            made[name] = (int if one.kind == INTEGER else float)(value[0]) if single else list(value)
-        elif type(value) in (int, float):
+        if isinstance(value, Quantities) and len(value) == 1 and one.unit not in ("q", "x"):
+            value = (int if one.kind == INTEGER else float)(value[0])
+        if type(value) in (int, float):
             _check(one, value)
-    return made, written
+        made[name] = value
+    return made
 
 
-def check_units(chain, written: dict) -> None:
-    """Raise ArgumentError if a unit does not fit its joint, such as degrees for a prismatic one.
-
-    Args: written: {option: the given unit of each number, or None}; see `cnclik.quantities.read`.
-    """
-    for name in {"q0", "near"} & set(written):
-        for joint, unit, given in zip(chain.joint_names, chain.units, written[name], strict=False):
-            if given and given != unit:
-                found = f"joint {joint!r} is in {unit}, and {given} is given"
-                raise errors.fail(name, "have the units of what it is for", found)
+def check_units(name: str, values, chain) -> None:
+    """Raise ArgumentError if the unit of a number, as a `Quantities` has it, is not that of its joint."""
+    for joint, unit, given in zip(chain.joint_names, chain.units, getattr(values, "written", ()), strict=False):
+        if given and given != unit:
+            raise errors.fail(
+                name, "have the units of what it is for", f"joint {joint!r} is in {unit}, and {given} is given"
+            )
 
 
 def units(law, task, width=None) -> dict:

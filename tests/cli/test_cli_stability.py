@@ -75,7 +75,7 @@ def test_the_given_gain_is_judged(capsys):
 def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
     drive = ("--Ts", "10ms", "--delay", 3, "--speed", 0.25)
     alone, robot = (shown(capsys, *robot, *drive) for robot in ([], ["ur5"]))
-    line = re.search(r"ur5 at its start: 0\.25 m/s in .* needs [\d.]+ % of joint \w+'s velocity limit\. ", robot)
+    line = re.search(r" ur5 at its start: 0\.25 m/s in .* needs [\d.]+ % of joint \w+'s velocity limit\.", robot)
     assert robot.replace(line[0], "") == alone  # the gains have no robot in them
     held = ("--limits", "bounded", "--damping", 0.05, "--task", "position")
     limits = (
