@@ -17,21 +17,18 @@ LOG = arguments(source("cli/log.py"), "read")
 GROUPS = {  # options that verbs share, by the titles of the help; a verb's TAKES names its groups
     "robot and task": ("robot", "tip", "task"),
     "path": ("reference", "target", "radius", "period", "speed", "begin"),
-    "law": ("alpha", "damping", "limits"),
+    "law": ("alpha", "damping", "limits", "feedforward"),
     "loop": ("q0", "Ts", "N", "method", "M"),
     "drive": ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feedback", "cutoff", "smoothed"),
     "log": tuple(LOG),
 }
 PROBLEM = ("robot and task", "path", "law", "loop", "drive")
 HELP = {  # of arguments without a line of their own
-    "robot": OPTIONS["robot"].help,
-    "log": LOG["log"].help,
-    "N": OPTIONS["N"].help,
     "json": "Print the answer as JSON and nothing else.",
     "figures": "Draw the figures.",
     "overwrite": "Write over files that cnclik did not make, too.",
 }
-OUTPUT = ("out", "overwrite", "json", "csv", "figures")  # options of the last group of the help
+OUTPUT = ("out", "overwrite", "json", "figures")  # options of the last group of the help
 
 
 def options_of(verb) -> dict:
