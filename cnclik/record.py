@@ -253,7 +253,7 @@ def leaf(value):
 
 
 def replace(rec: T, **changes: Any) -> T:
-    """A copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
+    """Return a copy of the record with some fields changed: `replace(law, alpha=2.0)`."""
     return dataclasses.replace(rec, **changes)  # type: ignore[type-var]
 
 

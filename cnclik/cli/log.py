@@ -17,6 +17,7 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
 LONG = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
 LONG |= dict.fromkeys(("nsec", "nanosec", "nanos", "nsecs", "nanosecs", "nanoseconds"), "ns")
 EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # size of present-day stamps since 1970
+APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
 
 
@@ -96,18 +97,14 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
 
 def sampled(log: Log) -> float:
     """Ts [s] of a log without gaps: as given, or from its stamps, which a given one may contradict."""
-    from cnclik.diagnosis.recording import APART, sampling_time
+    import numpy as np
 
-    if log.Ts is None:
-        with errors.called("t", log.stamps.partition(",")[0]):
-            return sampling_time(log.t, None)
-    Ts = sampling_time(None, log.Ts)
-    if log.t is not None:
-        try:
-            own = sampling_time(log.t, None)
-            log.stamps += f", though the stamps are {1e3 * own:.4g} ms apart" * (abs(own / Ts - 1) > APART)
-        except errors.ArgumentError as error:
-            log.stamps += f", though of the stamps {str(error).partition(', but ')[2].rstrip('.')}"
+    from cnclik.diagnosis.recording import sampling_time
+
+    with errors.called("t", log.stamps.partition(",")[0]):
+        Ts = sampling_time(log.t, log.Ts)
+    if log.Ts is not None and log.t is not None and abs((apart := np.mean(np.diff(log.t))) / Ts - 1) > APART:
+        log.stamps += f", though the stamps are {1e3 * apart:.4g} ms apart"
     return Ts
 
 

@@ -14,7 +14,7 @@ TAKES = PROBLEM
 def run(robot: str, **loop) -> None:
     """Run a loop, as solve does with these options, and play it in a browser of this machine."""
     made = problem(robot, loop)
-    from cnclik.show.viewer.front import view
+    from cnclik.show.viewer import view
 
     viewer = view(made)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)

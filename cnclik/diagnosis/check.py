@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import columns, spacing
+from cnclik.diagnosis.recording import columns, missing, spacing
 from cnclik.record import ArrayLike, Float, record
 
 if typing.TYPE_CHECKING:
@@ -33,7 +33,7 @@ NEAR = 0.25  # how far that of a hundred rows may be from it; motion of period 2
 
 @record
 class Finding:
-    """The worst of one kind in a log.
+    """The largest value of one kind in a log, or its number of bad rows.
 
     Attributes:
       what: "velocity", "acceleration", "jerk", "beyond its range", "jump", "wrap by 2π", "half-way between rows",
@@ -51,19 +51,19 @@ class Finding:
     noise: float | None = None
 
     @property
-    def share(self) -> float:
-        """Value over limit; 0 without a limit."""
-        return 0.0 if self.limit is None else self.value / self.limit if self.limit else np.inf * self.value
+    def share(self) -> float | None:
+        """Value over limit; None without a limit."""
+        return None if self.limit is None else self.value / self.limit if self.limit else np.inf
 
     @property
     def broken(self) -> bool:
         """Whether a limit is exceeded, by more than noise alone explains."""
-        return self.share > 1 + ROUNDING and self.value > (self.noise or 0.0)
+        return (self.share or 0.0) > 1 + ROUNDING and self.value > (self.noise or 0.0)
 
 
 @record
 class LogCheck:
-    """What a log breaks: each `Finding`, the usual sampling time Ts [s], and the number of rows."""
+    """Answer of `check_log`: each `Finding`, the usual sampling time Ts [s], and the number of rows."""
 
     findings: tuple[Finding, ...]
     Ts: float
@@ -72,27 +72,25 @@ class LogCheck:
     @property
     def broken(self) -> tuple[Finding, ...]:
         """The findings that exceed a limit."""
-        return tuple(one for one in self.findings if one.broken)
+        return tuple(finding for finding in self.findings if finding.broken)
 
     def __str__(self):
         table = [("", "column", "largest", "at", "limit", "of limit", "noise alone")]
-        for one in self.findings:
-            numbers = (
-                "" if v is None else f"{v:.4g}" for v in (one.limit, one.share if one.limit else None, one.noise)
-            )
-            table.append((one.what, one.column, f"{one.value:.4g} {one.unit}", f"{one.at:.4g} s", *numbers))
-        width = [max(map(len, column)) for column in zip(*table, strict=True)]
-        aligned = ["<", "<", *">>>>>"]
-        lines = [
-            "  ".join(f"{cell:{side}{wide}}" for cell, side, wide in zip(row, aligned, width, strict=True)).rstrip()
-            for row in table
-        ]
-        said = "No limit is broken." if any(one.limit is not None for one in self.findings) else "No limits are given."
+        for finding in self.findings:
+            numbers = ["" if v is None else f"{v:.4g}" for v in (finding.limit, finding.share, finding.noise)]
+            largest = f"{finding.value:.4g} {finding.unit}"
+            table.append((finding.what, finding.column, largest, f"{finding.at:.4g} s", *numbers))
+        width = [max(map(len, cells)) for cells in zip(*table, strict=True)]
+        lines = []
+        for what, column, *numbers in table:
+            right = [f"{cell:>{wide}}" for cell, wide in zip(numbers, width[2:], strict=True)]
+            lines.append("  ".join([f"{what:{width[0]}}", f"{column:{width[1]}}", *right]).rstrip())
         if self.broken:
-            worst = max(self.broken, key=lambda one: one.share)
+            worst = max(self.broken, key=lambda finding: finding.share or 0.0)
             said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.4g} s."
-        if noisy := sum(one.share > 1 + ROUNDING and not one.broken for one in self.findings):
-            said += f" Noise alone explains {noisy} more values above a limit."
+        else:
+            limits = any(finding.limit is not None for finding in self.findings)
+            said = "No limit is broken." if limits else "No limits are given."
         return "\n".join([*lines, said])
 
 
@@ -134,21 +132,25 @@ def check_log(
     Ts = spacing(t) if Ts is None else float(errors.number("Ts", Ts, positive=True))
     resolution = float(errors.number("resolution", resolution, at_least=0))
     units = ["rad"] * k if chain is None else list(chain.units)
-    found, t, gaps, kept = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
-    found += _motion(t, q[kept], gaps, Ts, most, names[:k], units, resolution, measured=True)
-    if command is not None:
-        sent = columns("command", command, "check_log")
-        if sent.shape != q.shape:
-            raise errors.fail("command", f"have the shape of q, {q.shape}", f"has {sent.shape}")
-        found += _motion(t, sent[kept], gaps, Ts, most, names[k:], units, 0.0, measured=False)
-        found += _largest("behind its command", np.abs(sent - q)[kept], t, units, names[:k])
+    sent = None if command is None else columns("command", command, "check_log")
+    if sent is not None and sent.shape != q.shape:
+        raise errors.fail("command", f"have the shape of q, {q.shape}", f"has {sent.shape}")
+    findings, kept, gaps = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
+    rows, t, q = len(q), t[kept], q[kept]
+    of_motion = [_motion(t, q[:, j], gaps, Ts, most[j], names[j], units[j], resolution) for j in range(k)]
+    if sent is not None:
+        sent = sent[kept]
+        of_motion += [_motion(t, sent[:, j], gaps, Ts, most[j], names[k + j], units[j], None) for j in range(k)]
+    findings += [finding for kind in zip(*of_motion, strict=True) for finding in kind if finding is not None]
+    if sent is not None:
+        findings += [_worst("behind its command", abs(sent - q)[:, j], t, names[j], units[j]) for j in range(k)]
     if chain is not None:
-        found += _half_way(chain, t, q[kept], gaps)
-    return LogCheck(findings=tuple(found), Ts=Ts, rows=len(q))
+        findings += _half_way(chain, t, q, gaps)
+    return LogCheck(findings=tuple(findings), Ts=Ts, rows=rows)
 
 
-def _limits(limits, chain, k) -> dict:
-    """{quantity: (k,)} of the limits that are given, or else of the chain."""
+def _limits(limits, chain, k) -> list[dict]:
+    """{quantity: limit} of each column, as given, or else of the chain."""
     if isinstance(limits, str):
         limits = PUBLISHED[errors.one_of("limits", limits, PUBLISHED)]
     limits = {errors.one_of("limits", n, ORDERS): v for n, v in errors.kind("limits", limits or {}, dict).items()}
@@ -157,67 +159,57 @@ def _limits(limits, chain, k) -> dict:
             raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
         limits = {"velocity": chain.velocity_limit, "lower": chain.lower, "upper": chain.upper} | limits
     arrays = {n: np.asarray(errors.array(f"limits.{n}", v, (), (k,), finite=False), float) for n, v in limits.items()}
-    return {name: np.broadcast_to(values, k) for name, values in arrays.items()}
+    return [{name: float(np.broadcast_to(values, k)[j]) for name, values in arrays.items()} for j in range(k)]
 
 
-def _rows(t, moved, Ts):
-    """(findings of rows, times of the rows to keep, whether a gap is before each, their indices)."""
-    step = np.diff(t)
-    two = np.concatenate([[np.inf], t[2:] - t[:-2], [np.inf]])  # a single late stamp is jitter: the next is not late
-    late = (step > 1.6 * Ts) & (two[:-1] > 2.6 * Ts) & (two[1:] > 2.6 * Ts)
-    missing = np.sum(np.round(step[late] / Ts) - 1)
-    same = step == 0
+def _rows(t, moved, Ts) -> tuple:
+    """(findings of rows, indices of the rows to keep, whether a gap is before each), from how far joints move."""
+    step, late = np.diff(t), missing(t, Ts)
+    same, back = step == 0, step < 0
     way = np.convolve(moved, [1.0, 0.0, 0.0, 0.0, 1.0], "same")  # a stale row: steady motion stops, and makes up for it
     same[2:-2] |= (moved[2:-2] == 0) & (np.abs(moved[3:-1] / np.maximum(way[2:-2], 1e-300) - 1) < 0.1)
-    back = step < 0
-    each = (("missing", missing, late), ("repeated", np.sum(same), same), ("reversed", np.sum(back), back))
-    found = [
-        Finding(what=what, column="", value=float(count), unit="rows", at=float(t[np.argmax(at) + 1]))
-        for what, count, at in each
-        if count
+    counts = {"missing": np.where(late, np.round(step / Ts) - 1, 0), "repeated": 1.0 * same, "reversed": 1.0 * back}
+    findings = [
+        Finding(what=what, column="", value=float(count.sum()), unit="rows", at=float(t[np.argmax(count > 0) + 1]))
+        for what, count in counts.items()
+        if count.any()
     ]
     kept = np.concatenate([[0], np.flatnonzero(step != 0) + 1])
-    return found, t[kept], np.concatenate([[False], late | back])[kept], kept
+    return findings, kept, (late | back)[kept[1:] - 1]
 
 
-def _motion(t, q, gaps, Ts, most, names, units, resolution, *, measured) -> list:
-    """Findings of joint values (N, k); those of commands have no noise."""
-    step = np.diff(q, axis=0)
-    wraps = (np.abs(np.abs(step) - 2 * np.pi) < TURN) & ~gaps[1:, None]
-    found = _largest("wrap by 2π", wraps * wraps.sum(0), t[1:], ["times"] * len(names), names, seldom=True)
-    step = step - np.where(wraps, np.sign(step) * 2 * np.pi, 0.0)
-    q = q[:1] + np.concatenate([0.0 * q[:1], np.cumsum(step, axis=0)])
-    step = np.where(gaps[1:, None], np.nan, step)
-    size = np.array([_noise(column) for column in step.T]) * measured
-    around = np.nanmax([np.abs(np.roll(step, s, 0)) for s in (-3, -2, -1, 1, 2, 3)], axis=0, initial=0.0)
-    beyond = np.abs(step) > APART * around + 6 * size + resolution
-    found += _largest("jump", np.where(beyond, np.abs(step), 0.0), t[1:], units, names, seldom=True)
-    if "lower" in most:
-        over = np.maximum(np.maximum(q - most["upper"], most["lower"] - q), 0.0)
-        found += _largest("beyond its range", over, t, units, names, 0.0 * size, seldom=True)
+def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:
+    """Findings of joint values (N,), None where there is none. resolution: None of commands, which have no noise."""
+    step = np.diff(q)
+    wraps = (np.abs(np.abs(step) - 2 * np.pi) < TURN) & ~gaps
+    step = np.where(wraps, step - np.sign(step) * 2 * np.pi, step)
+    q = q[0] + np.concatenate([[0.0], np.cumsum(step)])
+    step[gaps] = np.nan
+    noise = 0.0 if resolution is None else _noise(step)
+    around = np.nanmax([np.abs(np.roll(step, s)) for s in (-3, -2, -1, 1, 2, 3)], axis=0, initial=0.0)
+    jumps = np.abs(step) > APART * around + 6 * noise + (resolution or 0.0)
+    over = np.maximum(np.maximum(q - limit.get("upper", np.inf), limit.get("lower", -np.inf) - q), 0.0)
+    findings = [
+        _worst("wrap by 2π", wraps * wraps.sum(), t[1:], name, "times") if wraps.any() else None,
+        _worst("jump", np.where(jumps, np.abs(step), 0.0), t[1:], name, unit) if jumps.any() else None,
+        _worst("beyond its range", over, t, name, unit, 0.0) if over.any() else None,
+    ]
     value = step
-    for order, (name, per) in enumerate(ORDERS.items(), 1):
-        value = value if order == 1 else np.diff(value, axis=0)
-        # The variance of a difference of white noise, what one log in a hundred exceeds, and a step of the encoder.
-        spread, count = np.sqrt((2, 6, 20)[order - 1] * 2 * np.log(100 * len(q))), (1, 2, 3)[order - 1]
-        noise = (spread * size + count * resolution) / Ts**order
-        per_time = [unit + per for unit in units]
-        found += _largest(name, np.abs(value) / Ts**order, t[order:], per_time, names, most.get(name), noise)
-    return found
+    for order, (what, per) in enumerate(ORDERS.items(), 1):
+        # The variance of a difference of white noise, what one log in a hundred exceeds, and steps of the encoder.
+        spread, steps = np.sqrt((2, 6, 20)[order - 1] * 2 * np.log(100 * len(q))), (1, 2, 3)[order - 1]
+        alone = (spread * noise + steps * (resolution or 0.0)) / Ts**order
+        findings.append(_worst(what, np.abs(value) / Ts**order, t[order:], name, unit + per, limit.get(what), alone))
+        value = np.diff(value)
+    return findings
 
 
-def _largest(what, values, t, units, names, limit=None, noise=None, *, seldom=False) -> list:
-    """A finding for each column of values (N, k). seldom: leave out columns of zeros."""
-    found = []
-    for j, name in enumerate(names):
-        if np.isnan(values[:, j]).all() or (seldom and not np.nan_to_num(values[:, j]).any()):
-            continue
-        i = int(np.nanargmax(values[:, j]))
-        most = None if limit is None or not np.isfinite(limit[j]) else float(limit[j])
-        alone = None if noise is None else float(noise[j])
-        value, at = float(values[i, j]), float(t[i])
-        found.append(Finding(what=what, column=name, value=value, unit=units[j], at=at, limit=most, noise=alone))
-    return found
+def _worst(what, values, t, name, unit, limit=None, noise=None) -> Finding | None:
+    """The largest of values (N,); None where all lie across gaps."""
+    if np.isnan(values).all():
+        return None
+    i, limit = int(np.nanargmax(values)), limit if limit is not None and np.isfinite(limit) else None
+    return Finding(what=what, column=name, value=float(values[i]), unit=unit, at=float(t[i]), limit=limit, noise=noise)
 
 
 def _noise(step) -> float:
@@ -228,8 +220,8 @@ def _noise(step) -> float:
         return 0.0
     third = np.clip(third, *(np.quantile(np.abs(third), QUIET) * np.array([-1, 1])))
     power = np.mean(third**2) or 1.0
-    each = [np.mean(third[lag:] * third[:-lag]) / power for lag in (1, 2)]
-    return float(np.sqrt(power / 20)) * bool(np.all(np.abs(np.subtract(each, WHITE)) < NEAR))
+    correlation = [np.mean(third[lag:] * third[:-lag]) / power for lag in (1, 2)]
+    return float(np.sqrt(power / 20)) * bool(np.all(np.abs(np.subtract(correlation, WHITE)) < NEAR))
 
 
 def _half_way(chain, t, q, gaps) -> list:
@@ -238,12 +230,12 @@ def _half_way(chain, t, q, gaps) -> list:
 
     from cnclik.robot.model import forward
 
-    found = []
-    for tip in (one.name for one in chain.tips):
+    findings = []
+    for tip in (each.name for each in chain.tips):
         place = jax.vmap(lambda values, tip=tip: forward(chain, values, tip=tip).position)
         with jax.enable_x64(True):
             at, half = (np.asarray(place(rows)) for rows in (q, 0.5 * (q[1:] + q[:-1])))
-        away = np.linalg.norm(half - 0.5 * (at[1:] + at[:-1]), axis=1)
-        away = np.where(gaps[1:], np.nan, 1e3 * away)[:, None]
-        found += _largest("half-way between rows", away, 0.5 * (t[1:] + t[:-1]), ["mm"], [tip or "tip"])
-    return found
+        away = 1e3 * np.linalg.norm(half - 0.5 * (at[1:] + at[:-1]), axis=1)
+        between = 0.5 * (t[1:] + t[:-1])
+        findings.append(_worst("half-way between rows", np.where(gaps, np.nan, away), between, tip or "tip", "mm"))
+    return [finding for finding in findings if finding is not None]

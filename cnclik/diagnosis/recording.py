@@ -6,8 +6,7 @@ from cnclik import errors
 
 LEAST = 16  # rows
 LARGEST = 1e30  # value of a recording, at most; squares of far larger ones overflow
-MISSING, BESIDE = 0.6, 12  # of a step, by which stamps of the rows on either side are late where one is missing
-APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
+MISSING, BESIDE = 0.6, 12  # of a step, by which the rows after a gap come late; rows on either side that tell
 
 
 def columns(name, values, door):
@@ -25,38 +24,31 @@ def line(N):
 
 
 def sampling_time(t, Ts) -> float:
-    """Ts [s] as given or from times (N,) with jitter.
-
-    Raises: ArgumentError if rows are missing, or if neither is given.
-    """
+    """Return Ts [s] as given, or from times (N,) that jitter. Raises: ArgumentError if rows are missing."""
     if Ts is not None or t is None:
         return float(errors.number("Ts", Ts, positive=True))
     t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
     usual, step = spacing(t), np.diff(t)
-    mean, middle = float(step.mean()), float(np.median(step))
-    if np.unique(step).size < 4 and abs(middle / mean - 1) > APART:
-        found = f"are {middle:.6g} s apart in the median and {mean:.6g} s in the mean (digits are missing, or rows)"
-        raise errors.fail("t", "be times that are equally far apart", found)
-    late = t - t[0] - usual * np.arange(len(t))
-    gaps = {}
-    for k in np.flatnonzero(
-        step > (1 + MISSING) * usual
-    ):  # a single late stamp is jitter, and those after it are not late
-        after, before = late[k + 1 : k + 1 + BESIDE], late[max(k + 1 - BESIDE, 0) : k + 1]
-        gaps[int(k)] = float(np.median(after) - np.median(before))
-    worst = max(gaps, key=lambda k: gaps[k], default=None)
-    if worst is not None and gaps[worst] > MISSING * usual:
-        found = f"row {worst + 2} comes {step[worst]:.4g} s after the one before"
+    if (late := step * missing(t, usual)).any():
+        row = int(np.argmax(late))
+        found = f"row {row + 2} comes {step[row]:.4g} s after the one before"
         raise errors.fail("t", f"have a row every {usual:g} s", found)
-    return mean
+    return float(step.mean())
 
 
 def spacing(t) -> float:
-    """The usual step of times (N,), which may jitter; a few rows may be missing. Raises: ArgumentError."""
+    """Return the usual step of times (N,): over long intervals jitter counts little. Raises: ArgumentError."""
     apart = max(len(t) // 4, 1)
-    usual = (
-        float(np.median(t[apart:] - t[:-apart])) / apart if len(t) > 1 else 0.0
-    )  # long intervals reduce the effect of jitter
+    usual = float(np.median(t[apart:] - t[:-apart])) / apart if len(t) > 1 else 0.0
     if not usual > 0:
         raise errors.fail("t", "increase", f"the median step is {usual:g} s")
     return usual
+
+
+def missing(t, Ts):
+    """Return whether rows are missing after each of the first N − 1 times: a late stamp alone is jitter."""
+    late, gaps = t - Ts * np.arange(len(t)), np.diff(t) > (1 + MISSING) * Ts
+    for k in np.flatnonzero(gaps):
+        before, after = late[max(k + 1 - BESIDE, 0) : k + 1], late[k + 1 : k + 1 + BESIDE]
+        gaps[k] = np.median(after) - np.median(before) > MISSING * Ts
+    return gaps

@@ -29,7 +29,7 @@ _registered = {}  # {name of a library: its program}, kept as XLA may call it as
 
 
 def native(fn: Callable) -> Callable:
-    """The same function as C, for use inside a JAX program of your own: native(fn)(*args) = fn(*args), to rounding.
+    """Return the same function as C, for a JAX program of your own: native(fn)(*args) = fn(*args), to rounding.
 
     It stays so under `jax.jit`, `vmap`, `jvp`, `grad` and `lax.scan`, in any order and nested: jax.vmap(native(fn)) is
     jax.vmap(fn) on vectors of lanes, and the derivatives of native(fn) are those of fn, as C, too.

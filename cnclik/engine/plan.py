@@ -18,7 +18,7 @@ MOST_SCALARS = 60_000  # the same for XLA, which takes 1 to 3 ms for each
 
 
 def use_engine(name: str | None) -> contextlib.AbstractContextManager:
-    """Context manager: the engine that runs the batches and functions called inside; None: the quickest.
+    """Choose, inside a `with`, the engine that runs batches and functions; None: the quickest.
 
     "native": C; "xla": the engine's scalars, compiled by XLA; "plain": the source itself, by XLA. All give the same
     numbers, to rounding. Without a C compiler, or if a function has no C form, XLA runs it.

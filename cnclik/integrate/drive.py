@@ -127,7 +127,7 @@ class Drive:
         return "" if self.cutoff is None and _none(self.smoothing) else self.smoothed
 
     def kept(self, Ts):
-        """Share ρ of the old value that the filter keeps at a sampling time [s]."""
+        """Return the share ρ of the old value that the filter keeps at a sampling time [s]."""
         if self.cutoff is None:
             return self.smoothing
         xp = library(self.cutoff, Ts)

@@ -30,7 +30,7 @@ DEVICE_BLOCK = 1 << 18  # the same on a GPU, to fit its cache: up to twice as fa
 
 
 def lanes(fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None) -> Callable:
-    """Same arguments and, to rounding, same results as `jax.vmap(fn)`, but faster.
+    """Map a function over a batch as `jax.vmap(fn)` does, with the same results to rounding, but faster.
 
     Every argument is a tree of arrays with one leading batch axis, of any size from 1 to tens of millions. Close over
     what all lanes share. `fn` should return a small result of a loop (an error, a metric) and not the whole trajectory:

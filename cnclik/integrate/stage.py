@@ -124,7 +124,7 @@ def _iterate(stage, improve, start, h) -> Solved:
 
 
 def picard(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Picard:
-    """Fixed-point iteration k ← g(k), M passes, started from the explicit Euler slope (Drexler 2016, eqs. 6-8).
+    """Solve a stage by fixed-point iteration k ← g(k), M passes from the explicit slope (Drexler 2016, eqs. 6-8).
 
     It converges where h·‖∂f/∂q‖ < 1, near a target where a·alpha·Ts < 1, and costs M evaluations of f. Left
     short of convergence it is a polynomial in z: implicit Euler with M = 5 is stable only for z < 1.
@@ -138,7 +138,7 @@ def picard(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> 
 
 
 def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Chord:
-    """Chord (simplified Newton) iteration k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, converging at any z.
+    """Solve a stage by chord (simplified Newton) steps k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, at any z.
 
     −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; see
     `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. It starts from the law
@@ -150,9 +150,9 @@ def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> C
 
 
 def newton(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Newton:
-    """Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, with the whole derivative by `jax.jvp`.
+    """Solve a stage by Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, the derivative by `jax.jvp`.
 
-    Curvature included, so it converges quadratically where the start is near enough; a pass costs one evaluation
+    It converges quadratically where the start is near enough; a pass costs one evaluation
     of f and n directional derivatives of it (counted as n evaluations), and an n×n solve.
 
     Args: as for `picard`.

@@ -10,9 +10,11 @@ thereby keep the walls exactly (Hestenes 1969; Powell 1969).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -242,6 +244,7 @@ def descent(of: Problem, start, passes) -> _Pass:
     return lax.while_loop(lambda at: ~at.settled & (at.passes < passes), one, first)
 
 
+@functools.partial(jax.jit, static_argnames="passes", inline=True)  # laws of one shape read it once
 def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
     """Find the minimum behind walls: a descent, and more while walls are violated by more than their softness.
 

@@ -35,6 +35,7 @@ def factored_solve(lower, product, b):
     return lax.custom_linear_solve(product, b, lambda _, b: cholesky_solve(lower, b), symmetric=True)
 
 
+@functools.partial(jax.jit, static_argnames="transposed", inline=True)  # its derivatives are traced once, too
 def triangular(lower, b, *, transposed=False):
     """Solve L x = b, or Lᵀ x = b."""
     whole = jnp.where(np.tri(len(lower), dtype=bool), lower, 0.0)
@@ -47,12 +48,14 @@ def triangular(lower, b, *, transposed=False):
     )
 
 
+@functools.partial(jax.jit, inline=True)
 def inverse_trace(lower):
     """Return the trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite without a factor."""
     trace = jnp.sum(triangular(lower, jnp.eye(len(lower), dtype=lower.dtype)) ** 2)
     return jnp.where(trace > 0, trace, jnp.inf)
 
 
+@functools.partial(jax.jit, inline=True)
 def least_squared(rows, tiny):
     """Return σ_min² of J, or up to m^(1/32) less where others are as small (6 % for six rows), with smooth derivatives.
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import json
-import subprocess
 from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -22,6 +19,14 @@ from cnclik.version import __version__
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+class Labelled(NamedTuple):
+    """Labelled arrays {name: (dims, values, attrs)}: what `xarray.Dataset(*labelled)` takes."""
+
+    variables: dict
+    coords: dict
+    attrs: dict
 
 
 @of_numbers
@@ -49,6 +54,11 @@ def to_dataset(
     """
     import xarray as xr
 
+    return xr.Dataset(*labelled(run, law, dims, coords, config))
+
+
+def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> Labelled:
+    """Return the arrays of `to_dataset`, without loading xarray."""
     check_run(run, errors.kind("law", law, Law))
     dims = tuple(dims)
     t, evaluations = np.asarray(run.t), np.asarray(run.evaluations)
@@ -96,8 +106,8 @@ def to_dataset(
     else:  # each lane has its own times, as in a sweep over Ts
         variables["t"] = (instant, t, about("time", "s"))
     variables = {name: (d, np.asarray(v), words) for name, (d, v, words) in variables.items()}
-    found = xr.Dataset(variables, labels | dict(coords or {}), attrs=provenance(run.q.dtype))
-    return found if config is None else found.assign_attrs(config=as_json(config))
+    attrs = provenance(run.q.dtype) | ({} if config is None else {"config": as_json(config)})
+    return Labelled(variables, labels | dict(coords or {}), attrs)
 
 
 def _tips(task, chain) -> list:
@@ -126,30 +136,14 @@ def as_json(config) -> str:
 
 
 def provenance(dtype) -> dict:
-    """Return what the numbers may depend on besides the configuration: versions, commit, device and `dtype`."""
+    """Return what the numbers may depend on besides the configuration: versions, device and `dtype`."""
     return {
         "cnclik": __version__,
-        "commit": _commit(),
         "jax": jax.__version__,
         "numpy": np.__version__,
         "dtype": str(np.dtype(dtype)),
         "device": jax.default_backend(),
     }
-
-
-@functools.cache
-def _commit() -> str:
-    """Return the commit of the checkout of this package, with "+" for local changes; "unknown" if it is installed."""
-    package = Path(__file__).parents[1]
-
-    def git(*args):
-        return subprocess.run(["git", *args], cwd=package, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        git("ls-files", "--error-unmatch", "__init__.py")  # a venv inside another checkout does not count
-        return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "--", ".") else "")
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
 
 
 def about(name, units) -> dict:

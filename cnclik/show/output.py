@@ -52,23 +52,19 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
     if not figures:
         return []
     failed: dict = {}
-    try:
-        from cnclik.show import style  # here, where a broken installation of matplotlib costs no data
+    with output_folder(path, name=name, overwrite=overwrite) as folder:
+        for done, (file, (make, about)) in enumerate(figures.items()):
+            if progress is not None:
+                progress(done, len(figures), f"drawing {file}")
+            try:
+                from cnclik.show import style  # here, where a broken installation of matplotlib costs no data
 
-        with output_folder(path, name=name, overwrite=overwrite) as folder, style.style():
-            for done, (file, (make, about)) in enumerate(figures.items()):
-                if progress is not None:
-                    progress(done, len(figures), f"drawing {file}")
-                try:
+                with style.style():
                     folder.write(file, functools.partial(style.save, make(), about=about))
-                except Refused:
-                    raise
-                except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
-                    failed[file] = error
-    except errors.ArgumentError:
-        raise
-    except Exception as error:  # whatever a broken installation raises
-        failed = dict.fromkeys(figures, error)
+            except Refused:
+                raise
+            except Exception as error:  # some mistakes, as in a title's formula, appear only on saving
+                failed[file] = error
     if failed:
         what = ", ".join(f"{file} ({errors.in_a_line(error)})" for file, error in failed.items())
         message = f"Not drawn: {what}; the data are kept in {path}{f', `{again}` draws again' if again else ''}."

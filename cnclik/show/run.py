@@ -3,13 +3,14 @@
 Each function draws a dataset of `cnclik.measure.dataset.to_dataset`.
 """
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from cnclik import errors
-from cnclik.integrate.status import OWN, Status, level
+from cnclik.integrate.status import Status, level
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
@@ -43,60 +44,41 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
 
 
 def tuned(found):
-    """Draw the norms of the errors of a `Tuned`, before in grey and after; of a stack a panel for each task."""
-    before, after = (to_dataset(run, found.law) for run in (found.before, found.after))
-    parts = error_parts(after)
-    size = (style.COLUMN, 0.6 + 1.5 * len(parts))
-    figure, panels = plt.subplots(len(parts), 1, figsize=size, sharex=True, squeeze=False)
-    for panel, (task, unit, some) in zip(panels[:, 0], parts, strict=True):
-        norms = [np.linalg.norm(data.e.values[:, some], axis=1) for data in (before, after)]
-        panel.plot(after.time, _positive(norms[0]), color="0.7", linewidth=2.6, label="before")  # seen behind the other
-        panel.plot(after.time, _positive(norms[1]), color=style.BLUE, linewidth=1.2, label="after")
-        style.log_errors(panel, norms)
-        what = task or {"m": "position", "rad": "orientation"}.get(unit, "")
-        panel.set_ylabel(f"{what} error [{unit}]".strip())
-    panels[0, 0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
-    panels[-1, 0].set_xlabel(_TIME)
+    """Draw the norms of the errors of a `Tuned`, before in grey and after."""
+    figure, panel = plt.subplots(figsize=(style.COLUMN, 2.4))
+    _draw_error(panel, to_dataset(found.after, found.law))
+    bottom, top = panel.get_ylim()
+    before = to_dataset(found.before, found.law)
+    for k, (_, norm) in enumerate(_norms(before)):
+        panel.plot(before.time, norm, color="0.7", linewidth=2.4, zorder=1, label="_" * bool(k) + "before")
+        top = max(top, 1.2 * np.nanmax(norm, initial=0.0))
+    panel.set(xlabel=_TIME, ylim=(bottom, top))
+    panel.legend(loc="best")
     return figure
 
 
 def tip(data, chain):
-    """Draw the paths of each tip and of its target in space, or in the plane of a planar robot, at one scale."""
+    """Draw the paths of the tips and of their targets in space, or in the plane of a planar robot, at one scale."""
     motion, axes = motion_of(data, chain), "xy" if is_planar(chain) else "xyz"
-    tips = list(zip(chain.tips, motion.paths, motion.targets, strict=True))
-    space = {} if len(axes) == 2 else {"subplot_kw": {"projection": "3d"}}
-    columns = 2 if len(tips) == 4 else min(len(tips), 3)
-    rows = -(-len(tips) // columns)
-    size = (style.COLUMN, 3.2) if columns == 1 else (style.PAGE / 3 * columns, 0.4 + 2.5 * rows)
-    figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=size, **space)
-    for panel in grid.flat[len(tips) :]:
-        panel.set_axis_off()
-    points = [np.concatenate([way for way in paths if way is not None])[:, : len(axes)] for _, *paths in tips]
-    room = max(0.55 * max(np.ptp(some, axis=0).max() for some in points), 1e-3)  # for resting tips 1 mm
-    for panel, (about, way, target), some in zip(grid.flat, tips, points, strict=False):
-        _draw_tip(panel, axes, way, target, alone=len(tips) == 1)
-        for name, middle in zip(axes, (some.min(axis=0) + some.max(axis=0)) / 2, strict=True):
-            panel.set(**{f"{name}lim": (middle - room, middle + room), f"{name}label": f"${name}$ [m]"})
-        panel.set_title(about.name if len(tips) > 1 else "", pad=2)
-    style.legend(figure, max(grid.flat, key=lambda panel: len(panel.get_lines())))
+    figure = plt.figure(figsize=(style.COLUMN, 3.4))
+    panel: Any = figure.add_subplot(projection="3d" if len(axes) == 3 else None)
+    for i, (about, way, target) in enumerate(zip(chain.tips, motion.paths, motion.targets, strict=True)):
+        look, more = {"color": style.COLORS[i % len(style.COLORS)]}, "_" * bool(i)  # no second entry in the legend
+        end = {"marker": "o", "markevery": [-1]}  # a constant target shows nothing else
+        name, way = about.name if len(chain.tips) > 1 else "tip", way[:, : len(axes)].T
+        panel.plot(*way, **end, **look, linewidth=1.2, label=name, zorder=3)
+        if target is not None:
+            about = {"color": "0.6", "linewidth": 2.4, "markersize": 6, "label": f"{more}target"}
+            panel.plot(*target[:, : len(axes)].T, **end, **about)
+        panel.plot(*way[:, :1], "s", **look, markerfacecolor="white", label=f"{more}start", zorder=4)
+    points = np.concatenate([way for way in (*motion.paths, *motion.targets) if way is not None])[:, : len(axes)]
+    room = max(0.55 * np.ptp(points, axis=0).max(), 1e-3)  # for resting tips 1 mm
+    for name, middle in zip(axes, (points.min(axis=0) + points.max(axis=0)) / 2, strict=True):
+        panel.set(**{f"{name}lim": (middle - room, middle + room), f"{name}label": f"${name}$ [m]"})
+    panel.set_box_aspect((1, 1, 1), zoom=0.8) if len(axes) == 3 else panel.set_aspect("equal")
+    panel.locator_params(nbins=4)
+    style.legend(figure, panel)
     return figure
-
-
-def _draw_tip(panel, axes, way, target, alone):
-    way, end = way[:, : len(axes)].T, {"marker": "o", "markevery": [-1]}  # a constant target shows nothing else
-    panel.plot(*way, **end, color=style.BLUE, linewidth=1.2, label="tip", zorder=3)
-    if target is not None:
-        panel.plot(*target[:, : len(axes)].T, **end, color="0.6", linewidth=2.4, markersize=6, label="target")
-    panel.plot(*way[:, :1], "s", color=style.BLUE, markerfacecolor="white", label="start", zorder=4)
-    for name in axes:
-        getattr(panel, f"{name}axis").set_major_locator(MaxNLocator(4 if alone else 3))
-    if len(axes) == 2:
-        panel.set_aspect("equal")
-        return
-    panel.set_box_aspect((1, 1, 1), zoom=0.9 if alone else 0.75)  # room for the labels
-    for axis, tick, label in ((panel.xaxis, -2, -3), (panel.yaxis, -2, 0), (panel.zaxis, 3, 2)):
-        axis.set_tick_params(pad=tick)
-        axis.labelpad = label
 
 
 def overview(data, chain):
@@ -106,10 +88,10 @@ def overview(data, chain):
     limited = bool(np.all(np.isfinite(limits)))
     speeds = data.qdot.values / limits if limited else data.qdot.values
     for i, name in enumerate(data.joint.values):
-        look = style.series(i, linewidth=1.0)
-        joints.plot(data.time, data.q[:, i], label=name, markevery=style.sparse(i, data.sizes["time"]), **look)
-        unmarked = {key: value for key, value in look.items() if not key.startswith("mark")}
-        speed.stairs(speeds[:, i], data.time.values, baseline=None, **unmarked)
+        color, dashes = style.COLORS[i % len(style.COLORS)], style.DASHES[i % len(style.DASHES)]
+        look = {"color": color, "linestyle": dashes, "linewidth": 1.0}
+        joints.plot(data.time, data.q[:, i], label=name, **look)
+        speed.stairs(speeds[:, i], data.time.values, baseline=None, **look)
     joints.set_ylabel(f"joint value [{data.q.units}]")
     speed.set_ylabel("joint velocity over its limit" if limited else f"joint velocity [{data.qdot.units}]")
     near = [side for side in (-1, 1) if limited and np.nanmax(side * speeds, initial=0.0) > 0.5]
@@ -127,47 +109,37 @@ def overview(data, chain):
 KINDS = {"overview": overview, "tip": tip}
 
 
-def _positive(norm):
-    return np.where(norm > 0, norm, np.nan)
+def _norms(data):
+    """Yield ((task, unit), norms of its error) of each part; what is 0 is NaN, as the axis is logarithmic."""
+    for task, unit, some in error_parts(data):
+        norm = np.linalg.norm(data.e.values[:, some], axis=1)
+        yield (task, unit), np.where(norm > 0, norm, np.nan)
 
 
 def _draw_error(panel, data):
     """Draw a line for positions and one for orientations, of each task in a colour of its own."""
-    tasks, norms = data.task.values.tolist() if "task" in data.coords else [], []
-    for task, unit, some in error_parts(data):
+    tasks, norms = data.task.values.tolist() if "task" in data.coords else [], list(_norms(data))
+    for (task, unit), norm in norms:
         label, look = _PARTS.get(unit, (f"[{unit}]", {"color": style.BLACK}))
         if task:
             look = style.series(tasks.index(task), marker="", linestyle=style.DASH if unit == "rad" else "-")
             label = f"{task} [{unit}]"
-        norms.append(np.linalg.norm(data.e.values[:, some], axis=1))
-        panel.plot(data.time, _positive(norms[-1]), label=label, **look)
-    style.log_errors(panel, norms)
+        panel.plot(data.time, norm, label=label, **look)
+    style.log_errors(panel, [norm for _, norm in norms])
     panel.set_ylabel(f"error ‖e‖ [{', '.join(dict.fromkeys(data.axis_unit.values))}]")
     panel.legend(loc="best")
 
 
-def _status_rows(data):
-    """Yield (label, bit, whether each step has it) of each row; in a stack a row for each task that has it alone."""
-    for bit in (bit for bit in Status if bit):
-        words = bit.name.replace("_", " ").lower()
-        own = data.task_status.values.T & bit.value if "task_status" in data and bit & OWN else np.zeros((0, 1))
-        if own.any():
-            tasks = zip(data.task.values, own, strict=True)
-            yield from ((f"{words}: {task}", bit, has != 0) for task, has in tasks if has.any())
-        else:
-            yield words, bit, (data.status.values & bit.value) != 0
-
-
 def _draw_status(panel, data):
-    edges = data.time.values
+    edges, bits = data.time.values, [bit for bit in Status if bit]
     if not data.status.values.any():
         panel.text(0.5, 0.5, "every step OK", transform=panel.transAxes, ha="center", va="center", color="0.4")
-    rows = list(_status_rows(data))
-    for row, (_, bit, has) in enumerate(rows):
+    for row, bit in enumerate(bits):
+        has = (data.status.values & bit.value) != 0
         changes = np.flatnonzero(np.diff(has, prepend=False, append=False)).reshape(-1, 2)  # first and end of each bar
         spans = [(edges[first], edges[end] - edges[first]) for first, end in changes]
         panel.broken_barh(spans, (row - 0.35, 0.7), color=style.LEVELS[level(bit)], linewidth=0)
-    panel.set_yticks(range(len(rows)), [label for label, *_ in rows])
-    panel.set_ylim(len(rows) - 0.4, -0.6)
+    panel.set_yticks(range(len(bits)), [str(bit.name).replace("_", " ").lower() for bit in bits])
+    panel.set_ylim(len(bits) - 0.4, -0.6)
     panel.set_xlim(edges[0], edges[-1])
     panel.grid(axis="y", visible=False)

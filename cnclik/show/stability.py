@@ -16,14 +16,8 @@ FLAT = {
     Ending.DIVERGED: ("#5e1a03", "", "diverged"),
     Ending.NEAR_SINGULAR: ("#f4a582", "......", "failed near a singularity"),
 }
-_OPERATING = {
-    "marker": "o",
-    "color": "white",
-    "markeredgecolor": "black",
-    "markersize": 6,
-    "zorder": 6,
-    "clip_on": False,
-}
+_OPERATING = {"marker": "o", "color": "white", "markeredgecolor": "black", "markersize": 6, "zorder": 6}
+_OPERATING |= {"clip_on": False}
 
 
 def plane(data):
@@ -39,7 +33,7 @@ def plane(data):
     rows = -(-len(groups) // columns)
     size = (style.PAGE, 2.2 * rows + 0.45)
     figure, axes = plt.subplots(rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False)
-    named = {}
+    handles = {}
     for axis, (title, group) in zip(axes.flat, groups.items(), strict=False):
         shades = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, max(len(group), 2)))
         for i, (shade, (name, region)) in enumerate(zip(shades, group.items(), strict=False)):
@@ -47,14 +41,13 @@ def plane(data):
             if name == "exact":
                 color, dashes = style.BLACK, (0, (4, 1.5))
                 axis.contourf(data.re, data.im, region, levels=[0, 1], colors=["0.93"], zorder=0)
+                handles["area"] = Patch(facecolor="0.93", label="stable if exact")
             axis.contour(data.re, data.im, region, levels=[1.0], colors=[color], linewidths=1.0, linestyles=[dashes])
-            named[name] = plt.Line2D([], [], color=color, linestyle=dashes, linewidth=1.0, label=name)
-        for line in (axis.axhline, axis.axvline):
-            line(0, color="0.6", linewidth=0.5, zorder=1)
+            handles[name] = plt.Line2D([], [], color=color, linestyle=dashes, linewidth=1.0, label=name)
+        axis.axhline(0, color="0.6", linewidth=0.5, zorder=1)
+        axis.axvline(0, color="0.6", linewidth=0.5, zorder=1)
         axis.set(title=title, aspect="equal", xlim=(-2, 4), ylim=(-3.1, 3.1))
-    if "exact" in named:
-        named["area"] = Patch(facecolor="0.93", label="stable if exact")
-    figure.legend(handles=named.values(), loc="outside lower center", ncols=7, fontsize=6)
+    figure.legend(handles=handles.values(), loc="outside lower center", ncols=7, fontsize=6)
     for axis in axes.flat[len(groups) :]:
         axis.axis("off")
     plt.setp(axes[-1], xlabel="Re z,  z = α·Ts")
@@ -69,21 +62,32 @@ def stability_map(data, *, title="", operating=None):
       data: from `cnclik.stability.stability_map`. operating: (alpha, Ts), or None.
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
-    limit = data.limit.values
-    if "M" in data.dims:
-        x, y, limit = data.alpha.values * float(data.Ts), np.arange(data.sizes["M"]), limit * float(data.Ts)
-        axis.set(xlabel="z = α·Ts", ylabel="iterations M", yticks=y, yticklabels=data.M.values.astype(int))
-    else:
-        x, y = data.alpha.values, data.Ts.values
-        axis.set(xlabel="gain α [1/s]", ylabel="sampling time Ts [s]")
-    mesh = _cells(axis, x, y, data)
+    x, y, limit = data.alpha.values, data[data.ending.dims[0]].values, data.limit.values
+    axis.set(title=title, xlabel="gain α [1/s]", ylabel="sampling time Ts [s]")
+    if passes := "M" in data.dims:
+        x, limit = x * float(data.Ts), limit * float(data.Ts)
+        axis.set(xlabel="z = α·Ts", ylabel="iterations M", yticks=range(len(y)), yticklabels=y.astype(int))
+        y = np.arange(len(y))
+    axis.grid(False)
+    rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
+    mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
+    handles = []
+    for ending, (color, hatch, words) in FLAT.items():
+        where = data.ending.values == ending
+        if where.any():
+            flat = np.ma.masked_where(~where, np.ones(where.shape))
+            axis.pcolormesh(x, y, flat, cmap=ListedColormap([color]), shading="nearest", rasterized=True)
+            handles.append(Patch(facecolor=color, hatch=hatch, label=words))
+            if hatch:
+                axis.contourf(x, y, where, levels=[0.5, 1.5], colors="none", hatches=[hatch])
     figure.colorbar(mesh, ax=axis, label="error factor per step (simulated)", fraction=0.05)
-    _legend(figure, data)
     for values, ticks in ((x, axis.xaxis), (y, axis.yaxis)):
         if style.geometric(values):
             style.log_scale(ticks, values)
-    known = np.isfinite(limit)
-    if "M" in data.dims:  # odd and even M differ: a line for each
+    if (known := np.isfinite(limit)).any():
+        handles.append(plt.Line2D([], [], label="linear stability limit", **style.OUTLINED))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=6, columnspacing=1.0)
+    if passes:  # odd and even M differ: a line for each
         axis.vlines(limit[known], y[known] - 0.5, y[known] + 0.5, **style.OUTLINED)
     else:
         axis.plot(limit[known], y[known], **style.OUTLINED)
@@ -94,7 +98,7 @@ def stability_map(data, *, title="", operating=None):
         place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
         box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
         axis.annotate(f"z = {alpha * Ts:.3g}", (alpha, Ts), fontsize=6.5, bbox=box, **place)
-    axis.set(title=title, xlim=x[[0, -1]])
+    axis.set(xlim=x[[0, -1]])
     return figure
 
 
@@ -116,31 +120,7 @@ def gains(data, *, title="", operating=None):
         lines = axis.contour(x, y, values, levels=levels, colors="black", linewidths=0.8)
         axis.clabel(lines, fmt=lambda v: f"{v:g}", fontsize=6.5)
     if operating is not None:
-        Ts, late = operating
-        axis.plot(1e3 * Ts, 1e3 * late, **_OPERATING)
+        axis.plot(1e3 * operating[0], 1e3 * operating[1], **_OPERATING)
     style.log_scale(axis.xaxis, x)
     axis.set(xlabel="sampling time Ts [ms]", ylabel="dead time [ms]", title=title)
     return figure
-
-
-def _cells(axis, x, y, data):
-    """Outcomes as cells: the rate where converged, a flat colour elsewhere."""
-    axis.grid(False)
-    rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
-    mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
-    for ending, (color, hatch, _) in FLAT.items():
-        where = data.ending.values == ending
-        if where.any():
-            flat = np.ma.masked_where(~where, np.ones(where.shape))
-            axis.pcolormesh(x, y, flat, cmap=ListedColormap([color]), shading="nearest", rasterized=True)
-            if hatch:
-                axis.contourf(x, y, where, levels=[0.5, 1.5], colors="none", hatches=[hatch])
-    return mesh
-
-
-def _legend(figure, data):
-    shown = (look for ending, look in FLAT.items() if (data.ending.values == ending).any())
-    handles = [Patch(facecolor=color, hatch=hatch, label=label) for color, hatch, label in shown]
-    if np.isfinite(data.limit.values).any():
-        handles.append(plt.Line2D([], [], label="linear stability limit", **style.OUTLINED))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=6, columnspacing=1.0)

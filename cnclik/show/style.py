@@ -19,6 +19,7 @@ LEAST_ERROR = 1e-15  # [m, rad] what is below is rounding
 BLUE, BLACK, SKY, VERMILION, PURPLE = "#0072B2", "#000000", "#56B4E9", "#D55E00", "#CC79A7"
 LEVELS = FINE, WARNING, LOST = "#009E73", "#E69F00", "#CC3311"  # the last by Tol (2021); see `status.level`
 GREEN, ORANGE = FINE, WARNING  # for lines, where the colour has no meaning
+GREY = "#8A8F94"
 WINE = "#882255"  # Tol (2021), in place of their yellow, which is lost on white
 DASH, DOT, DASHDOT = (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5))
 
@@ -102,23 +103,10 @@ def series(i: int, **changes) -> dict:
 
 
 def looks(names) -> list:
-    """Return keyword arguments of `plot` for lines of one panel: those of methods, and others that differ from them."""
-    taken = [METHODS[name] for name in names if name in METHODS]
-    colors = [c for c in COLORS if c not in {look.color for look in taken}] or COLORS
-    marks = [m for m in MARKERS if m not in {look.marker for look in taken}] or MARKERS
-    others = [name for name in names if name not in METHODS]
-    free = {
-        name: series(k, label=name, color=colors[k % len(colors)], marker=marks[k % len(marks)])
-        for k, name in enumerate(others)
-    }
-    return [line(name) if name in METHODS else free[name] for name in names]
-
-
-def sparse(i: int, points: int):
-    """`markevery` of the i-th line: every point, or of many only some, staggered so that lines that coincide show."""
-    if points < 16:
-        return None
-    return (i % 3, 3) if points < 40 else (0.03 * (i % 5), 0.15)
+    """Return keyword arguments of `plot` for lines of one panel: those of methods, if all of them are methods."""
+    if all(name in METHODS for name in names):
+        return [line(name) for name in names]
+    return [series(k, label=name) for k, name in enumerate(names)]
 
 
 def log_scale(axis, values, decades=2.0) -> None:
@@ -156,10 +144,9 @@ def geometric(values) -> bool:
     values = np.asarray(values)
     if values.dtype.kind not in "if" or len(values) < 3 or values.min() <= 0:
         return False
-    if values.max() > max(50 * values.min(), 10 * np.median(values)):
-        return True
     ratios = values[1:] / values[:-1]
-    return bool(np.ptp(ratios) < 1e-6 * ratios[0] and abs(ratios[0] - 1) > 1e-9)
+    even = np.ptp(ratios) < 1e-6 * ratios[0] and abs(ratios[0] - 1) > 1e-9
+    return bool(even or values.max() > 10 * np.median(values))
 
 
 def plain(value) -> str:

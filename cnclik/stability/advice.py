@@ -63,7 +63,7 @@ class Rate(NamedTuple):
 
 @record
 class Advice:
-    """What a law's gains do on its drives, at any posture.
+    """Answer of `advise`: what a law's gains do on its drives, at any posture.
 
     Attributes:
       gains: `Gains` of the loop's method: what every gain of a task and the rate of a posture may be.

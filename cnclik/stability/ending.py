@@ -9,7 +9,6 @@ from __future__ import annotations
 import enum
 import math
 
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
@@ -18,13 +17,12 @@ from cnclik.integrate.method import DEFAULT, MethodLike
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status, rounding_of
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
-from cnclik.law.law import Law, check_loop, evaluate
+from cnclik.law.law import Law, check_loop
 from cnclik.law.reference import Reference
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64
-from cnclik.quantities import aloud, plainly
-from cnclik.record import ArrayLike, Number, record, replace
-from cnclik.robot.model import modelled
+from cnclik.quantities import aloud
+from cnclik.record import ArrayLike, record, replace
 from cnclik.robot.posture import arm_length
 from cnclik.stability.advice import ROUNDING, advise
 from cnclik.task.values import Joints
@@ -44,7 +42,7 @@ NO_REMEDY: tuple[dict, str] = {}, ""
 
 
 class Behaviour(enum.StrEnum):
-    """How a run ended."""
+    """Ways in which a run ends."""
 
     SETTLED = "settled"
     FOLLOWING = "following"
@@ -56,22 +54,14 @@ class Behaviour(enum.StrEnum):
 
 @record
 class Verdict:
-    """How a run ended, and what to change.
-
-    Attributes:
-      kind: a `Behaviour`.
-      sentence: it in words, with its numbers, and the remedy.
-      remedy: what to change, in words; "" where no formula says it. change: {argument: value} of it.
-      error: largest ‖e‖ in the last quarter [m, rad]; inf where the run is not finite.
-      tasks: {name: what this task of a stack did, in words}.
-    """
+    """How a run ended, and what to change."""
 
     kind: Behaviour
-    sentence: str
-    remedy: str
-    change: dict
-    error: float
-    tasks: dict
+    sentence: str  # it in words, with its numbers, and the remedy
+    remedy: str  # what to change, in words; "" where no formula says it
+    change: dict  # {argument: value} of the remedy
+    error: float  # largest ‖e‖ in the last quarter [m, rad]; inf where the run is not finite
+    tasks: dict  # {name: what this task of a stack did, in words}
 
     def __str__(self):
         return self.sentence
@@ -83,7 +73,6 @@ def verdict(
     reference: Reference,
     run: Trajectory,
     *,
-    Ts: Number,
     method: MethodLike = DEFAULT,
     stage: Stage = picard(5),
     drive: Drive | None = None,
@@ -94,10 +83,10 @@ def verdict(
     It reads the run's last quarter, its statuses and the gains of its drives, and asks `reach` at most once.
 
     Args:
-      law, reference, Ts, method, stage, drive: what was run, see `solve`.
+      law, reference, method, stage, drive: what was run, see `solve`.
       run: its `Trajectory`, one lane.
       noise: standard deviation of its measured error, a number or (m,).
-    Raises: ArgumentError for a run of several lanes or of no step, or one of another law or Ts.
+    Raises: ArgumentError for a run of several lanes or of no step, or one of another law.
     """
     dtype = np.asarray(errors.kind("run", run, Trajectory).e).dtype
     check_loop(law, reference)
@@ -105,16 +94,14 @@ def verdict(
     check_run(run, law)
     if len(run.residual) == 0:
         raise errors.fail("run", "have at least one step", "has none")
-    step = float(run.t[-1] - run.t[0]) / len(run.residual)
-    if not np.isclose(errors.number("Ts", Ts, positive=True), step, rtol=1e-2):
-        raise errors.fail("Ts", f"be the run's, {step:.6g} s", f"is {float(Ts):g}")
+    Ts = float(run.t[-1] - run.t[0]) / len(run.residual)
     drive = check_drive(Drive() if drive is None else drive, law.chain)
     sigma = 0.0 if noise is None else float(np.linalg.norm(np.broadcast_to(np.asarray(noise, float), (law.task.m,))))
     try:
         advice = advise(law, Ts=Ts, method=method, stage=stage, drive=drive)
     except errors.ArgumentError:  # joints with different drives and tasks with different gains: no gain is safe
         advice = None
-    return _Case(law, reference, run, float(Ts), advice, sigma, dtype).verdict()
+    return _Case(law, reference, run, Ts, advice, sigma, dtype).verdict()
 
 
 class _Case:
@@ -126,29 +113,22 @@ class _Case:
         self.t, self.status, self.walls = np.asarray(run.t, float), np.asarray(run.status), run.walls
         self.finite = np.isfinite(self.e).all(1) & np.isfinite(self.q).all(1)
         self.N, self.length, self.still = len(self.qdot), arm_length(law.chain), bool(reference.still)
-        self.quarter = max(self.N // 4, 1)
+        quarter = max(self.N // 4, 1)
+        self.last, self.before = slice(-quarter, None), slice(-2 * quarter, -quarter)  # two quarters of the run
         self.floor = 64 * np.finfo(dtype).eps * (1 + self.length)  # what rounding of q makes of an error
         task = law.task  # of which a posture that yields is no error
         tips = [at for name, at in task.each if not all(isinstance(part, Joints) for part in task.alone(name).parts)]
         self.counted = np.arange(task.m)[np.r_[tuple(tips)] if tips else slice(None)]
         self.alpha = np.broadcast_to(np.asarray(law.alpha, float), (task.m,))
         self.most = np.array(law.chain.velocity_limit, float)
-        self.error = self.sizes()[-self.quarter :].max() if self.finite.all() else np.inf
+        self.size = np.linalg.norm(self.e[:, self.counted], axis=1)
+        self.error = self.size[self.last].max() if self.finite.all() else np.inf
 
     def verdict(self) -> Verdict:
         kind, words, (change, remedy) = self.judged()
         tasks = {name: self.of_task(at) for name, at in self.law.task.each} if self.finite.all() else {}
-        words = [words, *(f"{name} {what}" for name, what in tasks.items())]
-        over = self.status & Status.OVER_VELOCITY != 0
-        if self.law.limits is None and over.any():
-            excess = 100 * (np.nanmax(np.abs(self.qdot) / np.maximum(self.most, 1e-12)) - 1)
-            steps = f"{over.sum()} of {self.N} steps"
-            words.append(f"{steps} exceed a joint's velocity limit, by up to {plainly(excess)} %")
-            if not remedy:
-                change = {"limits": "velocity_scaling"}
-                remedy = "limits of velocity_scaling or bounded keep joint velocities within those of the robot"
-        tail = f" {remedy[0].upper()}{remedy[1:]}." if remedy else ""
-        sentence = f"{kind}: {'; '.join(words)}.{tail}"
+        words = "; ".join([words, *(f"{name} {what}" for name, what in tasks.items())])
+        sentence = f"{kind}: {words}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else "")
         error = float(self.error)
         return Verdict(kind=kind, sentence=sentence, remedy=remedy, change=change, error=error, tasks=tasks)
 
@@ -165,73 +145,56 @@ class _Case:
         swings = seen and (self.shakes() or (turns >= TURNS and swing >= before / GROWN))
         held, grows = self.held(), self.grows()
         if held and (self.still or not grows):
-            units = set(self.law.task.units)
-            size = aloud(float(swing), units.pop()) if len(units) == 1 else f"{swing:.3g} [m, rad]"
-            also = f"; it swings by {size}" * bool(swings)
+            also = "; it swings" * bool(swings)
             return Behaviour.HELD_BACK, f"{held}; {said}{also}", self.more_damping() if swings else NO_REMEDY
         if grows or (swings and swing > GROWN * before and before > self.floor):
             return Behaviour.GROWING, said, self.lower_gain()
         if swings:
-            period = f" with a period of about {2 * self.quarter * self.Ts / turns:.2g} s" * (turns >= TURNS)
-            return Behaviour.SWINGING, f"{said}; it swings{period}", self.lower_gain()
+            return Behaviour.SWINGING, said, self.lower_gain()
         if not self.still:
             lag = self.lag() if self.error > self.floor else ""
             return Behaviour.FOLLOWING, f"{said}{lag}", self.unstable()
         if self.arrived():
             return Behaviour.SETTLED, said, self.unstable()
         if self.shrinks():
-            left = self.error / self.late()[1].max()
-            return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", self.longer(left)
+            left = self.error / self.size[self.before].max()
+            return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
         return Behaviour.HELD_BACK, f"the run does not show by what; {said} and stays", NO_REMEDY
-
-    # --- what is seen -------------------------------------------------------------------------------------
-
-    def sizes(self, some=None):
-        return np.linalg.norm(self.e[:, self.counted if some is None else some], axis=1)
-
-    def late(self, some=None):
-        """The errors of the last quarter, and those of the quarter before."""
-        size = self.sizes(some)
-        before = size[: -self.quarter][-self.quarter :]
-        return size[-self.quarter :], before if before.size else size[:1]
 
     def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
-        first = self.sizes(some)[0] if self.still else 0.0
-        return self.late(some)[0].max() <= max(ARRIVED * first, self.floor, NOISE * self.sigma)
+        size = self.size if some is None else np.linalg.norm(self.e[:, some], axis=1)
+        return size[self.last].max() <= max(ARRIVED * size[0] * self.still, self.floor, NOISE * self.sigma)
 
-    def shrinks(self, some=None) -> bool:
+    def shrinks(self) -> bool:
         """Whether the errors still become smaller."""
-        late, before = self.late(some)
-        return late.max() < STALL_RATIO * before.max()
+        return self.error < STALL_RATIO * self.size[self.before].max()
 
     def grows(self) -> bool:
         """Whether the errors of the last quarter are larger than those before."""
-        (late, before), sizes = self.late(), self.sizes()
-        usual = np.median(late)
-        grown = usual > GROWN * np.median(before) and late.max() > max(before.max(), self.floor)
+        before, usual = self.size[self.before], np.median(self.size[self.last])
+        grown = usual > GROWN * np.median(before) and self.error > max(before.max(), self.floor)
         if self.still:
-            return grown or usual > GROWN * max(sizes[0], self.floor)
-        return grown and usual > LARGE * max(np.median(sizes[: -self.quarter]), self.floor)
+            return grown or usual > GROWN * max(self.size[0], self.floor)
+        return grown and usual > LARGE * max(np.median(self.size[: self.last.start]), self.floor)
 
     def swing(self):
         """(largest swing in the last quarter, that in the quarter before, reversals beside those of the path)."""
-        e = self.e[:, self.counted]
-        late, before = _deviation(e[-self.quarter :]), _deviation(e[: -self.quarter][-self.quarter :])
-        path = 0 if self.still else _turns(_deviation((self.x + self.e)[-self.quarter :]))
+        late, before = (_deviation(self.e[part][:, self.counted]) for part in (self.last, self.before))
+        path = 0 if self.still else _turns(_deviation((self.x + self.e)[self.last]))
         return np.abs(late).max(initial=0.0), np.abs(before).max(initial=0.0), _turns(late) - 2 * path
 
     def shakes(self) -> bool:
         """Whether joints reverse from one step to the next in the last quarter."""
-        qdot = self.qdot[-self.quarter :]
+        qdot = self.qdot[self.last]
         back = np.where(qdot[1:] * qdot[:-1] < 0, np.minimum(np.abs(qdot[1:]), np.abs(qdot[:-1])), 0.0)
         return bool(np.linalg.norm(back) > REVERSING * np.linalg.norm(qdot))
 
     def lag(self) -> str:
         """The lag behind the path, where one explains the errors of lengths."""
         lengths = list(self.law.task.lengths)
-        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[-self.quarter :]
-        e, speed = self.e[-self.quarter :, lengths], np.sum(wanted**2)
+        wanted = np.gradient(self.x[:, lengths] + self.e[:, lengths], self.Ts, axis=0)[self.last]
+        e, speed = self.e[self.last][:, lengths], np.sum(wanted**2)
         lag = np.sum(wanted * e) / speed if speed else np.nan
         explains = np.sum((e - lag * wanted) ** 2) <= (1 - EXPLAINED) * np.sum(e**2)
         return f", as a lag of {1e3 * lag:.3g} ms explains" if explains else ""
@@ -240,7 +203,7 @@ class _Case:
         """The largest errors with their units, such as "1.2 mm and 0.3 rad"; by default of the last quarter."""
         axes = self.counted if some is None else np.arange(self.law.task.m)[some]
         units = np.array([u if u in ("m", "rad") else "" for u in np.array(self.law.task.units)[axes]])
-        e = self.e[-self.quarter :, axes] if instants is None else self.e[instants][:, axes]
+        e = self.e[self.last if instants is None else instants][:, axes]
         if np.linalg.norm(e, axis=1).max() <= self.floor:
             return "rounding"
         each = {u: np.linalg.norm(e[:, units == u], axis=1).max() for u in ("m", "rad", "") if u in units}
@@ -248,15 +211,8 @@ class _Case:
 
     def of_task(self, at) -> str:
         """What a task of a stack did, in words."""
-        if not self.alpha[at].any():
-            state = "no gain"
-        elif self.arrived(at) or not self.still:
-            state = "settled" if self.arrived(at) else "following"
-        else:
-            state = "shrinking" if self.shrinks(at) else "stays"
+        state = "settled" if self.arrived(at) else "stays" if self.still else "following"
         return f"{self.largest(some=at)} ({state})"
-
-    # --- why ----------------------------------------------------------------------------------------------
 
     def held(self) -> str:
         """What acts against the motion while the error is large, in words; "" where nothing does."""
@@ -267,7 +223,7 @@ class _Case:
             return self.unreachable() if self.error > FAR * self.length and not lag else ""
         if acted.all() and lag:
             return ""
-        size = self.sizes()[1:]
+        size = self.size[1:]
         usual = np.median(size[~acted]) if not acted.all() else 0.0
         if size[acted].max() <= max(2 * usual, 10 * self.floor):
             return ""
@@ -278,13 +234,11 @@ class _Case:
         if not self.alpha.any():
             return "the gain is 0"
         acted, held = self.acted()
-        held = held if acted[-self.quarter :].mean() >= OFTEN else ""
+        held = held if acted[self.last].mean() >= OFTEN else ""
         if causes := "; ".join(filter(None, [self.unreachable(), held])):
             return causes
-        if np.mean((self.status[-self.quarter :] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
+        if np.mean((self.status[self.last] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
             return "next to a singularity"
-        if self.pulled():
-            return "the posture term pulls at the task, as I − J#J of a damped J# is no projector"
         return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
 
     def acted(self) -> tuple[np.ndarray, str]:
@@ -319,43 +273,25 @@ class _Case:
             return ""
         if nearest.status not in (ReachStatus.OUT_OF_REACH, ReachStatus.AT_LIMIT):
             return ""
-        far = [aloud(float(nearest.position_error), "m")] * bool(task.lengths)
-        far += [aloud(float(nearest.orientation_error), "rad")] * bool(task.angles)
+        sizes = ((task.lengths, nearest.position_error, "m"), (task.angles, nearest.orientation_error, "rad"))
+        far = " and ".join(aloud(float(size), unit) for axes, size, unit in sizes if axes)
         kept = " within the joint limits" * bool(nearest.status == ReachStatus.AT_LIMIT)
-        return f"out of reach: the nearest posture found{kept} is {' and '.join(far)} away"
-
-    def pulled(self) -> bool:
-        """Whether the posture term holds the arm: without it the joints would move."""
-        if self.law.null_velocity is None:
-            return False
-        free = modelled(replace(self.law, null_velocity=None))
-        qdot = evaluate(free, self.reference, jnp.asarray(self.t[-1]), jnp.asarray(self.q[-1])).qdot
-        return bool(np.linalg.norm(self.qdot[-1]) < OFTEN * np.linalg.norm(np.asarray(qdot)))
-
-    # --- remedies: one, from a formula ----------------------------------------------------------------------
-
-    def longer(self, left) -> tuple[dict, str]:
-        """More steps, for an error of which a share is left after each quarter of the run."""
-        goal = max(ARRIVED * self.sizes()[0], self.floor)
-        quarters = 3 + math.log(goal / self.error) / math.log(left) if left > 0 else 0  # then the last one begins
-        steps = math.ceil(1.01 * quarters * self.quarter / 0.75)
-        return ({"N": steps}, f"run {steps} steps") if self.N < steps <= errors.MOST else NO_REMEDY
+        return f"out of reach: the nearest posture found{kept} is {far} away"
 
     def lower_gain(self) -> tuple[dict, str]:
         """The recommended gain, where one is above that without overshoot; else damping, next to a singularity."""
         if self.advice is not None and (gains := self.advice.gains).recommended:
             tasks = [rate for rate in self.advice.rates if rate.kind == "task"]
             high = [rate.name for rate in tasks if rate.rate > gains.without_overshoot * (1 + ROUNDING)]
-            words = f"an alpha of at most {gains.recommended:.4g} 1/s"
-            if high and self.law.task.tasks:
-                return {"alpha": dict.fromkeys(high, gains.recommended)}, f"give {' and '.join(high)} {words}"
+            several, words = bool(self.law.task.tasks), f"use an alpha of at most {gains.recommended:.4g} 1/s"
             if high:
-                return {"alpha": gains.recommended}, f"use {words}"
+                alpha = dict.fromkeys(high, gains.recommended) if several else gains.recommended
+                return {"alpha": alpha}, words + f" for {' and '.join(high)}" * several
         near = np.flatnonzero(self.finite[:-1] & (self.status & Status.NEAR_SINGULAR != 0))
         slowest = self.most.min(initial=np.inf)
         if not near.size or not np.isfinite(slowest):
             return NO_REMEDY
-        damping = float(f"{self.alpha.max() * self.sizes()[near[0]] / (2 * slowest):.1g}")
+        damping = float(f"{self.alpha.max() * self.size[near[0]] / (2 * slowest):.1g}")
         words = f"near the singularity use a damping of {damping:g}, which keeps joint velocities below |v|/(2 λ)"
         return {"damping": damping}, words
 
@@ -375,8 +311,8 @@ class _Case:
         if self.advice is None or not self.advice.unstable:
             return NO_REMEDY
         change, words = self.lower_gain()
-        high = f"{', '.join(self.advice.unstable)} above the largest stable gain, so a disturbance may grow"
-        return change, f"{high}: {words}" if words else ""
+        high = ", ".join(self.advice.unstable)
+        return change, words and f"{words}; with {high} above the largest stable gain a disturbance may grow"
 
 
 def _deviation(part):

@@ -135,7 +135,8 @@ class Gains:
         how = f"{describe(self.method, self.M)}, Ts = {1e3 * self.Ts:g} ms"
         lines = [f"{how}, {drive_in_words(self.drive, self.Ts)}{', assumed' * self.assumed}"]
         for name in ("largest stable", "without overshoot", "recommended"):
-            lines.append(f"  {name:<18}{in_words(getattr(self, name.replace(' ', '_')))} 1/s")
+            alpha = getattr(self, name.replace(" ", "_"))
+            lines.append(f"  {name:<18}{in_words(alpha)}{' 1/s' * (0 < alpha < np.inf)}")
         return "\n".join([*lines, f"Recommended: {self.reason}."])
 
 
@@ -369,8 +370,8 @@ def respond(drive: Drive, Ts: float, s: float, alpha: float, gain_margin: float)
 
 
 def in_words(alpha: float) -> str:
-    """Return a gain as text: "10.04", "any" or "none"."""
-    return "none" if alpha == 0 else f"{alpha:.4g}" if alpha < np.inf else "any"
+    """Return a gain as text: "10.04", "no limit" or "none"."""
+    return "none" if alpha == 0 else f"{alpha:.4g}" if alpha < np.inf else "no limit"
 
 
 # --- the same loop elsewhere --------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.problem.options import NAME, OPTIONS, check_values
 from cnclik.sweeps import expression
-from cnclik.sweeps.grid import COUNTED, Axis, axis
+from cnclik.sweeps.grid import Axis, axis
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # their values are never expressions
 MOST_VALUES = 10_000_000  # numbers of an axis, at most
@@ -25,7 +25,7 @@ def read(name: str, value, joints: int | None = None) -> Axis:
     """
     where = f"axes.{name}"
     if isinstance(value, list):
-        values = [_number(where, v) for v in value]
+        values = [_number(name, v) for v in value]
         if any(isinstance(v, bool) or (name in NAMES and not isinstance(v, str)) for v in values):
             raise errors.fail(where, "hold names" if name in NAMES else "hold numbers", f"is {value!r}")
         if any(isinstance(v, str) for v in values):  # names, or expressions: one program each
@@ -33,7 +33,7 @@ def read(name: str, value, joints: int | None = None) -> Axis:
     else:
         with np.errstate(all="ignore"):  # huge ends give values that are not finite, which `axis` reports
             values = _generated(where, value, joints)
-    if name in COUNTED and not isinstance(values[0], str):
+    if name == "M" and not isinstance(values[0], str):
         if any(np.ndim(v) or v % 1 for v in values):
             raise errors.fail(where, "hold one whole number each", f"is {value!r}")
         values = np.array(values, int)
@@ -48,11 +48,12 @@ def is_drawn(value) -> bool:
     return isinstance(value, dict) and "samples" in value
 
 
-def _number(where, value):
+def _number(name, value):
     """Return the number or list that a value such as "4 ms" or "pi/2" stands for; what needs names as it is."""
-    if not isinstance(value, str) or where.partition(".")[2] in NAMES or expression.names(where, value):
+    where = f"axes.{name}"
+    if not isinstance(value, str) or name in NAMES or expression.names(where, value):
         return value
-    return np.asarray(expression.number(where, value)).tolist()
+    return np.asarray(expression.evaluate(where, value)).tolist()
 
 
 def _generated(where, value, joints):
@@ -64,35 +65,24 @@ def _generated(where, value, joints):
     known_keys(where, value, (kind, *("low", "high", "seed") * (kind == "samples")))
     try:
         if kind == "samples":
-            count = errors.integer(f"{where}.samples", value["samples"], at_least=1)
-            seed = errors.integer(f"{where}.seed", value.get("seed", 0), at_least=0)
-            if joints is None:
-                return np.zeros((1, 1))
-            ends = (_end(where, value.get(key, default)) for key, default in (("low", 0.0), ("high", 1.0)))
-            low, high = (np.broadcast_to(end, joints) for end in ends)
-            if not np.all(low <= high):
-                raise ValueError
-            _few_enough(where, count * joints)
-            return low + (high - low) * np.random.default_rng(seed).random((count, joints))
-        first, last, count = value[kind]
-        first, last, count = _end(where, first), _end(where, last), operator.index(count)
-        _few_enough(where, count * max(first.size, last.size))
-        return getattr(np, kind)(first, last, count)
+            ends, shape = (value.get("low", 0.0), value.get("high", 1.0)), (operator.index(value[kind]), joints or 1)
+        else:
+            ends, shape = value[kind][:2], (operator.index(value[kind][2]),)
+        low, high = (np.asarray(expression.evaluate(where, [end])[0]) for end in ends)
+        if (count := np.prod(shape, dtype=float) * (kind == "samples" or max(low.size, high.size))) > MOST_VALUES:
+            raise errors.fail(where, f"hold at most {MOST_VALUES:,} values", f"asks for {count:,.0f}")
+        if kind != "samples":
+            return getattr(np, kind)(low, high, *shape)
+        if joints is None:
+            return np.zeros((1, 1))
+        low, high = np.broadcast_to(low, joints), np.broadcast_to(high, joints)
+        if not np.all(low <= high):
+            raise ValueError
+        return low + (high - low) * np.random.default_rng(value.get("seed", 0)).random(shape)
     except errors.ArgumentError:
         raise
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, LookupError):
         raise errors.fail(where, FORMS[kind], f"is {value!r}") from None
-
-
-def _end(where, value):
-    """Return a number or vector, expressions of pi included."""
-    return np.asarray(expression.number(where, [value])[0])
-
-
-def _few_enough(where, count):
-    """Raise ArgumentError for more numbers than fit into memory, before they are computed."""
-    if count > MOST_VALUES:
-        raise errors.fail(where, f"hold at most {MOST_VALUES:,} values", f"asks for {count:,}")
 
 
 def known_keys(where: str, table, names) -> None:

@@ -3,11 +3,9 @@
 A text that is no expression is numbers with a unit, as on the command line: delay = "34ms", q0 = "0 -90 90 deg".
 """
 
-import ast
 import functools
 import math
-import operator
-import warnings
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,45 +16,27 @@ from cnclik.problem.options import OPTIONS
 LONGEST = 500  # characters of an expression: Python's parser takes seconds for some longer ones
 FUNCTIONS = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
 FUNCTIONS |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
-OPERATORS: dict = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
-OPERATORS |= {ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos}
-_ALLOWED = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant, *OPERATORS)
+_ARITHMETIC = re.compile(r"(?!.*__)(?!.*[^\W\d]\w*\s*\.)[\w\s.+*/(),-]+")  # no attribute, no name of Python's own
+# Whole numbers, but for those that end a power: powers of integers may take hours.
+_WHOLE = re.compile(r"(?<![\w.])(?<![eE][+-])(?:(?<!\*\*)\d+|\d+(?=\s*\*\*))(?![\w.])")
+
+
+def _call(name, *arguments):
+    return getattr(np if all(map(errors.concrete, arguments)) else jnp, name)(*arguments)
+
+
+KNOWN = {name: functools.partial(_call, its) for name, its in FUNCTIONS.items()} | {"pi": math.pi}
 
 
 @functools.cache
-def _tree(text: str):
-    """Return the syntax tree of an expression; None for a text that is none."""
+def _code(text: str):
+    """Return an expression of numbers, names and functions, compiled; None for a text that is none."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's own about texts such as 0in
-            tree = ast.parse(text.strip() if len(text) <= LONGEST else "", mode="eval").body
+        if len(text) <= LONGEST and _ARITHMETIC.fullmatch(text):
+            return compile(_WHOLE.sub(lambda number: f"{number[0]}.0", text.strip()), "spec", "eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return None
-    return tree if all(isinstance(node, _ALLOWED) for node in ast.walk(tree)) else None
-
-
-def _result(node, look):
-    """Return the value of a syntax tree. Numbers are floats: powers of integers may take hours."""
-    match node:
-        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-            return float(value)
-        case ast.Name(id="pi"):
-            return math.pi
-        case ast.Name(id=name) if name not in FUNCTIONS:
-            value = look(name)
-            if isinstance(value, str):
-                raise TypeError(f"{name} is a name, not a number")
-            return float(value) if type(value) is int else value
-        case ast.UnaryOp():
-            return OPERATORS[type(node.op)](_result(node.operand, look))
-        case ast.BinOp(op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            return _result(node.left, look) ** power  # of a traced number by multiplication
-        case ast.BinOp():
-            return OPERATORS[type(node.op)](_result(node.left, look), _result(node.right, look))
-        case ast.Call(func=ast.Name(id=name), keywords=[]) if name in FUNCTIONS:
-            arguments = [_result(argument, look) for argument in node.args]
-            return getattr(np if all(map(errors.concrete, arguments)) else jnp, FUNCTIONS[name])(*arguments)
-    raise TypeError(f"{ast.unparse(node)} has no value")
+        pass
+    return None
 
 
 def _unit(where: str) -> str:
@@ -67,7 +47,7 @@ def _unit(where: str) -> str:
 def is_quantity(value) -> bool:
     """Return whether a value is numbers with a unit, such as "34ms" or ["1 mm", 2]: it has texts, and no expression."""
     texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
-    return bool(texts) and not any(map(_tree, texts))
+    return bool(texts) and not any(map(_code, texts))
 
 
 def names(where: str, value) -> set:
@@ -76,22 +56,23 @@ def names(where: str, value) -> set:
         return set().union(*(names(where, v) for v in value))
     if not isinstance(value, str):
         return set()
-    if (tree := _tree(value)) is not None:
-        return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - {"pi", *FUNCTIONS}
-    unit = _unit(where)  # a time in samples depends on the sampling time
-    return {"Ts"} if unit == quantities.SAMPLES and "s" in _read(where, value, unit, 1.0).written else set()
+    if (code := _code(value)) is not None:
+        return set(code.co_names) - set(KNOWN)
+    timed = _unit(where) == quantities.SAMPLES and "s" in _read(where, value, 1.0).written
+    return {"Ts"} if timed else set()  # a time in samples depends on the sampling time
 
 
-def _read(where, text, unit, Ts):
+def _read(where, text, Ts):
     try:
-        return quantities.read(text, unit, Ts, marked=True)
+        return quantities.read(text, _unit(where), Ts, marked=True)
     except ValueError as error:
-        allowed = f"numbers, names, + - * / ** and {', '.join(sorted(FUNCTIONS))}"
+        allowed = f"numbers, names, + - * / ** and {', '.join(FUNCTIONS)}"
         raise errors.fail(where, f"be a number or a short expression of {allowed}", str(error)) from None
 
 
-def evaluate(where: str, value, look):
-    """Return a value with its expressions evaluated, a list as an array; `look` returns the value of a name."""
+def evaluate(where: str, value, look=None):
+    """Return a value with its expressions evaluated, a list as an array; `look` returns the value of a name, if it may
+    use names."""
     if isinstance(value, (list, tuple)):
         parts = [evaluate(where, v, look) for v in value]
         try:
@@ -104,25 +85,21 @@ def evaluate(where: str, value, look):
             raise errors.fail(where, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
         return value
-    if (tree := _tree(value)) is None:
-        found = _read(where, value, _unit(where), look("Ts") if "Ts" in names(where, value) else None)
+    used = dict.fromkeys(names(where, value))
+    if used and look is None:
+        raise errors.fail(where, "be numbers", f"refers to {next(iter(used))!r}")
+    used = {name: look(name) for name in used}
+    if (code := _code(value)) is None:
+        found = _read(where, value, used.get("Ts"))
         return np.array(found) if len(found) > 1 else found[0]
     try:
+        if texts := [name for name, v in used.items() if isinstance(v, str)]:
+            raise TypeError(f"{texts[0]} is a name, not a number")
+        used = {name: float(v) if type(v) is int else v for name, v in used.items()}
         with np.errstate(all="ignore"):  # users of the value report what is not finite
-            result = _result(tree, look)
-        if np.iscomplexobj(result):
-            raise ValueError("the result is complex")
+            result = eval(code, KNOWN | {"__builtins__": {}}, used)
+        if callable(result) or np.iscomplexobj(result):
+            raise ValueError("the result is no real number")
         return result
-    except errors.ArgumentError:
-        raise
     except (ArithmeticError, ValueError, TypeError, RecursionError) as error:
         raise errors.fail(where, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
-
-
-def number(where: str, value):
-    """Return the value of an expression that uses no name, such as "pi/2" or "4 ms"."""
-
-    def look(name):
-        raise errors.fail(where, "be numbers", f"refers to {name!r}")
-
-    return evaluate(where, value, look)

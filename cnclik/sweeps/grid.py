@@ -19,7 +19,6 @@ from cnclik import errors
 MOST = {"points": 10**10, "programs, one for each combination of what is compiled in": 1000, "blocks": 10**6}
 LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
 COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
-COUNTED = ("M",)  # numbers that stay integers: one program runs all, with masked passes
 
 
 class Axis(NamedTuple):
@@ -38,11 +37,7 @@ class Axis(NamedTuple):
 
 
 def axis(name: str, values, where=None) -> Axis:
-    """Return an axis of Python values.
-
-    Numbers, in a list or an array, run inside one program: in float64 if they are floats or in a list, as integers if
-    they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names, named objects such
-    as methods, and whatever a dict {label: value} holds.
+    """Return an axis of Python values, as `sweep` takes them.
 
     Args: where: its name in messages; default: `name`.
     Raises: ArgumentError for other values, none, or values that are not finite.
@@ -52,14 +47,14 @@ def axis(name: str, values, where=None) -> Axis:
         made = Axis(name, tuple(values.values()), tuple(values))
     elif not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
         raise errors.fail(where, "be an axis: an array, a list, or a dict of labelled values", f"is {values!r}")
-    elif (numbers := _numbers(name, where, values)) is None:
+    elif (numbers := _numbers(name, where, values)) is not None:
+        made = Axis(name, numbers)
+    else:
         labels = tuple(v if isinstance(v, (str, bool)) else getattr(v, "name", None) for v in values)
         if None in labels:
             must = "hold numbers, names or named objects, or be a dict {label: value}"
             raise errors.fail(where, must, f"is {values!r}")
         made = Axis(name, tuple(values), labels)
-    else:
-        made = Axis(name, numbers)
     if not len(made):
         raise errors.fail(where, "hold at least one value", "is empty")
     if made.inner and not np.all(np.isfinite(made.values)):
@@ -72,7 +67,7 @@ def compiled_in(of: Axis, where: str) -> Axis:
     if not of.inner:
         return of
     if of.values.ndim != 1:
-        raise errors.fail(where, "hold single numbers, as N or a dead time depends on it", "holds vectors")
+        raise errors.fail(where, "hold single numbers, as each is compiled in", "holds vectors")
     numbers = tuple(int(v) if float(v).is_integer() and of.name in COMPILED_IN else v.item() for v in of.values)
     return Axis(of.name, numbers, numbers)
 
@@ -88,8 +83,8 @@ def _numbers(name, where, values):
         raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
     if array.dtype.kind not in "fiub":
         return None
-    whole = array.dtype.kind != "f" and (typed or name in COUNTED)
-    return array if whole else array.astype(float)
+    whole = array.dtype.kind in "iub" and (typed or name == "M")
+    return array if whole else np.asarray(values, float)
 
 
 class Block(NamedTuple):
@@ -117,8 +112,8 @@ class Grid:
 
     def __post_init__(self):
         pieces = math.prod(-(-n // step) for n, step in zip(self.shape, self.block, strict=True))
-        counts = self.size, math.prod(map(len, self.outer)), pieces
-        for count, (what, most) in zip(counts, MOST.items(), strict=True):
+        programs = math.prod(len(a) for a in self.axes if not a.inner)
+        for count, (what, most) in zip((self.size, programs, pieces), MOST.items(), strict=True):
             if count > most:
                 axes = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
                 raise errors.fail("axes", f"span at most {most:,} {what}", f"span {count:,}: {axes}")
@@ -136,28 +131,23 @@ class Grid:
         return tuple(a for a in self.axes if a.inner)
 
     @property
-    def outer(self) -> tuple:
-        return tuple(a for a in self.axes if not a.inner)
-
-    @property
     def block(self) -> tuple:
         """Extent of a block along each axis: all of the last axes, a cut of the one before, single values of others."""
         left, extents = self.lanes, []
         for a in reversed(self.axes):
-            if not a.inner:
-                extents.append(1)
-                continue
             # Even cuts, so that the last block needs little padding.
-            pieces = -(-len(a) // max(left, 1))
+            pieces = -(-len(a) // max(left, 1)) if a.inner else len(a)
             extents.append(-(-len(a) // pieces))
-            left = left // extents[-1] if pieces == 1 else 0
+            if a.inner:
+                left = left // extents[-1] if pieces == 1 else 0
         return tuple(reversed(extents))
 
     @property
     def programs(self) -> list:
         """The combinations of the outer axes, as {name: value}."""
-        names = [a.name for a in self.outer]
-        return [dict(zip(names, values, strict=True)) for values in itertools.product(*(a.values for a in self.outer))]
+        outer = [a for a in self.axes if not a.inner]
+        combinations = itertools.product(*(a.values for a in outer))
+        return [dict(zip([a.name for a in outer], values, strict=True)) for values in combinations]
 
     def blocks(self) -> list:
         """Return all blocks, program by program."""
@@ -165,14 +155,13 @@ class Grid:
             [slice(first, min(first + step, n)) for first in range(0, n, step)]
             for n, step in zip(self.shape, self.block, strict=True)
         ]
-        blocks = [Block(self._program(region), region) for region in itertools.product(*cuts)]
-        return sorted(blocks, key=lambda block: block.program)
+        outer = [i for i, a in enumerate(self.axes) if not a.inner]
 
-    def _program(self, region) -> int:
-        number = 0
-        for a, cut in zip(self.axes, region, strict=True):
-            number = number if a.inner else number * len(a) + cut.start
-        return number
+        def places(region):  # on the outer axes: those of a program
+            return [region[i].start for i in outer]
+
+        groups = itertools.groupby(sorted(itertools.product(*cuts), key=places), key=places)
+        return [Block(number, region) for number, (_, regions) in enumerate(groups) for region in regions]
 
     def lane_values(self, block: Block) -> dict:
         """Return the values of the inner axes, and `more`, in each lane; lanes beyond the grid repeat the last one."""

@@ -42,41 +42,31 @@ def coordinates_of(spec, of: Grid) -> dict:
     It holds at any posture, exactly where J# is exact; with damping a little more may be stable. inf: any z. There is
     none where the spec's own axis z is not alpha·Ts, or for more than a thousand combinations.
     """
-    coords, needs = coordinates(of, spec.all_units()), spec.needs(LIMIT)
+    coords, needs, first = coordinates(of, spec.all_units()), spec.needs(LIMIT), of.programs[0]
     axes = [a for a in of.axes if a.name in needs or needs & set().union(*spec.tables.get(a.name, {}).values())]
     if math.prod(map(len, axes)) > MOST_LIMITS:
         return coords
-    names, first = tuple(a.name for a in axes), of.programs[0]
     with jax.enable_x64(True):
-        for lane in (spec.first(), spec.first(last=True)):
-            loop = spec.loop(first | lane)
-            if "z" in lane and not np.isclose(np.max(loop["alpha"]) * loop["Ts"], lane["z"], rtol=1e-6):
+        for loop in (spec.loop(first), spec.loop(first | spec.first(last=True))):
+            if "z" in spec.first() and not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
                 return coords
-        points = (dict(zip(names, values, strict=True)) for values in itertools.product(*(a.values for a in axes)))
-        limits = [float(f"{spec.loop(first | point)[LIMIT]:.{DIGITS}g}") for point in points]
+        points = itertools.product(*(a.values for a in axes))
+        loops = (spec.loop(first | dict(zip([a.name for a in axes], point, strict=True))) for point in points)
+        limits = [float(f"{loop[LIMIT]:.{DIGITS}g}") for loop in loops]
     about = {"units": "1", "long_name": "largest stable z of linear theory"}
-    return coords | {LIMIT: (names, np.reshape(limits, [len(a) for a in axes]), about)}
-
-
-def environment(dtype=np.float64) -> dict:
-    """Return what the numbers depend on besides the configuration: versions, dtype, device."""
-    return {name: value for name, value in provenance(dtype).items() if name != "commit"}
+    return coords | {LIMIT: (tuple(a.name for a in axes), np.reshape(limits, [len(a) for a in axes]), about)}
 
 
 def attributes(spec, of: Grid, outputs) -> dict:
     """Return attributes of a spec's data: the question, and in `config` all that the numbers depend on."""
-    asked = {"question": spec.question, "expectation": spec.expectation}
-    asked = {name: text for name, text in asked.items() if text}
-    config = fingerprint(spec) | {
-        "lanes": of.lanes,
-        "variables": [o.name for o in outputs],
-        "axes": [[a.name, len(a), a.inner] for a in of.axes],
-    }
+    asked = {name: text for name in ("question", "expectation") if (text := getattr(spec, name))}
+    axes = [[a.name, len(a), a.inner] for a in of.axes]
+    config = fingerprint(spec) | {"lanes": of.lanes, "variables": [o.name for o in outputs], "axes": axes}
     written = {"name": spec.name} | asked | spec.data() | {"figures": spec.figures}
     texts = {name: json.dumps(value, ensure_ascii=False) for name, value in (("spec", written), ("config", config))}
-    return {"commit": provenance(float)["commit"]} | asked | texts
+    return provenance(float) | asked | texts
 
 
 def fingerprint(spec) -> dict:
     """Return what a block's numbers depend on, as JSON returns it."""
-    return json.loads(json.dumps({"data": spec.data(), "environment": environment()}))
+    return json.loads(json.dumps({"data": spec.data(), "environment": provenance(float)}))

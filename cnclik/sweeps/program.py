@@ -53,7 +53,10 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
     def lane(values):
         nonlocal outputs
         result = study(**fixed, **values)
-        named = {name: jnp.asarray(v) for name, v in _named(result).items()}
+        if dataclasses.is_dataclass(result):
+            result = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
+        named = dict(result.items()) if isinstance(result, Mapping | Metrics) else {"value": result}
+        named = {name: jnp.asarray(v) for name, v in named.items()}
         outputs = tuple(_output(name, v, result) for name, v in named.items())
         taken = {*named, *(dim for o in outputs for dim in o.dims)}
         if both := [a.name for a in of.axes if a.name in taken]:
@@ -64,10 +67,9 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
         return jax.tree.map(lambda v: v[None], lane(values))
 
     with jax.enable_x64(True):
-        count = math.prod(of.block)
         first = {a.name: a.values[:1] for a in of.inner}
         first |= of.more(fixed, first)
-        shapes = {name: jax.ShapeDtypeStruct((count, *v.shape[1:]), v.dtype) for name, v in first.items()}
+        shapes = {k: jax.ShapeDtypeStruct((math.prod(of.block), *v.shape[1:]), v.dtype) for k, v in first.items()}
         traced = jax.jit(lanes(lane) if shapes else alone).trace(shapes)
         compiled = traced.lower().compile()
     give_back()  # compiling uses some hundred megabytes
@@ -79,15 +81,6 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
             return compiled({name: jnp.asarray(v) for name, v in values.items()})
 
     return StudyProgram(run, outputs, memory, shares_threads(traced.jaxpr))
-
-
-def _named(result) -> dict:
-    """Return the result of a study as {name: array}."""
-    if isinstance(result, (Metrics, Mapping)):
-        return dict(result.items())
-    if dataclasses.is_dataclass(result):
-        return {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
-    return {"value": result}
 
 
 def _output(name, v, result) -> Output:

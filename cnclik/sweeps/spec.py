@@ -7,6 +7,7 @@ values that belong together: an arm with its start and its target. A value may b
 loop's method, stage and drive: alpha = "0.5*limit/Ts".
 """
 
+import contextlib
 import dataclasses
 import functools
 import os
@@ -19,13 +20,13 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
-from cnclik.integrate.method import evaluations_per_step, named
-from cnclik.law.law import check_loop
+from cnclik.integrate.method import named
 from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
 from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
-from cnclik.problem.names import robot_and_tip, stage_from
+from cnclik.problem.names import load, stage_from
+from cnclik.problem.reference import OPTIONS as OF_PATHS
 from cnclik.reading import read_toml, toml
 from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
@@ -35,9 +36,8 @@ from cnclik.sweeps.axes import NAMES, is_drawn, known_keys
 from cnclik.sweeps.grid import COMPILED_IN, MOST, Axis, Grid, compiled_in
 from cnclik.sweeps.labels import LIMIT, UNITS
 
-KEYS = ("question", "expectation", "tolerance", "lanes", "metrics")
-TABLES = ("fixed", "axes", "units", "figure")
-RESERVED = (LIMIT, *KEYS, *TABLES)
+KINDS = {"question": str, "expectation": str, "tolerance": object, "lanes": object, "metrics": list}
+KINDS |= {"fixed": dict, "axes": dict, "units": dict, "figure": list}
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.OPTIONS
@@ -81,34 +81,24 @@ class Spec:
         """Return the values of one loop. Args: values: of axes; those of numeric axes are their first by default."""
         return Loop(self, self.first() | values)
 
-    def build(self, values: dict) -> Problem:
-        """Return one loop. Args: as for `loop`."""
-        return self.loop(values).build()
-
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
-        problem = self.build(values)
+        problem = self.loop(values).build()
         run = problem.run(draws)
         return measure_run(run, problem.law, problem.reference, self.metrics, tolerance=self.tolerance)
 
     def draws(self, program: dict, lanes: dict) -> dict:
         """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""
-        if "seed" not in lanes or (problem := self.build(program)).noise is None:
+        if "seed" not in lanes or (problem := self.loop(program).build()).noise is None:
             return {}
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
         size = problem.N, problem.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
 
-    def evaluations(self, program: dict) -> float:
-        """Return the evaluations of f that one lane of a program costs, masked passes included."""
-        p = self.build(program)
-        stage: Any = p.stage
-        stage = dataclasses.replace(stage, M=stage.maximum)
-        return p.N * float(evaluations_per_step(p.method, stage, p.law.chain.n))
-
     def programs(self):
         """Yield the first combination of the outer axes, and those that differ from it along one axis."""
-        outer = Grid(self.axes, MOST["points"]).outer  # refuses too many
+        Grid(self.axes, MOST["points"])  # refuses too many
+        outer = [a for a in self.axes if not a.inner]
         first = {a.name: a.values[0] for a in outer}
         yield first
         yield from (first | {a.name: value} for a in outer for value in a.values[1:])
@@ -125,7 +115,7 @@ class Spec:
 
     def all_units(self) -> dict:
         """Return the units of the axes, given or known."""
-        law = self.build(next(self.programs())).law
+        law = self.loop(next(self.programs())).build().law
         known = dict(UNITS)
         for axis in self.axes:
             width = axis.values.shape[-1] if axis.inner and axis.values.ndim > 1 else None
@@ -159,10 +149,8 @@ class Loop(dict):
         super().__init__()
         self.spec, self.begun = spec, []  # names whose values are being evaluated
         self.given = DEFAULTS | spec.fixed
-        for axis, labels in spec.tables.items():
-            if axis in values:
-                self.given |= labels[values[axis]]
-        self.given |= {name: value for name, value in values.items() if name not in spec.tables}
+        for name, value in values.items():
+            self.given |= spec.tables[name][value] if name in spec.tables else {name: value}
 
     def __missing__(self, name):
         if name in self.begun:
@@ -178,9 +166,7 @@ class Loop(dict):
         return value
 
     def _value(self, name, written):
-        if name in NAMES:
-            return written
-        value = expression.evaluate(name, written, self.__getitem__)
+        value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
         if isinstance(value, float) and value.is_integer() and name in OPTIONS:
             return int(value) if OPTIONS[name].kind == options.INTEGER else value
         return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
@@ -188,23 +174,21 @@ class Loop(dict):
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
         robot = self.spec.file(self.given.get("robot")) or self.given.get("robot")
-        return robot_and_tip(robot, self.given.get("tip"), self.given.get("base"))[0].n
+        return load(robot, self.given.get("tip")).n
 
     def build(self) -> Problem:
         """Return the loop."""
         made = {}
-        for name in self.given:
+        for name, written in self.given.items():
             if name in OPTIONS:
-                quantity = name not in NAMES and expression.is_quantity(self.given[name])
-                made[name] = self.given[name] if quantity else self[name]  # its unit must fit
+                quantity = name not in NAMES and expression.is_quantity(written)
+                made[name] = written if quantity else self[name]  # its unit must fit
             if name in FILES:
-                made[name] = str(self.spec.file(made[name]) or made[name])
+                made[name] = str(self.spec.file(written) or written)
         if "robot" not in made:
             raise errors.fail("robot", "be given in [fixed] or [axes]", "is not")
-        counts = self._counts()
-        most = {} if counts is None else {"maximum": int(counts.max())}
-        stage = stage_from(made.pop("stage"), made.pop("M"), **most)
-        return problem_from(**made, stage=stage)
+        most = {} if (counts := self._counts()) is None else {"maximum": int(counts.max())}
+        return problem_from(**made | {"stage": stage_from(made.pop("stage"), made.pop("M"), **most)})
 
     def _counts(self):
         return next((a.values for a in self.spec.axes if a.name == "M" and a.inner), None)
@@ -212,11 +196,10 @@ class Loop(dict):
     def _limit(self):
         """Return linear theory's largest stable z, inf if there is none; for a traced M, from a table."""
         drive = {name: self[name] for name in options.DRIVE if name in self.given}
-        drive = tuple((name, tuple(np.ravel(v)) if np.ndim(v) else v) for name, v in drive.items())
-        Ts = float(self["Ts"]) if TIMED & set(dict(drive)) else 1.0
-        of = functools.partial(_largest_z, self["method"], self["stage"], drive, Ts)
-        M = self["M"]
-        if errors.concrete(M):
+        hashed = tuple((name, tuple(np.ravel(v)) if np.ndim(v) else v) for name, v in drive.items())
+        Ts = float(self["Ts"]) if TIMED & set(drive) else 1.0
+        of = functools.partial(_largest_z, self["method"], self["stage"], hashed, Ts)
+        if errors.concrete(M := self["M"]):
             return of(int(M))
         counts = self._counts()
         table = np.full(max(counts) + 1, np.nan)
@@ -245,12 +228,9 @@ def read(path, changes=()) -> Spec:
     """
     path = errors.path("SPEC", path)
     written = read_toml("SPEC", path)
-    try:
-        for change in changes:
-            _change(written, change)
-        return parse(written, path.stem, path.parent)
-    except RecursionError:
-        raise errors.fail("SPEC", "be nested less deeply", f"{str(path)!r} is nested too deeply to be read") from None
+    for change in changes:
+        _change(written, change)
+    return parse(written, path.stem, path.parent)
 
 
 def _change(written, change):
@@ -258,13 +238,12 @@ def _change(written, change):
     name, equals, text = map(str.strip, change.partition("="))
     if not equals or not name:
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
-    try:
+    value: Any = text  # a bare word, such as CN, or an expression
+    with contextlib.suppress(ValueError, RecursionError):
         value = toml(f"value = {text}")["value"]
-    except ValueError:
-        value = text  # a bare word, such as CN, or an expression
     fixed, axes = (_inner(written, table) for table in ("fixed", "axes"))
     *path, key = name.split(".")
-    if not path and key not in (*KEYS, *TABLES):
+    if not path and key not in KINDS:
         path = ["axes" if key in axes and isinstance(value, (list, dict)) else "fixed"]
     table = written
     for part in path:
@@ -273,8 +252,7 @@ def _change(written, change):
     if path == ["axes"]:
         fixed.pop(key, None)
     elif path == ["fixed"] and axes.pop(key, None):  # figures of this axis have nothing to show
-        figures = errors.kind("figure", written.get("figure", []), list, "be a list of tables, [[figure]]")
-        written["figure"] = [figure for figure in figures if repr(key) not in repr(figure)]
+        written["figure"] = [figure for figure in written.get("figure", ()) if repr(key) not in repr(figure)]
 
 
 def _inner(table, name) -> dict:
@@ -286,29 +264,26 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
 
     Args: folder: where files named in the spec are searched first.
     """
-    known_keys("SPEC", written, (*KEYS, *TABLES))
-    fixed, axes, units = (dict(_inner(dict(written), key)) for key in ("fixed", "axes", "units"))
-    tables = {axis: axes.pop(axis) for axis, value in tuple(axes.items()) if _is_of_tables(value)}
-    texts = {key: written.get(key, "") for key in ("question", "expectation")}
-    for key, text in [*texts.items(), *((f"units.{key}", unit) for key, unit in units.items())]:
-        errors.kind(key, text, str, "be a text")
-    figures, metrics = written.get("figure", []), written.get("metrics", [*DEFAULT])
-    if not isinstance(figures, list) or not all(isinstance(figure, dict) for figure in figures):
-        raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {figures!r}")
-    if not isinstance(metrics, list) or not metrics or not all(isinstance(metric, str) for metric in metrics):
-        raise errors.fail("metrics", "be a list of names", f"is {metrics!r}")
+    known_keys("SPEC", written, KINDS)
+    words: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
+    texts = {key: errors.kind(key, written.get(key, of()), of, words.get(of)) for key, of in KINDS.items()}
+    fixed, axes, units = (dict(texts[key]) for key in ("fixed", "axes", "units"))
+    for key, value in units.items():
+        errors.kind(f"units.{key}", value, str, "be a text")
+    if not all(isinstance(figure, dict) for figure in texts["figure"]):
+        raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {texts['figure']!r}")
     spec = Spec(
         name=name,
         question=texts["question"].strip(),
         expectation=texts["expectation"].strip(),
         tolerance=float(errors.number("tolerance", written.get("tolerance", 1e-3), positive=True)),
         lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
-        metrics=tuple(dict.fromkeys(metrics)),
+        metrics=tuple(dict.fromkeys(map(str, texts["metrics"] or DEFAULT))),
         fixed=fixed,
+        tables={axis: axes.pop(axis) for axis, value in tuple(axes.items()) if _is_of_tables(value)},
         written=axes,
-        tables=tables,
         units=units,
-        figures=figures,
+        figures=texts["figure"],
         folder=pathlib.Path(folder),
     )
     _check_names(spec)
@@ -319,8 +294,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
         for last in (False, True):
-            problem = spec.build(program | spec.first(last))
-            check_loop(problem.law, problem.reference)
+            problem = spec.loop(program | spec.first(last)).build()
             check_metrics(spec.metrics, problem.law)
     return spec
 
@@ -331,26 +305,26 @@ def _is_of_tables(value) -> bool:
 
 def _check_names(spec: Spec):
     """Raise ArgumentError for a value that is none, or a name that has another meaning or is given twice."""
-    for where, table in (spec.places() | {"axes": spec.written}).items():
-        for name, value in table.items():
-            if name in RESERVED:  # TOML counts lines below its header to it
-                must = "stand above all tables" if name in (*KEYS, *TABLES) else "have another name"
-                raise errors.fail(f"{where}.{name}", must, f"is in [{where}]")
-            if where != "axes" and (not isinstance(value, (str, int, float, list)) or isinstance(value, bool)):
-                raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
-            if where != "axes" and name in spec.written:
-                raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
+    for name in (*spec.written, *spec.tables, *(name for table in spec.places().values() for name in table)):
+        if name in KINDS:
+            raise errors.fail(name, "stand above all tables", "is in one")  # TOML counts lines below its header to it
+        if name == LIMIT or (name in spec.tables and name in OPTIONS):
+            raise errors.fail(f"axes.{name}", "have another name", "has one that means something else")
     giver: dict = {}  # {name: the axis of tables that gives it}
-    for axis, labels in spec.tables.items():
-        if axis in (*OPTIONS, *RESERVED):
-            raise errors.fail(f"axes.{axis}", "have a name of its own, as it has tables", f"is called {axis!r}")
-        for name in set().union(*labels.values()):
-            if (other := giver.setdefault(name, axis)) != axis:
+    for where, table in spec.places().items():
+        for name, value in table.items():
+            if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):
+                raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
+            if name in spec.written:
+                raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
+            axis = where.split(".")[1] if where != "fixed" else None
+            if axis and (other := giver.setdefault(name, axis)) != axis:
                 raise errors.fail(f"axes.{axis}", f"leave to {other} what that gives", f"holds {name!r} too")
 
 
 def _axes(spec: Spec) -> tuple:
-    """Return all axes: those of tables, then the others as written, with what N or a dead time depends on compiled in.
+    """Return all axes: those of tables, then the others as written, with what must be concrete compiled in: names, N,
+    dead times, what the linear limit depends on, and a path on which loops begin, whose start is searched for.
 
     Samples are drawn for the widest robot, and each arm uses the first ones.
     """
@@ -365,4 +339,6 @@ def _axes(spec: Spec) -> tuple:
     wanted = spec.needs(*COMPILED_IN, *NAMES)
     if LIMIT in spec.needs(*(name for table in spec.places().values() for name in table)):
         wanted |= spec.needs(LIMIT) - {"M"}
+    if any(loop["begin"] == "on-path" for loop in map(spec.loop, spec.programs())):
+        wanted |= spec.needs("q0", "Ts", *OF_PATHS)
     return *tables, *(compiled_in(a, f"axes.{a.name}") if a.name in wanted else a for a in plain)

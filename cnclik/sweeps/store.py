@@ -22,45 +22,45 @@ from cnclik import errors
 from cnclik.reading import read_bytes
 from cnclik.sweeps import program
 from cnclik.sweeps.grid import Axis, Grid
-from cnclik.sweeps.labels import attributes, coordinates_of, environment, fingerprint
+from cnclik.sweeps.labels import attributes, coordinates_of, fingerprint
 from cnclik.sweeps.spec import Spec
 from cnclik.writing import OWN, hidden_folder, remove_abandoned
 
 DATA = "data.zarr"
-_NOT_DONE = -1  # value of unfinished counts
 _UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
 
 
 class Store:
     """An open store: its grid and its blocks. Raises: ArgumentError if there is none, or its description is damaged."""
 
-    def __init__(self, folder: pathlib.Path, *, name="out", mode="r+"):
+    def __init__(self, folder, *, name="folder", mode="r"):
         import zarr
 
-        self.folder, self.path = folder, folder / DATA
+        self.path = errors.path(name, folder) / DATA
+        if not os.path.isfile(self.path / OWN):
+            raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{str(folder)!r} does not")
         try:
             mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
             if mark["checksum"] != _checksum(self.path, mark["files"]):
                 raise ValueError("its description or a coordinate is damaged")
             group: Any = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(str(group.attrs["config"]))
-            self.lanes = self.config["lanes"]
             with zarr.config.set({"array.write_empty_chunks": True}):  # a block of NaN is done, too
                 self.arrays = {name: group[name] for name in self.config["variables"]}
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
             raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
+        axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
+        self.grid = Grid(axes, self.config["lanes"])  # as cut when the store was created
 
     def blocks(self) -> tuple[list, list]:
-        """Return the blocks that are done, and those that are missing or damaged, as cut when the store was created."""
-        axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
-        of = Grid(axes, self.lanes)
+        """Return the blocks that are done, and those that are missing or damaged."""
         done, missing = [], []
-        for block in of.blocks():
-            (done if self._is_done(of, block) else missing).append(block)
+        for block in self.grid.blocks():
+            (done if self._is_done(block) else missing).append(block)
         return done, missing
 
-    def _is_done(self, of, block) -> bool:
-        chunk = [str(cut.start // step) for cut, step in zip(block.region, of.block, strict=True)]
+    def _is_done(self, block) -> bool:
+        chunk = [str(cut.start // step) for cut, step in zip(block.region, self.grid.block, strict=True)]
         with contextlib.suppress(*_UNREADABLE):
             for name, array in self.arrays.items():
                 if not os.path.isfile(self.path.joinpath(name, "c", *chunk)):
@@ -74,20 +74,6 @@ class Store:
         for name, array in self.arrays.items():
             array[block.region] = piece[name]
 
-    def data(self, done, missing):
-        """Return the data as an `xarray.Dataset`, as if the missing blocks had not been started; loaded on use."""
-        import xarray
-
-        with _quiet():
-            data = xarray.open_zarr(self.path, chunks=None)
-        data = data[list(self.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
-        for name, array in self.arrays.items() if missing else ():
-            values = np.full(array.shape, array.fill_value, array.dtype)
-            for block in done:
-                values[block.region] = array[block.region]
-            data[name] = data[name].copy(data=values)
-        return data
-
 
 def _checksum(path, files) -> int:
     total = 0
@@ -98,44 +84,31 @@ def _checksum(path, files) -> int:
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
     """Create the empty store. It appears only once it is complete; one that another process made meanwhile stays."""
-    with hidden_folder(folder) as hidden:
-        _build(hidden / DATA, spec, of, outputs)
-        try:
-            (hidden / DATA).rename(folder / DATA)
-        except OSError:
-            if not os.path.exists(folder / DATA):
-                raise
-
-
-def _build(path, spec, of, outputs):
     import xarray
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    packed = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
-    coords = xarray.Dataset(coords=coordinates_of(spec, of), attrs=environment() | attributes(spec, of, outputs))
-    for name, values in coords.variables.items():
-        if values.dtype.kind == "U":  # variable-length strings, the only form of text that zarr has settled
-            coords[name] = coords[name].astype(object)
-    with _quiet():
-        encoding = dict.fromkeys(coords.variables, packed)
-        coords.to_zarr(path, zarr_format=3, consolidated=False, encoding=encoding)
+    packed: Any = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
+    data = xarray.Dataset(coords=coordinates_of(spec, of), attrs=attributes(spec, of, outputs))
+    texts = {name: v.astype(object) for name, v in data.coords.items() if v.dtype.kind == "U"}  # all that zarr settled
+    data = data.assign_coords(texts)
+    with hidden_folder(folder) as hidden, _quiet():
+        path = hidden / DATA
+        data.to_zarr(path, zarr_format=3, consolidated=False, encoding=dict.fromkeys(data.variables, packed))
         group = zarr.open_group(path, mode="r+")
         for o in outputs:
-            group.create_array(
-                o.name,
-                shape=of.shape,
-                chunks=of.block,
-                dtype=o.dtype,
-                fill_value=np.nan if o.dtype.kind == "f" else _NOT_DONE,
-                dimension_names=[a.name for a in of.axes],
-                attributes=o.about,
-                **packed,
-            )
+            fill = np.nan if o.dtype.kind == "f" else -1  # of counts
+            about: Any = {"dimension_names": [a.name for a in of.axes], "attributes": o.about, "fill_value": fill}
+            group.create_array(o.name, shape=of.shape, chunks=of.block, dtype=o.dtype, **about, **packed)
         zarr.consolidate_metadata(path)
-    # Description and coordinates never change: with their checksum the store is complete.
-    files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
-    (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum(path, files)}))
+        # Description and coordinates never change: with their checksum the store is complete.
+        files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
+        (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum(path, files)}))
+        try:
+            path.rename(folder / DATA)
+        except OSError:
+            if not os.path.exists(folder / DATA):
+                raise
 
 
 def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
@@ -150,7 +123,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
         tempfile.TemporaryFile(dir=folder).close()  # check that the folder is writable
     if not os.path.exists(path):
         return None
-    store = Store(folder)
+    store = Store(folder, name="out", mode="r+")
     if fresh:
         with _disk(folder), hidden_folder(folder) as hidden:
             path.rename(hidden / DATA)  # atomically: no reader sees half a store
@@ -158,7 +131,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
     for name in there | here:
         if there.get(name) != here.get(name):
-            must = "hold results of this very spec (--fresh starts over, another --out keeps both)"
+            must = "hold results of this very spec (another --out keeps both)"
             before, now = (f"{some.get(name, 'nothing')!s:.40}" for some in (there, here))
             raise errors.fail("out", must, f"differs in {name}: {before} there, {now} here")
     with _disk(folder):
@@ -168,10 +141,9 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
 
 def _flat(config) -> dict:
     """Return {name: value} of all that a store's numbers depend on, such as "fixed.alpha"."""
-    flat = {}
-    for table, value in (config["data"] | {"environment": config["environment"]}).items():
-        flat |= {f"{table}.{name}": v for name, v in value.items()} if isinstance(value, dict) else {table: value}
-    return flat
+    tables = config["data"] | {"environment": config["environment"]}
+    each = {key: value if isinstance(value, dict) else {"": value} for key, value in tables.items()}
+    return {f"{key}.{name}".strip("."): v for key, table in each.items() for name, v in table.items()}
 
 
 def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
@@ -192,21 +164,19 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, p
     folder, meet = errors.path("out", folder), meet or (lambda well, last: well)
     of, first, store = spec.grid(), None, None
     with _together(meet):
-        if process == 0:
-            store = prepare(spec, folder, fresh=fresh)
-            if store is None:
-                of, first = program.fit(spec.study, of)
-                with _disk(folder):
-                    create(folder, spec, of, first.outputs)
-                store = prepare(spec, folder)
+        if process == 0 and (store := prepare(spec, folder, fresh=fresh)) is None:
+            of, first = program.fit(spec.study, of)
+            with _disk(folder):
+                create(folder, spec, of, first.outputs)
     with _together(meet, last=True):
         store = store or prepare(spec, folder)
         if store is None:
             raise errors.fail("out", "be one folder that all processes share", f"{str(folder)!r} is empty here")
-        first = first if store.lanes == of.lanes else None
-        of = dataclasses.replace(of, lanes=store.lanes)
+        first = first if store.grid.lanes == of.lanes else None
+        of = dataclasses.replace(of, lanes=store.grid.lanes)
         _, missing = store.blocks()
-    share = _share(spec, of, missing, process, processes)
+    # Adjacent blocks, so that each process compiles few programs.
+    share = missing[len(missing) * process // processes : len(missing) * (process + 1) // processes]
     todo, done = sum(b.size for b in share), 0
     report = progress or (lambda done, todo: None)
     report(0, todo)
@@ -230,16 +200,6 @@ def _together(meet, last=False):
         raise errors.fail("distributed", "find every process ready", "another one failed, and reports why")
 
 
-def _share(spec, of, missing, process, processes):
-    """Return this process's adjacent blocks: few programs to compile, and its share of the evaluations."""
-    if processes == 1 or not missing:
-        return missing
-    costs = [spec.evaluations(p) for p in of.programs]
-    ends = np.cumsum([costs[b.program] for b in missing])
-    owner = np.minimum((ends - ends[0] / 2) / ends[-1] * processes, processes - 1).astype(int)
-    return [b for b, who in zip(missing, owner, strict=True) if who == process]
-
-
 def read(folder):
     """Return the sweep of a folder as an `xarray.Dataset`, loaded on use.
 
@@ -248,13 +208,24 @@ def read(folder):
 
     Raises: ArgumentError if there is none, or if its description is damaged.
     """
-    store = Store(errors.path("folder", folder), name="folder", mode="r")
-    return store.data(*store.blocks())
+    import xarray
+
+    store = Store(folder)
+    done, missing = store.blocks()
+    with _quiet():
+        data = xarray.open_zarr(store.path, chunks=None)
+    data = data[list(store.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
+    for name, array in store.arrays.items() if missing else ():
+        values = np.full(array.shape, array.fill_value, array.dtype)
+        for block in done:
+            values[block.region] = array[block.region]
+        data[name] = data[name].copy(data=values)
+    return data
 
 
 def blocks_missing(folder) -> int:
     """Return the number of blocks of a folder's sweep that are not done or damaged."""
-    return len(Store(errors.path("folder", folder), name="folder", mode="r").blocks()[1])
+    return len(Store(folder).blocks()[1])
 
 
 @contextlib.contextmanager

@@ -28,15 +28,14 @@ def main_value(data):
     return next((n for n in names if n.endswith("error")), names[0] if names else None)
 
 
-def judged(data):
-    """Return (error of each loop, whether it is safe, what safe means here) for the first error; None without one.
+def best(data) -> list:
+    """Return sentences that name the safe loops with the least error for each case and robot; none without an error.
 
     A loop is safe if its error is finite, and it is stable and keeps the velocity limits as far as the metrics and the
-    linear limit show. NaN counts as infinite.
+    linear limit show. Starts, targets and seeds count by their worst value. Loops that tie are all named.
     """
-    name = main_value(data)
-    if name is None or not name.endswith("error"):
-        return None
+    if (name := main_value(data)) is None or not name.endswith("error"):
+        return []
     value = data[name].fillna(np.inf)
     safe, words = np.isfinite(value), ["finite"]
     for wrong in [n for n in _WRONG if n in data]:
@@ -45,39 +44,33 @@ def judged(data):
     if "stable" in data:
         safe &= data.stable == 1
         words.append("ending stable")
-    fixed = json.loads(data.attrs.get("spec", "{}")).get("fixed", {})
-    alpha, Ts = (data[n] if n in data.dims and data[n].dtype.kind == "f" else fixed.get(n) for n in ("alpha", "Ts"))
-    known = not any(v is None or isinstance(v, str | list) for v in (alpha, Ts))
-    z = data["z"] if "z" in data.dims else alpha * Ts if known else None
-    if z is not None and "limit" in data.coords:
+    if (z := _z(data)) is not None and "limit" in data.coords:
         safe &= ~(z >= data.limit)
         words.append("below the linear stability limit")
-    return value, safe, ", ".join(dict.fromkeys(words))
-
-
-def best(data) -> list:
-    """Return sentences that name the safe loops with the least error for each case and robot; none without an error.
-
-    Starts, targets and seeds count by their worst value. Loops that tie are all named.
-    """
-    if (verdict := judged(data)) is None:
-        return []
-    value, safe, words = verdict
     drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
     value, safe = value.max(drawn, keep_attrs=True), safe.all(drawn)
     apart, lines = [d for d in _APART if d in value.dims], []
     for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
         where = dict(zip(apart, labels, strict=True))
         errors, fine = value.sel(where), safe.sel(where)
-        count = int(fine.sum())
-        many = f"{count:,}" if count else "none"
-        line = "".join(f"{d} {label}: " for d, label in where.items())
-        line += f"{many} of {errors.size:,} loops {'are' if count > 1 else 'is'} safe ({words})"
+        count, line = int(fine.sum()), "".join(f"{d} {label}: " for d, label in where.items())
+        line += (
+            f"{format(count, ',') if count else 'none'} of {errors.size:,} loops {'are' if count > 1 else 'is'} safe"
+        )
+        line += f" ({', '.join(dict.fromkeys(words))})"
         if count:
             least = float(errors.where(fine).min())
             line += f", the best by {_named(data, errors, np.argwhere(((errors == least) & fine).values), least)}"
         lines.append(f"{line[0].upper()}{line[1:]}.")
     return lines
+
+
+def _z(data):
+    """Return alpha·Ts of each loop; None where it isn't known."""
+    fixed = json.loads(data.attrs.get("spec", "{}")).get("fixed", {})
+    alpha, Ts = (data[n] if n in data.dims and data[n].dtype.kind == "f" else fixed.get(n) for n in ("alpha", "Ts"))
+    known = not any(v is None or isinstance(v, str | list) for v in (alpha, Ts))
+    return data["z"] if "z" in data.dims else alpha * Ts if known else None
 
 
 def _named(data, errors, places, least) -> str:
@@ -130,8 +123,6 @@ def write(data, folder) -> None:
 
     config = {k: v for k, v in data.attrs.items() if k not in ("question", "expectation")}
     config |= {name: json.loads(data.attrs[name]) for name in ("spec", "config")}
-    numbers, settings = FILES
-    frame = pandas.DataFrame(table(data))
-    csv = functools.partial(frame.to_csv, index=False, float_format="%.6g", na_rep="nan")
-    folder.write(numbers, csv)
-    folder.write_text(settings, json.dumps(config, indent=1, ensure_ascii=False) + "\n")
+    csv = functools.partial(pandas.DataFrame(table(data)).to_csv, index=False, float_format="%.6g", na_rep="nan")
+    folder.write(FILES[0], csv)
+    folder.write_text(FILES[1], json.dumps(config, indent=1, ensure_ascii=False) + "\n")

@@ -9,10 +9,11 @@ import jax
 import numpy as np
 
 from cnclik import errors
+from cnclik.measure.dataset import provenance
 from cnclik.precision import of_numbers
 from cnclik.sweeps import store
 from cnclik.sweeps.grid import grid
-from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of, environment
+from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of
 from cnclik.sweeps.program import fit, run_blocks
 from cnclik.sweeps.spec import Spec, read
 
@@ -25,16 +26,14 @@ def sweep(
     study: Callable,
     *,
     units: Mapping[str, str] | None = None,
-    attrs: Mapping | None = None,
     lanes: int | None = None,
     progress: Callable[[int, int], object] | None = None,
     **axes: Any,
 ) -> "xr.Dataset":
     """Run a study over the grid of some axes, in float64 whatever JAX's own precision is.
 
-    Axes and everything computed from them are float64; so are records built from Python numbers and lists. Only a
-    jax.Array that was made in float32 before the call and is used by the study keeps its precision, and a loop that
-    starts from it runs in float32; the attribute `dtype` shows it. Give such values as NumPy arrays.
+    Only a jax.Array that was made in float32 before the call and is used by the study keeps its precision, and a loop
+    that starts from it runs in float32; the attribute `dtype` shows it. Give such values as NumPy arrays.
 
     Args:
       study: a pure function of the named values, returning a record, a dict or `Metrics` of scalars (or of arrays:
@@ -45,7 +44,6 @@ def sweep(
         one program each, are N, delay, strings, objects with a name (methods), and the values of a dict {label: value},
         such as M={1: 1, 5: 5}.
       units: {name: unit} of axes and results that have no unit of their own.
-      attrs: further attributes of the dataset.
       lanes: largest number of points in one block; default: as many as fit.
       progress: called with (points done, points in all).
 
@@ -62,8 +60,7 @@ def sweep(
         "study": getattr(study, "__qualname__", type(study).__name__),
         "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
     }
-    attrs = {"config": json.dumps(config), "lanes": of.lanes, **(attrs or {})}
-    return _dataset(of, outputs, arrays, coordinates(of, units), attrs)
+    return _dataset(of, outputs, arrays, coordinates(of, units), {"config": json.dumps(config), "lanes": of.lanes})
 
 
 def run_spec(spec, out=None, *, set=(), fresh=False, progress=None) -> "xr.Dataset":
@@ -81,11 +78,8 @@ def run_spec(spec, out=None, *, set=(), fresh=False, progress=None) -> "xr.Datas
     Raises: ArgumentError for what cannot be run, or a folder that holds something else.
     """
     errors.progress(progress)
-    errors.kind("out", out, (str, os.PathLike, type(None)), "be a path")
     errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
-    if isinstance(set, str) or not np.iterable(set) or not all(isinstance(v, str) for v in set):
-        raise errors.fail("set", "be strings NAME=VALUE", f"is {set!r}")
-    spec = spec if isinstance(spec, Spec) else read(spec, set)
+    spec = spec if isinstance(spec, Spec) else read(spec, [set] if isinstance(set, str) else set)
     if out is not None:
         store.run(spec, out, fresh=fresh, progress=progress)
         return store.read(out)
@@ -115,4 +109,4 @@ def _dataset(of, outputs, arrays, coords, attrs):
     data = {o.name: (names + o.dims, arrays[o.name], o.about) for o in outputs}
     floats = [o.dtype for o in outputs if jax.numpy.issubdtype(o.dtype, np.floating)]
     dtype = min(floats, key=lambda d: d.itemsize, default=np.dtype(float))
-    return xarray.Dataset(data, coords, attrs=environment(dtype) | attrs)
+    return xarray.Dataset(data, coords, attrs=attrs | provenance(dtype))

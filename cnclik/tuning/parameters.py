@@ -22,7 +22,7 @@ RANGE = 1e3  # of the largest gain to the least, and of a damping to either side
 
 @record
 class Parameter:
-    """One thing to tune.
+    """A quantity of a loop that `tune` may change.
 
     Attributes:
       name: its name in results.

@@ -88,7 +88,7 @@ def terms(loss) -> tuple:
 
 @record
 class Tuned:
-    """What a tuning found: `ck.solve(*found.loop, drive=found.drive)` runs it. Arrays are NumPy's, float64.
+    """Answer of `tune`: `ck.solve(*tuned.loop, drive=tuned.drive)` runs it. Arrays are NumPy's, float64.
 
     Attributes:
       law: with the tuned values.

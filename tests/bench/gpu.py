@@ -1,4 +1,4 @@
-"""`python -m tests.bench.gpu [ROW ...]`: the rows of docs/speed.md for a GPU, in one run (4 minutes).
+"""`python -m tests.bench.gpu [ROW ...]`: batches on a GPU beside the plain source, in one run (4 minutes).
 
 Each row is a batch of loops on the device, its inputs there too: by `lanes`, by the user's own `jit(vmap)`, and by that
 of the source as it is (`use_engine("plain")`). Times are wall times of calls that are waited for; medians. All three

@@ -27,7 +27,7 @@ def test_a_run_is_labelled():
     np.testing.assert_array_equal(data.time.values, run.t)
     assert int(data.evaluations) == 4
     assert json.loads(data.attrs["config"]) == {"a": [2], "b": 1}
-    assert {"cnclik", "jax", "commit", "dtype", "device"} <= set(data.attrs)
+    assert {"cnclik", "jax", "dtype", "device"} <= set(data.attrs)
     assert all(data[name].attrs.get("units") and data[name].attrs.get("long_name") for name in data.variables)
 
 

@@ -6,7 +6,7 @@ trimesh = pytest.importorskip("trimesh")
 
 from xml.etree import ElementTree  # noqa: E402
 
-from cnclik.show.viewer import shapes  # noqa: E402
+from cnclik.show import shapes  # noqa: E402
 
 
 def robot(folder, *names):

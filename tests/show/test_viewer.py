@@ -13,14 +13,13 @@ from cnclik.cli import view as cli
 from cnclik.measure.dataset import to_dataset
 from cnclik.problem.build import problem_from
 from cnclik.robot.urdf import load_urdf
-from cnclik.show import motion
-from cnclik.show.viewer import front
+from cnclik.show import motion, viewer
 from tests.oracles import robot_file
 
-if not front.has_viser():
+if not viewer.has_viser():
     pytest.skip("needs viser, the extra `viewer`", allow_module_level=True)
 
-from cnclik.show.viewer import scene, shapes
+from cnclik.show import shapes
 
 ARM = "planar:1,0.8"
 SLIDER = ck.from_dh([0.3, 0, 0.2], [0.4, -0.5, 0], [0.1, 0.2, 0], kinds="RPR", lower=[-1, -0.2, -1], upper=[1, 0.5, 1])
@@ -84,7 +83,7 @@ def test_each_tip_has_a_path_and_a_target():
     np.testing.assert_allclose(right[7], at.position + at.rotation @ place, atol=1e-5)
     parts = [(task, unit) for task, unit, _ in motion.error_parts(made.data)]
     assert parts == [("grip", "m"), ("grip", "rad"), ("box", "m"), ("rest", "rad")]
-    assert "error grip" in scene.caption("g1", made.data, 3)
+    assert "error grip" in viewer.caption("g1", made.data, 3)
 
 
 # --- meshes and shapes ----------------------------------------------------------------------------------
@@ -160,16 +159,16 @@ def test_walls_are_drawn():
 
 
 def test_a_run_is_played(problem, run):
-    viewer = ck.show.view(run, problem.law, port=8450)
+    played = ck.show.view(run, problem.law, port=8450)
     try:
-        assert viewer.url == f"http://localhost:{viewer.server.get_port()}"
-        viewer.show(1e300)
-        np.testing.assert_allclose(viewer.balls[0].position[:2], (run.x + run.e)[-1])
-        np.testing.assert_allclose(viewer.frames[-1].position[:2], run.x[-1], atol=1e-12)
-        assert "t = 1.500 s" in viewer.caption.content and "OK" in viewer.caption.content
-        assert viewer.slider.max == pytest.approx(1.5)
+        assert played.url == f"http://localhost:{played.server.get_port()}"
+        played.show(1e300)
+        np.testing.assert_allclose(played.balls[0].position[:2], (run.x + run.e)[-1])
+        np.testing.assert_allclose(played.frames[-1].position[:2], run.x[-1], atol=1e-12)
+        assert "t = 1.500 s" in played.caption.content and "OK" in played.caption.content
+        assert played.slider.max == pytest.approx(1.5)
     finally:
-        viewer.stop()
+        played.stop()
 
 
 def test_what_cannot_be_shown_is_refused(problem, run):

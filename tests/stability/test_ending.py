@@ -22,7 +22,7 @@ CIRCLE = ck.circle(P0 - np.array([0, 0, 0.08]), 0.08, period=4.0, normal=[0, 1.0
 
 def judge(law, reference, q, Ts, N, method="EE", drive=None, **more):
     run = ck.solve(law, reference, q, Ts, N, method, drive=drive)
-    return verdict(law, reference, run, Ts=Ts, method=method, drive=drive, **more)
+    return verdict(law, reference, run, method=method, drive=drive, **more)
 
 
 def planar(alpha, **options):
@@ -40,8 +40,6 @@ def test_a_held_target(alpha, N, kind):
     if kind in ("swinging", "growing"):
         again = judge(planar(said.change["alpha"]), NEAR, Q5, 0.1, 100)
         assert again.kind == "settled", again
-    if kind == "too short to tell":
-        assert judge(planar(alpha), NEAR, Q5, 0.1, said.change["N"]).kind == "settled"
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.9, 1.3])
@@ -117,12 +115,6 @@ def test_each_task_of_a_stack_has_its_line():
 
 
 def test_causes_are_those_of_the_run():
-    pulled = ck.Law(PANDA, ck.position(), alpha=5.0, inverse=ck.damped(0.2), null_velocity=ck.posture(QP + 0.3, 2.0))
-    said = judge(pulled, ck.hold(P0), QP, 0.01, 3000, "EXP-MIDPOINT")
-    assert said.kind == Behaviour.HELD_BACK and "posture term" in str(said), said
-    fast = ck.Law(PANDA, ck.position(), alpha=60.0)
-    said = judge(fast, ck.hold(P0 + np.array([0.2, 0.2, 0])), QP, 0.01, 400)
-    assert "exceed a joint's velocity limit" in str(said) and said.change == {"limits": "velocity_scaling"}, said
     z = ck.Law(FIVE, ck.position("xyz"), alpha=5.0, inverse=ck.damped(0.01))
     said = judge(z, ck.hold([*(0.9 * TIP), 0.1]), Q5, 0.1, 100)
     assert said.kind == Behaviour.HELD_BACK and "out of reach: the nearest posture found is 100 mm away" in str(said)
@@ -133,21 +125,19 @@ def test_noise_is_no_swing():
     law, N, sigma = planar(5.0), 400, 1e-3
     run = ck.solve(law, NEAR, Q5, 0.02, N)
     noisy = ck.replace(run, e=np.asarray(run.e) + sigma * rng.standard_normal(np.shape(run.e)))
-    assert verdict(law, NEAR, noisy, Ts=0.02, noise=sigma).kind == Behaviour.SETTLED
+    assert verdict(law, NEAR, noisy, noise=sigma).kind == Behaviour.SETTLED
 
 
 def test_a_gain_above_the_largest_stable_one_is_said_of_a_calm_run():
     law = planar(19.9)
     run = ck.solve(law, ck.hold(TIP), Q5, 0.1, 60, "EE")
-    said = verdict(law, ck.hold(TIP), run, Ts=0.1, method="EE", drive=Drive(delay=1))
+    said = verdict(law, ck.hold(TIP), run, method="EE", drive=Drive(delay=1))
     assert "above the largest stable gain" in str(said) and said.change["alpha"] < 10
 
 
 def test_runs_of_others_are_refused():
     law, run = planar(5.0), ck.solve(planar(5.0), NEAR, Q5, 0.1, 20)
-    with pytest.raises(ArgumentError, match="`Ts` must be the run's"):
-        verdict(law, NEAR, run, Ts=0.2)
     with pytest.raises(ArgumentError, match="`run` must be a Trajectory of this law"):
-        verdict(ck.Law(PANDA, ck.position(), alpha=5.0), ck.hold(P0), run, Ts=0.1)
+        verdict(ck.Law(PANDA, ck.position(), alpha=5.0), ck.hold(P0), run)
     with pytest.raises(ArgumentError, match="at least one step"):
-        verdict(law, NEAR, ck.solve(law, NEAR, Q5, 0.1, 0), Ts=0.1)
+        verdict(law, NEAR, ck.solve(law, NEAR, Q5, 0.1, 0))

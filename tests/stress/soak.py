@@ -48,7 +48,7 @@ def everything(rng, folder):
     drive = ck.Drive(delay=int(rng.integers(0, 9)), lag=gain / 100)
     ck.solve(law, reference, q, Ts, 20, "EE", drive=drive)
     ck.gains(Ts=Ts, drive=drive)
-    ck.verdict(law, reference, run, Ts=Ts, method=method)
+    ck.verdict(law, reference, run, method=method)
     ck.reach(law.chain, np.append(run.x[-1], 0.0), task=law.task)
     ck.tune(law, reference, q, Ts=Ts, N=10, steps=3)
     plt.close(ck.plot(run, law))

@@ -1,48 +1,94 @@
-"""Scene: a motion in viser: the robot, the paths of its tips, their targets, walls, and a slider over time."""
+"""The viewer: `view` plays a run in viser: the robot, paths of its tips, their targets, walls, and a time slider."""
 
 import contextlib
 import html
+import importlib.util
 import io
 import threading
 import time
 
+import jax
 import numpy as np
-import viser
 
 from cnclik import errors
 from cnclik.integrate.status import level, names
+from cnclik.integrate.trajectory import Trajectory, one_lane
+from cnclik.law.law import Law
+from cnclik.measure.dataset import to_dataset
+from cnclik.problem.build import Problem
 from cnclik.robot import poses
+from cnclik.robot.files import file_of
 from cnclik.robot.posture import arm_length, is_planar
 from cnclik.show import style
-from cnclik.show.motion import error_parts
-from cnclik.show.viewer.shapes import GREY, meshes_of, shapes_of, shapes_of_walls, thickness
+from cnclik.show.motion import error_parts, motion_of
 
 MOST_POINTS = 600  # of a path
 RATE = 30.0  # frames a second
 
 
-def rgb(color: str) -> tuple:
-    """Return a colour such as "#0072B2" as three bytes."""
-    return tuple(bytes.fromhex(color.lstrip("#")))
+def has_viser() -> bool:
+    """Return whether viser can be imported."""
+    return importlib.util.find_spec("viser") is not None
+
+
+def view(what, law=None, *, robot=None, host="localhost", port=8080):
+    """Play a run in a browser: `ck.show.view(run, law)`.
+
+    Args:
+      what: a `Trajectory` with its law, one lane; or a `Problem`, which is run.
+      law: of a `Trajectory`.
+      robot: URDF file with the robot's meshes; without it, cylinders stand for links and joints.
+      host, port: where to listen; on the next free port.
+
+    Returns: a `Viewer` with `url` and `stop()`.
+    Raises: ArgumentError where viser is missing, or for what can't be shown.
+    """
+    if not has_viser():
+        install = "pip install 'cnclik[viewer]'"
+        raise errors.ArgumentError(f"The viewer needs the package viser, which is not installed: {install}")
+    if isinstance(what, Problem):
+        run, law, name, robot = jax.tree.map(np.asarray, what.run()), what.law, what.name, robot or what.robot
+    else:
+        run, law = errors.kind("run", what, Trajectory), errors.kind("law", law, Law)
+        one_lane(run)
+        name = f"{law.chain.n} joints"
+    file = None if robot is None or hasattr(robot, "joints") else file_of(str(robot))
+    motion, walls = motion_of(to_dataset(run, law), law.chain), getattr(law.limits, "walls", ())
+    return Viewer(motion, name=name, walls=walls, robot=file, server=_server(host, port))
+
+
+def _server(host, port):
+    """Return a viser server without its words on the terminal, on the next port that is free."""
+    import viser
+
+    errors.integer("port", port, at_least=1, at_most=65_000)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server = viser.ViserServer(host=host, port=port, label="cnclik", verbose=False)
+    except (OSError, RuntimeError) as error:
+        raise errors.fail("host", "be one that this machine can listen on", f"is {host!r}: {error}") from None
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    return server
 
 
 class Viewer:
     """A run that a browser shows at `url` until `stop()`."""
 
-    def __init__(self, motion, *, name="", walls=(), robot=None, host="localhost", port=8080):
-        """Args: walls: of the run's law. robot: URDF file with the robot's meshes."""
-        self.server, self.motion, self.name, chain = _server(host, port), motion, name, motion.chain
-        self.url, scene = f"http://{host}:{self.server.get_port()}", self.server.scene
-        thick, count = thickness(chain), len(motion.poses)
+    def __init__(self, motion, *, name, walls, robot, server):
+        from cnclik.show import shapes  # needs trimesh, which comes with viser
+
+        self.server, self.motion, self.name, chain = server, motion, name, motion.chain
+        self.url, scene = f"http://{server.get_host()}:{server.get_port()}", server.scene
+        thick, count = shapes.thickness(chain), len(motion.poses)
         status = motion.data.status.values
         self.levels = level(np.append(status, status[-1:]))[:count]
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)
-        meshes, every = ([], motion.poses) if robot is None else meshes_of(robot, motion)
+        meshes, every = ([], motion.poses) if robot is None else shapes.meshes_of(robot, motion)
         self.places, self.turns = every[:, :, :3, 3], poses.quaternions(every[:, :, :3, :3])
         self.frames = [scene.add_frame(f"/{i}", show_axes=False) for i in range(every.shape[1])]
-        solid = [(*shape, {}) for shape in meshes or shapes_of(chain)]
-        solid += [(*shape, {"opacity": 0.2, "side": "double"}) for shape in shapes_of_walls(walls, chain)]
+        solid = [(*shape, {}) for shape in meshes or shapes.shapes_of(chain)]
+        solid += [(*shape, {"opacity": 0.2, "side": "double"}) for shape in shapes.shapes_of_walls(walls, chain)]
         for k, (frame, mesh, color, look) in enumerate(solid):
             scene.add_mesh_simple(f"/{frame}/{k}", mesh.vertices, mesh.faces, color=rgb(color), **look)
         tips = range(motion.poses.shape[1] - len(chain.tips), motion.poses.shape[1])
@@ -52,7 +98,7 @@ class Viewer:
         self.balls = {i: scene.add_icosphere(f"/goal{i}", 0.8 * thick, rgb(style.BLACK)) for i in self.goals}
         self._draw_paths(np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)), thick)
         self._look(self.places.reshape(-1, 3), thick)
-        self.t, gui = motion.data.time.values.astype(float), self.server.gui
+        self.t, gui = motion.data.time.values.astype(float), server.gui
         begin, end = float(self.t[0]), max(float(self.t[-1]), float(self.t[0]) + 1e-9)
         self.caption = gui.add_html("")
         self.slider = gui.add_slider("time [s]", begin, end, (end - begin) / 1000, begin)
@@ -71,7 +117,7 @@ class Viewer:
             add(f"/path{kind}", lines, rgb(style.LEVELS[kind]), thickness=0.3 * thick)
         for i, target in self.goals.items():
             if np.ptp(target, axis=0).max() > 0:
-                add(f"/wanted{i}", _segments(target[None, some])[0], rgb(GREY), thickness=0.12 * thick)
+                add(f"/wanted{i}", _segments(target[None, some])[0], rgb(style.GREY), thickness=0.12 * thick)
 
     def _look(self, points, thick):
         """Look from above at a planar arm, from a corner otherwise, at all that moves; draw a floor below it."""
@@ -120,6 +166,11 @@ class Viewer:
         return f"Viewer({self.url})"
 
 
+def rgb(color: str) -> tuple:
+    """Return a colour such as "#0072B2" as three bytes."""
+    return tuple(bytes.fromhex(color.lstrip("#")))
+
+
 def caption(name, data, k) -> str:
     """Return what is shown now, as HTML: name, time, errors, status."""
     status = data.status.values[min(k, data.sizes["step"] - 1)] if data.sizes["step"] else 0
@@ -132,15 +183,3 @@ def caption(name, data, k) -> str:
 def _segments(paths):
     """Return lines (paths, k − 1, 2, 3) from each point of some paths (paths, k, 3) to the next."""
     return np.stack([paths[:, :-1], paths[:, 1:]], 2)
-
-
-def _server(host, port):
-    """Return a viser server without its words on the terminal, on the next port that is free."""
-    errors.integer("port", port, at_least=1, at_most=65_000)
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server = viser.ViserServer(host=host, port=port, label="cnclik", verbose=False)
-    except (OSError, RuntimeError) as error:
-        raise errors.fail("host", "be one that this machine can listen on", f"is {host!r}: {error}") from None
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-    return server

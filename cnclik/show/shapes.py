@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
+from trimesh.creation import box, capsule, cylinder, icosphere
 
 from cnclik.reading import read_bytes
 from cnclik.robot.bases import BALL
@@ -21,7 +22,6 @@ from cnclik.show.motion import link_poses
 from cnclik.task.parts import AXES
 
 ENDINGS = (".stl", ".dae", ".obj", ".ply", ".glb")
-GREY = "#8A8F94"
 
 
 class Shape(NamedTuple):
@@ -44,14 +44,13 @@ def shapes_of(chain) -> list:
     for frame, offset in [*ends, *((tip.joint + 1, tip.offset) for tip in chain.tips)]:
         end = np.array(offset.position, float)
         if np.linalg.norm(end) > 0.2 * thick:
-            shapes.append(
-                Shape(frame, trimesh.creation.cylinder(thick, segment=[0 * end, end]), style.SKY if frame else GREY)
-            )
+            color = style.SKY if frame else style.GREY
+            shapes.append(Shape(frame, cylinder(thick, segment=[0 * end, end]), color))
     for i, joint in enumerate(chain.joints, 1):
         of_base = joint.kind == PRISMATIC and np.isinf(chain.lower[joint.coordinate])
         if joint.kind != BALL and not of_base:  # joints of a base have no shape
             along = 1.2 * thick * np.array(joint.axis, float)
-            shapes.append(Shape(i, trimesh.creation.cylinder(1.3 * thick, segment=[-along, along]), style.BLUE))
+            shapes.append(Shape(i, cylinder(1.3 * thick, segment=[-along, along]), style.BLUE))
     return shapes
 
 
@@ -96,25 +95,21 @@ def link_meshes(file, link) -> list:
 def _mesh(file, element):
     """Return the mesh of a <visual> or <collision> in its link's frame."""
     (shape,), origin = element.find("geometry"), element.find("origin")
+    size = {key: np.array(text.split(), float) for key, text in shape.items() if key != "filename"}
     if shape.tag == "box":
-        mesh = trimesh.creation.box(_numbers(shape, "size"))
+        mesh = box(size["size"])
     elif shape.tag == "cylinder":
-        mesh = trimesh.creation.cylinder(float(shape.get("radius")), float(shape.get("length")))
+        mesh = cylinder(size["radius"][0], size["length"][0])
     elif shape.tag == "sphere":
-        mesh = trimesh.creation.icosphere(2, float(shape.get("radius")))
+        mesh = icosphere(2, size["radius"][0])
     else:
-        path = _file_of(file, shape.get("filename"))
-        mesh = trimesh.load(path, force="mesh").apply_scale(_numbers(shape, "scale", "1 1 1"))
+        mesh = trimesh.load(_file_of(file, shape.get("filename")), force="mesh").apply_scale(size.get("scale", 1.0))
     if origin is not None:
-        mesh.apply_transform(trimesh.transformations.euler_matrix(*_numbers(origin, "rpy", "0 0 0")))
-        mesh.apply_translation(_numbers(origin, "xyz", "0 0 0"))
+        turn, place = (np.array(origin.get(name, "0 0 0").split(), float) for name in ("rpy", "xyz"))
+        mesh.apply_transform(trimesh.transformations.euler_matrix(*turn)).apply_translation(place)
     if not len(mesh.faces):
         raise ValueError("no faces")
     return mesh
-
-
-def _numbers(element, name, default=None):
-    return np.array([float(v) for v in element.get(name, default).split()])
 
 
 def _file_of(file, name):
@@ -128,9 +123,8 @@ def _file_of(file, name):
     marked = (folder for folder in file.parents if os.path.isfile(folder / "package.xml"))
     root = next(marked, file.parent.parent if laid_out else file.parent)
     scheme, mark, rest = name.partition("://")
-    places = [file.parent / (rest if mark else name)]
-    if mark and scheme != "file":
-        places = [root / rest, root / rest.partition("/")[2]]
+    package = mark and scheme != "file"
+    places = [root / rest, root / rest.partition("/")[2]] if package else [file.parent / (rest or name)]
     inside = (place for place in map(pathlib.Path.resolve, places) if place.is_relative_to(root))
     return next((place for place in inside if place.suffix.lower() in ENDINGS and os.path.isfile(place)), None)
 
@@ -140,26 +134,24 @@ def shapes_of_walls(walls, chain) -> list:
     shapes = []
     for part, wall in ((wall.task.parts[0], wall) for wall in walls):
         if hasattr(part, "one"):
-            shapes += [_solid(shape, chain) for shape in (part.one, part.other)]
+            for solid in (part.one, part.other):
+                start, *_, end = np.broadcast_to(solid.ends, (2, 3)).astype(float)
+                mesh = capsule(np.linalg.norm(end - start), float(solid.radius))
+                _turn(mesh, end - start).apply_translation((start + end) / 2)
+                shapes.append(Shape(_frame(solid.tip, chain), mesh, style.LOST))
         elif hasattr(part, "axes"):
-            normal = np.zeros(3)
+            normal, wide = np.zeros(3), float(arm_length(chain))
             normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
-            wide = float(arm_length(chain))
-            mesh = trimesh.creation.box((wide, wide, 0.002 * wide))
-            mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], normal))
+            mesh = _turn(box((wide, wide, 0.002 * wide)), normal)
             mesh.apply_translation(normal * float(wall.offset) / (normal @ normal))
-            shapes.append((_frame(part.to, chain), mesh))
-    return [Shape(frame, mesh, style.LOST) for frame, mesh in shapes]
+            shapes.append(Shape(_frame(part.to, chain), mesh, style.LOST))
+    return shapes
 
 
-def _solid(shape, chain) -> tuple:
-    """Return the frame and the mesh of a capsule or a sphere of a distance."""
-    (start, *_, end), radius = np.broadcast_to(shape.ends, (2, 3)).astype(float), float(shape.radius)
-    along = end - start
-    mesh = trimesh.creation.capsule(np.linalg.norm(along), radius)
-    if along.any():
-        mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along))
-    return _frame(shape.tip, chain), mesh.apply_translation((start + end) / 2)
+def _turn(mesh, direction):
+    """Turn a mesh whose axis is z into a direction; not for one of no length."""
+    turn = trimesh.geometry.align_vectors([0, 0, 1], direction) if direction.any() else np.eye(4)
+    return mesh.apply_transform(turn)
 
 
 def _frame(tip, chain) -> int:

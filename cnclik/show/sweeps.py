@@ -1,0 +1,397 @@
+"""Figures of a sweep: heat maps, who is best, slices.
+
+Every kind works from the dataset alone. Dimensions that a figure doesn't name become lines, panels and rows; samples of
+starts are summed up by their median, and what is left is shown at its middle.
+"""
+
+import functools
+import itertools
+import json
+import math
+import pathlib
+import textwrap
+from typing import Any, NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray
+from matplotlib import colors, patches
+from matplotlib.figure import Figure
+
+from cnclik import errors
+from cnclik.show import style
+from cnclik.sweeps.axes import known_keys
+from cnclik.sweeps.labels import coordinates
+from cnclik.sweeps.summary import main_value, scalars, text
+
+LONGEST = 8  # a longer dimension gets no panels
+MOST_IN_A_ROW = 5  # panels
+LETTER = 0.06  # [in] mean width
+RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work
+AXES = {"heat": ("x", "y"), "best": ("x", "y"), "slices": ("x", "over", "lines")}
+ROLES = ("x", "y", "over", "lines", "panels", "rows", "across")  # keys that name a dimension
+REDUCE = ("median", "mean", "min")
+KEYS = ("kind", "name", "title", "value", "panels", "rows", "across", "reduce", "select", "log", "limits")
+
+
+def check(spec) -> None:
+    """Raise ArgumentError unless all figures of a spec can be laid out, before anything runs."""
+    of = spec.grid()
+    dims = tuple(a.name for a in of.axes)
+    values = {name: (dims, np.broadcast_to(0.0, of.shape)) for name in spec.metrics}
+    data = xarray.Dataset(values, coordinates(of, spec.all_units()))
+    for i, table in enumerate(spec.figures):
+        with errors.within(f"figure[{i}]"):
+            arrange(data, table)
+
+
+def drawings(data, tables=None) -> dict:
+    """Return {name: function of no arguments that draws it} of the figures that `figures` makes.
+
+    A table that can't be laid out is a function that raises: it costs the others nothing.
+    """
+    if tables is None:
+        tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
+    out: dict = {}
+    for i, table in enumerate(tables or defaults(data)):
+        name = table.get("name") or "_".join((table.get("kind", "figure"), table.get("value", main_value(data))))
+        numbered = (name if k == 1 else f"{name}_{k}" for k in range(1, len(out) + 2))
+        out[next(n for n in numbered if n not in out)] = functools.partial(_drawn, data, table, i)
+    return out
+
+
+def figures(data, tables=None) -> dict:
+    """Return {name: matplotlib Figure} of the data's spec, or of `tables`, or good ones if none are asked for.
+
+    Args:
+      data: dataset of a sweep.
+      tables: as [[figure]] in a spec.
+    """
+    return {name: make() for name, make in drawings(data, tables).items()}
+
+
+def _drawn(data, table, i):
+    with errors.within(f"figure[{i}]"):
+        layout = arrange(data, table)
+    return KINDS[layout.kind](view(data, layout), layout)
+
+
+# --- layout: which dimension of the data goes where -----------------------------------------------------
+
+
+class Layout(NamedTuple):
+    """One figure: what it shows, the dimension in each role (None: nothing), and how it is drawn."""
+
+    kind: str
+    value: str  # name of the variable shown
+    x: str | None  # a dimension, or of slices a variable
+    y: str | None
+    over: str | None  # dimension along which a line or a sample runs that has no axis
+    lines: str | None
+    panels: str | None
+    rows: str | None
+    across: str | None  # a dimension summed up by `reduce`, as samples are
+    reduced: tuple  # dimensions summed up
+    middle: tuple  # dimensions without a role: shown at their middle
+    table: dict  # as [[figure]] in a spec, checked
+
+
+def numeric(data) -> list:
+    """Return the dimensions with numbers along them, those of a question of stability first."""
+    dims = [d for d in data.dims if d in data.coords and data[d].dtype.kind in "if" and d not in samples(data)]
+    return sorted(dims, key=lambda d: (d != "alpha", d != "Ts"))
+
+
+def samples(data) -> list:
+    """Return the dimensions that count vectors, such as random starts, or draws of noise."""
+    return [d for d in data.dims if f"{d}_value" in data.coords or d == "seed"]
+
+
+def defaults(data) -> list:
+    """Return figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
+    axes, value = numeric(data), main_value(data)
+    if value is None:
+        return []
+    methods = data.sizes.get("method", 1)
+    tables: list = []
+    if len(axes) > 1:
+        kinds = ("heat", "best") if methods > 1 else ("heat",)
+        tables += [{"kind": kind, "value": value, "x": axes[0], "y": axes[1]} for kind in kinds]
+    elif axes:
+        tables.append({"kind": "slices", "value": value, "x": axes[0]})
+    if "Ts" in data.dims and "evaluations" in scalars(data) and len(np.unique(data.evaluations)) > methods:
+        tables.append({"kind": "slices", "value": value, "x": "evaluations", "over": "Ts", "name": f"work_{value}"})
+    return tables
+
+
+def arrange(data, table: dict) -> Layout:
+    """Give every dimension of the data its place in a figure.
+
+    Args:
+      table: as [[figure]] in a spec; what it doesn't say is chosen here.
+
+    Raises: ArgumentError for a key or a value that is none, or a figure without its axes.
+    """
+    kind = errors.one_of("kind", table.get("kind"), AXES)
+    known_keys("table", table, (*KEYS, *AXES[kind]))
+    for key in ("name", "title"):
+        errors.kind(key, table.get(key, "-"), str, "be a text")
+    if pathlib.PurePath(name := table.get("name", "-")).name != name or "\\" in name:
+        raise errors.fail("name", "be a file's name without a folder", f"is {name!r}")
+    errors.one_of("reduce", table.get("reduce", "median"), REDUCE)
+    errors.truth("log", table.get("log", True))
+    errors.array("limits", table.get("limits", (0, 1)), (2,))
+    value = errors.one_of("value", table.get("value", main_value(data)), scalars(data))
+    select = errors.kind("select", table.get("select", {}), dict, "be a table of a dimension and its value")
+    for dim, wanted in select.items():
+        _check_selected(f"select.{dim}", wanted, data[errors.one_of("select", dim, list(data[value].dims))])
+    dims = [d for d in data[value].dims if d not in select]
+    axes, drawn = ([d for d in some if d in dims] for some in (numeric(data), samples(data)))
+    known = {"x": [*dims, *scalars(data)]} if kind == "slices" else {}
+    roles: dict[str, Any] = dict.fromkeys(ROLES)
+    roles |= {role: errors.one_of(role, table[role], known.get(role, dims)) for role in ROLES if role in table}
+    for role, other in (("x", "y"), ("y", "x")):
+        if role in AXES[kind] and roles[role] is None:
+            roles[role] = next((d for d in axes if d != roles[other]), None)
+            if roles[role] is None:
+                must = f"have {'two numeric axes' if 'y' in AXES[kind] else 'a numeric axis'}"
+                raise errors.fail("kind", must, f"is {kind!r}, and the axes are {axes}")
+    if kind == "best" and ("method" not in dims or "method" in roles.values()):
+        raise errors.fail("kind", "be 'heat' for a single method", "is 'best'")
+    if kind == "slices" and roles["x"] not in dims:
+        roles["over"] = errors.one_of("over", roles["over"] or "Ts", dims)
+    free = [d for d in dims if d not in (*roles.values(), *["method"] * (kind == "best"))]
+    reduced = tuple(d for d in dims if d == roles["across"] or (d in free and d in drawn))
+    # The rest: methods and stages first, then M.
+    free = sorted((d for d in free if d not in reduced), key=lambda d: (d not in ("method", "stage"), d != "M"))
+    places = [("lines", len(style.COLORS))] if "lines" in AXES[kind] else []
+    for role, most in (*places, ("panels", LONGEST), ("rows", LONGEST)):
+        if roles[role] is None:
+            roles[role] = next((d for d in free if data.sizes[d] <= most), None)
+            free = [d for d in free if d != roles[role]]
+    return Layout(kind, value, **roles, reduced=reduced, middle=tuple(free), table=table)
+
+
+def _check_selected(where, wanted, coordinate):
+    """Raise ArgumentError unless a coordinate has a value; of numbers the nearest counts."""
+    if coordinate.dtype.kind != "f":
+        errors.one_of(where, str(wanted), list(map(str, coordinate.values)))
+        return
+    low, high = float(coordinate.min()), float(coordinate.max())
+    slack = 1e-9 * max(abs(low), abs(high))  # computed ends are rounded
+    if not low - slack <= errors.number(where, wanted) <= high + slack:
+        raise errors.fail(where, f"lie between {low:g} and {high:g}", f"is {wanted:g}")
+
+
+def view(data, layout: Layout):
+    """Return the part of the data that the figure shows."""
+    shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
+    for dim, wanted in layout.table.get("select", {}).items():
+        shown = shown.sel({dim: wanted}, method="nearest" if shown[dim].dtype.kind == "f" else None)
+    if layout.reduced:
+        reduce = layout.table.get("reduce", "median")
+        shown = getattr(shown, reduce)(layout.reduced, keep_attrs=True)
+        words = shown[layout.value].attrs.get("long_name", "")
+        if reduce == "mean" and words.startswith("1 if "):  # a verdict
+            shown[layout.value].attrs["long_name"] = words.replace("1 if", "share with", 1)
+    return shown.isel({d: shown.sizes[d] // 2 for d in layout.middle})
+
+
+# --- kinds ----------------------------------------------------------------------------------------------
+
+
+def heat(view, layout):
+    """Draw a value's colours over a plane, and the linear theory's limit where the data carry one."""
+    value = view[layout.value].astype(float)  # counts and verdicts too
+    grid, scale, limited = Panels(view, layout), norm(value.values, layout), False
+    for ax, part in grid.each(value):
+        shown = np.ma.masked_invalid(part.transpose(layout.y, layout.x).values)
+        if isinstance(scale, colors.LogNorm):
+            shown = np.ma.clip(shown, scale.vmin, None)  # an error of exactly 0 is the smallest, not missing
+        mesh = grid.cells(ax, part, shown, norm=scale)
+        share = share_of_limit(part, layout)
+        if share is not None and share.min() < 1 < share.max():
+            look = {"colors": style.BLACK, "linewidths": style.OUTLINED["linewidth"], "zorder": 4}
+            line = ax.contour(part[layout.x].values, part[layout.y].values, share, levels=[1.0], **look)
+            line.set_path_effects(style.OUTLINED["path_effects"])
+            limited = True
+    if limited:
+        words = value.coords["limit"].attrs.get("long_name", "limit")
+        grid.figure.legend([plt.Line2D([], [], **style.OUTLINED)], [words], loc="outside lower center")
+    beyond = bool(np.any(np.isfinite(value.values) & (value.values > scale.vmax)))
+    extend = "both" if "limits" in layout.table else "max" if beyond else "neither"
+    grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02, label=axis_label(value))
+    return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
+
+
+def best(view, layout):
+    """Draw which method has the least value over a plane; grey where no loop ends well, or none is stable by linear
+    theory: there it is chance."""
+    value = view[layout.value]
+    grid, names = Panels(view, layout), value["method"].values.tolist()
+    looks = [look["color"] for look in style.looks(names)]
+    for ax, part in grid.each(value):
+        z = part.transpose("method", layout.y, layout.x).values
+        finite = np.where(np.isfinite(z), z, np.inf)
+        share = share_of_limit(part, layout)
+        chance = ~np.isfinite(finite.min(axis=0)) | (False if share is None else share > 1)
+        winner = np.ma.masked_where(chance, finite.argmin(axis=0))
+        grid.cells(ax, part, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
+    handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
+    columns = style.legend_columns(names, grid.figure.get_figwidth())
+    title = f"least {axis_label(value)}"
+    grid.figure.legend(handles=handles, loc="outside lower center", ncols=columns, title=title)
+    return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
+
+
+def share_of_limit(part, layout):
+    """Return z over the largest limit in the cells (y, x) of a plane of alpha and Ts, or one of z; None without one."""
+    plane, limit = (layout.y, layout.x), part.coords.get("limit")
+    if limit is None or not ("z" in plane or set(plane) == {"alpha", "Ts"}):
+        return None
+    z = part["z"] if "z" in plane else part["alpha"] * part["Ts"]
+    share = z / limit.max([dim for dim in limit.dims if dim not in plane])
+    return (share + 0 * (part[layout.x] + part[layout.y])).transpose(*plane).values
+
+
+def slices(view, layout):
+    """Draw a value along one axis, or against another value."""
+    value = view[layout.value]
+    _, x = xarray.broadcast(value, view[layout.x])
+    grid = Panels(view, layout)
+    for ax, part, along in grid.each(value, x):
+        for i, look in enumerate(grid.looks()):
+            here = {layout.lines: i} if layout.lines else {}
+            at, shown = along.isel(here).values.ravel(), part.isel(here).values.ravel()
+            order = np.argsort(at, kind="stable")
+            shown = np.where(np.isfinite(shown), shown, np.nan)[order]  # gaps where a value is not finite
+            ax.plot(at[order], shown, **look)
+        if layout.x not in view.dims or style.geometric(view[layout.x].values):
+            style.log_scale(ax.xaxis, x.values)
+        _value_scale(ax, value.values, layout)
+    return grid.finish(axis_label(view[layout.x]), axis_label(value))
+
+
+def _value_scale(ax, values, layout):
+    """Set the y axis of a value: logarithmic where the values say so."""
+    limits = layout.table.get("limits")
+    if is_logarithmic(values, layout):
+        positive = values[np.isfinite(values) & (values > 0)]
+        bottom = limits[0] if limits and limits[0] > 0 else 0.7 * max(positive.min(), positive.max() * 1e-16)
+        style.log_scale(ax.yaxis, limits or np.maximum(positive, bottom))
+        ax.set_ylim(bottom=bottom)
+        for line in ax.lines:  # an error of exactly 0 lies on the axis: it is not missing
+            line.set_ydata(np.where(line.get_ydata() <= 0, bottom, line.get_ydata()))
+    if limits:
+        ax.set_ylim(*limits)
+
+
+KINDS = {"heat": heat, "best": best, "slices": slices}
+
+
+# --- panels ---------------------------------------------------------------------------------------------
+
+
+class Panels:
+    """A grid of equal panels over `layout.panels` and `layout.rows`, either of which may be None."""
+
+    def __init__(self, view, layout):
+        self.view, self.layout = view, layout
+        many, down = (view.sizes[dim] if dim else 1 for dim in (layout.panels, layout.rows))
+        if not layout.rows and many > MOST_IN_A_ROW:
+            many, down = math.ceil(many / 2), 2
+        width = style.COLUMN if many == 1 else style.PAGE
+        self.room = (width - 1.0) / many  # width of a panel, or nearly so [in]
+        self.high = min(2.4, max(1.25, self.room * 0.95))  # of a panel [in]
+        self.figure = Figure(figsize=(width, 1.2 + down * self.high))
+        self.axes = self.figure.subplots(down, many, squeeze=False, sharex=True, sharey=True)
+
+    def each(self, *values):
+        """Yield (axes, that panel's part of each of the values)."""
+        dims = [d for d in (self.layout.rows, self.layout.panels) if d]
+        places = list(itertools.product(*(range(self.view.sizes[d]) for d in dims)))
+        for ax in self.axes.ravel()[len(places) :]:
+            ax.set_axis_off()
+        for ax, place in zip(self.axes.ravel(), places, strict=False):
+            where = dict(zip(dims, place, strict=True))
+            words = ", ".join(described(self.view[d][i]) for d, i in where.items())
+            ax.set_title(textwrap.fill(words, max(12, int(self.room / LETTER))))
+            yield ax, *(v.isel({d: i for d, i in where.items() if d in v.dims}) for v in values)
+
+    def cells(self, ax, part, z, **how):
+        """Draw values (y, x) as cells of a plane; its axes are logarithmic for values in geometric progression."""
+        x, y = part[self.layout.x].values, part[self.layout.y].values
+        ax.set_facecolor("0.85")  # where nothing is drawn
+        ax.grid(False)
+        mesh = ax.pcolormesh(x, y, z, shading="nearest", rasterized=True, **how)
+        for values, axis, decades in ((x, ax.xaxis, 2 if self.room > 1.75 else 1), (y, ax.yaxis, 2)):
+            if style.geometric(values):
+                style.log_scale(axis, values, decades)
+            elif len(values) < LONGEST:
+                axis.set_ticks(values)  # between them nothing was run
+        return mesh
+
+    def looks(self) -> list:
+        """Return the look of each line; of one where there are no several."""
+        if not self.layout.lines:
+            return [{"color": style.COLORS[0], "marker": ".", "linewidth": 1.2}]
+        few = self.view.sizes.get(self.layout.x, 0) < 40
+        looks = style.looks([text(value) for value in self.view[self.layout.lines].values])
+        return [look | {"linewidth": 1.2} | ({} if few else {"marker": ""}) for look in looks]
+
+    def finish(self, x: str, y: str):
+        """Return the figure with labels of its axes, a legend where there are lines, and a title."""
+        plt.setp(self.axes[-1], xlabel=x)
+        plt.setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(self.high / LETTER))))
+        handles, labels = self.axes[0, 0].get_legend_handles_labels()
+        if len(labels) > 1:
+            columns = style.legend_columns(labels, self.figure.get_figwidth())
+            about = {"title": axis_label(self.view[self.layout.lines]), "loc": "outside lower center"}
+            self.figure.legend(handles, labels, ncols=columns, **about)
+        fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
+        self.figure.suptitle(self.layout.table.get("title") or ", ".join(map(described, fixed)))
+        return self.figure
+
+
+def norm(values, layout):
+    """Return the colours of a heat map: of a logarithmic one nine decades of the values that stay at most."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return colors.Normalize(0, 1)
+    logarithmic, limits = is_logarithmic(values, layout), layout.table.get("limits")
+    if limits or not logarithmic:
+        of = colors.LogNorm if logarithmic else colors.Normalize
+        return of(*(limits or (known.min(), known.max())))
+    # Loops that ran away, or values at rounding, would waste the colours on decades that nobody looks at.
+    positive = known[known > 0]
+    high = positive[positive <= RAN_AWAY].max(initial=0.0) or positive.max()
+    return colors.LogNorm(max(positive.min(), high * 1e-9), high)
+
+
+def is_logarithmic(values, layout) -> bool:
+    """Return whether a value is drawn on a logarithmic scale: as the table asks, or where values spread."""
+    known = values[np.isfinite(values)].astype(float)  # counts and verdicts too
+    positive = known[known > 0]
+    if "log" in layout.table or not positive.size or known.min() < 0:
+        return bool(layout.table.get("log") and positive.size)
+    low, high = np.quantile(positive, [0.02, 0.98])
+    return high > 50 * low
+
+
+def described(coordinate) -> str:
+    """Return a single coordinate in words: "CN", "α = 5 1/s"."""
+    value = coordinate.values.item()
+    if isinstance(value, str):
+        return value
+    name, unit = _name(coordinate).partition(" = ")[0], coordinate.attrs.get("units", "")
+    return f"{name} = {text(value)} {unit}".removesuffix(" 1").strip()
+
+
+def axis_label(variable) -> str:
+    """Return the variable's name and unit: "α [1/s]"."""
+    unit = variable.attrs.get("units", "")
+    return f"{_name(variable)} [{unit}]" if unit not in ("", "1") else _name(variable)
+
+
+def _name(variable):
+    return variable.attrs.get("long_name") or str(variable.name).replace("_", " ")

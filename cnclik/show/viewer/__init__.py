@@ -1,1 +1,0 @@
-"""The viewer: one run of a robot in a browser, drawn by viser (extra `viewer`)."""
