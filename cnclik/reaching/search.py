@@ -1,10 +1,11 @@
 """Search: tries for the targets that are still open, in rounds, around one compiled program.
 
 The first sixteen tries begin at postures whose tips are near the target. The first that arrives is the answer; with
-`near` it is the one nearest to that. Later rounds hold tries of four kinds, see `starts.origins`; the best of a round
+`near` it is the one nearest to that. Later rounds hold tries of three kinds, see `starts.origins`; the best of a round
 go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -175,9 +176,9 @@ class Search:
 
     def rest(self, of: Targets, block) -> np.ndarray:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
-        asked, n, K = self.asked, self.n, len(of.pose)
+        asked, n, K, tried = self.asked, self.n, len(of.pose), functools.partial(self.tried, of)
         far, why, order = asked.too_far(of.pose), np.zeros(K, int), np.arange(block.shape[1])
-        found = advanced(self.stages[0], nothing((K,), n), order, of.near is not None, self.tries(of), block)
+        found = advanced(self.stages[0], nothing((K,), n), order, of.near is not None, tried, block)
         for stage in self.stages[1:]:
             ids = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
             into = nothing((K,), n) if stage.status else found
@@ -192,15 +193,11 @@ class Search:
         while len(ids) and k < stage.last:
             count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
             for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
-                own, before = of.some(some), Found(*(v[some] for v in found))
-                made = advanced(stage, before, k + np.arange(count), of.near is not None, self.tries(own))
+                tried, before = functools.partial(self.tried, of.some(some)), Found(*(v[some] for v in found))
+                made = advanced(stage, before, k + np.arange(count), of.near is not None, tried)
                 for whole, part in zip(found, made, strict=True):
                     whole[some] = part
             ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
-
-    def tries(self, of: Targets):
-        """Return `tried` of some targets."""
-        return lambda *args: self.tried(of, *args)
 
     def tried(self, of: Targets, call, given, away, k, most) -> np.ndarray:
         """Return the rows (B, W, width) of tries k (W,), see `descent.attempt`; blank ones where `most` is 0."""
