@@ -61,7 +61,7 @@ def run(
     if draw != ("plane",):
         _answer(found, given.get("alpha", ()), speed)
         if made is not None:
-            _of_robot(found, made, speed, robot.endswith(".py"))
+            _of_robot(found, made, speed, str(robot).endswith(".py"))
     if not draw:
         return
     drawn, files = {}, [f"{kind}.{end}" for kind in draw for end in ("nc", "png")]
