@@ -40,10 +40,10 @@ def run(
             trajectory = made.run()
         _answer(made, trajectory, out if json else None)
         from cnclik.measure.dataset import labelled
-        from cnclik.measure.files import save_labelled
+        from cnclik.measure.files import save_netcdf
 
         data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
-        folder.write("trajectory.nc", functools.partial(save_labelled, data))
+        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
     about = {"Title": made.name, "Comment": data.attrs["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}
     with progress.bar("figures") as report:
