@@ -16,11 +16,10 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot import poses
-from cnclik.robot.bases import BALL
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
 from cnclik.robot.masses import Masses
 from cnclik.robot.poses import PoseLike
-from cnclik.robot.tree import MOST
+from cnclik.robot.tree import BALL, MOST
 
 Names = Sequence[str] | None
 REVOLUTE, PRISMATIC = "revolute", "prismatic"

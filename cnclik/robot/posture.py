@@ -72,7 +72,8 @@ def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
             low, high = chain.lower[joint.coordinate], chain.upper[joint.coordinate]
             away = {j: stretched.points[j] - stretched.points[i] for j in way if abs(stretched.axes[j] @ axis) > 0.99}
             across = {j: v - axis * (axis @ v) for j, v in away.items()}
-            above, below = ([j for j in across if np.linalg.norm(across[j]) > 0.01 and s * (j - i) > 0] for s in (-1, 1))
+            near = [j for j in across if np.linalg.norm(across[j]) > 0.01]
+            above, below = [j for j in near if j < i], [j for j in near if j > i]
             if joint.follower or not (above and below and low < high < math.inf):
                 continue
             back, on = -across[above[-1]], across[below[0]]
