@@ -37,6 +37,8 @@ class Store:
         import zarr
 
         self.path = errors.path(name, folder) / DATA
+        if not os.path.isfile(self.path / OWN):
+            raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{str(folder)!r} does not")
         try:
             mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
             if mark["checksum"] != _checksum(self.path, mark["files"]):
@@ -129,7 +131,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
     for name in there | here:
         if there.get(name) != here.get(name):
-            must = "hold results of this very spec (--fresh starts over, another --out keeps both)"
+            must = "hold results of this very spec (another --out keeps both)"
             before, now = (f"{some.get(name, 'nothing')!s:.40}" for some in (there, here))
             raise errors.fail("out", must, f"differs in {name}: {before} there, {now} here")
     with _disk(folder):

@@ -147,7 +147,7 @@ def test_a_path_that_depends_on_an_axis_and_is_begun_on_compiles_a_program_for_e
     spec = parse({"fixed": table, "axes": {"radius": [0.1, 0.2], "alpha": [1.0, 2.0]}})
     assert [a.name for a in spec.axes if not a.inner] == ["radius"]
     with pytest.raises(ArgumentError, match="hold single numbers, as each is compiled in"):
-        parse({"fixed": table, "axes": {"center": [[1.0, 1.0], [1.5, 1.0]]}})
+        parse({"fixed": table | {"reference": "line"}, "axes": {"start": [[1.0, 1.0], [1.5, 1.0]]}})
 
 
 def test_the_linear_limit_is_a_value():
