@@ -42,8 +42,10 @@ def run(
         from cnclik.measure.files import save_netcdf
 
         data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
-        folder.write("trajectory.nc", functools.partial(save_netcdf, data))  # before a reader of the answer may leave
-        _answer(made, trajectory, out if json else None)
+        try:  # before a reader of the answer may leave
+            folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+        finally:  # on a full disk, too
+            _answer(made, trajectory, out if json else None)
     about = {"Title": made.name, "Comment": data.attrs["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}
     with progress.bar("figures") as report:

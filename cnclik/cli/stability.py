@@ -110,11 +110,11 @@ def _answer(found, alpha, speed) -> None:
     print("These gains hold for any robot, posture, task and stack, each task's alpha and the rate of a posture alike.")
     if found.response:
         _costs(found, found.response, speed)
-    for alpha in _each(alpha):
-        response = found.at(alpha) if alpha else None
+    for yours in _each(alpha):
+        response = found.at(yours) if yours else None
         unstable = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
         judged = f"is stable: a step {_in_words(response, found.Ts)}" if response else unstable
-        print(f"Your gain (alpha = {alpha:g} 1/s) {judged if alpha else 'asks for no motion'}.")
+        print(f"Your gain (alpha = {yours:g} 1/s) {judged if yours else 'asks for no motion'}.")
     print("The same loop elsewhere, by explicit Euler:")
     print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
 

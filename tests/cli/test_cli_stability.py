@@ -53,7 +53,7 @@ def test_the_table_has_the_three_gains_and_those_of_explicit_euler(options, driv
 
 
 def test_json_has_the_same_numbers(capsys):
-    main("stability --Ts 10ms --delay 3 --lag 20ms --alpha 4 50 --json".split())
+    main(["stability", "--Ts", "10ms", "--delay", "3", "--lag", "20ms", "--alpha", "4", "50", "--json"])
     said, gains = json.loads(capsys.readouterr().out), ck.gains(Ts=0.01, drive=ck.Drive(delay=3, lag=0.02))
     assert [said[name] for name in GAINS] == [getattr(gains, name) for name in GAINS]
     assert said["recommended_response"] == dataclasses.asdict(gains.response) and said["reason"] == gains.reason
