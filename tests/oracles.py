@@ -110,59 +110,26 @@ def dh_product(a, alpha, d, theta, kinds, q, convention, base=None, tool=None):
     return out if tool is None else out @ tool
 
 
-def pinocchio_pose_and_jacobian(joints, tip, q):
-    """Pose (4×4) and world-aligned Jacobian (6, n) by Pinocchio.
-
-    Args:
-      joints: list of (kind "R" or "P", axis (3,), 4×4 transform from the joint before).
-      tip: 4×4 transform from the last joint.
-    """
-    import pinocchio as pin
-
-    model, parent = pin.Model(), 0
-    for i, (kind, axis, origin) in enumerate(joints):
-        unaligned = pin.JointModelRevoluteUnaligned if kind == "R" else pin.JointModelPrismaticUnaligned
-        parent = model.addJoint(parent, unaligned(*axis), pin.SE3(origin), f"j{i}")
-    frame = model.addFrame(pin.Frame("tip", parent, 0, pin.SE3(tip), pin.FrameType.OP_FRAME))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    return data.oMf[frame].homogeneous.copy(), jacobian.reshape(6, -1).copy()
-
-
 # --- loops --------------------------------------------------------------------------------------------
 
 
 def clik(method, f, q0, Ts, N, M=5):
     """q[0..N] of the loop q̇ = f(q, t), each method written out on its own.
 
-    IE and CN are Drexler (2016), eqs. 2 and 6-12: Picard iteration from the explicit slope, θ[k] stays, the
-    target is taken at k + 1, CN is the mean of the EE and the IE increment.
+    CN is Drexler (2016), eqs. 2 and 6-12: Picard iteration from the explicit slope, θ[k] stays, the target is taken
+    at k + 1, and the mean of the EE and the IE increment.
     """
     q, path = np.array(q0, float), [np.array(q0, float)]
     for k in range(N):
         t = k * Ts
         explicit = f(q, t)
-        if method in ("IE", "CN"):
-            slope = explicit
-            for _ in range(M):
-                slope = f(q + Ts * slope, t + Ts)
-            implicit = slope
         if method == "EE":
             move = explicit
-        elif method == "IE":
-            move = implicit
         elif method == "CN":
-            move = (explicit + implicit) / 2
-        elif method == "TRAPEZOID":
-            end = explicit
+            implicit = explicit
             for _ in range(M):
-                end = f(q + Ts * (explicit + end) / 2, t + Ts)
-            move = (explicit + end) / 2
-        elif method == "HEUN":
-            move = (explicit + f(q + Ts * explicit, t + Ts)) / 2
-        elif method == "MIDPOINT":
-            move = f(q + Ts / 2 * explicit, t + Ts / 2)
+                implicit = f(q + Ts * implicit, t + Ts)
+            move = (explicit + implicit) / 2
         elif method == "RK4":
             k2 = f(q + Ts / 2 * explicit, t + Ts / 2)
             k3 = f(q + Ts / 2 * k2, t + Ts / 2)

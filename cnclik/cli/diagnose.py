@@ -88,7 +88,7 @@ def _stack(log, Ts, tasks) -> tuple:
     with errors.called(f"{next(iter(tasks))}.signal", "LOG"):
         found = diagnose_tasks(signals, Ts, alpha=known)
     task = found.change[0] if found.change else next(iter(tasks))
-    fields = {"change": found.change, "recommended_alpha": found.recommended_alpha}
+    fields: dict = {"change": found.change, "recommended_alpha": found.recommended_alpha}
     fields["tasks"] = {name: _fields(each) for name, each in found.tasks.items()}
     names = [log.names[i] for i in tasks[task][0]]
     return fields, str(found), drawn_by("diagnosis", "oscillation", signals[task], found.tasks[task], names)

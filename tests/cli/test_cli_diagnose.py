@@ -5,6 +5,7 @@ import pathlib
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from cnclik.cli import main
 from cnclik.cli.log import read
@@ -83,9 +84,13 @@ def test_causes_that_no_gain_ends(tmp_path, capsys):
 
 
 def test_what_solve_writes_can_be_read(tmp_path, capsys):
-    """Its last row has no velocity: of a loop that is 17 samples late, from its joints and from its errors."""
-    loop = "planar:1,1 --target 1.2 0.5 --alpha 30 --Ts 0.002 --delay 17 --method EE --N 400 --csv --no-figures"
+    """Of a loop that is 17 samples late, from its joints and from its errors."""
+    loop = "planar:1,1 --target 1.2 0.5 --alpha 30 --Ts 0.002 --delay 17 --method EE --N 400 --no-figures"
     main(["solve", *loop.split(), "--out", str(tmp_path)])
+    with xr.open_dataset(tmp_path / "trajectory.nc") as data:
+        columns = {f"{name}_{label}": data[name].sel({data[name].dims[1]: label}).values
+                   for name in ("q", "e") for label in data[data[name].dims[1]].values}  # fmt: skip
+        write(tmp_path / "trajectory.csv", ["time", *columns], data.time.values, *columns.values())
     for columns in (["q_q1", "q_q2"], ["e_x", "e_y"]):
         capsys.readouterr()
         found = answer(capsys, tmp_path / "trajectory.csv", "--alpha", 30, "--columns", *columns, "--json")

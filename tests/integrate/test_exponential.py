@@ -49,12 +49,6 @@ def test_decays_by_the_exact_factor(method, alpha):
         close(e[2], np.exp(-2 * Ts * np.array(alpha)) * e[0], atol=1e-12)
 
 
-def test_error_clamp_and_feedforward_act_as_they_do():
-    law = ck.Law(SLIDERS, ck.position("xy"), alpha=1e9, error_clamp=(0.5, 1.0), feedforward=0.0)
-    made = ck.step(law, ck.line([3.0, 4.0], [9.0, 4.0], duration=1.0), np.zeros(2), 0.0, 0.1, "EXP-EE")
-    close(made.q, [0.3, 0.4], atol=1e-12)  # half a metre, and nothing of the target's motion
-
-
 # --- order --------------------------------------------------------------------------------------------
 
 

@@ -101,27 +101,6 @@ def test_batches_that_do_not_fit(args, message):
         lanes(lambda *a: a)(*args)
 
 
-def curve(x):
-    """One large result that XLA would compute on several threads."""
-    rows = x * np.linspace(0, 1, 800)
-    for k in range(1, 20):
-        rows = 0.5 * rows * rows - 1 / k
-    return rows
-
-
-def end(alpha):
-    law = ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=alpha, inverse=ck.damped(0.1))
-    return ck.solve(law, ck.hold([1.0, 1.0]), np.array([0.1, 0.5, 0.3]), 0.02, 9, "EE").q[-1]
-
-
-@pytest.mark.parametrize(("fn", "tile"), [(curve, 64), (end, 1 << 14)])
-def test_large_results_and_tiles(fn, tile):
-    x = np.linspace(0, 1, 20_000)
-    with ck.use_engine("xla"):
-        found = ck.lanes(fn, tile=tile)(x)
-    np.testing.assert_allclose(found[::97], jax.vmap(fn)(x[::97]), rtol=1e-13, atol=1e-13)
-
-
 def test_several_devices():
     """Blocks go round all devices, and come back in order; in a process of its own, told to have three."""
     code = """

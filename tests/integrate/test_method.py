@@ -52,21 +52,19 @@ def closed_form(t, q, args):
 
 LENGTHS, START = np.array([0.7, 1.1, 0.4]), np.array([0.3, -0.9, 0.6])
 FIGURE = ck.lissajous([0.4, 1.2], [0.3, 0.2], period=np.pi, phase=[0.0, 0.5])
-DIFFRAX = {"HEUN": "Heun", "IE": "ImplicitEuler"}
 
 
-@pytest.mark.parametrize("method", DIFFRAX)
-def test_against_diffrax(method):
+def test_against_diffrax():
+    """Implicit Euler by its own Newton's method."""
     import diffrax  # a second, of all workers, if it is at the top
     import optimistix
 
-    exact = dict(root_finder=optimistix.Newton(rtol=1e-12, atol=1e-12)) if method == "IE" else {}
     Ts, N = 0.05, 20
     law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
-    run = ck.solve(law, FIGURE, START, Ts, N, method, ck.picard(40))
+    run = ck.solve(law, FIGURE, START, Ts, N, "IE", ck.picard(40))
     wanted = diffrax.diffeqsolve(
         diffrax.ODETerm(closed_form),
-        getattr(diffrax, DIFFRAX[method])(**exact),
+        diffrax.ImplicitEuler(root_finder=optimistix.Newton(rtol=1e-12, atol=1e-12)),
         t0=0.0,
         t1=N * Ts,
         dt0=Ts,
@@ -125,14 +123,9 @@ TWO = dict(A=((0.0,), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2)
         (dict(order=3), "`order` must be 2, that of the weights, but is 3"),
         (dict(c=(0.0, 0.4)), "`order` must be 1, that of the weights, but is 2"),
         (dict(A=((0.0,), (0.5, 0.0), (0.5,))), "`A` must be lower triangular"),
-        (dict(A=((0.0, 0.0), (0.5, 0.0))), "`A` must be lower triangular"),
         (dict(c=(0.0,)), "`c` must have shape"),
         (dict(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
         (dict(order=0), "`order` must be at least 1"),
-        (
-            dict(A=ck.METHODS["RK4"].A, b=ck.METHODS["RK4"].b, c=ck.METHODS["RK4"].c, order=5),
-            "`order` must be 4, that of the weights, but is 5",
-        ),
     ],
 )
 def test_tableaus_that_are_none(named, message):

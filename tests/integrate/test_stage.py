@@ -63,11 +63,8 @@ def test_residual_carries_no_derivative():
         (lambda: ck.picard(-1), "`M` must be at least 0, but is -1"),
         (lambda: ck.picard(2.0), "`M` must be an integer, but is 2.0"),
         (lambda: ck.picard(True), "`M` must be an integer, but is True"),
-        (lambda: ck.picard(None), "`M` must be an integer, but is None"),
         (lambda: ck.picard(jnp.asarray(2.0)), "`M` must be an integer or an array of integers, but has dtype float64"),
-        (lambda: ck.picard(np.array([1, -2])), "`M` must be at least 0, but is -2"),
         (lambda: ck.picard(np.array([1, 7]), maximum=5), "`maximum` must be at least M = 7, but is 5"),
-        (lambda: ck.picard(np.array([1, 7]), maximum=7.5), "`maximum` must be an integer, but is 7.5"),
         (lambda: ck.picard(5, tolerance=0), "`tolerance` must be positive, but is 0"),
         (lambda: jax.jit(lambda M: ck.picard(M).M)(3), "`maximum` must be given where M is a traced array"),
     ],
@@ -110,11 +107,9 @@ def test_implicit_euler_end_point_is_the_root_scipy_finds(stage, tolerance):
 
 GAIN = jnp.array([5.0, 20.0])
 LAWS = {
-    "scalar": dict(alpha=15.0),
     "damped by singular value": dict(alpha=15.0, inverse=ck.singular_damped(0.4, 20.0)),
     "damped weighted per axis": dict(alpha=GAIN, inverse=ck.damped(0.4), weights=jnp.array([1.0, 3.0])),
     "null space": dict(alpha=GAIN, null_velocity=ck.posture(Q, 4.0)),
-    "damped null space": dict(alpha=15.0, inverse=ck.damped(0.4), null_velocity=ck.posture(Q, 4.0)),
 }
 
 
@@ -135,28 +130,9 @@ def test_correction_inverts_the_linearised_law_at_rest(kind):
     np.testing.assert_allclose(found, r + np.linalg.solve(np.eye(3) - h * derivative, f - r), atol=1e-9)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.4])
-def test_a_posture_passes_a_newton_step(damping):
-    """Away from rest, by the matrix (n, n) that the formula avoids."""
-    inverse = ck.damped(damping) if damping else ck.pseudoinverse()
-    one = ck.Law(ARM, ck.position("xy"), alpha=15.0, inverse=inverse, null_velocity=ck.posture([0.3, -0.2, 0.5], 4.0))
-    h, k = 0.3, np.array([0.7, -0.2, 1.1])
-
-    @jax.jit
-    def step(q):
-        at = evaluate(modelled(one), NEAR, jnp.zeros(()), q)
-        return at.newton(h, k), at.qdot
-
-    (found, f), J = map(np.asarray, step(Q)), np.asarray(ck.jacobian(ARM, Q))[:2]
-    inverted = J.T @ np.linalg.inv(J @ J.T + damping**2 * np.eye(2))
-    slope = 15.0 * inverted @ J + 4.0 * (np.eye(3) - inverted @ J)
-    np.testing.assert_allclose(found, k + np.linalg.solve(np.eye(3) + h * slope, f - k), atol=1e-12)
-
-
 def test_cost_in_evaluations():
     assert evaluations_per_step(ck.METHODS["EE"], ck.chord(5), 3) == 1
     assert evaluations_per_step(ck.METHODS["IE"], ck.picard(5), 3) == 6
-    assert evaluations_per_step(ck.METHODS["IE"], ck.chord(5), 3) == 6
     assert evaluations_per_step(ck.METHODS["CN"], ck.chord(5), 3) == 6
     assert evaluations_per_step(ck.METHODS["TRAPEZOID"], ck.newton(2), 3) == 1 + 2 * 4
     assert int(ck.solve(law(1.0), NEAR, Q, Ts, 4, ck.METHODS["TRAPEZOID"], ck.newton(2)).evaluations) == 4 * 9

@@ -7,26 +7,19 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.status import count, names
-from cnclik.robot.chain import REVOLUTE, Joint, assemble
-from cnclik.robot.fixed import Offset
 
 S = ck.Status
-Z = (0.0, 0.0, 1.0)
 
 
-def arm(lower=None, upper=None):
-    joints = [Joint(kind=REVOLUTE, axis=Z, origin=Offset(position=(0.0, float(i), 0.0)), coordinate=i) for i in (0, 1)]
-    return assemble(joints, Offset(position=(0.0, 1.0, 0.0)), lower=lower, upper=upper)
+def arm(lower=(-9.0, -9.0), upper=(9.0, 9.0)):
+    return ck.replace(ck.planar_arm([1.0, 1.0]), lower=tuple(lower), upper=tuple(upper))
 
 
 Q = np.array([0.2, 1.2])
 HERE = ck.hold(ck.forward(arm(), Q).position[:2])
 NEAR = ck.hold(ck.forward(arm(), Q).position[:2] + jnp.array([0.1, 0.1]))
 
-
 SLIDER = ck.from_screws([[0.0] * 3], [[1.0, 0, 0]], [0.0] * 3, kinds="P")  # J = 1: the error shrinks by R(z), exactly
-
-
 HOLD_ONE, WAVE = ck.hold([1.0]), ck.lissajous([0.0], [1.0], period=2.0)
 
 

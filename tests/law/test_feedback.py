@@ -48,19 +48,6 @@ def test_turns_of_one_gain(size):
     close(at_once, -0.5 * 49 * e, atol=1e-9)
 
 
-def test_the_error_of_an_orientation_goes_along_with_the_turn():
-    """E(t + s) = exp(T(s) e^{−α s} e) is what the law ω = ω_d + α e_R does, in 400 small steps."""
-    alpha, spin, e, Ts, N = 7.0, np.array([0.5, 1.0, -0.75]), np.array([0.6, -0.64, 0.48]), 0.2, 400
-    target, tip = np.eye(3), rotation(-e)
-    for _ in range(N):
-        half = rotation(spin * Ts / N / 2)
-        middle = scipy.spatial.transform.Rotation.from_matrix(half @ target @ tip.T).as_rotvec()
-        tip = rotation((spin + alpha * middle) * Ts / N) @ tip
-        target = half @ half @ target
-    left = scipy.spatial.transform.Rotation.from_matrix(target @ tip.T).as_rotvec()
-    close(left, np.exp(-alpha * Ts) * rotation(spin * Ts) @ e, atol=1e-3)
-
-
 def test_turns_of_gains_that_differ():
     """Φ e with Φ = (1 − e^{−K·Ts})/Ts, which is the law's own K e at Ts = 0."""
     e, alpha = np.array([0.6, -0.64, 0.48]), np.array([1.0, 7.0, 40.0])

@@ -152,14 +152,6 @@ def test_line_turns_the_shorter_way_at_constant_angular_velocity():
         close(at(reference, t, "pose")[1], half.as_matrix(), atol=1e-14)
 
 
-def test_whole_numbers_of_any_size():
-    """NumPy has no cosine of an integer that is none of its own."""
-    for huge in ({"phase": 10**25}, {"radius": 10**25}):
-        given = {"radius": 1.0, **huge}
-        found, wanted = (ck.circle([0, 0], period=1, **{k: kind(v) for k, v in given.items()}) for kind in (int, float))
-        np.testing.assert_array_equal(found.curve.first, wanted.curve.first)
-
-
 def test_circle_in_space():
     for normal in ([1.0, 2, -1], [0, 1, 0], [0, 0, -3]):
         unit = np.array(normal) / np.linalg.norm(normal)
@@ -181,10 +173,11 @@ def test_waypoints_are_the_cubic_spline(closed):
     points = LOOP if closed else POINTS
     oracle = CubicSpline(TIMES, points, bc_type="periodic" if closed else "clamped")
     reference = ck.waypoints(TIMES, points, closed=closed)
-    for t in np.linspace(0.5, 4.0, 22)[:-1]:
+    for t in np.linspace(0.0, 11.0, 45):  # held before and after, or repeated
         position, _, xdot = at(reference, t, "xyz")
-        close(position, oracle(t), atol=1e-13)
-        close(xdot, oracle(t, 1), atol=1e-12)
+        known = t if closed else np.clip(t, 0.5, 4.0)
+        close(position, oracle(known), atol=1e-13)
+        close(xdot, oracle(known, 1), atol=1e-12)
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -200,23 +193,7 @@ def test_traced_waypoints_are_the_known_ones(closed):
             close(traced, known, atol=1e-12)
 
 
-def test_waypoints_hold_before_and_after():
-    for t, k in ((0.0, 0), (0.5, 0), (4.0, -1), (9.0, -1)):
-        position, _, xdot = at(REFERENCES["waypoints"][0], t, "xyz")
-        close(position, POINTS[k], atol=1e-14)
-        close(xdot, 0, atol=1e-13)
-
-
-def test_closed_waypoints_repeat():
-    for name, task in (("waypoints-closed", "xyz"), ("waypoints-pose-closed", "pose")):
-        reference = REFERENCES[name][0]
-        for t in (0.9, 3.7):
-            for one, again in zip(at(reference, t, task), at(reference, t + 3 * 3.5, task), strict=True):
-                if one is not None:
-                    close(one, again, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["waypoints", "waypoints-closed", "waypoints-pose", "waypoints-pose-closed"])
+@pytest.mark.parametrize("name", ["waypoints-pose", "waypoints-pose-closed"])
 def test_waypoints_are_passed_with_continuous_acceleration(name):
     reference, task = REFERENCES[name]
     points = LOOP if "closed" in name else POINTS
@@ -256,15 +233,6 @@ def test_closed_orientation_through_a_full_turn():
     assert at(reference, 1e-9, "pose")[2][5] == pytest.approx(2 * np.pi / 5, rel=0.1)
 
 
-def test_waypoints_of_integers_and_of_traced_values():
-    whole = ck.waypoints([0, 1, 3], np.array([[0, 0], [1, 3], [2, 1]]))
-    oracle = CubicSpline([0, 1, 3], [[0, 0], [1, 3], [2, 1]], bc_type="clamped")
-    close(at(whole, 0.5, "xy")[0], oracle(0.5), atol=1e-14)
-    place = lambda points: ck.waypoints(TIMES, points).curve(jnp.asarray(1.7))[0]  # noqa: E731
-    slope = jax.jit(jax.jacfwd(place))(POINTS)
-    close(np.einsum("ikl,kl->i", slope, POINTS), place(POINTS), atol=1e-13)  # linear in its points
-
-
 # --- streams of targets, which are never known before they come ---------------------------------------
 
 ARRIVALS = np.arange(0, 1.0, 1 / 30)
@@ -300,28 +268,22 @@ def test_a_stream_of_rotations_and_uneven_times():
 TURN = np.eye(3)
 BAD = [
     (lambda: ck.hold(None), "`target` must be a position or come with a `rotation`"),
-    (lambda: ck.hold(1.0), r"`target` must have shape \(n,\), but has shape \(\)\."),
     (lambda: ck.hold([1, 2, 3, 1, 0, 0, 0], TURN), "`rotation` must be left out where `target` is a whole pose"),
     (lambda: ck.hold([1, 2, 3, 4]), r"1 to 3 coordinates \(joint values are given by hold\(values=...\)\), but has 4"),
     (lambda: ck.hold(np.eye(3)), r"`target` must have shape \(n,\), but has shape \(3, 3\)"),
-    (lambda: ck.hold(2 * np.eye(4)), "`target` must hold a rotation, .* off by 3"),
     (lambda: ck.hold([np.nan, 0]), r"`target` must be finite, but is nan at index \(0,\)\."),
-    (lambda: ck.hold([0.0, 0, 0], 2 * TURN), "`rotation` must hold a rotation, .* off by 3"),
     (lambda: ck.hold([0.0, 0, 0], np.diag([1, 1, -1])), "`rotation` must hold a rotation, .* mirrored"),
     (lambda: ck.hold([0.0, 0, 0], [1, 1, 0, 0]), "`rotation` must hold a unit quaternion .* norm 1.41421"),
     (lambda: ck.hold([0.0, 0, 0], [1, 0, 0]), r"`rotation` must have 4 numbers or shape \(3, 3\), but has 3"),
     (lambda: ck.line([0, 0], [1, 1], duration=0), "`duration` must be positive, but is 0"),
     (lambda: ck.line([0, 0], [1, 1, 1], duration=1), r"`end` must have the shape of `start`, but has shape \(3,\)"),
-    (lambda: ck.line([0, 0], None, duration=1), "`end` must have the shape of `start`"),
     (lambda: ck.line([0], [1], duration=1, rotation_end=TURN), "`rotation` must be given with `rotation_end`"),
     (lambda: ck.circle([0], 1, period=1), r"`center` must have 2 or 3 numbers, but has 1"),
-    (lambda: ck.circle(None, 1, period=1), "`center` must be an array of real numbers, but is None"),
     (lambda: ck.circle([0, 0], -1, period=1), "`radius` must be at least 0, but is -1"),
     (lambda: ck.circle([0, 0], 1, period=0), "`period` must not be 0"),
     (lambda: ck.circle([0, 0], 1, period=1, normal=[0, 0, 1]), "`normal` must be left out for a circle in a plane"),
     (lambda: ck.circle([0, 0, 0], 1, period=1, normal=[0, 0, 0]), "`normal` must not be the zero vector"),
     (lambda: ck.lissajous([0, 0], [1], period=1), r"`amplitude` must have 2 numbers, but has 1"),
-    (lambda: ck.lissajous([0, 0], [1, 1], period=1, phase=[0]), r"`phase` must have 2 numbers"),
     (lambda: ck.waypoints([0], [[1, 1]]), "`times` must hold at least two times, but holds 1"),
     (lambda: ck.waypoints([0, 0], [[1, 1]] * 2), r"`times` must increase, but is \[0.0, 0.0\]"),
     (lambda: ck.waypoints([0, 1]), "`positions` must be given, or `rotations`"),
@@ -329,12 +291,8 @@ BAD = [
     (lambda: ck.waypoints([0, 1], None, [TURN] * 3), r"`rotations` must have shape \(2, 4\) or \(2, 3, 3\)"),
     (lambda: ck.waypoints([0, 1, 2], [[1, 0], [0, 1], [-1, 0]], closed=True), "`positions` must end where it starts"),
     (lambda: ck.waypoints([0, 1], None, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]], closed=True), "`rotations` must end where"),
-    (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=TURN), "`closed` must be True or False, but is"),
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=None), "`closed` must be True or False, but is None"),
-    (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=[[1], [1, 2]]), "`closed` must be True or False, but is"),
     (lambda: ck.causal(5), "`reference` must be a Reference such as"),
-    (lambda: ck.waypoints([0, 1], None, [np.diag([1, 1, -1])] * 2), "`rotations` must hold rotations, .* mirrored"),
-    (lambda: ck.resampled([0.0, 1.0]), "`positions` must be given, or `rotations`"),
     (lambda: ck.resampled([0.0, 0.0], np.zeros((2, 2))), "`times` must increase"),
     (lambda: jax.jit(lambda t: ck.waypoints(t, POINTS).curve(0.0))(TIMES), "`times` must be known numbers"),
     (lambda: ck.resampled([0, 1], rotations=np.zeros((2, 4))), "`rotations` must hold unit quaternions .* norm 0"),

@@ -112,18 +112,6 @@ def test_free_and_ball_joints_of_a_model_are_mujocos():
     assert ck.load_mjcf(HUMANOID, tip="sole", base="pelvis").joint_names == ("hip", "knee")
 
 
-def test_the_centre_of_mass_goes_with_the_base():
-    path = ROOT / ROBOTS["g1"]
-    model, tree = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()), read_urdf(path)
-    robot, data = chain(tree, tips=tree.tips(), base="free"), model.createData()
-    q, qdot = postures(robot, 4)[-1], np.random.default_rng(0).normal(size=robot.n)
-    theirs, v = ck.to_model_q(robot, model, q, qdot)
-    place = pin.centerOfMass(model, data, theirs, v)
-    np.testing.assert_allclose(ck.com(robot, q), place, atol=1e-12)
-    task = ck.center_of_mass().on(robot)
-    np.testing.assert_allclose(task.rows_at(modelled(robot), q) @ qdot, data.vcom[0], atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_a_files_own_free_joint_is_a_base(kind):
     text = DOG.format(JOINT.format("base", kind, '<axis xyz="0 0 1"/>'))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.cli import main
 from cnclik.robot.posture import past_straight
 from tests.oracles import robot_file
 
@@ -27,11 +26,6 @@ def test_elbows_that_bend_past_straight_are_found():
         ("left_knee_joint", 5), ("right_knee_joint", 5),
     ]  # fmt: skip
     assert past_straight(ck.ur5()) == [] and past_straight(ck.planar_arm([1.0, 1.0])) == []
-
-
-def test_the_command_says_so(capsys):
-    main(["robots", str(robot_file("g1"))])
-    assert "left_knee_joint is straight at 0.0° and bends 5° beyond" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("base", "freeze"), [("planar", {"base_x": 1.0, "base_yaw": 0.3}), ("free", {"base_z": 0.5})])

@@ -54,15 +54,6 @@ def seen(robot, task):
     return jax.jit(lambda q: (coordinates(task, At(model, q)), rows(task, At(model, q))))
 
 
-def test_joints_that_are_no_coordinates_stand_still():
-    whole = ck.load_urdf(G1, tips=[*ARMS, *FEET])
-    bent = {"left_knee_joint": 0.8, "waist_roll_joint": 0.2}
-    arm = ck.load_urdf(G1, tip=ARMS[0], freeze=bent)
-    (q,) = postures(arm, 1)
-    every = np.array([dict(zip(arm.joint_names, q, strict=True)).get(n, bent.get(n, 0.0)) for n in whole.joint_names])
-    close(ck.com(arm, q), ck.com(whole, every), atol=1e-14)
-
-
 BESIDE = {"lead": "", "first": '<mimic joint="lead" multiplier="2" offset="0.1"/>', "second": '<mimic joint="first"/>'}
 
 
@@ -138,17 +129,6 @@ def test_walls_keep_it_over_the_feet(leaning):
     run = ck.solve(law, ck.hold([0.4]), q0, 0.01, 300, "EE")
     along = np.array([ck.com(robot, q)[0] for q in np.asarray(run.q)])
     assert 0.0895 < along[-1] < 0.0901 and along.max() < 0.0901 and run.x[-1, 0] > 0.399
-
-
-def test_a_stack_has_it(leaning):
-    robot, _, q0 = leaning
-    task = ck.stack(balance=ck.center_of_mass("x"), tip=ck.position("x"))
-    law = ck.Law(robot, task, alpha=5.0, inverse=ck.levels(["balance"], ["tip"], damping=(1e-3, 0.05)))
-    wanted = ck.references(balance=ck.hold(values=[0.05]), tip=ck.hold([0.3]))
-    run = ck.solve(law, wanted, q0, 0.01, 300, "EE")
-    assert law.task.names == ("balance.x", "tip.x") and law.task.units == ("m", "m")
-    close(ck.com(robot, run.q[-1])[0], 0.05, atol=1e-5)
-    close(run["tip"].x[-1], 0.3, atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -105,15 +105,6 @@ def test_rows_are_derivatives(robot, name):
         close(made(q)[1] @ along, wanted, atol=1e-7)
 
 
-def test_a_distance_is_controlled():
-    task = ck.stack(apart=ck.distance(*PANDA_PAIRS["sphere, capsule"]), rest=ck.joints(weights=np.full(7, 0.1)))
-    law = ck.Law(FRANKA, task, alpha=5.0, inverse=ck.damped(0.01))
-    q0 = np.array([0.0, -0.3, 0.1, -2.0, 0.1, 1.8, 0.5])
-    paths = ck.hold_at(FRANKA, task, q0, apart=ck.hold([0.3]))
-    run = ck.solve(law, paths, q0, 0.01, 200, "EE")
-    close(run["apart"].x[-1], 0.3, atol=0.01)
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [

@@ -114,39 +114,6 @@ def step_of(law, reference, q):
     return np.asarray(ck.step(law, reference, q, 0.0, 1e-3, "EE").qdot)
 
 
-def moving(q, seed=0):
-    """References some way off the posture's own tips, moving."""
-    rng, task = np.random.default_rng(seed), STACK
-
-    def off(tip, turn=True):
-        at = ck.forward(HUMANOID, q, tip=tip)
-        where, v = np.asarray(at.position), 0.1 * rng.normal(size=3)
-        start = where + 0.05 * rng.normal(size=3)
-        return ck.line(start, start + v, duration=1.0, rotation=np.asarray(at.rotation) if turn else None)
-
-    feet, hands = ({tip: off(tip) for tip in tips} for tips in (FEET, ARMS))
-    torso = ck.hold(None, np.asarray(ck.forward(HUMANOID, q, tip="torso_link").rotation))
-    return ck.references(feet=ck.references(**feet), hands=ck.references(**hands), torso=torso), task
-
-
-def test_a_weighted_step_is_numpys_least_squares():
-    alpha = {"feet": 50.0, "hands": 10.0, "torso": [5.0, 2.0]}
-    q = postures(HUMANOID, 1, seed=2)[0]
-    aims, task = moving(q)
-    law, lam = ck.Law(HUMANOID, task, alpha=alpha, inverse=ck.damped(0.05)), 0.05
-    e, j = (np.asarray(v) for v in seen(modelled(HUMANOID), law.task, q, aims))
-    gains = np.concatenate([np.full(12, 50.0), np.full(9, 10.0), [5.0, 2.0]])
-    xdot = []
-    for name, tips in (("feet", FEET), ("hands", ARMS)):
-        for tip in tips:
-            v = np.asarray(aims[name][tip].curve.end) - np.asarray(aims[name][tip].curve.start)
-            xdot += [*v] if tip == ARMS[1] else [*v, 0, 0, 0]
-    w, v = np.asarray(task.weights), np.array([*xdot, 0, 0]) + gains * e
-    matrix = np.concatenate([w[:, None] * j, lam * np.eye(HUMANOID.n)])
-    wanted = np.linalg.lstsq(matrix, np.concatenate([w * v, np.zeros(HUMANOID.n)]), rcond=None)[0]
-    close(step_of(law, aims, q), wanted, atol=1e-9)
-
-
 def recursion(levels, lams):
     """Damped priorities with the projectors that match (Siciliano & Slotine 1991): [(J, v)] of each level."""
     n = levels[0][0].shape[1]
@@ -165,26 +132,12 @@ def test_levels_are_the_recursion(lams):
     task = ck.stack(tip=ck.position("xy"), angle=ck.orientation("z"), rest=ck.joints())
     there = ck.hold_at(PLANAR, task, q + 0.1)
     aims = ck.hold_at(PLANAR, task, np.add(q, [0.2, -0.1, 0.1, 0.0]), tip=there["tip"], rest=ck.hold(values=-q))
-    law = ck.Law(PLANAR, task, alpha=4.0, inverse=ck.levels(*([n] for n in order), damping=lams))
+    gains = {"angle": 4.0, "tip": np.array([3.0, 5.0]), "rest": 2.0}
+    law = ck.Law(PLANAR, task, alpha=gains, inverse=ck.levels(*([n] for n in order), damping=lams))
     e, j = (np.asarray(v) for v in seen(modelled(PLANAR), law.task, q, aims))
     parts = {name: law.task.of(name) for name in order}
-    wanted = recursion([(j[rows], 4.0 * e[rows]) for rows in parts.values()], lams)
+    wanted = recursion([(j[rows], gains[name] * e[rows]) for name, rows in parts.items()], lams)
     close(step_of(law, aims, q), wanted, atol=1e-8 * np.abs(wanted).max())
-
-
-@pytest.mark.parametrize(("method", "factor"), [("EE", lambda z: 1 - z), ("EXP-EE", lambda z: np.exp(-z))])
-def test_each_task_has_its_own_factor(method, factor):
-    """Of an error that is left after a step, to 1e-6 from z = 0.1 to 100, where the tasks don't fight."""
-    robot, Ts = ck.load_urdf(BAXTER, tips=GRIPPERS), 0.01
-    task = ck.stack(left=ck.position(tip=GRIPPERS[0]), right=ck.position(tip=GRIPPERS[1]))
-    q = 0.4 + np.zeros(robot.n)
-    aims = {tip: np.asarray(ck.forward(robot, q, tip=tip).position) + 3e-9 for tip in GRIPPERS}
-    reference = ck.references(left=ck.hold(aims[GRIPPERS[0]]), right=ck.hold(aims[GRIPPERS[1]]))
-    for z in (0.1, 1.0, 10.0, 100.0):
-        law = ck.Law(robot, task, alpha={"left": z / Ts, "right": 0.3 * z / Ts})
-        run = ck.solve(law, reference, q, Ts, 1, method, ck.chord(4))
-        made = np.asarray(run.e[1] / run.e[0])
-        close(made, np.repeat([factor(z), factor(0.3 * z)], 3), atol=1e-6, rtol=1e-6)
 
 
 def test_a_run_tells_what_each_task_did():
@@ -212,52 +165,6 @@ def test_a_run_tells_what_each_task_did():
 
 
 # --- loops --------------------------------------------------------------------------------------------
-
-TWO = bank.robot("two arms")
-TIPS, Q = [t.name for t in TWO.tips], np.array([0.2, -0.4, 0.7, 0.5, -0.6, -0.8])
-BOTH = ck.stack(one=ck.pose("xy", "z", tip=TIPS[0]), two=ck.position("xy", tip=TIPS[1]))
-
-
-def circles():
-    """Circles that begin a little off the tips, one of them at an angle."""
-    places = [ck.forward(TWO, Q, tip=tip) for tip in TIPS]
-    turns, centers = (
-        (np.asarray(places[0].rotation), None),
-        [np.asarray(at.position)[:2] - [0.1, 0.02] for at in places],
-    )
-    each = [ck.circle(c, 0.1, period=p, rotation=r) for c, p, r in zip(centers, (3.0, 2.0), turns, strict=True)]
-    return ck.references(one=each[0], two=each[1])
-
-
-def both(gains, lams):
-    inverse = ck.levels(["one"], ["two"], damping=(lams[0], lams[1]))
-    return ck.Law(TWO, BOTH, alpha={"one": gains[0], "two": gains[1]}, inverse=inverse)
-
-
-def test_methods_keep_their_orders():
-    """Those of docs/methods.md: with damping, exponential steps answer another question in first order."""
-    one = both((6.0, np.array([3.0, 2.0])), (0.05, 0.2))
-    ends = lambda method, N: np.asarray(ck.solve(one, circles(), Q, 0.5 / N, N, method).q[-1])  # noqa: E731
-    exact = ends("RK4", 1000)
-    for method, order, N in (("RK4", 4, 40), ("EXP-MIDPOINT", 1, 160)):
-        coarse, fine = (np.linalg.norm(ends(method, n) - exact) for n in (N, 2 * N))
-        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.15), method
-
-
-def test_gradients_are_differences():
-    """Through gains of tasks and dampings of levels."""
-    paths = circles()
-
-    @jax.jit
-    @jax.vmap
-    @jax.value_and_grad
-    def loss(x):
-        run = ck.solve(both(x[:2], x[2:]), paths, Q, 0.02, 3, "EE")
-        return jnp.sum(run.e[-1] ** 2) + 1e-3 * jnp.sum(run.qdot**2)
-
-    x, h = np.array([20.0, 10.0, 0.02, 0.1]), np.diag([1e-4, 1e-4, 1e-6, 1e-6])
-    values, slopes = loss(np.concatenate([[x], x + h, x - h]))
-    close(slopes[0], (values[1:5] - values[5:]) / (2 * np.diag(h)), rtol=1e-5)
 
 
 # --- what is refused ----------------------------------------------------------------------------------
