@@ -136,8 +136,8 @@ def start(chain, task, starts: Starts, target, near, given, away, low, high, k):
         base += math.prod(_shape(aim))
     drawn = jnp.stack([starts.postures[where[own[j]], j] for j in range(chain.n)]).astype(target.dtype)
     middle, width = (least + most) / 2, np.maximum(most - least, 1e-9)
-    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES)[(number // 4) % 4], 1.0)
-    bounded, stretch = jnp.isfinite(high - low), stretch.astype(target.dtype)
+    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES, target.dtype)[(number // 4) % 4], 1.0)
+    bounded = jnp.isfinite(high - low)
     beyond = ((drawn < low) | (drawn > high) | (stretch > 1)) & bounded
     between = low + jnp.where(bounded, high - low, 0.0) * (0.5 + stretch * (drawn - middle) * (1 / width))
     q = jnp.where(there, given + away * (drawn - middle), jnp.where(beyond, between, drawn))
