@@ -147,8 +147,9 @@ def _each(alpha) -> list:
 
 def _in_words(response, Ts) -> str:
     """What a step does, and what the loop tolerates."""
-    over = f"overshoots by {100 * response.overshoot:.2g} % (ζ = {response.damping_ratio:.2g})"
-    over = over if response.overshoot > 1e-3 else "does not overshoot"
+    over = f"{100 * response.overshoot:.2g} %" if response.overshoot > 1e-3 else "less than 0.1 %"
+    rings = response.overshoot > 1e-3 or round(response.damping_ratio, 2) < 1
+    over = f"overshoots by {over} (ζ = {response.damping_ratio:.2g})" if rings else "does not overshoot"
     settles = f"settles in {response.settling_time:.3g} s"
     settles = settles if response.settling_time < math.inf else "does not settle to within 2 % in the simulated time"
     late = f"{in_samples(response.delay_margin / Ts, Ts)} more" if response.delay_margin < math.inf else "any"

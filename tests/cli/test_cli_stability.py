@@ -75,6 +75,8 @@ def test_the_given_gain_is_judged(capsys):
     gains = ck.gains(Ts=0.01, drive=ck.Drive(delay=3, lag=0.02))
     said, response = shown(capsys, *drive, "--alpha", 12), gains.at(12)
     assert "yours 12 0.12 " in said and "Your gain (alpha = 12 1/s) is stable: a step overshoots by 12 %" in said
+    swings = shown(capsys, "--Ts", "10ms", "--delay", 3, "--alpha", 12)  # above 11.15, by 0.03 %
+    assert "a step overshoots by less than 0.1 % (ζ = 0.93)" in swings
     late = response.delay_margin / 0.01
     assert f"tolerates {response.gain_margin:.3g} times this gain, or {late:.4g} samples" in said
     said = shown(capsys, *drive, "--alpha", 50, 4)  # each gain of several
