@@ -126,7 +126,7 @@ class _Case:
 
     def verdict(self) -> Verdict:
         kind, words, (change, remedy) = self.judged()
-        tasks = {name: self.of_task(at) for name, at in self.law.task.each} if self.finite.all() else {}
+        tasks = {name: self.of_task(at, kind) for name, at in self.law.task.each} if self.finite.all() else {}
         words = "; ".join([words, *(f"{name} {what}" for name, what in tasks.items())])
         sentence = f"{kind}: {words}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else "")
         error = float(self.error)
@@ -159,7 +159,9 @@ class _Case:
         if self.shrinks():
             left = self.error / self.size[self.before].max()
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
-        return Behaviour.HELD_BACK, f"the run does not show by what; {said} and stays", NO_REMEDY
+        contradict = "its tasks share the joints and contradict each other there"
+        words = contradict if self.law.task.tasks else "the run does not show by what"
+        return Behaviour.HELD_BACK, f"{words}; {said} and stays", NO_REMEDY
 
     def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
@@ -209,10 +211,11 @@ class _Case:
         each = {u: np.linalg.norm(e[:, units == u], axis=1).max() for u in ("m", "rad", "") if u in units}
         return " and ".join(aloud(float(size), unit) for unit, size in each.items())
 
-    def of_task(self, at) -> str:
-        """What a task of a stack did, in words."""
+    def of_task(self, at, kind) -> str:
+        """What a task of a stack did, in words; its error alone where the run shakes or is too short to tell."""
         state = "settled" if self.arrived(at) else "stays" if self.still else "following"
-        return f"{self.largest(some=at)} ({state})"
+        says = state == "settled" or kind in (Behaviour.SETTLED, Behaviour.FOLLOWING, Behaviour.HELD_BACK)
+        return f"{self.largest(some=at)}{f' ({state})' * says}"
 
     def held(self) -> str:
         """What acts against the motion while the error is large, in words; "" where nothing does."""
@@ -239,7 +242,7 @@ class _Case:
             return causes
         if np.mean((self.status[self.last] & Status.NEAR_SINGULAR) != 0) >= OFTEN:
             return "next to a singularity"
-        return "its tasks share the joints and contradict each other there" if self.law.task.tasks else ""
+        return ""
 
     def acted(self) -> tuple[np.ndarray, str]:
         """(steps in which a limit or wall acted (N,), what acted, in words)."""

@@ -114,6 +114,14 @@ def test_each_task_of_a_stack_has_its_line():
     assert said.kind == Behaviour.HELD_BACK and "contradict" in str(said) and "(stays)" in said.tasks["hand"], said
 
 
+@pytest.mark.parametrize(("alpha", "kind"), [(24.0, "growing"), (1.0, "too short to tell")])
+def test_no_task_of_a_run_that_grows_or_still_moves_stays_or_follows(alpha, kind):
+    tasks = ck.stack(hand=XY, rest=ck.joints())
+    law = ck.Law(FIVE, tasks, alpha=alpha, inverse=ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1)))
+    said = judge(law, ck.hold_at(FIVE, tasks, Q5, hand=NEAR), Q5, 0.1, 20)
+    assert said.kind == kind and "stays" not in str(said) and "following" not in str(said), said
+
+
 def test_causes_are_those_of_the_run():
     z = ck.Law(FIVE, ck.position("xyz"), alpha=5.0, inverse=ck.damped(0.01))
     said = judge(z, ck.hold([*(0.9 * TIP), 0.1]), Q5, 0.1, 100)
