@@ -70,11 +70,11 @@ class Measured(NamedTuple):
 
     @property
     def position(self):
-        return self.run.e[..., np.array(self.law.task.lengths, int)]
+        return _only(self.run.e, self.law.task.lengths)
 
     @property
     def rotation(self):
-        return self.run.e[..., np.array(self.law.task.angles, int)]
+        return _only(self.run.e, self.law.task.angles)
 
 
 class Metric(NamedTuple):
@@ -88,6 +88,11 @@ class Metric(NamedTuple):
 
 def _finite(value):
     return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+
+def _only(rows, some):
+    """Return rows (N, m) with 0 in all but some columns. An index array would make N lines of C, compiled for long."""
+    return jnp.where(np.isin(np.arange(rows.shape[-1]), some), rows, 0.0)
 
 
 def _squares(rows):
@@ -121,7 +126,7 @@ def _split(of):
     """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
     task, model = of.law.task, modelled(of.law.chain)
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
-    e, v = of.position, toward(of.run.t, of.run.q)[:, np.array(task.lengths, int)]
+    e, v = of.position, _only(toward(of.run.t, of.run.q), task.lengths)
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
