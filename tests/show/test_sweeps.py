@@ -126,6 +126,8 @@ def test_figures_that_cannot_be(table, words):
 
 
 def test_defaults_follow_from_the_grid():
+    one = defaults(data(alpha=np.geomspace(1, 40, 12), Ts=[0.01], limit=False))  # an axis of one value has no plane
+    assert [(t["kind"], t["x"]) for t in one] == [("slices", "alpha")]
     kinds = [(t["kind"], t.get("x")) for t in defaults(data(**PLANE))]
     assert kinds == [("heat", "alpha"), ("best", "alpha"), ("slices", "evaluations")]
     line = data(M=np.arange(3), alpha=np.linspace(1, 2, 4)).drop_vars("evaluations")
