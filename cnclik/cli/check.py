@@ -42,6 +42,8 @@ def run(
     elif tip is not None:
         raise errors.fail("tip", "come with ROBOT", "comes without")
     limits = limits or (robot if robot in PUBLISHED else None)
+    if limits is not None and not Path(limits).suffix:
+        errors.one_of("limits", limits, PUBLISHED, ", or FILE.csv")
     table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
     sent, moved = ([], []) if found.chosen else found.pairs()
     places = found.chosen or moved or found.joints()

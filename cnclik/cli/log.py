@@ -82,10 +82,12 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
       columns: columns to read, by name or number; default: all but times, status, velocities and efforts. Of commands
         and motion: all commands, then all motions.
     """
+    import numpy as np
+
     from cnclik.problem.tables import read_columns
 
     names, table = read_columns("LOG", log)
-    if table.size == 0:
+    if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
     t, times, unit = clock(names, table)
     if t is None and Ts is None:

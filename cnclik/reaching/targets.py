@@ -100,6 +100,7 @@ def _parts(name, target, aim):
     if not aim.angular and len(aim.linear) < 3:
         needed = f"{len(aim.linear)} numbers, {' '.join('xyz'[i] for i in aim.linear)} [m], or {needed}"
     held = f"holds {target.shape[-1]}" if target.ndim in (1, 2) else f"has shape {target.shape}"
+    held += ", as for the task position" * (target.shape[-1:] == (3,) and bool(aim.angular))
     raise errors.fail(name, f"hold {needed}", held)
 
 

@@ -120,6 +120,12 @@ MISTAKES = [
     ("diagnose bare.csv", "Option `--Ts` must be given where no column is called t, time or stamp"),
     ("diagnose way.csv --Ts 1 --columns zz --step", "Option `--columns` must name as many"),
     ("diagnose empty.csv --Ts 1", "must hold numbers"),
+    ("diagnose two.urdf", "Argument `LOG` must hold numbers, but two.urdf holds none."),
+    (
+        "check log.csv --limits pandda",
+        "must be one of panda, fr3, or FILE.csv, but is 'pandda' (did you mean 'panda'?).",
+    ),
+    ("reach panda --target 0.3 0 0.4", "a quaternion w x y z, but holds 3, as for the task position."),
     ("diagnose semicolons.csv --Ts 2ms", "must have columns that are separated by commas"),
     ("check log.csv --tip left", "Option `--tip` must come with ROBOT"),
     ("check nowhere.csv", "must name a CSV file that can be read, but nowhere.csv: No such file"),
