@@ -9,8 +9,6 @@ import pathlib
 import numpy as np
 import scipy.linalg
 
-# --- robots -------------------------------------------------------------------------------------------
-
 # file, tip, base: robots people own, 6 to 8 joints, prismatic and continuous ones among them.
 ARMS = {
     "Panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp", None),
@@ -110,9 +108,6 @@ def dh_product(a, alpha, d, theta, kinds, q, convention, base=None, tool=None):
     return out if tool is None else out @ tool
 
 
-# --- loops --------------------------------------------------------------------------------------------
-
-
 def clik(method, f, q0, Ts, N, M=5):
     """q[0..N] of the loop q̇ = f(q, t), each method written out on its own.
 
@@ -160,8 +155,6 @@ def damped_inverse(damping):
     """Jᵀ(JJᵀ + λ²I)⁻¹ by a general solver."""
     return lambda j: j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(len(j)))
 
-
-# --- amplification ------------------------------------------------------------------------------------
 
 # R(z), the factor of the error per step, stages solved exactly.
 AMPLIFICATION = {

@@ -9,8 +9,6 @@ import cnclik as ck
 from cnclik import reading
 from cnclik.cli import main
 from cnclik.problem.tables import read_columns
-from cnclik.reaching import targets
-from cnclik.task.build import orientation
 
 
 @pytest.fixture
@@ -67,15 +65,3 @@ def test_numbers_too_wild_for_a_spline():
         places = np.concatenate([places, np.zeros((3, 2))], axis=1)
         with pytest.raises(ck.ArgumentError, match="`positions` must be such that a smooth path leads through them"):
             ck.waypoints(times, places)
-
-
-def test_quaternions_that_no_float_can_square():
-    for size in (1e-300, 1e300):
-        with pytest.raises(ck.ArgumentError, match=r"hold a unit quaternion w x y z, but has one of norm (0|inf)"):
-            targets.read(size * np.array([[1.0, 1.0, 0.0, 0.0]]), orientation())
-    assert not np.isfinite(targets.read(np.array([[np.inf, 1.0, 0.0, 0.0]]), orientation())[0][0, 3:]).any()
-
-
-def test_rotations_too_wild_to_multiply():
-    with np.errstate(all="raise"), pytest.raises(ck.ArgumentError, match="hold a rotation"):
-        targets.read(np.diag([1e308, 1e308, 1.0, 1.0]), orientation())

@@ -111,16 +111,6 @@ def test_a_folder_without_permission(tmp_path):
     tmp_path.chmod(0o700)
 
 
-def test_files_are_synced_as_windows_asks(tmp_path, monkeypatch):
-    """Its `fsync` refuses what is open to be read only."""
-    fcntl = pytest.importorskip("fcntl")
-    modes = []
-    monkeypatch.setattr(os, "fsync", lambda file: modes.append(fcntl.fcntl(file, fcntl.F_GETFL) & os.O_ACCMODE))
-    with output_folder(tmp_path) as folder:
-        folder.write_text("one.txt", "1")
-    assert modes and set(modes) == {os.O_RDWR}
-
-
 def test_what_stands_in_the_way_is_known_before_any_work(tmp_path, monkeypatch):
     """A file of another in a folder of ours; a folder in its place; a full disk."""
     with output_folder(tmp_path, overwrite=False) as folder:

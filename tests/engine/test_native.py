@@ -116,11 +116,29 @@ def test_without_a_c_form_it_is_the_function():
 
 
 @pytest.mark.parametrize("key", [jax.random.key(0), jax.random.PRNGKey(0)], ids=["typed", "raw"])
-def test_a_key_of_random_numbers_may_be_an_argument(key):
+def test_a_key_of_random_numbers_may_be_an_argument_and_a_result(key):
     def of(key, x):
         return x * jax.random.normal(key, (3,))
 
     same(jax.grad(lambda x: jnp.sum(ck.native(of)(key, x)))(X), of(key, jnp.ones(3)))
+    found, two = ck.native(lambda key: (jax.random.split(key), 2.0))(key)
+    assert jnp.all(found == jax.random.split(key)) and two == 2.0
+
+
+def test_empty_arrays():
+    def of(x):
+        sums = x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.sort(x), jnp.any(x > 1, 0)
+        algebra = jnp.linalg.cholesky(x), jnp.linalg.solve(x, x[:, :0]), jnp.linalg.inv(x)
+        places = (
+            jnp.ones(3).at[x.ravel().astype(int)].set(0.0),
+            jnp.concatenate([x.ravel(), jnp.ones(2)]),
+            jnp.pad(x, 1),
+        )
+        return sums, algebra, places, lax.scan(lambda c, v: (c + v.sum(), v), 1.0, x)
+
+    empty = np.zeros((0, 0))
+    same(jax.tree.map(np.asarray, ck.native(of)(empty)), jax.tree.map(np.asarray, of(empty)))
+    same(ck.lanes(of)(empty[None]), jax.vmap(of)(empty[None]))
 
 
 def test_errors_are_the_functions_own():
@@ -148,52 +166,3 @@ def test_for_a_gpu_it_is_jax_alone(fn):
     """Lowered for CUDA, without one: neither C nor LAPACK, and the engine's scalars."""
     text = jax.jit(fn).trace(np.zeros((300, 7))).lower(lowering_platforms=("cuda",)).as_text()
     assert "custom_call" not in text and "dot_general" not in text and "sine" in text
-
-
-@pytest.mark.parametrize("fn", [jax.random.split, lambda key: (key, {"x": 2.0})], ids=["keys", "beside a number"])
-def test_a_key_may_be_a_result(fn):
-    key = jax.random.key(0)
-    found, wanted = (jax.tree.leaves(f(key)) for f in (ck.native(fn), fn))
-    for a, b in zip(found, wanted, strict=True):
-        a, b = (jax.random.key_data(v) if jax.dtypes.issubdtype(jnp.asarray(v).dtype, jax.dtypes.prng_key) else v
-                for v in (a, b))  # fmt: skip
-        np.testing.assert_array_equal(a, b)
-
-
-EMPTY = np.zeros((0, 0))
-OF_NOTHING = {
-    "factor": jnp.linalg.cholesky,
-    "solve": lambda x: jnp.linalg.solve(x, x[:, :0]),
-    "inverse": jnp.linalg.inv,
-    "sums": lambda x: (x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.sort(x)),
-    "stacks": lambda x: lax.scan(lambda c, v: (c + v.sum(), v), 1.0, x),
-    "places": lambda x: (
-        jnp.ones(3).at[x.ravel().astype(int)].set(0.0),
-        jnp.concatenate([x.ravel(), jnp.ones(2)]),
-        jnp.pad(x, 1),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", OF_NOTHING)
-def test_empty_arrays(name):
-    of = OF_NOTHING[name]
-    same(jax.tree.map(np.asarray, ck.native(of)(EMPTY)), jax.tree.map(np.asarray, of(EMPTY)))
-    same(ck.lanes(of)(EMPTY[None]), jax.vmap(of)(EMPTY[None]))
-
-
-def test_a_loop_of_a_batch_in_a_users_task():
-    """A function that finds several numbers at once, each by as many rounds as it takes."""
-
-    def roots(robot, q):
-        def root(v):
-            return lax.while_loop(lambda s: jnp.abs(s * s - v) > 1e-9, lambda s: (s + v / s) / 2, v)
-
-        return jax.vmap(root)(1.0 + ck.forward(robot, q).position[:2] ** 2)
-
-    arm, runs = ck.planar_arm([1.0, 0.8, 0.5]), []
-    law = ck.Law(arm, ck.function(roots, ["a", "b"], ["1", "1"]), alpha=2.0)
-    for engine in (None, "plain"):
-        with ck.use_engine(engine):
-            runs.append(ck.solve(law, ck.hold([1.2, 1.3]), np.array([0.3, 0.4, 0.5]), 0.05, 12, "EE").q)
-    np.testing.assert_allclose(*runs, atol=1e-9)

@@ -13,6 +13,7 @@ from cnclik.robot.files import read_robot
 from cnclik.robot.mjcf import read_mjcf
 from cnclik.robot.urdf import chain
 from tests.oracles import close, robots
+from tests.refusals import refusals
 from tests.robot.test_trees import postures
 
 mujoco = pytest.importorskip("mujoco")
@@ -47,8 +48,6 @@ HUMANOID = """<mujoco><worldbody><body name="pelvis" pos="0 0 1"><freejoint name
 URDFS = {
     "panda": "panda_description/urdf/panda.urdf",
     "g1": "g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
-    "baxter": "baxter_description/urdf/baxter.urdf",
-    "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
 }
 
 
@@ -185,27 +184,20 @@ def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
     assert ck.load_mjcf(CLOSED.format('<joint joint1="r" joint2="p" polycoef="0 1 2 0 0" active="false"/>')).n == 2
 
 
-@pytest.mark.parametrize(
-    ("call", "says"),
-    [
-        (lambda: ck.load_mjcf(HUMANOID, tip="soles", base="pelvis"), "`tip` must be one of .* 'soles' .did you mean"),
-        (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="free"), "`base` must be left out .* joint 'root' already"),
-        (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but the text: "),
-        (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but the text: "),
-        (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
-        (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
-        (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),
-        (lambda: ck.from_model_q(*humanoid(), np.zeros(13)), "`q` must hold a quaternion for each free"),
-        (lambda: ck.to_model_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),
-        (lambda: ck.to_model_q(*humanoid(), np.zeros(8), np.zeros(4)), "`qdot` must have 8 numbers, but has 4"),
-        (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
-        (lambda: ck.load("panda", tip="hand"), "`tip` must be 'flange' for the robot 'panda', but is 'hand'"),
-    ],
+test_what_cannot_be_meant_is_refused = refusals(
+    (lambda: ck.load_mjcf(HUMANOID, tip="soles", base="pelvis"), "`tip` must be one of .* 'soles' .did you mean"),
+    (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="free"), "`base` must be left out .* joint 'root' already"),
+    (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but the text: "),
+    (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but the text: "),
+    (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
+    (lambda: ck.load_mjcf(3), "`model` must be an MJCF file, .* but is int"),
+    (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),
+    (lambda: ck.from_model_q(*humanoid(), np.zeros(13)), "`q` must hold a quaternion for each free"),
+    (lambda: ck.to_model_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),
+    (lambda: ck.to_model_q(*humanoid(), np.zeros(8), np.zeros(4)), "`qdot` must have 8 numbers, but has 4"),
+    (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
+    (lambda: ck.load("panda", tip="hand"), "`tip` must be 'flange' for the robot 'panda', but is 'hand'"),
 )
-def test_what_cannot_be_meant_is_refused(call, says):
-    with pytest.raises(ck.ArgumentError, match=says) as told:
-        call()
-    assert "\n" not in str(told.value)
 
 
 def test_one_reader_takes_files_and_names(tmp_path, monkeypatch, capsys):
