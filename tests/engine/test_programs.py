@@ -105,11 +105,6 @@ def test_derivatives(fn, kind):
     check(kind(fn, argnums=(0, 1)) if kind is jax.grad else kind(fn), batch(3), batch(7, 3, seed=1), ulps=500)
 
 
-def test_a_long_gradient_keeps_what_is_cheap_to_keep():
-    given = batch(3), batch(120, 3, seed=1)
-    check(jax.value_and_grad(lambda q, p: smooth(q, p[::-1])), *given, ulps=5000)
-
-
 @NEEDS_C
 def test_the_gradient_of_joined_rows_stays_a_loop():
     def fn(q, path):
@@ -120,17 +115,6 @@ def test_the_gradient_of_joined_rows_stays_a_loop():
     q, path = batch(3), batch(300, 3, seed=1)
     check(jax.grad(fn), q, path, ulps=64)
     assert Program(jax.grad(fn), lane_avals((q, path))).operations < 300
-
-
-def test_what_the_innermost_of_three_loops_stacks():
-    """Read entry by entry, within the outermost loop."""
-
-    def fn(x):
-        inner = lambda c, _: (jnp.cos(1.3 * c) + 0.1 * c, c * c)  # noqa: E731
-        middle = lambda c, _: lax.scan(inner, c, None, length=3)  # noqa: E731
-        return lax.scan(lambda c, k: lax.scan(middle, c + 0.1 * k, None, length=2), x, jnp.arange(3.0))
-
-    check(fn, batch(), ulps=64)
 
 
 def test_moves_along_time():
