@@ -16,22 +16,16 @@ from cnclik.errors import ArgumentError
     ("call", "said"),
     [
         (lambda: errors.number("x", -0.1, positive=True), "be positive, but is -0.1."),
-        (lambda: errors.number("x", -1, at_least=0), "be at least 0, but is -1."),
         (lambda: errors.number("x", float("nan")), "be finite, but is nan."),
-        (lambda: errors.number("x", jnp.inf), "be finite, but is inf."),
         (lambda: errors.number("x", "fast"), "be a number, but is 'fast'."),
         (lambda: errors.number("x", [[1], []]), "be a number, but is [[1], []]."),
         (lambda: errors.number("x", 10**400), f"be a number, but is 1{'0' * 115}…."),
         (lambda: errors.integer("x", 3.0, at_least=0), "be an integer, but is 3.0."),
-        (lambda: errors.integer("x", -1, at_least=0), "be at least 0, but is -1."),
         (lambda: errors.integer("x", 10, at_least=0, at_most=9), "be at most 9, but is 10."),
         (lambda: errors.array("x", [1, 2], (3,)), "have 3 numbers, but has 2."),
         (lambda: errors.array("x", np.ones((2, 3)), (), (2, 2)), "have shape () or (2, 2), but has shape (2, 3)."),
-        (lambda: errors.array("x", 1.0, (None,)), "have shape (n,), but has shape ()."),
         (lambda: errors.array("x", [0, np.nan]), "be finite, but is nan at index (1,)."),
-        (lambda: errors.array("x", [True, "a"]), "be an array of real numbers, but is [True, 'a']."),
         (lambda: errors.one_of("x", "RK5", ["EE", "RK4"]), "be one of EE, RK4, but is 'RK5' (did you mean 'RK4'?)."),
-        (lambda: errors.one_of("x", [], {"EE": 1}), "be one of EE, but is []."),
         *(
             (lambda bad=bad: errors.seed(bad), f"be a whole number from 0 to 1,073,741,823, but is {bad}.")
             for bad in (1 << 30, -1, 0.5)

@@ -139,37 +139,28 @@ def test_a_way_through_the_root(file, base, tip):
     np.testing.assert_array_equal(again[:, order], about)
 
 
-def test_limits_are_pinocchios():
-    for file, tip in (("panda_description/urdf/panda.urdf", "panda_link8"), ("xarm_description/urdf/xarm7.urdf", None)):
-        arm, (model, _) = ck.load_urdf(ROOT / file, tip), oracle(ROOT / file)
-        joints = [model.joints[model.getJointId(name)] for name in arm.joint_names]
-        np.testing.assert_array_equal(arm.lower, [model.lowerPositionLimit[j.idx_q] for j in joints])
-        np.testing.assert_array_equal(arm.upper, [model.upperPositionLimit[j.idx_q] for j in joints])
-        np.testing.assert_array_equal(arm.velocity_limit, [model.velocityLimit[j.idx_v] for j in joints])
-
-
-def test_builtin_panda_is_the_file():
-    arm, file = panda(), ck.load_urdf(ROOT / "panda_description/urdf/panda.urdf", tip="panda_link8")
-    assert arm.joint_names == file.joint_names
-    np.testing.assert_allclose((arm.lower, arm.upper), (file.lower, file.upper), atol=1e-9)
-    np.testing.assert_allclose(arm.velocity_limit, file.velocity_limit, atol=1e-9)
-    q = np.random.default_rng(1).uniform(arm.lower, arm.upper)
-    # The file writes its right angles with 12 digits.
-    np.testing.assert_allclose(ck.forward(arm, q).position, ck.forward(file, q).position, atol=1e-10)
-    np.testing.assert_allclose(ck.jacobian(arm, q), ck.jacobian(file, q), atol=1e-10)
-
-
-def test_builtin_ur5_is_the_file():
-    path = ROOT / "ur_description/urdf/ur5_robot.urdf"
-    model, _ = oracle(path)
-    file = ck.load_urdf(path, tip="tool0")
-    q = np.random.default_rng(2).uniform(-np.pi, np.pi, 6)
-    # The maker's Denavit-Hartenberg frame 0 is the file's link "base".
-    position, rotation, j = Pinocchio(path, model).at(file.joint_names, q, "tool0", "base")
-    at = ck.forward(ur5(), q)
-    np.testing.assert_allclose(at.position, position, atol=1e-9)
-    np.testing.assert_allclose(at.rotation, rotation, atol=1e-9)
-    np.testing.assert_allclose(ck.jacobian(ur5(), q), j, atol=1e-9)
+@pytest.mark.parametrize(
+    ("make", "file", "base", "tip", "near"),  # a file writes its right angles with 12 digits
+    [
+        (panda, "panda_description/urdf/panda.urdf", "panda_link0", "panda_link8", 1e-10),
+        (ur5, "ur_description/urdf/ur5_robot.urdf", "base", "tool0", 1e-9),  # the maker's frame 0 is the link "base"
+    ],
+)
+def test_builtin_robots_and_limits_are_the_files(make, file, base, tip, near):
+    arm, read, (model, _) = make(), ck.load_urdf(ROOT / file, tip=tip), oracle(ROOT / file)
+    joints = [model.joints[model.getJointId(name)] for name in read.joint_names]
+    np.testing.assert_array_equal(read.lower, [model.lowerPositionLimit[j.idx_q] for j in joints])
+    np.testing.assert_array_equal(read.upper, [model.upperPositionLimit[j.idx_q] for j in joints])
+    np.testing.assert_array_equal(read.velocity_limit, [model.velocityLimit[j.idx_v] for j in joints])
+    if make is panda:
+        assert arm.joint_names == read.joint_names
+        np.testing.assert_allclose((arm.lower, arm.upper), (read.lower, read.upper), atol=1e-9)
+        np.testing.assert_allclose(arm.velocity_limit, read.velocity_limit, atol=1e-9)
+    q = np.random.default_rng(1).uniform(-1.5, 1.5, arm.n)
+    position, rotation, j = Pinocchio(ROOT / file, model).at(read.joint_names, q, tip, base)
+    np.testing.assert_allclose(ck.forward(arm, q).position, position, atol=near)
+    np.testing.assert_allclose(ck.forward(arm, q).rotation, rotation, atol=near)
+    np.testing.assert_allclose(ck.jacobian(arm, q), j, atol=near)
 
 
 LINKS = "".join(f'<link name="{name}"/>' for name in "abcd")

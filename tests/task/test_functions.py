@@ -65,15 +65,6 @@ def test_rows_and_velocities_are_what_the_error_does():
     close(velocity, (missing(Q, 0.5 + h) - missing(Q, 0.5 - h)) / (2 * h), atol=1e-8)
 
 
-def test_a_camera_keeps_looking_at_what_moves():
-    law = ck.Law(PANDA, LOOK, alpha=20.0)
-    run = ck.solve(law, paths(0.3), Q, 0.01, 300)
-    assert np.abs(run.e[-1]).max() < 1e-5 < 0.05 < np.abs(run.e[0]).max()
-    at, target = ck.forward(PANDA, run.q[-1]), paths(0.3)["function"].curve(3.0)[0]
-    seen = np.asarray(at.rotation).T @ np.asarray(target - at.position)
-    assert seen[2] > 0 and np.abs(seen[:2]).max() < 1e-5
-
-
 test_what_is_refused = refusals(
     (lambda: _run(looking(), ck.hold(values=[0.4, 0.1])), r"`reference` must give 3 values \(across, down\)"),
     (lambda: _run(looking(), ck.hold_at(PANDA, looking(), Q)), "must give 3 values .*, but gives none"),
