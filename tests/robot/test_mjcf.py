@@ -71,12 +71,9 @@ def compare(model, base=None, count=3, root=0):
     links = [k for k in links if not {e.type for e in tree.way(k, base)[1]} & {"ball", "floating"} and " of " not in k]
     robot = chain(tree, base=base, tips=links)
     data, worst = mujoco.MjData(model), 0.0
-    way = np.zeros((model.nv, robot.n))
     for q in postures(robot, count):
-        data.qpos[:] = model.qpos0
-        for j, joint in zip(robot.joints, names_of(tree, base, links), strict=True):
-            data.qpos[model.jnt_qposadr[model.joint(joint).id]] = j.multiplier * q[j.coordinate] + j.offset
-            way[model.jnt_dofadr[model.joint(joint).id], j.coordinate] = j.multiplier
+        way = np.transpose([ck.to_model_q(robot, model, q, v)[1] for v in np.eye(robot.n)])
+        data.qpos[:] = ck.to_model_q(robot, model, q)
         for name, value in still(model).items():
             data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
         mujoco.mj_kinematics(model, data)
@@ -98,12 +95,6 @@ def compare(model, base=None, count=3, root=0):
             )
             worst = max(worst, *(np.abs(np.asarray(a) - b).max() for a, b in pairs))
     return worst, links
-
-
-def names_of(tree, base, links):
-    """Of the chain's joints, in its order."""
-    way = [e for link in links for e in tree.way(link, base)[1]]
-    return [e.name for e in dict.fromkeys(way) if e.type in ("revolute", "prismatic")]
 
 
 def still(model):
