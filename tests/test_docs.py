@@ -28,7 +28,6 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 FEWER = {
     "solve": ["--N", "5", "--no-figures"],
     "stability": ["--N", "8"],
-    "tune": ["--N", "10", "--Ts", "0.05", "--method", "EE", "--damping", "0.01", "--no-figures"],  # one set of programs
     "view": ["--N", "5"],
 }
 SMALLER = {"reach": {"--random": ["--random", "12"]}}
@@ -92,7 +91,7 @@ def commands(text):
 def fewer(argv):
     """The same command with less to do."""
     verb, *rest = argv
-    if (verb in ("solve", "stability", "tune") or (verb == "view" and "--reference" in rest)) and not set(rest) & {
+    if (verb in ("solve", "stability") or (verb == "view" and "--reference" in rest)) and not set(rest) & {
         "--q0",
         "--target",
         "--limits",

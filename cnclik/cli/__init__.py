@@ -21,11 +21,16 @@ VERBS = {
     "check": "read a log of joints: the limits that it breaks and where, missing rows, jumps; exit code 1 if one is",
     "diagnose": "read a recording: does the loop ring, what is its dead time, which gain stops it; or fit its drive",
     "sweep": "run a study of many loops from one TOML file, resumable, with its figures",
-    "plot": "draw the figures of a finished sweep",
-    "tune": "tune gains by gradient, between bounds that the drives allow: tuned.json and a figure",
     "view": "play a run in a browser: the robot by its meshes, targets, walls, a slider over time",
     "export": "write a step of the loop as C for a controller: header, source, test vectors, README",
 }
+OVERVIEW = """usage: cnclik VERB [options]
+
+Closed-loop inverse kinematics as time stepping.
+
+{}
+
+cnclik VERB --help lists the options of a verb; cnclik --version prints the version."""
 
 
 def main(argv=None) -> None:
@@ -43,8 +48,9 @@ def main(argv=None) -> None:
     with terminal.guarded(process):
         if argv[:1] in (["-V"], ["--version"]):
             print(f"cnclik {__version__}")
-        elif not argv or argv[0] in ("-h", "--help"):
-            print(_overview())
+        elif argv[:1] in ([], ["-h"], ["--help"]):
+            width = max(map(len, VERBS))
+            print(OVERVIEW.format("\n".join(f"  {verb:<{width}}  {what}" for verb, what in VERBS.items())))
         else:
             _run(*argv)
 
@@ -54,33 +60,19 @@ def _run(verb, *options) -> None:
     from cnclik.cli import arguments, common  # not at the top: `cnclik --help` answers at once
     from cnclik.show.output import FigureError
 
-    module = None
+    module, code = None, 2
     try:
         errors.one_of("verb", verb, VERBS)
         module = importlib.import_module(f"cnclik.cli.{verb}")
         given = arguments.parse(module, options, prog=f"cnclik {verb}", description=VERBS[verb])
         with common.remarks(module):
             module.run(**given)
+        return
     except errors.ArgumentError as error:
-        _leave(2, error if module is None else arguments.of_options(module, error))
+        said = str(error) if module is None else arguments.of_options(module, error)
     except FigureError as error:
-        _leave(1, error)
+        said, code = str(error), 1
     except ImportError as error:  # of a plotting package; results are already written
-        _leave(1, errors.in_a_line(error))
-
-
-def _leave(code, message) -> None:
-    print(f"cnclik: {' '.join(str(message).split())}", file=sys.stderr)
+        said, code = errors.in_a_line(error), 1
+    print(f"cnclik: {' '.join(said.split())}", file=sys.stderr)
     sys.exit(code)
-
-
-def _overview() -> str:
-    width = max(map(len, VERBS))
-    verbs = "\n".join(f"  {verb:<{width}}  {what}" for verb, what in VERBS.items())
-    return f"""usage: cnclik VERB [options]
-
-Closed-loop inverse kinematics as time stepping.
-
-{verbs}
-
-cnclik VERB --help lists the options of a verb; cnclik --version prints the version."""

@@ -74,29 +74,22 @@ def _diagnose(log, Ts, alpha) -> tuple:
     places = log.chosen or log.starting("e") or log.pairs()[1] or log.joints()
     signal, names = log.columns(places), [log.names[i] for i in places]
     found = diagnose(signal, Ts, alpha=alpha)
-    lines = [str(found)]
-    if found.cause == "wrong sign":
-        size = found.path.max(0) - found.path.min(0)
-        lines += ["Growing: " + ", ".join(n for n, a in zip(names, size, strict=True) if a > 0.05 * size.max()) + "."]
-    if found.confidence is not None:
-        lines += [f"Confidence: {found.confidence:.2g}."]
-    return _fields(found), "\n".join(lines), drawn_by("diagnosis", "oscillation", signal, found, names)
+    sure = "" if found.confidence is None else f"\nConfidence: {found.confidence:.2g}."
+    return _fields(found), f"{found}{sure}", drawn_by("diagnosis", "oscillation", signal, found, names)
 
 
 def _stack(log, Ts, tasks) -> tuple:
     """(numbers, text, function that draws) of the tasks of a stack."""
     from cnclik.diagnosis import diagnose_tasks
 
-    whole, first, signals = log.columns([i for places, _ in tasks.values() for i in places]), 0, {}
-    for task, (places, _) in tasks.items():
-        signals[task] = whole[:, first : first + len(places)]
-        first += len(places)
+    log.columns([i for places, _ in tasks.values() for i in places])  # whose rows are all finite, or named
+    signals = {task: log.columns(places) for task, (places, _) in tasks.items()}
     known = {task: gain for task, (_, gain) in tasks.items() if gain is not None}
     with errors.called(f"{next(iter(tasks))}.signal", "LOG"):
         found = diagnose_tasks(signals, Ts, alpha=known)
     task = found.change[0] if found.change else next(iter(tasks))
-    fields = {"tasks": {name: _fields(one) for name, one in found.tasks.items()}, "share": found.share}
-    fields |= {name: getattr(found, name) for name in ("change", "recommended_alpha", "factor")}
+    fields: dict = {"change": found.change, "recommended_alpha": found.recommended_alpha}
+    fields["tasks"] = {name: _fields(each) for name, each in found.tasks.items()}
     names = [log.names[i] for i in tasks[task][0]]
     return fields, str(found), drawn_by("diagnosis", "oscillation", signals[task], found.tasks[task], names)
 
@@ -148,8 +141,7 @@ def _fields(found) -> dict:
     """The numbers of a diagnosis, without its curves."""
     fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
     drive = None if found.drive is None else _drive(found.drive)
-    left_out = ("path", "modes", "Ts")
-    return {n: v for n, v in fields.items() if n not in left_out} | {"rings": found.rings, "drive": drive}
+    return {n: v for n, v in fields.items() if n not in ("fitted", "Ts")} | {"rings": found.rings, "drive": drive}
 
 
 def _drive(drive) -> dict:

@@ -1,4 +1,4 @@
-"""The one progress bar: work done, rate, time left; plain lines if there is no terminal."""
+"""The one progress bar: work done and time left; plain lines if there is no terminal."""
 
 import contextlib
 import sys
@@ -16,8 +16,16 @@ def bar(unit: str, total=None, quiet=False):
       total: their number, if it is known before the first report.
       quiet: whether to show nothing.
     """
+    last = time.perf_counter()
+
+    def lines(done, total, note=""):
+        nonlocal last
+        if not quiet and time.perf_counter() - last >= _BETWEEN_LINES:
+            last = time.perf_counter()
+            print(words(unit, done, total, note), file=sys.stderr, flush=True)
+
     if quiet or not sys.stderr.isatty():
-        yield (lambda done, total, note="": None) if quiet else _Report(unit, _line)
+        yield lines
         return
     from rich import progress
     from rich.console import Console
@@ -30,38 +38,13 @@ def bar(unit: str, total=None, quiet=False):
         progress.TimeRemainingColumn(elapsed_when_finished=True),
     )
     with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(words(unit, 0, total, 0.0), total=total)
-        yield _Report(
-            unit, lambda text, done, total, _: shown.update(task, completed=done, total=total or None, description=text)
+        task = shown.add_task(words(unit, 0, total), total=total)
+        yield lambda done, total, note="": shown.update(
+            task, completed=done, total=total or None, description=words(unit, done, total, note)
         )
 
 
-def words(unit, done, total, rate, note="") -> str:
-    """The text of a report: "120 of 4,000 loops, 60/s, EE"; before any work is done, programs compile."""
+def words(unit, done, total, note="") -> str:
+    """The text of a report: "120 of 4,000 loops, EE"; before any work is done, programs compile."""
     counted = f"{done:,} of {total:,} {unit}" if total else f"{done:,} {unit}"
-    parts = [counted if done else "" if note else f"compiling, {unit}"]
-    parts.append(f"{rate:,.0f}/s" if done and rate >= 1 else "")
-    return ", ".join(part for part in (*parts, note) if part)
-
-
-class _Report:
-    """Shows each report with the rate of work since the first one, before which programs compile. Another total begins
-    another phase."""
-
-    def __init__(self, unit, show):
-        self.unit, self.show, self.total, self.first, self.last = unit, show, None, None, time.perf_counter()
-
-    def __call__(self, done, total, note=""):
-        now = time.perf_counter()
-        if total != self.total or not self.first:
-            self.total, self.first = total, (done, now) if done else None
-        count, begun = self.first or (0, now)
-        rate = (done - count) / (now - begun) if now > begun else 0.0
-        if self.show is not _line or now - self.last >= _BETWEEN_LINES:
-            self.last = now
-            self.show(words(self.unit, done, total, rate, note), done, total, rate)
-
-
-def _line(text, done, total, rate) -> None:
-    left = f", {(total - done) / rate:,.0f} s left" if total and rate else ""
-    print(text + left, file=sys.stderr, flush=True)
+    return ", ".join(filter(None, (counted if done else "" if note else f"compiling, {unit}", note)))

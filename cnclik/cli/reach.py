@@ -19,7 +19,7 @@ from cnclik.writing import checked_file, output_folder
 if TYPE_CHECKING:
     from cnclik.problem.build import Point
 
-TAKES, LEFT_OUT = ("robot and task",), ("q0",)
+TAKES = ("robot and task",)
 
 
 def run(
@@ -97,24 +97,19 @@ def run(
 # --- what is asked ------------------------------------------------------------------------------------
 
 
-def _robot_and_task(robot, tips, near, base=None, task=None) -> tuple:
+def _robot_and_task(robot, tips, near, task=None) -> tuple:
     """(chain, task of all tips, both in words)."""
-    from cnclik.problem.heading import robot_and_task
-    from cnclik.problem.names import load, robot_and_tip, robot_name, task_from
+    from cnclik.problem.names import load, robot_name, task_from
     from cnclik.problem.options import check_units
 
     if len(tips) != len(set(tips)):
         raise errors.fail("tip", "be different names", f"is {' '.join(tips)}")
-    tip = tips[0] if len(tips) == 1 else None
-    if len(tips) > 1:
-        with errors.called("tips", "tip"):
-            chain, named = load(robot, base=base, tips=tips), ", ".join(tips)
-    else:
-        chain, named = robot_and_tip(robot, tip, base)
+    with errors.called("tips", "tip"):
+        chain = load(robot, tips=tips) if len(tips) > 1 else load(robot, *tips)
     each = [task_from(task, chain, one).on(chain) for one in (tips if len(tips) > 1 else [None])]
     whole = functools.reduce(operator.and_, each)
-    check_units(chain, whole, {} if near is None else {"near": near.written})
-    return chain, whole, robot_and_task(robot_name(robot, tip), named, whole)
+    check_units("near", near, chain)
+    return chain, whole, f"{robot_name(robot, ' '.join(tips))}, {str(whole)[6:]}"
 
 
 def _given(task, points):

@@ -1,7 +1,9 @@
 """`cnclik reproduce`: the paper's experiments, with data, figures and a check of its claims."""
 
+from pathlib import Path
+
 from cnclik.cli import progress
-from cnclik.cli.common import prepare, print_table
+from cnclik.cli.common import prepare
 
 
 def run(*, out: str = "reproduced", overwrite: bool = False) -> None:
@@ -14,23 +16,6 @@ def run(*, out: str = "reproduced", overwrite: bool = False) -> None:
     from cnclik import paper
 
     with progress.bar("done") as report:
-        found = paper.reproduce(out, progress=report, overwrite=overwrite)
-    _show(found)
-    print(f"Wrote data, claims and figures to {out}/; read {out}/claims.md first.")
-
-
-def _show(found) -> None:
-    """The tables of claims.md on the terminal."""
-    import rich.box
-
-    from cnclik.paper import claims, judge, readings, tables
-
-    judged = judge(found.trajectories, found.passes)
-    look = dict(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0), style=lambda row: "green" if row[-1] == "yes" else None)
-    for title, header, rows, left in (
-        tables.claim_table(judged, claims.undetermined(found.trajectories)),
-        tables.method_table(found.methods),
-        tables.picard_table(judged),
-    ):
-        print_table(rows, header, title=title, left=left, **look)
-    print(f"* decided by rounding: starts {readings.NUDGE:.0e} rad apart give other digits.\n")
+        paper.reproduce(out, progress=report, overwrite=overwrite)
+    print(Path(out, "claims.md").read_text(encoding="utf-8"))
+    print(f"Wrote data, claims and figures to {out}/.")

@@ -1,13 +1,11 @@
 """`cnclik sweep SPEC.toml`: a study of many loops, from one file: a labelled dataset and its figures."""
 
 import pathlib
-import time
+from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
 from cnclik.cli.common import prepare
-from cnclik.cli.plot import draw
-from cnclik.quantities import in_samples
 from cnclik.writing import check_free, output_folder
 
 
@@ -16,9 +14,9 @@ def run(
     *,
     set: list[str] | None = None,
     out: str | None = None,
-    fresh: bool = False,
     check: bool = False,
     figures: bool = True,
+    format: Literal["png", "pdf", "svg"] = "png",
     distributed: str | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -28,9 +26,9 @@ def run(
       spec: the spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md.
       set: NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. May be repeated.
       out: folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec.
-      fresh: start again, even if the folder holds results.
       check: only check the spec, and print what it would run.
       figures: draw the figures at the end.
+      format: file format of the figures.
       distributed: share the work with other processes: HOST:PORT:PROCESSES:PROCESS of process 0, of how many, and of
         this one (from 0); or auto, where SLURM or MPI knows them.
     """
@@ -41,32 +39,32 @@ def run(
 
     study = specs.read(spec, set or ())
     if figures:
-        from cnclik.show import sweeps
+        from cnclik.show import output, sweeps
 
         sweeps.check(study)
     folder = pathlib.Path(out or f"sweep-{study.name}")
     grid = study.grid()
-    question = f"{study.question}\n" * bool(study.question)
     programs = f"{(count := len(grid.programs)):,} program{'s' * (count > 1)}"
-    size = f"{grid.size:,} loops, {grid}, in {programs}"
-    print(f"{question}{study.name}: {size}; dead time {_dead_time(study)}", flush=True)
+    print(f"{study.question}\n" * bool(study.question), end="")
+    print(f"{study.name}: {grid.size:,} loops, {grid}, in {programs}", flush=True)
     if check:
         return
-    begun = time.perf_counter()
     check_free("out", folder, summary.FILES, overwrite=overwrite)
     with progress.bar("loops", quiet=place["process"] != 0) as report:
-        done = store.run(study, folder, progress=report, fresh=fresh, **place)
+        done = store.run(study, folder, progress=report, **place)
     if not done:
         print(f"This process is done; {store.blocks_missing(folder)} blocks are with others or for a rerun.")
         return
-    print(f"Done in {time.perf_counter() - begun:.1f} s: {folder / store.DATA}")
     data = store.read(folder)
     with output_folder(folder, overwrite=overwrite) as whole:
         summary.write(data, whole)
-    for line in (*(f"Wrote {folder / file}" for file in whole.made), *summary.best(data)):
-        print(line)
-    if figures:  # last, as they can be drawn again
-        draw(data, folder, tables=study.figures, overwrite=overwrite)
+    print(*(f"Wrote {folder / file}" for file in (store.DATA, *whole.made)), *summary.best(data), sep="\n")
+    if figures:  # last, as the same command draws them again
+        about, each = {"Description": data.attrs.get("spec", "")}, sweeps.drawings(data, study.figures)
+        made = {f"{name}.{format}": (make, {"Title": name} | about) for name, make in each.items()}
+        again = f"cnclik sweep {spec} --out {folder}"
+        for file in output.draw(made, folder, again=again, overwrite=overwrite):
+            print(f"Wrote {folder / file}")
 
 
 def _join(place) -> dict:
@@ -84,20 +82,12 @@ def _join(place) -> dict:
         raise errors.fail("distributed", "be auto or HOST:PORT:PROCESSES:PROCESS", found) from None
 
     def meet(well, last):
-        import numpy as np
         from jax.experimental import multihost_utils
 
-        well = bool(np.all(multihost_utils.process_allgather(np.array(well))))
+        well = bool(multihost_utils.process_allgather(well).all())
         if last or not well:
             # No process waits for another from here on: one that fails or ends must not stop the others.
             jax.distributed.shutdown()
         return well
 
     return {"process": jax.process_index(), "processes": jax.process_count(), "meet": meet}
-
-
-def _dead_time(spec) -> str:
-    """Return the shortest and the longest dead time of the loops at the ends of all axes: "2 samples (8 ms)"."""
-    loops = (spec.loop(program | spec.first(last)) for program in spec.grid().programs for last in (False, True))
-    late = sorted((float(v["delay"]) * float(v["Ts"]), float(v["delay"]), float(v["Ts"])) for v in loops)
-    return " to ".join(dict.fromkeys(in_samples(delay, Ts) for _, delay, Ts in (late[0], late[-1])))

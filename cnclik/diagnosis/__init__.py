@@ -1,9 +1,8 @@
 """What a log shows: the limits that it breaks, the drive behind it, and why it shakes. NumPy and SciPy only."""
 
 from cnclik.diagnosis.check import Finding, LogCheck, check_log
-from cnclik.diagnosis.diagnose import Diagnosis, Kind, diagnose
+from cnclik.diagnosis.diagnose import Diagnosis, StackDiagnosis, diagnose, diagnose_tasks
 from cnclik.diagnosis.fit import DriveFit, fit_drive
-from cnclik.diagnosis.tasks import StackDiagnosis, diagnose_tasks
 
-__all__ = ["Diagnosis", "DriveFit", "Finding", "Kind", "LogCheck", "StackDiagnosis"]
+__all__ = ["Diagnosis", "DriveFit", "Finding", "LogCheck", "StackDiagnosis"]
 __all__ += ["check_log", "diagnose", "diagnose_tasks", "fit_drive"]

@@ -1,54 +1,36 @@
 """Cause: what no smaller gain ends, a wrong sign and turned frames; and what is no loop, a sweep."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from cnclik.diagnosis.loop import (
-    COLOURS,
-    DEAD,
-    UNMODELLED,
-    analytic,
-    around,
-    averaged,
-    circles,
-    filtered,
-    fits,
-    free,
-    slowest,
-    window,
-)
+from cnclik.diagnosis.loop import DEAD, UNMODELLED, averaged, fits, free, path_basis, slowest, window
 from cnclik.diagnosis.recording import line
 
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
+ROUND, COHERENT = 0.6, 0.8  # |vᵀv| of a shape v of columns that circle: 0 for a circle, 1 in phase; its energy
+OPEN = 10.0  # range of the angles [degrees], with more dead time, that leaves the answer unsure
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
-EQUAL = 1.6  # least ratio of the four steps of an exponential growth by seven
-FASTER = 1.3  # ratio of the last two of these steps, where prediction errors say that it grows
+FASTER = 1.3  # least ratio of the last two quarters of a growth
 
 
-class Turned(NamedTuple):
-    degrees: float  # angle of the error's frame about the axis, relative to the Jacobian's
-    axis: np.ndarray  # (3,) in the order of the coordinates; of two coordinates the third axis
-    z: float  # per row
-    open: float  # range of angles that explain the log as well, with more dead time [degrees]
-    steady: bool  # whether its size stays, as of a circular path
-
-
-def turned(y, gain=None) -> Turned | None:
+def turned(y, gain=None) -> tuple | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
-    A spiral leaves d open, as a turn by the angle of d rows looks alike. Of those that explain it as well that is taken
+    Returns its rotation vector (3,) [degrees], z per row, whether its size stays as of a circle, whether it is sure. A
+    spiral leaves d open, as a turn by the angle of d rows looks alike. Of those that explain it as well that is taken
     whose z is next to a known gain, or else the least.
     """
+    from scipy.signal import lfilter
+    from scipy.spatial.transform import Rotation
+
+    blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(y.shape[1], [])
     first, last, jumped = window(y)
     y = y[first if jumped else max(first - 1, 0) : last]
     m = max(1, len(y) // PARTS)
     y = averaged(y, m)
-    blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(y.shape[1], [])
     most = min(DEAD, len(y) // 5)
     N = len(y) - most - 4
     if not blocks or N < 12:
@@ -57,9 +39,9 @@ def turned(y, gain=None) -> Turned | None:
     floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
     level, plain = line(N), np.inf
     spins: list = []
-    for theta in (0.0, *COLOURS):
+    for theta in (0.0, 0.8, 1.0):
         over = [1.0, -theta]
-        left, acts = free(level, filtered([1.0, -1.0], over, y)[-N:]), filtered([1.0], over, y)
+        left, acts = free(level, lfilter([1.0, -1.0], over, y, axis=0)[-N:]), lfilter([1.0], over, y, axis=0)
         for d in range(most + 1):
             late = free(level, acts[-N - 1 - d : -1 - d])
             u, _, vt = np.linalg.svd(-sum(left[:, b].T @ late[:, b] for b in blocks))
@@ -70,64 +52,57 @@ def turned(y, gain=None) -> Turned | None:
                 rest = left + z * moved
                 score = N * np.sum(np.log(np.mean(rest**2, 0) + floor)) + np.log(N) * (numbers + (theta != 0))
                 if z > 0 and numbers:
-                    spins.append((score, d, z / m, _rotation_vector(R), np.sum(rest**2) / np.sum(left**2)))
+                    spins.append((score, d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
                 elif z > 0:
                     plain = min(plain, score)
     least = min((spin[0] for spin in spins), default=0.0)
     alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
     wave = analytic(free(line(len(y)), y))
-    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not circles(wave)):
+    energy, shapes = np.linalg.eigh(np.einsum("ni,nj->ij", wave, np.conj(wave)))
+    round_ = energy[-1] > COHERENT * np.sum(energy) and abs(np.sum(shapes[:, -1] ** 2)) < ROUND
+    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not round_):
         return None
     if gain is not None:
         alike.sort(key=lambda spin: abs(np.log(spin[2] / gain)))
-    _, _, z, turn, _ = alike[0]
-    angles = [float(np.linalg.norm(spin[3])) for spin in alike if spin[0] <= least + BETTER]
+    turns = []
+    for _, _, _, R, _ in alike:
+        whole = np.eye(3)
+        whole[: len(R), : len(R)] = R
+        turns.append(Rotation.from_matrix(whole).as_rotvec(degrees=True))
+    angles = [np.linalg.norm(turn) for turn, spin in zip(turns, alike, strict=True) if spin[0] <= least + BETTER]
     third = len(y) // 3  # the first one may be a push
     larger = float(np.linalg.norm(wave[-third:])) / max(float(np.linalg.norm(wave[third:-third])), 1e-300)
-    degrees = np.linalg.norm(turn) * (np.sign(turn[np.argmax(np.abs(turn))]) or 1.0)
-    axis = turn / degrees if degrees else np.array([0.0, 0.0, 1.0])
-    return Turned(float(degrees), axis, z, max(angles) - min(angles), bool(1 / STEADY < larger < STEADY))
-
-
-def _rotation_vector(R):
-    """(3,) axis times angle [degrees] of a rotation of two or three coordinates."""
-    from scipy.spatial.transform import Rotation
-
-    whole = np.eye(3)
-    whole[: len(R), : len(R)] = R
-    return Rotation.from_matrix(whole).as_rotvec(degrees=True)
+    steady = 1 / STEADY < larger < STEADY  # as of a circular path
+    return turns[0], alike[0][2], steady, max(angles) - min(angles) < OPEN and not steady
 
 
 def growth(y) -> tuple[float, float]:
-    """(growth per row without oscillation, 0 for none; how sure it is, 0 to 1) of y (N, k).
-
-    Steps of exponential growth have equal ratios; those of a polynomial fall, and those of a path that stops end.
-    """
+    """(growth per row without oscillation, 0 for none; evidence of it) of y (N, k)."""
     first, _, jumped = window(y)
     y = y[first * jumped :]
     N, near = len(y), max(len(y) // 10, 2)
     way = y[-near:].mean(0) - y[int(0.6 * N) - near // 2 : int(0.6 * N) + near].mean(0)
-    if N < 16 or not way.any():
+    m = max(1, N // PARTS)
+    if N // m < 16 or not way.any():
         return 0.0, 0.0
     x = y @ way / np.linalg.norm(way)
     at, near = np.linspace(0, N - 1, 5).astype(int), max(N // 40, 1)
     steps = np.diff([x[max(i - near, 0) : i + near + 1].mean() for i in at])
-    ratio = steps[1:] / np.where(steps[:-1] == 0, 1e-300, steps[:-1])
     half = x[N // 2 :: max(N // 24, 1)]
-    if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or ratio[1] < 0.8:
+    if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or not steps[3] > FASTER * steps[2]:
         return 0.0, 0.0
-    m = max(1, N // PARTS)
-    loops, none = fits(averaged(x[:, None] - x[0], m), np.inf) if N // m > 15 else (np.zeros((5, 0)), 0.0)
+    loops, none = fits(averaged(x[:, None] - x[0], m), np.inf)
     wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
-    evidence = min(none, right[4].min(initial=np.inf)) - wrong[4].min() if wrong.size else -np.inf
-    equal = min(ratio) > EQUAL and ratio[-1] > 0.4 * max(ratio)
-    if not equal and not (ratio[-1] > FASTER and evidence > BETTER / 2):
+    evidence = min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf)
+    if evidence < BETTER / 2:
         return 0.0, 0.0
-    if evidence > BETTER / 2:
-        factor = abs(slowest(*wrong[:3, np.argmin(wrong[4])])) ** (1 / m)
-    else:
-        factor = ratio[-1] ** (4 / N)
-    return float(factor), 0.95 if evidence > BETTER else 0.8
+    return float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m)), float(evidence)
+
+
+def analytic(y, low=0.0, high=0.5):
+    """(N, k) complex: columns between two frequencies [1/row], of which the real part is seen."""
+    f = np.fft.fftfreq(4 * len(y))[:, None]
+    return np.fft.ifft(np.where((f > low) & (f < high), 2 * np.fft.fft(y, 4 * len(y), axis=0), 0), axis=0)[: len(y)]
 
 
 def swept(y, period) -> tuple[float, float, float]:
@@ -136,14 +111,15 @@ def swept(y, period) -> tuple[float, float, float]:
     The unrest is the deviation of its size over the mean, of half the rows: 0.5 where noise excites it, 0 for a limit.
     """
     N = len(y)
-    u, s, _ = np.linalg.svd(around(y, period), full_matrices=False)
+    wave = analytic(free(path_basis(N, period), y), 0.35 / period, 2.5 / period)
+    u, s, _ = np.linalg.svd(wave, full_matrices=False)
     wave = u[:, 0] * s[0]
     energy = np.abs(wave[1:]) ** 2
     total = np.cumsum(energy)
     half = int(np.clip(np.searchsorted(total, total[-1] / 2), period / 2, max(N - 1 - period / 2, period / 2)))
-    turn = np.angle(wave[1:] * np.conj(wave[:-1])) * energy
     if not 0 < half < N - 1:
         return 1.0, 1.0, 1.0
+    turn = np.angle(wave[1:] * np.conj(wave[:-1])) * energy
     speed = [np.sum(turn[p]) / max(np.sum(energy[p]), 1e-300) for p in (slice(half), slice(half, None))]
     larger = np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300))
     size = np.sqrt(energy[N // 4 : 3 * N // 4])

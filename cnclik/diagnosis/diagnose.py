@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import enum
-
 import numpy as np
 
 from cnclik import errors
@@ -15,20 +13,8 @@ from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record, replace
 from cnclik.stability.gain import gains
 
-
-class Kind(enum.StrEnum):
-    """Kinds of motion in a log."""
-
-    RINGING = "ringing"
-    SUSTAINED = "sustained oscillation"
-    GROWING = "growing oscillation"
-    DIVERGING = "growth without oscillation"
-    SPIRAL = "spiral"
-    CALM = "calm"
-    QUIET = "quiet"
-    UNDECIDED = "undecided"
-
-
+RINGING, SUSTAINED, GROWING = OSCILLATIONS = "ringing", "sustained oscillation", "growing oscillation"
+DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
 EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # as EVIDENCE, of a loop whose gain is known, and the mode's by less than this factor,
 EVIDENCE_EXCITED, MANY = 90.0, 10.0  # or it does not decay as its mode does: then over so many periods
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
@@ -38,12 +24,12 @@ TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which th
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
-STEADY = 0.1  # unrest of a sustained oscillation, at most; noise gives 0.5
-UNREST, DOUBLE = 0.2, 2.0  # of an oscillation that grows as a mode does: its unrest beyond that, its size below it
-FASTEST = np.log(1e3)  # growth in a period; with more it is a polynomial
+STEADY, UNREST = 0.1, 0.2  # unrest of a sustained oscillation, at most; beyond that of one that grows as a mode does
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 LONG = 30  # samples of dead time, beyond which a sample more or less counts little
+SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
+ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
 CIRCLE = "It goes round as on a circular path, or as with frames that are turned by some 90°: hold the target still."
 CHANGES = "The period changes, as of a sweep or another path, not of a loop."
@@ -60,21 +46,18 @@ class Diagnosis:
     """Answer of `diagnose`: what a log shows. A field that is unknown is None.
 
     Attributes:
-      kind: a `Kind`. cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
+      kind: "ringing", "sustained oscillation", "growing oscillation", "growth without oscillation", "spiral", "calm" or
+        "undecided". cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
       Ts: sampling time of log and loop [s]. period: of the oscillation [samples]. growth: factor per sample.
       delay: dead time [samples], and interval: its ends, where dead time alone explains the log.
-      drive: a likely `Drive`. z: gain per sample of the likely loops.
-      alpha: of the loop [1/s], if given. recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the
-        drives may scale a gain, so factor is what the present one is to be multiplied by.
-      angle, axis: of frames that are turned against each other [degrees], about an axis of the columns x, y, z: turn
-        the error by −angle.
+      drive: a likely `Drive`. recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the drives may
+        scale a gain, so factor is what the present one is to be multiplied by.
+      angle: of frames that are turned against each other [degrees]: turn the error by −angle, about the note's axis.
       confidence: that cause and gain are right, 0 to 1; without alpha at most 0.8.
-      amplitude: (k,) half the range of the oscillation in each column [unit of the column]. noise: (k,) deviation of
-        what is left. first: first row that was read. path, modes: (n, k) of the rows from there on.
-      note: further remarks.
+      fitted: (n, k) path and oscillation in the rows that were read, from `first` on. note: further remarks.
     """
 
-    kind: Kind
+    kind: str
     Ts: float
     cause: str | None = None
     period: float | None = None
@@ -82,39 +65,29 @@ class Diagnosis:
     delay: float | None = None
     interval: tuple[float, float] | None = None
     drive: Drive | None = None
-    z: float | None = None
-    alpha: float | None = None
     recommended_alpha: float | None = None
     factor: float | None = None
     angle: float | None = None
-    axis: Float[np.ndarray, " 3"] | None = None
     confidence: float | None = None
-    amplitude: Float[np.ndarray, " k"]
-    noise: Float[np.ndarray, " k"]
+    fitted: Float[np.ndarray, "n k"]
     first: int = 0
-    path: Float[np.ndarray, "n k"]
-    modes: Float[np.ndarray, "n k"]
     note: str = ""
 
     @property
     def rings(self) -> bool:
         """Whether it oscillates."""
-        return self.kind in (Kind.RINGING, Kind.SUSTAINED, Kind.GROWING)
+        return self.kind in OSCILLATIONS
 
     def __str__(self):
-        said = [str(self.kind)]
-        if self.period is not None:
-            said.append(f"period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample")
-        elif self.growth is not None:
-            said.append(f"the error grows × {self.growth:.6g} per sample")
+        words = self.kind
         if self.drive is not None:
             late = self.drive if self.delay is None else Drive(delay=self.delay)
-            said[-1] += f", as with {drive_in_words(late, self.Ts)}"
-        words = ": ".join(said) + "."
-        if self.recommended_alpha is not None:
-            words += f" Use an alpha of {self.recommended_alpha:.4g} 1/s"
-            words += f", {self.factor:.3g} times the present gain." if self.factor is not None else "."
-        return f"{words} {self.note}".strip()
+            words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
+            words += f", as with {drive_in_words(late, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s"
+            words += f", {self.factor:.3g} times the present gain"
+        elif self.growth is not None:
+            words += f": the error grows × {self.growth:.6g} per sample"
+        return f"{words}. {self.note}".strip()
 
 
 def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | None = None) -> Diagnosis:
@@ -136,68 +109,82 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
         raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     y_ = (y - y[0]) / (np.abs(y - y[0]).max() or 1.0)
     scaled = loop.prepared(y_)
-    found = loop.read(scaled) if scaled.shape[1] else None
-    fields = _seen(scaled, found, y_, Ts, alpha)
+    read = loop.read(scaled) if scaled.shape[1] else None
+    fields = _seen(scaled, read, y_, Ts, alpha)
     if alpha is None and "confidence" in fields:
         fields["confidence"] = min(fields["confidence"], UNKNOWN)
-    return Diagnosis(Ts=Ts, alpha=alpha, **fields, **_parts(y, found, "period" in fields))
+    first, last = (0, len(y)) if read is None else (read.first, read.last)
+    t, basis = np.arange(last - first), loop.path_basis(last - first, fields.get("period", np.inf))
+    if read is not None and "period" in fields:
+        swing = np.exp(read.mode * (t - t[-1] * (read.mode.real > 0)))
+        basis = np.column_stack([basis, swing.real, swing.imag])
+    fitted = y[first:last] - loop.free(basis, y[first:last])
+    return Diagnosis(Ts=Ts, first=first, fitted=fitted, **fields)
 
 
-def _seen(scaled, found, y, Ts, alpha) -> dict:
+def _seen(scaled, read, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
-        return {"kind": Kind.QUIET, "note": STILL}
-    if scaled.shape == y.shape and (spin := cause.turned(y, alpha and alpha * Ts)) and 15 < abs(spin.degrees) < 173:
-        if spin.steady if alpha is None else not SAME[0] < spin.z / (alpha * Ts) < SAME[1]:
-            return {"kind": Kind.UNDECIDED, "note": CIRCLE}
-        main = int(np.argmax(np.abs(spin.axis)))
-        axis = "xyz"[main] if abs(spin.axis[main]) > 0.99 else np.round(spin.axis, 2)
-        note = (
-            f"The frames of error and Jacobian are turned by {abs(spin.degrees):.3g}° against each other about {axis}"
-        )
-        note += f": no gain helps. Turn the error by {-spin.degrees:.3g}° before J#, or express both in one frame."
-        sure = UNSURE if spin.steady or spin.open > 10 else SURE
-        fields = {"kind": Kind.SPIRAL, "cause": "turned frames", "confidence": sure, "note": note}
-        return fields | {"angle": spin.degrees, "axis": spin.axis, "z": spin.z}
-    rate, sure = cause.growth(scaled)
+        return {"kind": CALM, "note": STILL}
+    spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
+    if spin is not None and 15 < np.linalg.norm(spin[0]) < 173:
+        turn, z, steady, sure = spin
+        if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
+            return {"kind": UNDECIDED, "note": CIRCLE}
+        main = int(np.argmax(np.abs(turn)))
+        angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
+        axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
+        note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
+        note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
+        confidence = SURE if sure else UNSURE
+        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=confidence, note=note)
+    rate, evidence = cause.growth(scaled)
     if rate:
-        return {"kind": Kind.DIVERGING, "cause": "wrong sign", "growth": rate, "confidence": sure, "note": WRONG_SIGN}
-    if found is None or found.evidence < EVIDENCE_KNOWN:
-        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
-    if np.isfinite(found.period) and found.swings > SURELY:
-        return _swing(scaled[found.first : found.last], found, Ts, alpha)
-    calm = found.swings < 1 - SURELY and found.rests
-    return {"kind": Kind.CALM, "note": DECAYS} if calm else {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+        sure = SURE if evidence > cause.BETTER else UNKNOWN
+        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
+    if read is not None and read.evidence > EVIDENCE_KNOWN:
+        if np.isfinite(read.period) and read.swings > SURELY:
+            fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
+            if fields is not None:
+                return fields
+        elif read.swings < 1 - SURELY and read.rests:
+            return {"kind": CALM, "note": DECAYS}
+    tail, x = max(len(scaled) // 5, 8), loop.main_parts(scaled)[:, 0]
+    x = (x - np.median(x[-tail:])) / ((x[0] - np.median(x[-tail:])) or 1.0)
+    if np.std(x[-tail:]) < SETTLED and np.min(x) > -PASSED:
+        return {"kind": CALM, "note": DECAYS}
+    return {"kind": UNDECIDED, "note": UNFINISHED}
 
 
-def _swing(rows, found, Ts, alpha) -> dict:
-    """Fields of a `Diagnosis` of a mode that swings."""
-    mode, turns = found.mode, len(rows) / found.period
-    faster, larger, unrest = cause.swept(loop.main_parts(rows), found.period)
+def _swing(rows, read, Ts, alpha) -> dict | None:
+    """Fields of a `Diagnosis` of a mode that swings; None where it may be something else."""
+    mode, turns = read.mode, len(rows) / read.period
+    faster, larger, unrest = cause.swept(loop.main_parts(rows), read.period)
     alike = SIZES[0] < larger < SIZES[1]
     if unrest < STEADY and turns > PERIODS and alike:  # beside overtones a mode seems to decay
         mode = 1j * mode.imag
-    change = mode.real * found.period
+    change = mode.real * read.period
     held = abs(change) < np.log(HELD)
     excited = change < -np.log(HELD) and larger > LASTS
     if change > 0 or held:  # what grows, or does not, must do so as its mode does
         wave = np.exp(mode * np.arange(len(rows)) - max(mode.real, 0.0) * len(rows)).real[:, None]
-        _, grows, rises = cause.swept(wave, found.period)
-        excited = unrest > rises + UNREST or larger < grows / DOUBLE
+        excited = unrest > cause.swept(wave, read.period)[2] + UNREST
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
-        return {"kind": Kind.UNDECIDED, "note": CHANGES}
-    drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=found.alone)
-    best, off = _recommended(drives.drive, Ts), drives.off > NEAR
+        return {"kind": UNDECIDED, "note": CHANGES}
+    drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.dead is not None)
+    # Long dead times are computed at a larger Ts, which takes less time.
+    n = max(1, int(drives.careful.delay // LONG))
+    careful = replace(drives.careful, delay=(drives.careful.delay + 0.5) / n - 0.5)
+    best, off = gains(Ts=n * Ts, drive=careful, method="EE").recommended, drives.off > NEAR
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
         note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
-        return {"kind": Kind.CALM, "note": note}
-    needed = EVIDENCE if alpha is None or off else EVIDENCE_KNOWN
-    if alpha is None and (excited or held):
-        needed = EVIDENCE_EXCITED
-    many = MANY if excited and alpha is None else PERIODS if excited or held else 2.0 if change > -np.log(2) else 1.2
-    hidden = found.evidence < needed or (alpha is None and found.overshoot < OVERSHOOTS)
-    if turns < many or hidden or change > FASTEST:
-        return {"kind": Kind.UNDECIDED, "note": UNFINISHED}
+        return {"kind": CALM, "note": note}
+    needed, many = EVIDENCE if alpha is None or off else EVIDENCE_KNOWN, 2.0 if change > -np.log(2) else 1.2
+    if excited or held:
+        needed, many = EVIDENCE_EXCITED if alpha is None else needed, MANY if excited and alpha is None else PERIODS
+    overshoot = np.exp(0.5 * read.mode.real * read.period)
+    if turns < many or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
+        return None
     notes = []
     if held and alpha is not None and alpha > 1.2 * drives.most:
         notes.append(CLIPPED)
@@ -207,19 +194,18 @@ def _swing(rows, found, Ts, alpha) -> dict:
         notes.append(PATH)
     if off:
         notes.append(f"No drive with this mode has this alpha: the gain differs by a factor of {drives.off:.2g}.")
-    if not found.alone:
+    if read.dead is None:
         ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
         notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
     stretched = off or (turns < PERIODS and abs(change) < np.log(1.5))
     return {
-        "kind": Kind.SUSTAINED if abs(change) * turns < np.log(2) else Kind.GROWING if change > 0 else Kind.RINGING,
-        "cause": "dead time" if found.alone else "drive",
-        "period": found.period,
+        "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
+        "cause": "drive" if read.dead is None else "dead time",
+        "period": read.period,
         "growth": float(np.exp(mode.real)),
-        "delay": found.dead[0] if found.alone else None,
-        "interval": found.dead[1:] if found.alone else None,
-        "drive": drives.drive,
-        "z": drives.alpha * Ts,
+        "delay": read.dead and read.dead[0],
+        "interval": read.dead and read.dead[1:],
+        "drive": drives.careful,
         "recommended_alpha": best,
         "factor": best / (alpha or drives.alpha),
         "confidence": UNSURE if stretched else UNKNOWN if excited or held else SURE,
@@ -227,22 +213,55 @@ def _swing(rows, found, Ts, alpha) -> dict:
     }
 
 
-def _recommended(drive, Ts) -> float:
-    """The gain of `gains` [1/s]. Long dead times are computed at a larger Ts, which takes less time."""
-    n = max(1, int(drive.delay // LONG))
-    return gains(Ts=n * Ts, drive=replace(drive, delay=(drive.delay + 0.5) / n - 0.5), method="EE").recommended
+# --- stacks ---------------------------------------------------------------------------------------------
 
 
-def _parts(y, found, rings) -> dict:
-    """The path and the oscillation in the rows that were read, and what is left."""
-    first, last = (0, len(y)) if found is None else (found.first, found.last)
-    rows, t = y[first:last], np.arange(last - first)
-    basis = path = loop.path_basis(len(rows), found.period if rings else np.inf)
-    if rings:
-        wave = np.exp(found.mode * (t - t[-1] * (found.mode.real > 0)))
-        basis = np.column_stack([path, wave.real, wave.imag])
-    square, n = loop.product(basis.T, basis), path.shape[1]
-    weights = np.linalg.solve(square + 1e-12 * np.trace(square) * np.eye(len(square)), loop.product(basis.T, rows))
-    slow, modes = (loop.combined(basis[:, part], weights[part]) for part in (slice(n), slice(n, None)))
-    left = np.std(rows - slow - modes, axis=0)
-    return {"first": first, "path": slow, "modes": modes, "amplitude": np.ptp(modes, axis=0) / 2, "noise": left}
+@record
+class StackDiagnosis:
+    """Answer of `diagnose_tasks`: what the logs of several tasks show.
+
+    Attributes:
+      tasks: {name: `Diagnosis`}. change: tasks whose gain is to be changed.
+      recommended_alpha: the largest gain for any task [1/s], or None.
+    """
+
+    tasks: dict
+    change: tuple
+    recommended_alpha: float | None
+
+    def __str__(self):
+        lines = [f"{name}: {found}" for name, found in self.tasks.items()]
+        if self.recommended_alpha is not None:
+            lines.append(f"No task may have an alpha above {self.recommended_alpha:.4g} 1/s: {', '.join(self.change)}.")
+        return "\n".join(lines)
+
+
+def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
+    """Diagnose a stack: which gains make it swing, and the largest gain that any task may have.
+
+    All tasks have the same drives, and no rate of their loop is larger than the largest gain (docs/theory.md): the gain
+    that one task tolerates is a limit of all, whatever their units, weights and levels.
+
+    Args:
+      signals: {task: (N, k)} its errors. Ts: as for `diagnose`. alpha: {task: gain [1/s]} of those that are known.
+    Raises: as `diagnose`, and for an alpha of a task that is not recorded.
+    """
+    errors.kind("signals", signals, dict)
+    known = {
+        errors.one_of("alpha", n, signals): float(errors.number("alpha", a, positive=True))
+        for n, a in errors.kind("alpha", alpha or {}, dict).items()
+    }
+    largest = max(known.values()) if len(known) == len(signals) else None  # no mode is faster
+    tasks: dict = {}
+    for name, signal in signals.items():
+        with errors.within(name):
+            tasks[name] = diagnose(signal, Ts, alpha=largest)
+    swing = [found for found in tasks.values() if found.rings]
+    if not swing:
+        return StackDiagnosis(tasks=tasks, change=(), recommended_alpha=None)
+    lead = max(swing, key=lambda found: (found.confidence, found.growth**found.period))
+    best = lead.recommended_alpha
+    change = [name for name, gain in known.items() if gain > ABOVE * best]
+    along = [name for name, found in tasks.items() if found.rings and abs(found.period / lead.period - 1) < ALIKE]
+    change += [name for name in along if name not in known]
+    return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)

@@ -17,19 +17,20 @@ from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
-SERVO = ("natural_frequency", "damping_ratio")
-NUMBERS = {"delay": (), "lag": ("lag",), "second-order": SERVO}  # besides the dead time
-NUMBERS["velocity PI"] = ("lag", "integral")  # v' = (u − v + ∫(u − v)/integral)/lag
+NUMBERS = {  # of each model besides the dead time
+    "delay": (),
+    "lag": ("lag",),
+    "second-order": ("natural_frequency", "damping_ratio"),
+    "velocity PI": ("lag", "integral"),  # v' = (u − v + ∫(u − v)/integral)/lag
+}
 BOUNDS = {"lag": (0.05, 1e3), "natural_frequency": (1e-3, 20.0), "damping_ratio": (0.03, 20.0), "integral": (0.3, 1e4)}
 SCALES = {"lag": 1, "integral": 1, "natural_frequency": -1, "damping_ratio": 0}  # powers of Ts: bounds are in samples
 TIMES, RATIOS = np.geomspace(0.3, 150, 12), (0.3, 0.8, 2.0)  # lags [samples] and ζ to start from, a factor of 2 apart
-PARTS = ((1, 1), (1, 0), (0, 0))  # whether a joint has a gain, and a drift
 STEPS = 25  # of Gauss and Newton, from within a factor of two
 EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
 BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
 EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
-STRUCTURE, SEEN = 4.0, 2e-3  # correlation length [samples] and share of a motion of a residual that a drive leaves out
 OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
 FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
 NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
@@ -46,8 +47,8 @@ class DriveFit:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
       interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
-      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
-      explained: share of the motions' variance.
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m], NaN of a joint
+        that is left out; motion: (N, k) of the fit. explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
     """
@@ -76,7 +77,7 @@ class DriveFit:
             wide = f"{_said(low)} to {_said(high)}" if np.ndim(low) == 0 else f"± {_said(np.max(high - low) / 2)}"
             said.append(f"{name.replace('_', ' ')} {value}{units[name]} ({wide})")
         kind = ("dead time", "lag", "second order")[self.drive.order]
-        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
+        left = f"{np.nanmax(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
         alpha = f"Recommended alpha: {self.recommended_alpha:.4g} 1/s." if self.recommended_alpha else ""
         return " ".join(filter(None, (f"{kind}: {', '.join(said)}; {left}.", alpha, self.note)))
 
@@ -92,25 +93,22 @@ def fit_drive(
     motion: Float[ArrayLike, "N ..."],
     Ts: float | None = None,
     *,
-    kind: str | None = None,
     command_kind: str = "position",
 ) -> DriveFit:
     """Fit a drive to recorded commands and motion, such as of a step: dead time, and a lag or a second-order servo.
 
-    Each model is fitted by least squares with the exactly sampled drive, with a gain and a drift of each joint if the
-    log needs them. The simplest one is chosen unless another is much better by an information criterion (Schwarz 1978).
+    Each model is fitted by least squares with the exactly sampled drive, with a gain and a drift of each joint; of
+    velocity commands a servo with an integral part, too. The simplest one is chosen unless another is much better by an
+    information criterion (Schwarz 1978).
     The first command is assumed to be constant for a long time before the log.
 
     Args:
       t: (N,) times [s], or None with a Ts. command, motion: (N,) or (N, k), a column per joint: the joint values or
         velocities sent at t, and the joint values measured then [rad, m].
       Ts: sampling time [s]; default: from t. command_kind: "position" or "velocity".
-      kind: "delay", "lag", "second-order" or, of velocities, "velocity PI"; None: the simplest that explains the log.
     Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
-    kinds = list(NUMBERS)[: 3 + velocity]
-    kinds = kinds if kind is None else [errors.one_of("kind", kind, kinds)]
     command, motion = (columns(n, v, "fit_drive") for n, v in (("command", command), ("motion", motion)))
     if command.shape != motion.shape:
         raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
@@ -123,13 +121,10 @@ def fit_drive(
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts, velocity)
-    best = Fit("", (), np.empty(0), np.inf)
-    for one in kinds:
-        fit = _least(log, one, PARTS[0], _starts(log, one))
+    best = _least(log, "delay", _starts(log, "delay"))
+    for kind in list(NUMBERS)[1 : 3 + velocity]:
+        fit = _least(log, kind, _starts(log, kind))
         best = fit if fit.score < best.score - BETTER else best
-    for parts in PARTS[1:]:
-        fewer = _least(log, best.kind, parts, best.values[:, None])
-        best = fewer if fewer.score < best.score + BETTER else best
     return _made(log, best)
 
 
@@ -152,23 +147,20 @@ class _Log:
         steps = step_response(kind, np.exp(values[..., None, 1:]), self.t - values[..., :1], self.velocity)
         return np.fft.irfft(self.changes[joint] * np.fft.rfft(steps, self.length), self.length)[..., : len(self.t)]
 
-    def free(self, a, parts):
-        """Rows (..., N) without offset, and without drift where there is one."""
-        level = self.line[: 1 + parts[1]]
-        return a - (a @ level.T) @ level
+    def free(self, a):
+        """Rows (..., N) without offset and drift."""
+        return a - (a @ self.line.T) @ self.line
 
-    def left(self, kind, values, parts, joint):
+    def left(self, kind, values, joint):
         """((..., N) residuals, (...) gains) of drives (..., p) of joints (...)."""
-        moved = self.free(self.response(kind, values, joint) + self.base[joint], parts)
-        wanted, gain = self.free(self.y[joint], parts), np.ones(moved.shape[:-1])
-        if parts[0]:
-            gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
+        moved, wanted = self.free(self.response(kind, values, joint) + self.base[joint]), self.free(self.y[joint])
+        gain = np.sum(moved * wanted, -1) / np.maximum(np.sum(moved**2, -1), 1e-300)
         return wanted - gain[..., None] * moved, gain
 
-    def slopes(self, kind, values, parts, joint):
+    def slopes(self, kind, values, joint):
         """((..., N) residuals, (..., N, p) their derivatives by the values)."""
         p, step = values.shape[-1], 1e-4
-        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), parts, joint[..., None])
+        left, _ = self.left(kind, values[..., None, :] + step * np.eye(p + 1, p, -1), joint[..., None])
         return left[..., 0, :], np.moveaxis((left[..., 1:, :] - left[..., :1, :]) / step, -2, -1)
 
 
@@ -217,7 +209,7 @@ def _starts(log, kind):
         return np.fft.irfft(np.fft.rfft(row, log.length) * spectrum, log.length)[..., : latest + 1]
 
     power = np.cumsum(moved**2, -1)[..., N - 1 - np.arange(latest + 1)] - sum(across(row) ** 2 for row in log.line)
-    cost = -(across(log.free(log.y - log.base, PARTS[0])) ** 2) / np.maximum(power, 1e-9 * N)
+    cost = -(across(log.free(log.y - log.base)) ** 2) / np.maximum(power, 1e-9 * N)
     order = np.argsort(np.min(cost, -1), axis=0)[:2]
     found = values[order]  # (1 or 2, k, p)
     found[..., 0] = np.take_along_axis(np.argmin(cost, -1), order, 0) + 0.2 * (kind != "delay")
@@ -230,28 +222,27 @@ class Fit(NamedTuple):
     """Fitted values (k, p) of all joints: dead time [samples], logarithms of numbers in samples."""
 
     kind: str
-    parts: tuple
     values: np.ndarray
     score: float
 
 
-def _least(log, kind, parts, starts, late=None) -> Fit:
+def _least(log, kind, starts, late=None) -> Fit:
     """The least squares of each joint, from the better of its starts (k, s, p); `late`: with this dead time."""
-    (low, high), N = _ends(kind), len(log.t)
-    free = np.array([late is None, *[True] * (len(low) - 1)])
-    low, high = np.where(free, low, late or 0.0), np.where(free, high, late or 0.0)
+    low, high = np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
+    low[0], high[0] = (0.0, MOST - 1.0) if late is None else (late, late)
+    N = len(log.t)
     values = np.clip(starts, low, high)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
-    here, slope = log.slopes(kind, values, parts, joint)
+    here, slope = log.slopes(kind, values, joint)
     power, damping = np.sum(here**2, -1), np.full(values.shape[:2], 1e-3)
     for _ in range(STEPS):
-        slope = slope * free
+        slope = slope * (high > low)
         normal = np.einsum("...ni,...nj->...ij", slope, slope)
         scale = damping[..., None] * (np.einsum("...ii->...i", normal) + 1e-12)
         downhill = np.einsum("...ni,...n->...i", slope, here)
         step = np.linalg.solve(normal + scale[..., None] * np.eye(len(low)), downhill[..., None])[..., 0]
         tried = np.clip(values - np.clip(step, -1.5, 1.5), low, high)
-        there, slopes = log.slopes(kind, tried, parts, joint)
+        there, slopes = log.slopes(kind, tried, joint)
         better = np.sum(there**2, -1) < power
         ends = np.all(better | (damping > 1e3)) and np.all((np.abs(tried - values) < 1e-4) | ~better[..., None])
         values, here = np.where(better[..., None], tried, values), np.where(better[..., None], there, here)
@@ -261,15 +252,8 @@ def _least(log, kind, parts, starts, late=None) -> Fit:
             break
     each = np.arange(log.k), np.argmin(power, 1)
     left = power[each] / N + EXACT**2
-    _, apart = _shared(values[each], np.einsum("kni,knj->kij", slope[each], slope[each]) / left[:, None, None])
-    numbers = min(log.k * len(low) * np.log(N), apart + len(low) * np.log(N))  # of each joint, or shared
-    score = N * np.sum(np.log(left)) + log.k * (1 + sum(parts)) * np.log(N) + numbers
-    return Fit(kind, parts, values[each], float(score))
-
-
-def _ends(kind):
-    """The least and largest values (p,)."""
-    return np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
+    numbers = log.k * len(low) * np.log(N)
+    return Fit(kind, values[each], float(N * np.sum(np.log(left)) + numbers))
 
 
 # --- all joints together ------------------------------------------------------------------------------
@@ -277,9 +261,9 @@ def _ends(kind):
 
 def _made(log, fit) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
-    (kind, parts, fitted, _), names, every = fit, NUMBERS[fit.kind], np.arange(log.k)
-    values, covs, own = _together(log, kind, parts, fitted)
-    left, gain = log.left(kind, np.broadcast_to(values, fitted.shape), parts, every)
+    kind, names, every = fit.kind, NUMBERS[fit.kind], np.arange(log.k)
+    values, covs, own = _together(log, kind, fit.values)
+    left, gain = log.left(kind, np.broadcast_to(values, fit.values.shape), every)
     explained = 1.0 - np.mean(left**2, -1)  # of each motion's variance; a joint may also move as others shake it
     follows = explained > EXPLAINED
     if not follows.any():
@@ -303,49 +287,46 @@ def _made(log, fit) -> DriveFit:
     if not follows.all():
         said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
         notes.append(f"Joint {said} does not follow its command, and is left out.")
-    rms, length = np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.array([correlated(row) for row in left])
-    if np.any((length > STRUCTURE) & (rms > SEEN * np.ptp(log.motion, axis=0))):
-        notes.append("What is left has a structure: the drive has friction, play, a limit or a higher order.")
     if np.any(off := follows & (np.abs(gain - 1) > OFF)):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
-    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fitted.shape), every) + log.base)
-    drift = np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * parts[1] * log.size[:, 0]
-    given = dict(drive=_drive(log, kind, values), interval=interval, gain=gain, drift=drift, rms=rms)
-    motion = log.motion - (left * log.size).T
+    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fit.values.shape), every) + log.base)
     return DriveFit(
-        **given,
+        drive=_drive(log, kind, values),
+        interval=interval,
+        gain=gain,
+        drift=np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * log.size[:, 0],
+        rms=np.where(follows, np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.nan),
         explained=float(explained[follows].mean()),
         recommended_alpha=alpha,
-        motion=motion,
+        motion=log.motion - (left * log.size).T,
         note=" ".join(notes),
     )
 
 
-def _together(log, kind, parts, fitted) -> tuple:
+def _together(log, kind, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
-    information = _information(log, kind, parts, fitted)
-    cov, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
-    mean, apart = _shared(fitted, information)
+    information = _information(log, kind, fitted)
+    shared, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
+    mean = shared @ np.einsum("kij,kj->i", information, fitted)
+    apart = np.einsum("ki,kij,kj->", fitted - mean, information, fitted - mean)
     free = (log.k - 1) * len(mean)
-    if len(mean) > 1 and apart > free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
-        least = 1 / np.sum(1 / each[:, 0, 0])
-        late = least * np.sum(fitted[:, 0] / each[:, 0, 0])
-        moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
-        most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
-        starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
-        fitted = _least(log, kind, parts, starts, late).values
-        each[:, 0, 0] = least
-        return fitted, each, True
-    return mean[None], cov[None], False
+    if len(mean) == 1 or apart <= free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
+        return mean[None], shared[None], False
+    late = np.average(fitted[:, 0], weights=1 / each[:, 0, 0])
+    moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
+    most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
+    each[:, 0, 0] = 1 / np.sum(1 / each[:, 0, 0])
+    starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
+    return _least(log, kind, starts, late).values, each, True
 
 
-def _information(log, kind, parts, values):
+def _information(log, kind, values):
     """(k, p, p) of the values of each joint: residuals count as often as they are independent, and may be larger where
     the motion is fast (White 1980)."""
-    left, slope = log.slopes(kind, values, parts, np.arange(log.k))
-    free = max(len(log.t) - slope.shape[-1] - 1 - sum(parts), 1)
+    left, slope = log.slopes(kind, values, np.arange(log.k))
+    free = max(len(log.t) - slope.shape[-1] - 3, 1)
     power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
     flat = np.linalg.pinv(np.einsum("kni,knj->kij", slope, slope))
     lever = np.einsum("kni,kij,knj->kn", slope, flat, slope)
@@ -353,12 +334,6 @@ def _information(log, kind, parts, values):
     robust, plain = (np.diagonal(m, axis1=1, axis2=2) for m in (flat @ seen @ flat, power[:, None, None] * flat))
     wider = np.maximum(np.max(robust / np.maximum(plain, 1e-300), -1), 1.0)
     return np.linalg.pinv(flat * (power * wider)[:, None, None])
-
-
-def _shared(values, information):
-    """(values (p,) that all joints share, χ² of how far each joint's own (k, p) are from them)."""
-    mean = np.linalg.pinv(information.sum(0)) @ np.einsum("kij,kj->i", information, values)
-    return mean, float(np.einsum("ki,kij,kj->", values - mean, information, values - mean))
 
 
 def correlated(left) -> float:
@@ -374,9 +349,9 @@ def _drive(log, kind, values) -> Drive:
     """The `Drive` of values (1, p), or (k, p) of joints that differ."""
     names = [name for name in NUMBERS[kind] if name != "integral"]
     numbers = {name: np.exp(values[:, i]) * log.Ts ** SCALES[name] for i, name in enumerate(names, 1)}
-    made: dict = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
+    shared: dict = {name: float(v[0]) if len(v) == 1 else v for name, v in numbers.items()}
     delay = float(np.clip(values[0, 0], 0, MOST - 1))
-    return Drive(command="velocity" if log.velocity else "position", delay=delay, **made)
+    return Drive(command="velocity" if log.velocity else "position", delay=delay, **shared)
 
 
 def _recommended(log, kind, values, covs, gain) -> tuple:
@@ -384,9 +359,8 @@ def _recommended(log, kind, values, covs, gain) -> tuple:
     for i, name in enumerate(NUMBERS[kind], 1):
         slow = np.log(BOUNDS[name][SCALES[name] > 0])  # the end at which a drive is slow, or swings
         if name != "integral" and np.any(np.abs(values[:, i] - slow) < OFF):
-            return None, [
-                f"No gain: the {name.replace('_', ' ')} is at the end of what is tried. Record a longer step."
-            ]
+            said = name.replace("_", " ")
+            return None, [f"No gain: the {said} is at the end of what is tried. Record a longer step."]
     drive = _drive(log, kind, values)
     rows = len(log.t) - np.argmax(np.any(log.command != log.command[0], axis=1))
     slow = drive.lag if drive.order < 2 else 2 * np.maximum(np.pi, drive.damping_ratio) / drive.natural_frequency

@@ -1,33 +1,27 @@
 """Answers of `cnclik.reach` as labelled data and files."""
 
 import pathlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cnclik import errors
-from cnclik.measure.dataset import about
-from cnclik.measure.files import save_netcdf
+from cnclik.measure.dataset import Labelled, about
+from cnclik.measure.files import save_csv, save_netcdf
 from cnclik.reaching.result import Reached, ReachStatus
 from cnclik.task.aims import aims
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 ENDINGS = (".nc", ".csv")
 
 
-def answers(reached: Reached, transforms) -> "xr.Dataset":
-    """Answers for targets (B, 4, 4) as an `xarray.Dataset` with dimension `target` (and `solution`); all have units.
+def answers(reached: Reached, transforms) -> Labelled:
+    """Answers for targets (B, 4, 4) with dimension `target` (and `solution`); all have units.
 
     For k tips the targets are (B, k, 4, 4), and there is a dimension `tip`.
     """
-    import xarray as xr
-
     dims = ("target", "solution")[: np.ndim(reached.status)]
     units = " or ".join(dict.fromkeys(reached.chain.units))
     flags = {"flag_values": [int(s) for s in ReachStatus], "flag_meanings": " ".join(s.name for s in ReachStatus)}
-    labels, each = [aim.label for aim in aims(reached.task)], ("tip",) if np.ndim(transforms) > 3 else ()
+    coords, each = {"joint": ("joint", list(reached.chain.joint_names), {})}, ("tip",) * (np.ndim(transforms) > 3)
     variables = {
         "transform": (("target", *each, "row", "column"), transforms, about("target pose", "m, 1")),
         "q": ((*dims, "joint"), reached.q, about("joint value", units)),
@@ -43,36 +37,30 @@ def answers(reached: Reached, transforms) -> "xr.Dataset":
         places, turns = (np.stack(v, -1) for v in zip(*reached.each, strict=True))
         variables["tip_position_error"] = ((*dims, "tip"), places, about("position error of a tip", "m"))
         variables["tip_orientation_error"] = ((*dims, "tip"), turns, about("orientation error of a tip", "rad"))
-    coords = {"joint": list(reached.chain.joint_names)} | ({"tip": labels} if each else {})
-    return xr.Dataset(variables, coords=coords)
+        coords["tip"] = ("tip", [aim.label for aim in aims(reached.task)], {})
+    return Labelled(variables, coords, {})
 
 
-def save(data: "xr.Dataset", path) -> None:
+def save(data: Labelled, path) -> None:
     """Write answers as .nc, or as .csv with a row per target and solution."""
     if errors.ending("out", pathlib.Path(path), *ENDINGS) == ".nc":
         return save_netcdf(data, path)
-    import pandas
-
-    over = [name for name in ("target", "solution") if name in data.sizes]
-    rows = (
-        data.assign_coords({name: np.arange(data.sizes[name]) for name in over})
-        .stack(answer=over)
-        .transpose("answer", ...)
-    )
-    joints, several = rows.joint.values.astype(str), "tip" in data.sizes
-    tips = [f"{tip}." for tip in rows.tip.values] if several else [""]
-    columns: dict = {name: rows[name].values for name in over}
-    columns["status"] = [ReachStatus(status).name for status in rows.status.values]
-    columns |= dict(zip(joints, rows.q.values.T, strict=True))
-    numbers = ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance")
-    columns |= {name: rows[name].values for name in numbers}
-    columns["at_limit"] = [" ".join(joints[hit.astype(bool)]) for hit in rows.at_limit.values]
-    if several:
-        for name in ("position_error", "orientation_error"):
-            columns |= {f"{tip}{name}": v for tip, v in zip(tips, rows[f"tip_{name}"].values.T, strict=True)}
+    dims, status, _ = data.variables["status"]
+    shape, joints = np.shape(status), data.coords["joint"][1]
+    tips = [f"{tip}." for tip in data.coords["tip"][1]] if "tip" in data.coords else [""]
+    flat = {
+        name: np.reshape(v, (np.size(status), -1)) for name, (_, v, _) in data.variables.items() if name != "transform"
+    }
+    columns: dict = dict(zip(dims, np.indices(shape).reshape(len(shape), -1), strict=True))
+    columns["status"] = [ReachStatus(code).name for code in flat["status"][:, 0]]
+    columns |= dict(zip(joints, flat["q"].T, strict=True))
+    for name in ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance"):
+        columns[name] = flat[name][:, 0]
+    columns["at_limit"] = [" ".join(np.array(joints)[hit.astype(bool)]) for hit in flat["at_limit"]]
+    for name in ("position_error", "orientation_error") if len(tips) > 1 else ():
+        columns |= dict(zip([tip + name for tip in tips], flat[f"tip_{name}"].T, strict=True))
+    transforms = np.asarray(data.variables["transform"][1]).reshape(shape[0], -1)
     entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]
-    columns |= dict(zip(entries, rows.transform.values.reshape(len(rows.answer), -1).T, strict=True))
-    table = pandas.DataFrame(
-        {k: v + 0.0 if np.asarray(v).dtype.kind == "f" else v for k, v in columns.items()}
-    )  # no −0
-    table.to_csv(path, index=False, na_rep="nan")
+    columns |= dict(zip(entries, np.repeat(transforms, np.prod(shape[1:], dtype=int), axis=0).T, strict=True))
+    plain = [(v + 0.0).tolist() if np.asarray(v).dtype.kind == "f" else v for v in columns.values()]  # no −0
+    save_csv([list(columns), *zip(*plain, strict=True)], path)

@@ -11,30 +11,30 @@ import numpy as np
 
 
 def save_netcdf(data, path) -> None:
-    """Write an `xarray.Dataset` as compressed netCDF, made in memory: HDF5 ends the process if the disk is full."""
-    numbers = [name for name, values in data.variables.items() if values.dtype.kind in "fiub" and values.ndim]
-    packed = {name: {"zlib": True, "complevel": 6} for name in numbers}
-    pathlib.Path(path).write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
+    """Write an `xarray.Dataset`, or a `Labelled`, as compressed netCDF, without xarray, which takes long to import.
 
-
-def save_labelled(data, path) -> None:
-    """Write a `Labelled` as `save_netcdf` does, without xarray, whose import takes a second process half a second."""
+    It is made in memory: HDF5 ends the process if the disk is full.
+    """
     import h5netcdf
     import h5py
 
+    variables, coords, about = data if isinstance(data, tuple) else (data.data_vars, data.coords, data.attrs)
     with io.BytesIO() as memory:
         with h5netcdf.File(memory, "w") as file:
-            for name, (dims, values, attrs) in (data.variables | data.coords).items():
+            for name, variable in [*variables.items(), *coords.items()]:
+                known = isinstance(variable, tuple)
+                dims, values, attrs = variable if known else (variable.dims, variable.values, variable.attrs)
                 values, dims = np.asarray(values), (dims,) if isinstance(dims, str) else dims
-                file.dimensions.update(
-                    {dim: n for dim, n in zip(dims, values.shape, strict=True) if dim not in file.dimensions}
-                )
-                text, packed = values.dtype.kind == "U", {"compression": "gzip", "compression_opts": 6}
+                if values.dtype == bool:  # as xarray reads it back
+                    values, attrs = values.astype("i1"), attrs | {"dtype": "bool"}
+                sizes = zip(dims, values.shape, strict=True)
+                file.dimensions.update({dim: n for dim, n in sizes if dim not in file.dimensions})
+                text, packed = values.dtype.kind in "UO", {"compression": "gzip", "compression_opts": 6}
                 kind, packed = (h5py.string_dtype(), {}) if text else (values.dtype, packed if dims else {})
-                variable = file.create_variable(name, dims, kind, **packed)
-                variable[...] = values.astype(object) if text else values
-                variable.attrs.update(attrs)
-            file.attrs.update(data.attrs | {"coordinates": " ".join(sorted(data.coords))})
+                made = file.create_variable(name, dims, kind, **packed)
+                made[...] = values.astype(object) if text else values
+                made.attrs.update(attrs)
+            file.attrs.update(about | {"coordinates": " ".join(sorted(coords))})
         pathlib.Path(path).write_bytes(memory.getvalue())
 
 

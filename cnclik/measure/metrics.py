@@ -63,6 +63,19 @@ class Measured(NamedTuple):
     reference: ref.Reference | ref.References
     tolerance: Number  # of ‖e‖ [m, rad]
 
+    @property
+    def size(self):
+        """‖e‖ at each instant."""
+        return _norms(self.run.e)
+
+    @property
+    def position(self):
+        return self.run.e[..., np.array(self.law.task.lengths, int)]
+
+    @property
+    def rotation(self):
+        return self.run.e[..., np.array(self.law.task.angles, int)]
+
 
 class Metric(NamedTuple):
     """A metric: its function of a `Measured` run, a number; its unit and its meaning."""
@@ -104,19 +117,11 @@ def _count(hit):
     return jnp.sum(hit.astype(jnp.int32))
 
 
-def _position(of):
-    return of.run.e[..., np.array(of.law.task.lengths, int)]
-
-
-def _rotation(of):
-    return of.run.e[..., np.array(of.law.task.angles, int)]
-
-
 def _split(of):
     """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
     task, model = of.law.task, modelled(of.law.chain)
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
-    e, v = _position(of), toward(of.run.t, of.run.q)[:, np.array(task.lengths, int)]
+    e, v = of.position, toward(of.run.t, of.run.q)[:, np.array(task.lengths, int)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(e * tangent, axis=-1, keepdims=True)
@@ -124,25 +129,19 @@ def _split(of):
 
 
 def _steps_to_tolerance(of):
-    inside = _norms(of.run.e) <= of.tolerance
-    k = _first(inside)
-    return jnp.where(k < inside.shape[0], k, jnp.inf)
-
-
-def _evaluations_to_tolerance(of):
-    return _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1)
+    k, count = _first(of.size <= of.tolerance), len(of.run.t)
+    return jnp.where(k < count, k, jnp.inf)
 
 
 def _settling_time(of):
-    outside, t = _norms(of.run.e) > of.tolerance, of.run.t
-    count = outside.shape[0]
-    k = count - _first(outside[::-1])  # the instant after the last one outside the tolerance
+    t, count = of.run.t, len(of.run.t)
+    k = count - _first((of.size > of.tolerance)[::-1])  # the instant after the last one outside the tolerance
     return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
 
 
 def _rate(of):
-    norms = _norms(of.run.e)
-    inside, count = norms <= of.tolerance, norms.shape[0]
+    norms, count = of.size, len(of.run.t)
+    inside = norms <= of.tolerance
     last = jnp.minimum(_first(inside), count - 1)
     ratio = _finite(norms[last] / jnp.where(inside[0], 1.0, norms[0]))
     ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
@@ -150,18 +149,13 @@ def _rate(of):
 
 
 def _ending(of):
-    size = _norms(of.run.e)
-    return jnp.where(size[0] == 0, jnp.nan, judge(size, of.run.status).ending)
+    return jnp.where(of.size[0] == 0, jnp.nan, judge(of.size, of.run.status).ending)
 
 
 def _rms_qddot(of):
     if len(of.run.qdot) < 2:
         return jnp.zeros((), of.run.q.dtype)
     return _root_mean(jnp.diff(of.run.qdot, axis=0) / ((of.run.t[-1] - of.run.t[0]) / len(of.run.qdot)))
-
-
-def _path_length(of):
-    return jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:])))
 
 
 def _past_limit(of):
@@ -211,35 +205,41 @@ def _marked(bit):
 
 
 _MARKED = {str(bit.name).lower(): _marked(bit) for bit in Status if bit}
-_OTHERS = {  # function, unit, label
-    "steps_to_tolerance": (_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
-    "evaluations_to_tolerance": (_evaluations_to_tolerance, "1", "evaluations of f to the tolerance"),
-    "settling_time": (_settling_time, "s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't"),
-    "converged": (lambda of: (_norms(of.run.e[-1]) <= of.tolerance) * 1.0, "1", "1 if ‖e[N]‖ ≤ tolerance"),
-    "ending": (_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
-    "stable": (lambda of: stable(_ending(of)) * 1.0, "1", "converged, or still does, to a target at rest"),
-    "rate": (_rate, "1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it"),
-    "max_qdot": (lambda of: _max(jnp.abs(of.run.qdot)), "q/s", "largest |q̇ᵢ|"),
-    "rms_qddot": (_rms_qddot, "q/s²", "RMS of ‖Δq̇‖/Ts: smoothness"),
-    "path_length": (_path_length, "q", "length of the joint path, Σ‖Δq‖"),
-    "velocity_ratio": (
-        lambda of: _max(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit)),
-        *("1", "largest |q̇ᵢ| over its limit"),
+_OTHERS = {  # unit, label, function
+    "steps_to_tolerance": ("1", "first k with ‖e[k]‖ ≤ tolerance, inf if none", _steps_to_tolerance),
+    "evaluations_to_tolerance": (
+        *("1", "evaluations of f to the tolerance"),
+        lambda of: _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1),
     ),
-    "past_limit": (_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
-    "chatter": (lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
-    "least_singular_value": (_least_singular_value, "J", "least σ_min of the task Jacobian"),
-    "residual": (lambda of: _max(of.run.residual), "q", "largest last change of an implicit stage"),
-    "evaluations": (lambda of: jnp.asarray(of.run.evaluations, float), "1", "evaluations of f(q, t)"),
-    "ok": (lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
+    "settling_time": ("s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't", _settling_time),
+    "converged": ("1", "1 if ‖e[N]‖ ≤ tolerance", lambda of: (of.size[-1] <= of.tolerance) * 1.0),
+    "ending": ("1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0", _ending),
+    "stable": ("1", "converged, or still does, to a target at rest", lambda of: stable(_ending(of)) * 1.0),
+    "rate": ("1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it", _rate),
+    "max_qdot": ("q/s", "largest |q̇ᵢ|", lambda of: _max(jnp.abs(of.run.qdot))),
+    "rms_qddot": ("q/s²", "RMS of ‖Δq̇‖/Ts: smoothness", _rms_qddot),
+    "path_length": (
+        *("q", "length of the joint path, Σ‖Δq‖"),
+        lambda of: jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:]))),
+    ),
+    "velocity_ratio": (
+        *("1", "largest |q̇ᵢ| over its limit"),
+        lambda of: _max(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit)),
+    ),
+    "past_limit": ("q", "how far the farthest joint goes beyond its limit, 0 if none does", _past_limit),
+    "chatter": ("q/s", "RMS speed that the next step reverses, second half", lambda of: chatter(of.run.qdot)),
+    "least_singular_value": ("J", "least σ_min of the task Jacobian", _least_singular_value),
+    "residual": ("q", "largest last change of an implicit stage", lambda of: _max(of.run.residual)),
+    "evaluations": ("1", "evaluations of f(q, t)", lambda of: jnp.asarray(of.run.evaluations, float)),
+    "ok": ("1", "steps with status OK", lambda of: _count(of.run.status == 0)),
 }
 METRICS = {
     **_errors("error", lambda of: of.run.e, "e", "error ‖e‖"),
-    **_errors("position_error", _position, "m", "position error", "position"),
-    **_errors("rotation_error", _rotation, "rad", "rotation error", "rotation"),
+    **_errors("position_error", lambda of: of.position, "m", "position error", "position"),
+    **_errors("rotation_error", lambda of: of.rotation, "rad", "rotation error", "rotation"),
     **_errors("along", lambda of: _split(of)[0], "m", "position error along the path", "position"),
     **_errors("across", lambda of: _split(of)[1], "m", "position error across the path", "position"),
-    **{name: Metric(*about) for name, about in _OTHERS.items()},
+    **{name: Metric(fn, unit, label) for name, (unit, label, fn) in _OTHERS.items()},
     **_MARKED,
 }
 

@@ -16,7 +16,7 @@ from cnclik.integrate.loop import loop_of, one, start
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status
-from cnclik.record import Array, Bool, Float, Int, cast, record
+from cnclik.record import Array, Float, Int, cast, record
 from cnclik.robot.rotations import safe_norm
 
 
@@ -49,16 +49,12 @@ class Outcome:
       steps: number of steps after which the error stays below tolerance·scale; N + 1 if it never does.
       rate: mean factor per step down to that tolerance, tolerance^(1/steps); NaN if not converged.
       final: largest ‖e‖ in the last quarter [m, rad].
-      near_singular: whether some step was marked NEAR_SINGULAR.
-      stage_not_converged: whether some step was marked NOT_CONVERGED.
     """
 
     ending: Int[Array, ""]
     steps: Int[Array, ""]
     rate: Float[Array, ""]
     final: Float[Array, ""]
-    near_singular: Bool[Array, ""]
-    stage_not_converged: Bool[Array, ""]
 
 
 def judge(size, status, tolerance=1e-3, *, scale=None, swings=False) -> Outcome:
@@ -78,19 +74,17 @@ def judge(size, status, tolerance=1e-3, *, scale=None, swings=False) -> Outcome:
     bound = largest_before if swings else jnp.min(before, initial=jnp.inf)
     # A diverging loop wanders through singularities; only one met before that can be the cause.
     grown = jnp.cumsum(~(size[:-1] <= scale * GROWTH)) > 0
-    singular = (status & int(Status.NEAR_SINGULAR)) != 0
+    singular = jnp.any(((status & int(Status.NEAR_SINGULAR)) != 0) & ~grown)
     wrong = jnp.where(largest < scale, Ending.STALLED, Ending.DIVERGED)  # with a scale of NaN nothing is below
-    failed = jnp.where(jnp.any(singular & ~grown), Ending.NEAR_SINGULAR, wrong)
     slow = (largest < jnp.minimum(bound, scale)) & (largest < STALL_RATIO * largest_before)
+    late = jnp.where(slow, Ending.SLOW, jnp.where(singular, Ending.NEAR_SINGULAR, wrong))
     converged = largest <= tolerance * scale
     steps = jnp.max(jnp.where(size <= tolerance * scale, 0, jnp.arange(1, N + 2)))
     return Outcome(
-        ending=jnp.where(converged, Ending.CONVERGED, jnp.where(slow, Ending.SLOW, failed)).astype(jnp.int8),
+        ending=jnp.where(converged, Ending.CONVERGED, late).astype(jnp.int8),
         steps=steps.astype(jnp.int32),
         rate=jnp.where(converged, tolerance ** (1 / jnp.maximum(steps, 1).astype(size.dtype)), jnp.nan),
         final=largest,
-        near_singular=jnp.any(singular),
-        stage_not_converged=jnp.any((status & int(Status.NOT_CONVERGED)) != 0),
     )
 
 

@@ -1,14 +1,17 @@
-"""The paper's claims, judged by numbers: what `claims.json` holds.
+"""The paper's claims, judged by numbers: what `claims.json` holds, and its tables for the terminal and `claims.md`.
 
 (a) Case I: IE converges slowest, CN fastest.  (b) Case II: the tracking error is significantly lower with CN.
 (c) The fixed-point iteration converges in 4 to 5 iterations.
 """
 
 import itertools
+import pathlib
 
 import numpy as np
 
+from cnclik.measure.files import markdown
 from cnclik.paper import readings as paper
+from cnclik.paper.readings import ARMS, DEFAULT
 
 CLAIM = {
     "reach": "(a) IE converges slowest and CN fastest: IE has the largest mean error, CN the smallest",
@@ -19,6 +22,7 @@ CLAIM = {
 SIGNIFICANT = 0.5  # "significantly lower" in (b)
 SETTLED = 1e-3  # [rad] "converged" in (c), the default tolerance of `picard`
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)  # [rad]
+_SHOWN = (1e-3, 1e-4, 1e-6)  # of these, those in the table
 
 
 def judge(trajectories, passes) -> dict:
@@ -36,8 +40,8 @@ def holds(case: str, error: dict) -> bool:
 def rows(trajectories) -> list:
     """Return one record per arm, case and reading for (a) and (b)."""
     records = []
-    for where, at in _each(trajectories, "arm", "case", "reading"):
-        errors = {name: by_method(at[name]) for name in ("mean_error", "final_error")}
+    for where, run in _each(trajectories, "arm", "case", "reading"):
+        errors = {name: by_method(run[name]) for name in ("mean_error", "final_error")}
         verdict = holds(where["case"], errors["mean_error"])
         records.append(where | errors | {"claim": CLAIM[where["case"]], "holds": verdict})
     return records
@@ -69,8 +73,8 @@ def picard(passes) -> list:
     median factor per pass, over the steps and the passes 3 to 8 that are above rounding.
     """
     records = []
-    for where, at in _each(passes, "arm", "case", "reading", "method"):
-        residual = at.residual.transpose("pass", "step").values
+    for where, run in _each(passes, "arm", "case", "reading", "method"):
+        residual = run.residual.transpose("pass", "step").values
         worst, before = residual.max(axis=1), residual[3:8]
         ratios = residual[4:9][before > 1e-12] / before[before > 1e-12]
         about = {
@@ -85,5 +89,79 @@ def picard(passes) -> list:
 
 def _needed(worst, tolerance):
     """Return the first pass from which the residual stays within the tolerance; None without one."""
-    passes = len(worst) - int(np.argmax(~(worst[::-1] <= tolerance))) if not np.all(worst <= tolerance) else 0
-    return passes if passes < len(worst) else None
+    above = np.flatnonzero(~(worst <= tolerance))
+    needed = int(above[-1]) + 1 if above.size else 0
+    return needed if needed < len(worst) else None
+
+
+# --- in words -------------------------------------------------------------------------------------------
+
+
+def tables(judged, results) -> list:
+    """Return the tables of a run's claims, methods and passes: (title, header, rows of texts, columns set left)."""
+    unsure = undetermined(results.trajectories)
+    claims, passes, methods = [], [], []
+    for row in filter(_own, judged["rows"]):
+        run = row["arm"], row["reading"], row["case"]
+        mean = [number(v) + "*" * ((*run, m) in unsure) for m, v in row["mean_error"].items()]
+        claim = {"reach": "(a)", "track": "(b)"}[row["case"]]
+        claims.append([f"{claim} {ARMS[row['arm']]} {row['case']}", _short(row), *mean, _verdict(row)])
+    for where, at in _each(results.methods, "arm", "method"):
+        first, order = at.isel(Ts=0), at.order.dropna("Ts").values
+        errors = first.mean_error.sel(case="reach"), first.rms_error.sel(case="track"), first.rms_converged
+        count, orders = int(first.evaluations.sel(case="track")), f"{order[0]:.2f} … {order[-1]:.2f}"
+        methods.append([f"{ARMS[where['arm']]} {where['method']}", str(count), *map(number, errors), orders])
+    for row in filter(_own, judged["picard"]):
+        if row["method"] == "CN":
+            needed = [row["needed"][f"{t:.0e}"] for t in _SHOWN]
+            needed = [f"> {paper.PASSES}" if v is None else str(v) for v in needed]
+            after = f"{row['residual_max'][paper.M]:.0e}"
+            passes.append([f"{ARMS[row['arm']]} {row['case']}", _short(row), after, *needed, _verdict(row)])
+    tolerances = [f"{t:.0e}".replace("e-0", "e-") for t in _SHOWN]
+    return [
+        (
+            f"Mean error ‖e‖ over k = 0 … {paper.N} [m], and what becomes of the claims",
+            *(["claim", "reading", *paper.PAPER, "holds"], claims, 2),
+        ),
+        (
+            f"All methods at Ts = {paper.TS:g} s under {DEFAULT}: errors ‖e‖ [m]",
+            *(["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"], methods, 1),
+        ),
+        (
+            f"Worst last change after {paper.M} passes [rad], and passes needed to a tolerance",
+            *(["(c)", "reading", f"after {paper.M}", *tolerances, "holds"], passes, 2),
+        ),
+    ]
+
+
+def page(judged, results, reading, captions) -> str:
+    """Return `claims.md`: the explanation beside this file, with the tables of a run.
+
+    Args: reading: that of the figures. captions: {file: what it shows}.
+    """
+    text = pathlib.Path(__file__).with_name("claims.md.in").read_text(encoding="utf-8")
+    shown = [markdown(header, rows, left=left).strip() for _, header, rows, left in tables(judged, results)]
+    figures = "\n".join(f"- `{name}`: {caption}" for name, caption in captions.items())
+    named = dict(zip(("claim_table", "method_table", "picard_table"), shown, strict=True))
+    return text.format(reading=reading, figures=figures, **named)
+
+
+def _own(record) -> bool:
+    """Return False for a repetition: Case I does not use the feed-forward."""
+    return record["case"] == "track" or record["reading"].endswith("/consistent")
+
+
+def _short(record) -> str:
+    """Return the reading, as far as the case uses it."""
+    return record["reading"] if record["case"] == "track" else record["reading"].rsplit("/", 1)[0]
+
+
+def number(value) -> str:
+    """Return three or four digits, as the paper's own tables would print them."""
+    value = float(value)
+    plain = value == 0 or 0.01 <= abs(value) < 100
+    return f"{value:.4f}" if plain else f"{value:.2e}".replace("e-0", "e-").replace("e+0", "e+")
+
+
+def _verdict(record) -> str:
+    return "yes" if record["holds"] else "no"

@@ -12,9 +12,9 @@ import xarray as xr
 from cnclik import errors
 from cnclik.engine.plan import as_here
 from cnclik.integrate.method import METHODS
-from cnclik.measure.dataset import as_json, provenance, to_dataset
+from cnclik.measure.dataset import about, as_json, provenance, to_dataset
 from cnclik.measure.files import save_netcdf
-from cnclik.paper import claims, tables
+from cnclik.paper import claims
 from cnclik.paper import readings as paper
 from cnclik.paper.readings import ARMS, BESIDE, CASES, DEFAULT, HALVINGS, NUDGES, PAPER, READINGS, Lane
 from cnclik.precision import in_float64
@@ -52,13 +52,12 @@ def everything(progress=None) -> Results:
     runs: dict = {}
     residuals: dict = {}
     with side_by_side() as pool:  # most of it is compiling, on one core each
-        each = pool.map(as_here(lambda one: paper.run_method(*one)), paper.METHOD_RUNS)
+        results = pool.map(as_here(lambda run: paper.run_method(*run)), paper.METHOD_RUNS)
         for done, (_, name) in enumerate(paper.METHOD_RUNS):
             if progress is not None:
                 progress(done, len(paper.METHOD_RUNS), f"{name}: compiling and running")
-            more_runs, more_residuals = next(each)
-            runs |= more_runs
-            residuals |= more_residuals
+            for known, more in zip((runs, residuals), next(results), strict=True):
+                known |= more
     return Results(trajectories(runs), methods(runs), passes(residuals))
 
 
@@ -80,19 +79,19 @@ def reproduce(out=None, *, reading=str(DEFAULT), progress=None, overwrite=False)
         return everything(progress)
     files = [*(f"{name}.nc" for name in Results._fields), "claims.json", "claims.md", *FIGURES]
     with output_folder(out, overwrite=overwrite, files=files) as folder:
-        found = everything(progress)
-        for name, data in found._asdict().items():
+        results = everything(progress)
+        for name, data in results._asdict().items():
             folder.write(f"{name}.nc", functools.partial(save_netcdf, data))
-        judged = claims.judge(found.trajectories, found.passes)
+        judged = claims.judge(results.trajectories, results.passes)
         # allow_nan: a claim that rests on a NaN must not pass as JSON.
         folder.write_text("claims.json", json.dumps(judged, indent=1, allow_nan=False) + "\n")
         from cnclik.paper import figures  # here, where a broken installation of matplotlib costs no data
 
-        pictures = figures.figures(*found, shown)
-        captions = {name: about.get("Title", "") for name, (_, about) in pictures.items()}
-        folder.write_text("claims.md", tables.page(judged, found, shown, captions))
+        pictures = figures.figures(*results, shown)
+        captions = {name: words.get("Title", "") for name, (_, words) in pictures.items()}
+        folder.write_text("claims.md", claims.page(judged, results, shown, captions))
     draw(pictures, out, progress=progress, overwrite=overwrite)
-    return found
+    return results
 
 
 def trajectories(runs: dict) -> xr.Dataset:
@@ -103,13 +102,14 @@ def trajectories(runs: dict) -> xr.Dataset:
     error apart.
     """
     labels = {"reading": list(READINGS), "case": list(CASES), "method": list(PAPER)}
-    shape = [len(v) for v in labels.values()]
-    arms = []
+    shape, arms = [len(v) for v in labels.values()], []
     for arm in ARMS:
         keys = [key(arm, *where) for where in itertools.product(*labels.values())]
-        batch = jax.tree.map(
-            lambda *leaves: np.reshape(leaves, (*shape, *np.shape(leaves[0]))), *(runs[k] for k in keys)
-        )
+        stacked = [
+            np.reshape(v, (*shape, *np.shape(v[0])))
+            for v in zip(*(jax.tree.leaves(runs[k]) for k in keys), strict=True)
+        ]
+        batch = jax.tree.unflatten(jax.tree.structure(runs[keys[0]]), stacked)
         data = to_dataset(batch, paper.law(arm), dims=labels, coords=labels)
         data["spread"] = (tuple(labels), np.reshape([_spread(runs, k) for k in keys], shape))
         arms.append(data.assign_coords(time=paper.TS * np.arange(paper.N + 1)))
@@ -118,14 +118,14 @@ def trajectories(runs: dict) -> xr.Dataset:
     data["error_norm"] = np.sqrt((data.e**2).sum("axis", skipna=False))
     data["mean_error"] = data.error_norm.mean("time", skipna=False)
     data["final_error"] = data.error_norm.isel(time=-1, drop=True)
-    about = {
-        "time": ("time", "s"),
-        "error_norm": ("error norm ‖e‖", "m"),
-        "mean_error": ("mean of ‖e‖ over k = 0 … N", "m"),
-        "final_error": ("‖e[N]‖", "m"),
-        "spread": ("relative change of mean_error between starts 1e-12 rad apart", "1"),
+    words = {
+        "time": about("time", "s"),
+        "error_norm": about("error norm ‖e‖", "m"),
+        "mean_error": about("mean of ‖e‖ over k = 0 … N", "m"),
+        "final_error": about("‖e[N]‖", "m"),
+        "spread": about("relative change of mean_error between starts 1e-12 rad apart", "1"),
     }
-    return _labelled(data, data.q.dtype, about)
+    return _labelled(data, words)
 
 
 def _spread(runs, where):
@@ -167,25 +167,24 @@ def methods(runs: dict) -> xr.Dataset:
         return np.sqrt((norm.isel(time=slice(1, None)) ** 2).mean("time", skipna=False))
 
     norm, converged = norms(labels), norms(labels | {"case": ["track"]}, M=paper.CONVERGED)
-    counts = [int(run.evaluations) for run, _ in each(labels)]
     data = norm.isel(Ts=0, drop=True).to_dataset(name="error_norm")
     data["mean_error"], data["rms_error"] = norm.mean("time", skipna=False), rms(norm)
+    counts = [int(run.evaluations) for run, _ in each(labels)]
     data["evaluations"] = (norm.dims[:-1], np.reshape(counts, norm.shape[:-1]))
     data["rms_converged"] = rms(converged).isel(case=0, drop=True)
     finer = data.rms_converged.isel(Ts=slice(1, None))
-    coarser = data.rms_converged.isel(Ts=slice(None, -1)).assign_coords(Ts=finer.Ts)
-    data["order"] = np.log2(coarser / finer)
-    about = {
-        "mean_error": ("mean of ‖e‖ over t = 0 … 3 s", "m"),
-        "rms_error": ("RMS of ‖e‖ over t = 0.1 … 3 s", "m"),
-        "evaluations": ("evaluations of f(q, t)", "1"),
-        "rms_converged": ("RMS tracking error, implicit stages converged", "m"),
-        "order": ("observed order, from 2 Ts to Ts", "1"),
-        "error_norm": ("error norm ‖e‖ at Ts = 0.1 s", "m"),
-        "Ts": ("sampling time", "s"),
-        "time": ("time", "s"),
+    data["order"] = np.log2(data.rms_converged.isel(Ts=slice(None, -1)).assign_coords(Ts=finer.Ts) / finer)
+    words = {
+        "mean_error": about("mean of ‖e‖ over t = 0 … 3 s", "m"),
+        "rms_error": about("RMS of ‖e‖ over t = 0.1 … 3 s", "m"),
+        "evaluations": about("evaluations of f(q, t)", "1"),
+        "rms_converged": about("RMS tracking error, implicit stages converged", "m"),
+        "order": about("observed order, from 2 Ts to Ts", "1"),
+        "error_norm": about("error norm ‖e‖ at Ts = 0.1 s", "m"),
+        "Ts": about("sampling time", "s"),
+        "time": about("time", "s"),
     }
-    return _labelled(data, norm.dtype, about, reading=str(DEFAULT), M_converged=paper.CONVERGED)
+    return _labelled(data, words, reading=str(DEFAULT), M_converged=paper.CONVERGED)
 
 
 def passes(residuals: dict) -> xr.Dataset:
@@ -198,16 +197,12 @@ def passes(residuals: dict) -> xr.Dataset:
     labels |= {"pass": np.arange(paper.PASSES + 1), "step": np.arange(paper.N)}
     values = [residuals[key(*where)] for where in itertools.product(*list(labels.values())[:4])]
     data = xr.Dataset({"residual": ([*labels], np.reshape(values, [len(v) for v in labels.values()]))}, labels)
-    about = {"residual": ("change of the joint increment in the last pass", "rad")}
-    return _labelled(data, data.residual.dtype, about)
+    return _labelled(data, {"residual": about("change of the joint increment in the last pass", "rad")})
 
 
-def _labelled(data, dtype, about, **config):
-    """Return data with `about`, {name: (long name, units)}, units on every other variable, and the configuration."""
-    for name, (long_name, units) in about.items():
-        data[name].attrs = {"long_name": long_name, "units": units}
+def _labelled(data, words, **config):
+    """Return data with long names and units, default ones where `words` has none, and the configuration."""
     for name in data.variables:
-        data[name].attrs.setdefault("long_name", name)
-        data[name].attrs.setdefault("units", "1")
-    data.attrs = provenance(dtype) | {"config": as_json(CONFIG | config)}
+        data[name].attrs = about(name, "1") | data[name].attrs | words.get(name, {})
+    data.attrs = provenance(float) | {"config": as_json(CONFIG | config)}
     return data

@@ -39,19 +39,16 @@ BESIDE = ("TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT")
 class Reading(NamedTuple):
     """One way to read the paper where its text leaves a choice."""
 
-    rotation: str
-    """"on-path": positive angles turn clockwise, and Case II starts on its path; "printed": right-handed about +z."""
-    Ts: str
-    """"once": as eqs. 2-5 have it; "twice": eq. 7 as printed multiplies by Ts what eq. 6 already did."""
-    feedforward: str
-    """"consistent": the path's own velocity −1/(N·Ts); "printed": −1, as eqs. 16 and 19."""
+    rotation: str  # on-path: positive angles turn clockwise, Case II starts on its path; printed: right-handed about +z
+    Ts: str  # once: as eqs. 2-5 have it; twice: eq. 7 as printed multiplies by Ts what eq. 6 already did
+    feedforward: str  # consistent: the path's own velocity −1/(N·Ts); printed: −1, as eqs. 16 and 19
 
     def __str__(self):
         return "/".join(self)
 
 
-_CHOICES = (("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
-READINGS = {str(r): r for r in itertools.starmap(Reading, itertools.product(*_CHOICES))}
+_CHOICES = itertools.product(("on-path", "printed"), ("once", "twice"), ("consistent", "printed"))
+READINGS = {str(r): r for r in itertools.starmap(Reading, _CHOICES)}
 DEFAULT = READINGS["on-path/once/consistent"]
 
 
@@ -83,9 +80,11 @@ def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
     return Law(planar_arm(lengths, clockwise=rotation == "on-path"), position("xy"), alpha=ALPHA)
 
 
-def start(arm: str):
-    """Return q at t = 0, (n,): (0, π/2, 0, …) [rad]."""
-    return jnp.zeros(ARMS[arm].n).at[1].set(np.pi / 2)
+def start(arm: str, nudge: int = 0):
+    """Return q at t = 0, (n,): (0, π/2, 0, …) [rad]. Args: nudge: number of the displaced start, 0 for this one."""
+    q = np.zeros(ARMS[arm].n)
+    q[1] = np.pi / 2
+    return q + NUDGE * np.random.default_rng(0).standard_normal((NUDGES, len(q)))[nudge - 1] if nudge else q
 
 
 @record
@@ -222,7 +221,7 @@ def run_method(Ts: str, name: str) -> tuple[dict, dict]:
         _program(
             stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
             stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
-            np.stack([_start(arm, lane.nudge) for arm, lane in todo]),
+            np.stack([np.pad(start(arm, lane.nudge), (0, JOINTS - ARMS[arm].n)) for arm, lane in todo]),
             np.array([TS / 2**lane.halving for _, lane in todo]),
             np.array([lane.M for _, lane in todo]),
             method=tableau(METHODS[name], Ts),
@@ -239,12 +238,3 @@ def run_method(Ts: str, name: str) -> tuple[dict, dict]:
         if followed is not None and lane in _PAPER_LANES:
             changes[arm, Ts, name, lane] = residuals[i]
     return runs, changes
-
-
-def _start(arm, nudge):
-    """Return where a lane starts, (JOINTS,) [rad]."""
-    n, q = ARMS[arm].n, np.zeros(JOINTS)
-    q[:n] = start(arm)
-    if nudge:
-        q[:n] += NUDGE * np.random.default_rng(0).standard_normal((NUDGES, n))[nudge - 1]
-    return q

@@ -11,24 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.integrate.drive import Drive
-from cnclik.integrate.method import Method, MethodLike, named
+from cnclik.integrate.drive import Drive, check_drive, drive_in_words
+from cnclik.integrate.method import MethodLike, named
 from cnclik.integrate.solve import solve
-from cnclik.integrate.stage import Stage
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.bounded import bounded
 from cnclik.law.inverse import damped, pseudoinverse, singular_damped
-from cnclik.law.law import Law, posture
+from cnclik.law.law import Law, check_loop
 from cnclik.law.limits import velocity_scaling
-from cnclik.law.paths import causal
-from cnclik.law.reference import Reference, References
+from cnclik.law.paths import causal, hold_at
+from cnclik.law.reference import Reference, References, aims_of
 from cnclik.problem import names
 from cnclik.problem import reference as paths
 from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
-from cnclik.record import AnyArray, ArrayLike, Float, Number
+from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words
 from cnclik.robot.chain import Chain
+from cnclik.robot.poses import quaternions
 
-LONGEST = 1e12  # [s], longest run; products of far longer times exceed the range of floats
 Point = Float[ArrayLike, " d"]  # position in the task's coordinates or x y z [m], perhaps with a quaternion
 
 
@@ -36,28 +35,71 @@ Point = Float[ArrayLike, " d"]  # position in the task's coordinates or x y z [m
 class Problem:
     """A loop, `solve(*p.loop)`, with its drive and noise; `run()` uses all of it.
 
-    `drive` is None if no such option was given. `noise`, a number or (m,), is the standard deviation of the measured
-    error, or None; `seed` is the seed of random numbers. `name` and `tip` are the robot's, and `robot` its
-    file, with the meshes that the viewer shows; `given` holds the names of the options that are not the defaults.
+    Attributes:
+      law, reference, q0: the loop. A reference of None stays where q0 is, and q0 of None is a posture away from
+        singularities.
+      Ts, N, method, stage: as for `solve`; method and stage also by name.
+      drive: `Drive`, or None: ideal.
+      noise: standard deviation of the measured error, a number or (m,), or None. seed: of its random numbers.
+      name: in titles. robot: its file, with the meshes that the viewer shows.
+
+    Raises: ArgumentError naming the attribute that does not fit.
     """
 
-    name: str
     law: Law
-    reference: Reference | References
-    q0: Float[AnyArray, " n"]
-    Ts: Number
-    N: int
-    method: Method
-    stage: Stage
+    reference: Reference | References = None  # type: ignore[assignment]  # given after the constructor, as all below
+    q0: Float[AnyArray, " n"] = None  # type: ignore[assignment]
+    Ts: Number = 0.01
+    N: int = 1000
+    method: Any = "EXP-MIDPOINT"
+    stage: Any = "picard"
     drive: Drive | None = None
-    noise: AnyArray | None = None
+    noise: Any = None
     seed: int = 0
-    tip: str = ""
+    name: str = "problem"
     robot: str | None = None
-    given: frozenset[str] = frozenset()
 
-    def __repr__(self) -> str:
-        return f"Problem({self.name!r}, Ts={self.Ts:g}, N={self.N}, method={str(self.method)!r})\n  {self.law!r}"
+    def __post_init__(self):
+        law = errors.kind("law", self.law, Law)
+        q0 = names.start_from(law.chain, law.task, self.q0)
+        reference = hold_at(law.chain, law.task, q0) if self.reference is None else self.reference
+        check_loop(law, reference)
+        checked = {
+            "q0": q0,
+            "reference": reference,
+            "Ts": errors.number("Ts", self.Ts, positive=True),
+            "N": errors.integer("N", self.N, at_least=1, at_most=errors.MOST),
+            "method": named(self.method),
+            "stage": names.stage_from(self.stage),
+            "drive": None if self.drive is None else check_drive(self.drive, law.chain),
+            "noise": None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,)),
+            "seed": errors.seed(self.seed),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def __str__(self) -> str:
+        """Robot and task, law and loop, start and target."""
+        law, task, drive = self.law, self.law.task, drive_in_words(self.drive or Drive(), float(self.Ts))
+        stage = f" by {self.stage}" * self.method.implicit
+        distinct = list(dict.fromkeys(np.ravel(law.alpha).tolist()))
+        alpha = in_words(distinct if len(distinct) > 1 else distinct[0])
+        lines = [
+            f"{self.name}, {str(task)[6:]}; N = {self.N} steps of Ts = {1e3 * self.Ts:g} ms",
+            f"{self.method}{stage}, {type(law.inverse).__name__.lower()}, alpha = {alpha} 1/s, {drive}",
+            f"Start: q0 = {in_words(self.q0)} {', '.join(dict.fromkeys(law.chain.units))}",
+        ]
+        if isinstance(self.reference, Reference):
+            aims = zip(task.parts, aims_of(self.reference, task, 0.0), strict=True)
+            points = (
+                f"{in_words(quaternions(np.array(aim)))} as w x y z"
+                if getattr(part, "turns", False)
+                else f"{in_words(aim)} {', '.join(dict.fromkeys(part.units))}"
+                for part, aim in aims
+            )
+            path = "Target" if self.reference.still else f"Path {type(self.reference.curve).__name__.lower()}, from"
+            lines.append(f"{path} {', '.join(points)}")
+        return "\n".join(lines)
 
     @property
     def loop(self) -> tuple:
@@ -69,30 +111,23 @@ class Problem:
 
         Args: draws: standard normal numbers, of which noise is made; by default those of the seed.
         """
-        return solve(*self.loop, drive=self.drive, noise=self.drawn(draws))
-
-    def drawn(self, draws=None) -> Float[AnyArray, "N m"] | None:
-        """Return the noise of the measured error; None without noise. Args: draws: as for `run`."""
-        if self.noise is None:
-            return None
-        if draws is None:
-            draws = np.random.default_rng(self.seed).standard_normal((self.N, self.law.task.m))
-        return self.noise * draws
+        noise = self.noise
+        if noise is not None:
+            size = self.N, self.law.task.m
+            noise = noise * (np.random.default_rng(self.seed).standard_normal(size) if draws is None else draws)
+        return solve(*self.loop, drive=self.drive, noise=noise)
 
 
 def problem_from(
     robot: str | os.PathLike | Chain,
     *,
     tip: str | None = None,
-    base: str | None = None,
     task: str | None = None,
     q0: Float[ArrayLike, " n"] | None = None,
     reference: str = "hold",
     target: Point | None = None,
     start: Point | None = None,
-    center: Point | None = None,
     radius: Number | None = None,
-    normal: Float[ArrayLike, " 3"] | None = None,
     amplitude: Float[ArrayLike, " d"] | None = None,
     frequency: Float[ArrayLike, " d"] | None = None,
     phase: Float[ArrayLike, " d"] | None = None,
@@ -103,10 +138,7 @@ def problem_from(
     alpha: ArrayLike = 5.0,
     damping: Number | None = None,
     threshold: Number | None = None,
-    limits: str | None = None,
-    limit_rate: Number | None = None,
-    posture: Float[ArrayLike, " n"] | None = None,
-    posture_rate: Number | None = None,
+    limits: Literal["velocity_scaling", "bounded"] | None = None,
     feedforward: Number = 1.0,
     error_clamp: ArrayLike | None = None,
     method: MethodLike = "EXP-MIDPOINT",
@@ -127,146 +159,89 @@ def problem_from(
       robot: a URDF or MJCF file; panda; ur5; planar:1,1,1 (link lengths in m); or a name of robot_descriptions. For
         commands also FILE.py, whose function problem() returns law, reference and q0.
       tip: last link of the chain. Required where the file has several (`cnclik robots FILE` lists them).
-      base: first link of the chain (default: the root of the file), or a moving base: planar or free.
-      task: what to control: pose, position, orientation, or coordinates such as xy or xyrz. Default: pose where the
-        robot has enough joints for it.
-      q0: joint values at the start [rad, m]; default: a posture within the limits and away from singularities.
+      task: pose, position, orientation, or coordinates such as xy or xyrz; default: pose where there are the joints.
+      q0: joint values at the start [rad, m]; default: within the limits and away from singularities.
       reference: the target's path: hold, line, circle, lissajous, or FILE.csv with waypoints: time, x, y, z and perhaps
         qw, qx, qy, qz, in this order or by these names.
-      target: hold and line: the target, or the end of the line [m]; for a pose, optionally a quaternion w x y z after
-        it. Default: where the tip is after every joint has moved a little.
+      target: hold and line: the target, or the end of the line [m]; for a pose perhaps a quaternion w x y z after it.
       start: line: where it begins [m], as the target; default: where the tip is at q0.
-      center: circle and lissajous: centre [m]; default: so that the path starts at the tip.
       radius: circle: radius [m], positive; default: a tenth of the arm's length.
-      normal: circle: normal vector of its plane; default: z.
       amplitude: lissajous: amplitude [m], one number or one per axis; default: a twentieth of the arm's length.
       frequency: lissajous: cycles per period, one per axis; default: 1, 2, 3.
-      phase: angle at t = 0 [rad]; lissajous takes one per axis.
-      period: duration of one turn (negative: opposite direction) or of the line [s], other than 0; default: that of the
-        run.
+      phase: circle and lissajous: angle at t = 0 [rad]; lissajous takes one per axis.
+      period: duration of a turn (negative: the other sense) or of the line [s], other than 0; default: that of the run.
       speed: tip speed [m/s], positive: along the waypoints of a file, in place of their times.
-      begin: where the loop starts: at q0, or on-path, at the path's first point with the joint values nearest to q0.
-      future: whether the controller knows the path ahead (known) or only the target's position and velocity at each
-        step's start (unknown).
-      alpha: gain [1/s], at least 0: one number or one per task coordinate. alpha·Ts is the dimensionless gain per step.
+      begin: where the loop starts: at q0, or on-path, with the joint values nearest to q0.
+      future: whether the controller knows the path ahead, or at each step the target's position and velocity alone.
+      alpha: gain [1/s], at least 0: one number or one per task coordinate.
       damping: damping λ (not λ²) of the inverse of the Jacobian [m, 1], positive; default: none, the pseudoinverse.
       threshold: least singular value of the Jacobian [m, 1], positive, below which alone the inverse is damped.
-      limits: how joint limits are respected: velocity_scaling or bounded (also their positions). Default: not at all.
-      limit_rate: bounded: rate at which a joint may approach its limit [1/s], positive; default: 1/Ts, at most 10.
-      posture: preferred joint values, approached in the null space [rad, m].
-      posture_rate: rate at which the posture is approached [1/s], positive; default: 1.
+      limits: how joint limits are respected: velocity_scaling or bounded (also positions); default: not at all.
       feedforward: factor of the target's velocity: 1 is full feed-forward, 0 pure feedback.
-      error_clamp: limits of the position and orientation error that the gain multiplies [m, rad], positive. They keep
-        joint velocities small when the target is far away.
+      error_clamp: largest position and orientation error that the gain multiplies [m, rad], positive.
       method: how a step is integrated: EE, IE, CN (the paper's), TRAPEZOID, HEUN, MIDPOINT, RK4, EXP-EE, EXP-HEUN,
         EXP-MIDPOINT, EXP-RK4.
       stage: iteration that solves an implicit step: picard, chord, newton.
       M: number of iterations per implicit step, at least 0.
       Ts: sampling time [s], positive; with a unit as in 4ms.
       N: number of steps.
-      noise: standard deviation of white noise in the measured error [m, rad], at least 0: one number or one per task
-        coordinate.
+      noise: standard deviation of white noise in the measured error [m, rad], at least 0: one or one per coordinate.
       seed: seed of the random numbers, at least 0.
       drive: fields of `Drive`.
 
     Raises: ArgumentError naming the entry that does not fit.
     """
-    given = locals() | drive
-    del given["robot"], given["drive"]
+    given = {name: value for name, value in locals().items() if name not in ("robot", "drive")} | drive
     for name in drive:
         errors.one_of("option", name, OPTIONS)
-    v, written = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
+    v = in_own_units({name: DEFAULTS.get(name) if value is None else value for name, value in given.items()})
+    for name in ("begin", "future", "limits"):
+        if v[name] is not None:
+            errors.one_of(name, v[name], OPTIONS[name].choices)
     Ts, N = errors.number("Ts", v["Ts"], positive=True), errors.integer("N", v["N"], at_least=1, at_most=errors.MOST)
-    if errors.concrete(Ts) and float(Ts) > LONGEST / N:
-        raise errors.fail("Ts", f"make a run of at most {LONGEST:g} s", f"is {float(Ts):g}, with N = {N}")
-    chain, tip = names.robot_and_tip(robot, v["tip"], v["base"])
-    parts = names.task_from(v["task"], chain)
-    check_units(chain, parts, written)
+    chain, own_tip = (robot, tip) if isinstance(robot, Chain) else (names.load(robot, tip), None)
+    parts = names.task_from(v["task"], chain, own_tip)
+    check_units("q0", v["q0"], chain)
     law = _law(chain, parts, v, Ts)
-    begin = errors.one_of("begin", v["begin"], ("q0", "on-path"))
     with jax.ensure_compile_time_eval():  # in a sweep, the start of a path that all loops share is searched for once
         q0 = names.start_from(chain, parts, v["q0"])
         options = {k: v[k] for k in paths.OPTIONS}
         path = paths.reference_from(v["reference"], chain, parts, q0, horizon=N * Ts, **options)
-        if begin == "on-path":
+        if v["begin"] == "on-path":
             q0 = paths.on_path(chain, parts, path, q0)
-    unknown = errors.one_of("future", v["future"], ("known", "unknown")) == "unknown"
     return Problem(
-        name=names.robot_name(robot, given["tip"]),
-        tip=tip,
-        robot=None if isinstance(robot, Chain) else str(robot),
         law=law,
-        reference=causal(path) if unknown else path,
+        reference=causal(path) if v["future"] == "unknown" else path,
         q0=q0,
-        Ts=Ts,
-        N=N,
-        method=named(v["method"]),
         stage=names.stage_from(v["stage"], v["M"]),
-        drive=drive_from({name: v[name] for name in drive}, chain),
-        noise=noise_from(v["noise"], parts.m),
-        seed=errors.seed(v["seed"]),
-        given=frozenset(name for name, value in given.items() if not _is_default(name, value)),
+        drive=drive_from({name: v[name] for name in drive}),
+        name=names.robot_name(robot, tip),
+        robot=None if isinstance(robot, Chain) else str(robot),
+        **{name: v[name] for name in ("Ts", "N", "method", "noise", "seed")},
     )
 
 
-def _is_default(name, value) -> bool:
-    return value is None or (isinstance(value, (int, float, str)) and value == DEFAULTS.get(name))
-
-
 def _law(chain, task, v, Ts) -> Law:
-    for name, other in (("threshold", "damping"), ("posture_rate", "posture")):
-        _needs(v, name, other)
-    damping, threshold, rest, rate = v["damping"], v["threshold"], v["posture"], v["limit_rate"]
-    if damping is None and task.m > chain.n:
-        names.require_free(chain, task)
-    if rest is not None:
-        rest = errors.array("posture", rest, (chain.n,), of="joint values")
-        rest = posture(rest, 1.0 if v["posture_rate"] is None else v["posture_rate"])
-    limits: dict[str | None, Any] = {None: None, "velocity_scaling": velocity_scaling()}
-    if v["limits"] == "bounded":
-        if rate is None:  # at most the rate at which one step can stop a joint at its limit
-            rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
-        limits["bounded"] = bounded(rate)
-        if damping is None:
-            raise errors.fail("limits", "come with `damping`, such as 0.05, if it is bounded", "comes without")
-    elif rate is not None:
-        raise errors.fail("limit_rate", "come with limits bounded", f"comes with {v['limits'] or 'none'}")
-    elif v["limits"] is not None:
-        errors.one_of("limits", v["limits"], ("velocity_scaling", "bounded"))
-    regular = pseudoinverse() if damping is None else damped(damping)
+    damping, threshold, limits = (v[name] for name in ("damping", "threshold", "limits"))
+    if damping is None and (threshold is not None or limits == "bounded"):
+        name = "limits" if threshold is None else "threshold"
+        raise errors.fail(name, "come with `damping`, such as 0.05", "comes without")
+    inverse = pseudoinverse() if damping is None else damped(damping)
+    # At most the rate at which one step can stop a joint at its limit.
+    rate = min(10.0, 1.0 / float(Ts)) if errors.concrete(Ts) else jnp.minimum(10.0, 1.0 / Ts)
     return Law(
         chain,
         task,
         alpha=v["alpha"],
-        inverse=regular if threshold is None else singular_damped(damping, threshold),
-        limits=limits[v["limits"]],
-        null_velocity=rest,
+        inverse=inverse if threshold is None else singular_damped(damping, threshold),
+        limits=None if limits is None else bounded(rate) if limits == "bounded" else velocity_scaling(),
         feedforward=v["feedforward"],
         error_clamp=v["error_clamp"],
     )
 
 
-def _needs(given, name, other) -> None:
-    if given.get(name) is not None and given.get(other) is None:
-        raise errors.fail(name, f"come with `{other}`", "comes without")
-
-
-def drive_from(given, chain=None) -> Drive | None:
-    """Return the drive of a table of options, of which lists are one number per joint; None if it has none."""
-    _needs(given, "damping_ratio", "natural_frequency")
-    made: dict[str, Any] = {
-        name: errors.array(name, v, (None if chain is None else chain.n,)) if isinstance(v, (tuple, list)) else v
-        for name, v in given.items()
-        if v is not None
-    }
-    return Drive(**made) if made else None
-
-
-def noise_from(sigma, m):
-    """Return the standard deviation of the measured error as an array, checked; or None."""
-    if sigma is None:
-        return None
-    sigma = errors.array("noise", sigma, (), (1,), (m,))
-    if errors.concrete(sigma) and (sigma < 0).any():
-        raise errors.fail("noise", "be at least 0", f"is {sigma.min():g}")
-    return sigma
+def drive_from(given, drive=None) -> Drive | None:
+    """Return a drive with the options of a table in place of its own, of which lists are one number per joint."""
+    given = {name: v for name, v in given.items() if v is not None}
+    given |= {name: errors.array(name, v, (None,)) for name, v in given.items() if isinstance(v, (tuple, list))}
+    return dataclasses.replace(drive or Drive(), **given) if given else drive

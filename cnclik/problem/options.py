@@ -15,8 +15,8 @@ from cnclik.quantities import SAMPLES, Quantities, read_each
 NAME, NUMBER, INTEGER, SWITCH = "name", "number", "integer", "switch"
 REQUIRED = object()  # the default of what must be given
 _KINDS = {"bool": SWITCH, "int": INTEGER, "float": NUMBER, "Number": NUMBER, "Point": NUMBER}
+_IN_WORDS = {NAME: "a text", NUMBER: "a number", INTEGER: "an integer"}
 _FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
-_OF_JOINTS = ("q0", "posture", "near", "jump")
 
 
 class Option(NamedTuple):
@@ -38,10 +38,7 @@ class Option(NamedTuple):
         """What it takes, in words."""
         if self.choices:
             return f"{'some' if self.several else 'one'} of {', '.join(self.choices)}"
-        one, many = {INTEGER: ("an integer", "integers"), NUMBER: ("a number", "numbers")}.get(
-            self.kind, ("a text", "texts")
-        )
-        return many if self.several else one
+        return f"{_IN_WORDS[self.kind].split()[1]}s" if self.several else _IN_WORDS[self.kind]
 
 
 def source(file: str) -> str:
@@ -57,15 +54,14 @@ def arguments(text: str, name: str, shared=None) -> dict[str, Option]:
     node: Any = next(one for one in ast.parse(text).body if getattr(one, "name", "") == name)
     each: Any
     if isinstance(node, ast.ClassDef):
-        fields = [one for one in node.body if isinstance(one, ast.AnnAssign)]
-        each = [(ast.unparse(one.target), one.annotation, one.value, False) for one in fields]
-    else:
-        places, named = node.args.args, node.args.kwonlyargs
-        defaults = [*[None] * (len(places) - len(node.args.defaults)), *node.args.defaults, *node.args.kw_defaults]
         each = [
-            (one.arg, one.annotation, default, one in places)
-            for one, default in zip((*places, *named), defaults, strict=True)
+            (ast.unparse(v.target), v.annotation, v.value, False) for v in node.body if isinstance(v, ast.AnnAssign)
         ]
+    else:
+        places, named, of_places = node.args.args, node.args.kwonlyargs, node.args.defaults
+        defaults = [*[None] * (len(places) - len(of_places)), *of_places, *node.args.kw_defaults]
+        pairs = zip((*places, *named), defaults, strict=True)
+        each = [(v.arg, v.annotation, default, v in places) for v, default in pairs]
     lines = re.findall(r"^  (\w+): (.+(?:\n    .+)*)", ast.get_docstring(node) or "", re.M)
     texts = (shared or {}) | {key: " ".join(words.split()) for key, words in lines}
     return {key: _option(key, texts[key], *about) for key, *about in each if key in texts}
@@ -73,19 +69,23 @@ def arguments(text: str, name: str, shared=None) -> dict[str, Option]:
 
 def _option(name, text, annotation, default, positional):
     hint = ast.unparse(annotation).removesuffix(" | None")
-    repeated, several = hint.startswith("list["), re.search("Array|Point|tuple", hint) is not None
     inner = re.sub(r"^list\[(.*)\]$", r"\1", hint)
     inner = re.sub(r"^tuple\[(.*), \.\.\.\]$", r"\1", inner)
-    choices = ast.literal_eval(f"({inner[8:-1]},)") if inner.startswith("Literal[") else ()
     kind = _KINDS.get(inner, NUMBER if "Array" in inner else NAME)
-    found = re.search(r"\[([^]]+)\]", text)
-    unit = found[1].removeprefix("whole ") if found and kind in (NUMBER, INTEGER) else "1"
-    unit = "x" if inner == "Point" else {"rad, m": "q"}.get(unit, unit)
-    must = next((words for words in _FITS if re.search(rf"\b{words}\b", text)), "") if kind == NUMBER else ""
-    default = REQUIRED if default is None else ast.literal_eval(default)
+    unit = re.search(r"\[([^]]+)\]", text)
+    own = unit[1].removeprefix("whole ") if unit and kind in (NUMBER, INTEGER) else "1"
     return Option(
-        name, kind, several, repeated, choices, default, positional, unit, must, text[0].upper() + text[1:]
-    )  # fmt: skip
+        name,
+        kind,
+        several=re.search("Array|Point|tuple", hint) is not None,
+        repeated=hint.startswith("list["),
+        choices=ast.literal_eval(f"({inner[8:-1]},)") if inner.startswith("Literal[") else (),
+        default=REQUIRED if default is None else ast.literal_eval(default),
+        positional=positional,
+        unit="x" if inner == "Point" else {"rad, m": "q"}.get(own, own),
+        must=next((words for words in _FITS if re.search(rf"\b{words}\b", text)), "") if kind == NUMBER else "",
+        help=text[0].upper() + text[1:],
+    )
 
 
 DRIVE = {name: one._replace(default=None) for name, one in arguments(source("integrate/drive.py"), "Drive").items()}
@@ -103,24 +103,20 @@ def check_values(where: str, name: str, values) -> None:
         raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
 
-def numbers_of(one: Option, value, Ts=None, *, marked=False) -> Quantities:
+def numbers_of(one: Option, value, Ts=None) -> Quantities:
     """Return the numbers of a text such as "34ms", or of a list that holds such texts, in the option's own unit.
 
-    Args:
-      Ts: the sampling time [s], by which times become samples.
-      marked: whether a text must have a unit, as in Python.
+    Args: Ts: the sampling time [s], by which times become samples.
     """
     try:
-        found = read_each([value] if isinstance(value, str) else value, one.unit, Ts, marked=marked)
+        numbers = read_each([value] if isinstance(value, str) else value, one.unit, Ts, marked=False)
     except ValueError as error:
-        also = ", or a text of numbers with their unit" * marked
-        raise errors.fail(one.name, f"be {one.values}{also}", str(error)) from None
-    if one.kind == INTEGER and not all(v.is_integer() for v in found):
-        converted = f", {found[0]:g} {one.unit}" * any(found.written)
-        raise errors.fail(one.name, "be an integer", f"is {value!r}{converted}")
-    for v in found:
+        raise errors.fail(one.name, f"be {one.values}", str(error)) from None
+    for v in numbers:
+        if one.kind == INTEGER and not v.is_integer():
+            raise errors.fail(one.name, "be an integer", f"is {value!r}")
         _check(one, v)
-    return found
+    return numbers
 
 
 def _check(one, value) -> None:
@@ -128,50 +124,33 @@ def _check(one, value) -> None:
         raise errors.fail(one.name, f"be {one.must}", f"is {value:g}")
 
 
-def in_own_units(given: dict) -> tuple[dict, dict]:
-    """Return ({option: value}, {option: the unit of each number}): texts such as "34ms" become numbers.
+def in_own_units(given: dict) -> dict:
+    """Return {option: value} with texts such as "34ms" as numbers in the option's own unit.
 
-    Raises: ArgumentError for a text that holds no such numbers, or no unit; and for a number that an option can't be.
+    Raises: ArgumentError for a text that holds no such numbers, and for a number that an option can't be.
     """
-    made, written = dict(given), {}
+    made = dict(given)
     for name in sorted(given, key=lambda name: OPTIONS[name].unit == SAMPLES):  # samples last: they need Ts
         one, value = OPTIONS[name], given[name]
-        if _is_text(one, value):
-            Ts = made.get("Ts", DEFAULTS["Ts"])
-            if one.unit == SAMPLES and not errors.concrete(errors.number("Ts", Ts, positive=True)):
-                raise errors.fail(name, "be in samples where `Ts` is traced", f"is {value!r}")
-            value = numbers_of(one, value, Ts, marked=True)
-        if isinstance(value, Quantities):
-            written[name] = value.written
-            single = len(value) == 1 and one.unit not in ("q", "x")
-            made[name] = (int if one.kind == INTEGER else float)(value[0]) if single else list(value)
-        elif type(value) in (int, float):
+        several = one.several and isinstance(value, (list, tuple)) and any(isinstance(v, str) for v in value)
+        if one.kind != NAME and (isinstance(value, str) or several):
+            Ts = made.get("Ts", DEFAULTS["Ts"]) if one.unit == SAMPLES else None
+            value = numbers_of(one, value, Ts and errors.number("Ts", Ts, positive=True))
+        if isinstance(value, Quantities) and len(value) == 1 and one.unit not in ("q", "x"):
+            value = (int if one.kind == INTEGER else float)(value[0])
+        if type(value) in (int, float):
             _check(one, value)
-    return made, written
+        made[name] = value
+    return made
 
 
-def _is_text(one, value) -> bool:
-    """Whether the numbers of an option are given as a text, or as a list that holds one."""
-    several = one.several and type(value) in (list, tuple)
-    return one.kind != NAME and (isinstance(value, str) or (several and any(isinstance(v, str) for v in value)))
-
-
-def check_units(chain, task, written: dict) -> None:
-    """Raise ArgumentError if a unit does not fit what it is for: degrees for a prismatic joint or a position.
-
-    Args: written: {option: the given unit of each number, or None}; see `cnclik.quantities.read`.
-    """
-    parts, size = ["m"] * bool(task.lengths) + ["rad"] * bool(task.angles), "m" if task.lengths else "1"
-    wanted = {"error_clamp": parts, "noise": task.units, "damping": [size], "threshold": [size]}
-    wanted |= dict.fromkeys(_OF_JOINTS, chain.units)
-    for name, units in written.items():
-        for k, unit in enumerate(wanted.get(name, ()) if units else ()):
-            given = units[k if len(units) > k else 0]
-            if given and given.partition("/")[0] != unit:
-                what = f"joint {chain.joint_names[k]!r}" if name in _OF_JOINTS else f"number {k + 1}"
-                raise errors.fail(
-                    name, "have the units of what it is for", f"{what} is in {unit}, and {given} is given"
-                )
+def check_units(name: str, values, chain) -> None:
+    """Raise ArgumentError if the unit of a number, as a `Quantities` has it, is not that of its joint."""
+    for joint, unit, given in zip(chain.joint_names, chain.units, getattr(values, "written", ()), strict=False):
+        if given and given != unit:
+            raise errors.fail(
+                name, "have the units of what it is for", f"joint {joint!r} is in {unit}, and {given} is given"
+            )
 
 
 def units(law, task, width=None) -> dict:

@@ -23,7 +23,7 @@ from cnclik.task.parts import At
 from cnclik.task.task import Task
 
 
-class ArmAtStart(NamedTuple):
+class Arm(NamedTuple):
     """The arm at the start, from which a path is completed."""
 
     chain: Chain
@@ -40,52 +40,44 @@ def reference_from(name, chain: Chain, task: Task, q0, *, horizon=10.0, **option
 
     Args: horizon: length of the run [s], the default of `period`.
     """
-    arm, given = ArmAtStart(chain, task, q0, _tip(chain, q0)), {k: v for k, v in options.items() if v is not None}
-    maker: Callable = waypoints
+    given = {k: v for k, v in options.items() if v is not None}
     if str(name).lower().endswith(".csv"):
-        given = {"file": name} | given
+        maker, given = waypoints, {"file": name} | given
     else:
         maker = _KINDS[errors.one_of("reference", name, (*_KINDS, "FILE.csv"))]
     takes = inspect.signature(maker).parameters
     for key, value in given.items():
         if key not in takes:
             raise errors.fail(key, f"be left out for the reference {name!r}", f"is {value!r}")
-    return maker(arm, **(({"period": horizon} if "period" in takes else {}) | given))
+    return maker(Arm(chain, task, q0, _tip(chain, q0)), **({"period": horizon} if "period" in takes else {}) | given)
 
 
 def hold(arm, target=None):
-    there = arm.here if target is not None else _away(arm)
-    return paths.hold(*_point("target", target, arm.task, there))
+    return paths.hold(*_point("target", target, arm, _away))
 
 
 def line(arm, period, target=None, start=None):
     errors.number("period", period, positive=True)
-    first, turned = _point("start", start, arm.task, arm.here)
-    last, turned_last = _point("target", target, arm.task, arm.here if target is not None else _away(arm))
-    if first is not None and len(first) != len(last):  # one is x y z, the other in the task's coordinates
-        first, last = (p if len(p) == len(arm.task.linear) else p[np.array(arm.task.linear)] for p in (first, last))
+    first, turned = _point("start", start, arm)
+    last, turned_last = _point("target", target, arm, _away)
     turned_last = None if turned_last is turned else turned_last  # the same orientation: nothing to turn
     return paths.line(first, last, duration=period, rotation=turned, rotation_end=turned_last)
 
 
-def circle(arm, period, center=None, radius=None, normal=None, phase=0.0):
-    _needs_position("circle", arm.task)
+def circle(arm, period, radius=None, phase=0.0):
     radius = arm_length(arm.chain) / 10 if radius is None else radius
     errors.number("radius", radius, positive=True)
+    here, rotation = _curved("circle", arm)
     phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
-    at, rotation = _point("center", center, arm.task, arm.here)
-    if center is None:
-        around = paths.circle(np.zeros(len(at)), radius, period=1.0, normal=normal, phase=phase).curve
-        at = at - _known(around.first)
-    return paths.circle(at, radius, period=period, normal=normal, phase=phase, rotation=rotation)
+    about = paths.circle(np.zeros(len(here)), radius, period=1.0, phase=phase).curve
+    return paths.circle(here - _known(about.first), radius, period=period, phase=phase, rotation=rotation)
 
 
-def lissajous(arm, period, center=None, amplitude=None, frequency=None, phase=None):
-    _needs_position("lissajous", arm.task)
+def lissajous(arm, period, amplitude=None, frequency=None, phase=None):
+    here, rotation = _curved("lissajous", arm)
     amplitude = arm_length(arm.chain) / 20 if amplitude is None else amplitude
-    at, rotation = _point("center", center, arm.task, arm.here)
-    size = _known(errors.array("amplitude", amplitude, (), (1,), (len(at),))) * np.ones(len(at))
-    return paths.lissajous(at, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
+    size = _known(errors.array("amplitude", amplitude, (), (1,), (len(here),))) * np.ones(len(here))
+    return paths.lissajous(here, size, period=period, frequency=frequency, phase=phase, rotation=rotation)
 
 
 _KINDS: dict[str, Callable] = {"hold": hold, "line": line, "circle": circle, "lissajous": lissajous}
@@ -93,26 +85,27 @@ _KINDS: dict[str, Callable] = {"hold": hold, "line": line, "circle": circle, "li
 
 def waypoints(arm, file, speed=None):
     """Waypoints of a CSV file. Args: speed: of the tip along them [m/s], in place of their times."""
-    name, task = pathlib.Path(file).name, arm.task
-    times, points = read_points("reference", file, task, timed=speed is None)
+    name = pathlib.Path(file).name
+    times, points = read_points("reference", file, arm.task, timed=speed is None)
     if len(points) < 2:
         raise errors.fail("reference", "hold at least two waypoints", f"{name} holds {len(points)}")
-    each = [_point(f"{name} row {k + 1}", row, task, arm.here) for k, row in enumerate(points)]
-    positions = np.stack([p for p, _ in each]) if task.position else None
-    rotations = np.stack([r for _, r in each]) if task.orientation else None
+    each = [_point(f"{name} row {k + 1}", row, arm) for k, row in enumerate(points)]
+    positions, rotations = (None if column[0] is None else np.stack(column) for column in zip(*each, strict=True))
     if speed is not None:
         errors.number("speed", speed, positive=True)
         if positions is None:
             raise errors.fail("speed", "be left out for a task without position", f"is {speed:g}")
         times = np.cumsum([0.0, *np.linalg.norm(np.diff(positions, axis=0), axis=1) / speed])
-    late = ~(times[1:] > times[:-1])  # also if one is not finite
-    if late.any():
-        k, what = int(np.argmax(late)), "times that increase" if speed is None else "points that differ, with a speed"
-        raise errors.fail("reference", f"hold {what}", f"{name} has {times[k]:g} s and then {times[k + 1]:g} s")
+    if not np.all(times[1:] > times[:-1]):  # also if one is not finite
+        must = f"hold {'times that increase' if speed is None else 'points that differ, with a speed'}"
+        raise errors.fail("reference", must, f"{name} has times {', '.join(f'{t:g}' for t in times[:9])}")
     return paths.waypoints(times, positions, rotations)
 
 
-OPTIONS = {key for one in [*_KINDS.values(), waypoints] for key in inspect.signature(one).parameters} - {"arm", "file"}
+OPTIONS = {key for kind in [*_KINDS.values(), waypoints] for key in inspect.signature(kind).parameters} - {
+    "arm",
+    "file",
+}
 
 
 def on_path(chain: Chain, task, reference, q0):
@@ -130,11 +123,6 @@ def on_path(chain: Chain, task, reference, q0):
     return found.q
 
 
-def _needs_position(name, task):
-    if not task.position:
-        raise errors.fail("reference", "be hold, line or a file for a task without position", f"is {name!r}")
-
-
 # --- points -------------------------------------------------------------------------------------------
 
 
@@ -150,31 +138,39 @@ def _known(values):
 
 
 def _away(arm):
-    """The tip's pose after every joint moved by 0.3 rad, or a tenth of the arm's length, towards its limits' middle."""
-    chain, q0 = arm.chain, arm.q0
+    """The tip's pose after every joint moved by 0.3 rad or 0.1 m, at most a quarter of its range, towards the middle of
+    its limits."""
+    chain, xp = arm.chain, np if errors.concrete(arm.q0) else jnp
     lower, upper = np.array(chain.lower), np.array(chain.upper)
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    middle = np.where(bounded, np.where(bounded, lower, 0) / 2 + np.where(bounded, upper, 0) / 2, np.inf)
-    size = [arm_length(chain) / 10 if unit == "m" else 0.3 for unit in chain.units]
-    xp = np if errors.concrete(q0) and all(map(errors.concrete, size)) else jnp
-    size = xp.minimum(xp.stack([xp.asarray(s, float) for s in size]), (upper - lower) / 4)
-    return _tip(chain, q0 + xp.where(middle >= q0, size, -size))
+    with np.errstate(invalid="ignore"):
+        middle = (lower + upper) / 2  # NaN without limits: upwards
+    size = np.minimum([0.1 if unit == "m" else 0.3 for unit in chain.units], (upper - lower) / 4)
+    return _tip(chain, arm.q0 + xp.where(arm.q0 > middle, -size, size))
 
 
-def _point(name, given, task, default):
-    """Position (or None) and rotation (or None) of a point as a user writes it; see `reference_from`."""
-    position, rotation = default
-    position = position[np.array(task.linear)] if task.position else None
-    rotation = rotation if task.orientation else None
-    if given is None:
-        return position, rotation
-    values = _known(errors.array(name, given, (None,)))
-    sizes = {len(task.position), 3} if task.position else {0}
-    fits = sorted(sizes | ({s + 4 for s in sizes} if task.orientation else set())) if sizes != {0} else [4]
-    if len(values) not in fits:
-        what = f"{' '.join(task.position)} [m]" * bool(task.position)
-        what += " and " * (len(fits) > 1 and bool(task.orientation)) + "a quaternion w x y z" * bool(task.orientation)
-        raise errors.fail(name, f"have {' or '.join(map(str, fits))} numbers ({what})", f"has {len(values)}")
-    if task.orientation and len(values) >= 4:
-        values, rotation = values[:-4], poses.rotations(name, values[-4:])
-    return (values if task.position else None), rotation
+def _curved(name, arm):
+    if not arm.task.position:
+        raise errors.fail("reference", "be hold, line or a file for a task without position", f"is {name!r}")
+    return _point("reference", None, arm)
+
+
+def _point(name, given, arm, default=lambda arm: arm.here):
+    """Position in the task's coordinates and rotation of a point as a user writes it, each None if the task has none;
+    see `reference_from`."""
+    task = arm.task
+    position, rotation = default(arm) if given is None else (None, arm.here[1])
+    if given is not None:
+        values = _known(errors.array(name, given, (None,)))
+        sizes = sorted({len(task.position), 3}) if task.position else [0]
+        fits = [s for s in sizes + [s + 4 for s in sizes] * bool(task.orientation) if s]
+        if len(values) not in fits:
+            what = [f"{' '.join(task.position)} [m]"] * bool(task.position)
+            what += ["a quaternion w x y z"] * bool(task.orientation)
+            must = f"have {' or '.join(map(str, fits))} numbers ({' and '.join(what)})"
+            raise errors.fail(name, must, f"has {len(values)}")
+        if len(values) not in sizes:
+            values, rotation = values[:-4], poses.rotations(name, values[-4:])
+        position = values
+    if task.position and len(position) != len(task.position):
+        position = position[np.array(task.linear)]
+    return (position if task.position else None), (rotation if task.orientation else None)

@@ -1,7 +1,6 @@
 """Tables: CSV files of numbers, as logs, waypoints and targets."""
 
 import csv
-import itertools
 import pathlib
 
 import numpy as np
@@ -19,15 +18,31 @@ def read_columns(argument: str, file) -> tuple:
 
     Raises: ArgumentError, naming the argument, for a file that cannot be read, or rows that do not fit.
     """
-    names, rows = _cells(argument, file)
-    if rows and all(len(row) == 1 and ";" in row[0] for row in rows):
-        found = f"{pathlib.Path(file).name} holds {rows[0][0]!r}"
-        raise errors.fail(argument, "have columns that are separated by commas", found)
-    meant = {j for row in rows for j, cell in enumerate(row) if _is_meant(cell)}
-    rows = [[cell if j in meant and cell.strip() else "nan" for j, cell in enumerate(row)] for row in rows]
-    table = _numbers(argument, file, rows)
-    width = table.shape[-1] if rows else len(names)
-    return (names if len(names) == width else tuple(str(i + 1) for i in range(width))), table
+    path = pathlib.Path(file)
+    try:
+        text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
+        rows = list(csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
+        raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
+    if rows and ";" in rows[0][0]:
+        raise errors.fail(argument, "have columns that are separated by commas", f"{path.name} holds {rows[0][0]!r}")
+    if not rows:
+        return (), np.zeros((0, 0))
+    head = all(quantities.number(cell) is None for cell in rows[0])
+    names = tuple(name.strip() for name in rows.pop(0)) if head else tuple(str(i + 1) for i in range(len(rows[0])))
+    for k, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            must = "hold numbers, as many in every row"
+            raise errors.fail(argument, must, f"row {k} of {path.name} has {len(row)} of {len(names)}")
+    columns = [[quantities.number(cell) for cell in column] for column in zip(*rows, strict=True)]
+    meant = [any(value is not None for value in column) for column in columns]
+    for k, row in enumerate(rows):
+        for j, cell in enumerate(row):
+            if columns[j][k] is None and meant[j] and cell.strip():
+                found = f"row {k + 1} of {path.name} holds {cell!r}{quantities.hint(cell)}"
+                raise errors.fail(argument, "hold numbers, as many in every row", found)
+    return names, np.array(columns, float).T.reshape(-1, len(names))  # None becomes NaN
 
 
 def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
@@ -35,79 +50,30 @@ def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
 
     The columns have the names time, x, y, z, qw, qx, qy, qz, or without a header this order.
 
-    Args: timed: whether there must be times. tip: where names begin with it, as in left.x, those columns are read.
-    Raises: as `read_columns`, and for unknown, repeated or missing columns.
+    Args:
+      timed: whether there must be times.
+      tip: where names begin with it, as in left.x, those columns are read.
+    Raises: as `read_columns`, and for missing columns.
     """
-    names, rows = _cells(argument, file)
-    name, known = pathlib.Path(file).name, ("time", *POSITION, *QUATERNION)
-    table = _numbers(argument, file, rows) if rows else np.zeros((0, len(names)))
-    if not names and rows:
-        names = _in_order(table.shape[1], task, timed)
-        if len(names) != table.shape[1]:
-            must = f"have columns {' '.join(names)}, in this order or by name"
-            raise errors.fail(argument, must, f"{name} has {table.shape[1]}")
-    if rows and len(names) != table.shape[1]:
-        found = f"{name} has {len(names)} names and {table.shape[1]} columns"
-        raise errors.fail(argument, "have a name for each column", found)
-    if len(set(names)) < len(names):
-        raise errors.fail(argument, "name each column once", f"{name} has {' '.join(names)}")
-    columns = dict(zip(names, table.T, strict=False)) if rows else dict.fromkeys(names or known, np.zeros(0))
+    names, table = read_columns(argument, file)
+    file, stamp = pathlib.Path(file).name, ("time",) * timed
+    if names[:1] == ("1",):
+        places = dict.fromkeys((task.position, POSITION)) if task.position else [()]
+        turns = ((), QUATERNION) if task.orientation else ((),)
+        orders = [(*stamp, *place, *turn) for place in places for turn in turns if place or turn]
+        names = next((order for order in orders if len(order) == len(names)), names)
+        if names not in orders:
+            must = f"have columns {' '.join(orders[-1])}, in this order or by name"
+            raise errors.fail(argument, must, f"{file} has {len(names)}")
+    columns = dict(zip(names, table.T, strict=True))
     if tip and any(column.startswith(f"{tip}.") for column in columns):
         columns = {key.removeprefix(f"{tip}."): v for key, v in columns.items() if key.startswith(f"{tip}.")}
-    for column in columns:
-        if column not in known:
-            found = f"{name} has {column!r}{errors.nearest(column, known)}"
-            raise errors.fail(argument, f"have columns {' '.join(known)}", found)
     axes = () if not task.position else POSITION if set(POSITION) <= set(columns) else task.position
-    turns = QUATERNION if task.orientation and (set(QUATERNION) & set(columns) or not task.position) else ()
-    needed = (*("time",) * timed, *axes, *turns)
-    if lacking := [column for column in needed if column not in columns]:
-        instead = ", or a --speed" * ("time" in lacking)
-        raise errors.fail(argument, f"have columns {' '.join(needed)}{instead}", f"{name} lacks {' '.join(lacking)}")
-    return columns.get("time"), np.stack([columns[column] for column in (*axes, *turns)], 1)
-
-
-def _in_order(width, task, timed) -> tuple:
-    """The names of so many columns of a file without a header; the longest ones where there is no such number."""
-    places = (task.position, task.position and POSITION)
-    turns = ((), QUATERNION) if task.orientation else ((),)
-    orders = [(*("time",) * timed, *place, *turn) for place in places for turn in turns if place or turn]
-    return next((names for names in orders if len(names) == width), orders[-1])
-
-
-def _cells(argument, file) -> tuple:
-    """(names of a header, () without one; rows of texts) of a CSV file."""
-    path = pathlib.Path(file)
-    try:
-        text = read_bytes(argument, path, "a CSV file").decode("utf-8-sig")
-        lines = [line for line in text.splitlines() if line.strip()]
-        rows = list(csv.reader(line for line in lines if not line.startswith("#")))
-        above = list(csv.reader(line.lstrip("# ") for line in itertools.takewhile(lambda x: x.startswith("#"), lines)))
-    except (UnicodeDecodeError, csv.Error) as error:
-        reason = "is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
-        raise errors.fail(argument, "name a CSV file that can be read", f"{path.name}: {reason}") from None
-    if rows and not any(_is_meant(cell) or ";" in cell for cell in rows[0]):
-        return tuple(name.strip() for name in rows[0]), rows[1:]
-    if rows and above and len(above[-1]) == len(rows[0]) > 1 and not any(map(_is_meant, above[-1])):
-        return tuple(name.strip() for name in above[-1]), rows  # as NumPy's savetxt writes a header
-    return (), rows
-
-
-def _is_meant(cell) -> bool:
-    """Whether a cell is a number, or was meant to be one, in other digits or with another point."""
-    return quantities.number(cell) is not None or bool(quantities.hint(cell))
-
-
-def _numbers(argument, file, rows):
-    table, name = [], pathlib.Path(file).name
-    for k, row in enumerate(rows, 1):
-        values = [quantities.number(cell) for cell in row]
-        if None in values:
-            wrong = row[values.index(None)]
-            why = f"holds {wrong!r}{quantities.hint(wrong)}" + ", and columns are separated by commas" * (";" in wrong)
-        else:
-            why = f"has {len(row)} of {len(rows[0])}" * (len(row) != len(rows[0]))
-        if why:
-            raise errors.fail(argument, "hold numbers, as many in every row", f"row {k} of {name} {why}")
-        table.append(values)
-    return np.array(table, float)
+    turned = task.orientation and (not task.position or set(QUATERNION) & set(columns))
+    needed = (*stamp, *axes, *QUATERNION * bool(turned))
+    if not set(needed) <= set(columns):
+        instead = ", or a --speed" * (timed and "time" not in columns)
+        raise errors.fail(
+            argument, f"have columns {' '.join(needed)}{instead}", f"{file} has {' '.join(columns) or 'none'}"
+        )
+    return columns.get("time"), np.stack([columns[column] for column in needed[len(stamp) :]], 1)

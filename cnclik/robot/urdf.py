@@ -242,7 +242,7 @@ def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
     if len(candidates) > 1:
         far = sorted(candidates, key=lambda link: -sum(e.type != "fixed" for way in tree.way(link, base) for e in way))
         named = ", ".join(far[:_NAMED]) + f" and {len(far) - _NAMED} more" * (len(far) > _NAMED)
-        raise errors.fail("tip", f"be given for {tree.file}", f"is not, and the candidates are {named}")
+        raise errors.fail("tip", f"be given for {tree.file}, such as {named}", "is not")
     return candidates[0]
 
 

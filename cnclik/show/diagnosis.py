@@ -10,20 +10,18 @@ _DOTS = {"color": "0.55", "markersize": 3.5, "markerfacecolor": "white", "marker
 
 
 def oscillation(signal, found, names):
-    """The recording, the fitted motion, and the path in it where an oscillation was found; a panel for each column.
+    """The recording and the fitted motion; a panel for each column.
 
     Args:
       signal: (N, k). found: `Diagnosis` of it. names: of the columns.
     """
-    shown = np.sort(np.argsort(-found.amplitude, kind="stable")[:MOST])
+    shown = np.sort(np.argsort(-np.ptp(found.fitted, axis=0), kind="stable")[:MOST])
     figure, panels = _panels(len(shown))
     t = found.Ts * np.arange(len(signal))
-    seen = slice(found.first, found.first + len(found.modes))
+    seen = t[found.first : found.first + len(found.fitted)]
     for panel, i in zip(panels, shown, strict=True):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
-        if found.rings:  # without ringing, slow modes cannot be separated from the path
-            panel.plot(t[seen], found.path[:, i], color=style.PURPLE, linestyle=style.DASH, label="path")
-        panel.plot(t[seen], found.path[:, i] + found.modes[:, i], color=style.BLUE, label="fitted")
+        panel.plot(seen, found.fitted[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")
     style.legend(figure, panels[0])
     return figure

@@ -26,8 +26,6 @@ RESULTS = {
     "rate": ("1", "mean factor of the error per step"),
     "steps": ("1", "steps to the tolerance"),
     "final": ("m or rad", "largest error in the last quarter"),
-    "near_singular": ("1", "a step near a singularity"),
-    "stage_not_converged": ("1", "a stage not converged"),
 }
 
 

@@ -53,7 +53,7 @@ def _number(name, value):
     where = f"axes.{name}"
     if not isinstance(value, str) or name in NAMES or expression.names(where, value):
         return value
-    return np.asarray(expression.number(where, value)).tolist()
+    return np.asarray(expression.evaluate(where, value)).tolist()
 
 
 def _generated(where, value, joints):
@@ -68,7 +68,7 @@ def _generated(where, value, joints):
             ends, shape = (value.get("low", 0.0), value.get("high", 1.0)), (operator.index(value[kind]), joints or 1)
         else:
             ends, shape = value[kind][:2], (operator.index(value[kind][2]),)
-        low, high = (np.asarray(expression.number(where, [end])[0]) for end in ends)
+        low, high = (np.asarray(expression.evaluate(where, [end])[0]) for end in ends)
         if (count := np.prod(shape, dtype=float) * (kind == "samples" or max(low.size, high.size))) > MOST_VALUES:
             raise errors.fail(where, f"hold at most {MOST_VALUES:,} values", f"asks for {count:,.0f}")
         if kind != "samples":

@@ -3,10 +3,9 @@
 A text that is no expression is numbers with a unit, as on the command line: delay = "34ms", q0 = "0 -90 90 deg".
 """
 
-import ast
 import functools
 import math
-import warnings
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,40 +14,29 @@ from cnclik import errors, quantities
 from cnclik.problem.options import OPTIONS
 
 LONGEST = 500  # characters of an expression: Python's parser takes seconds for some longer ones
-_NAMES = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
-_NAMES |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
-_ALLOWED = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant)
-_ALLOWED += (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
+FUNCTIONS = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
+FUNCTIONS |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
+_ARITHMETIC = re.compile(r"(?!.*__)(?!.*[^\W\d]\w*\s*\.)[\w\s.+*/(),-]+")  # no attribute, no name of Python's own
+# Whole numbers, but for those that end a power: powers of integers may take hours.
+_WHOLE = re.compile(r"(?<![\w.])(?<![eE][+-])(?:(?<!\*\*)\d+|\d+(?=\s*\*\*))(?![\w.])")
 
 
 def _call(name, *arguments):
     return getattr(np if all(map(errors.concrete, arguments)) else jnp, name)(*arguments)
 
 
-KNOWN = {name: functools.partial(_call, its) for name, its in _NAMES.items()} | {"pi": math.pi}
+KNOWN = {name: functools.partial(_call, its) for name, its in FUNCTIONS.items()} | {"pi": math.pi}
 
 
 @functools.cache
-def _tree(text: str):
-    """Return the syntax tree of an expression of numbers, names and functions; None for a text that is none."""
+def _code(text: str):
+    """Return an expression of numbers, names and functions, compiled; None for a text that is none."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's own about texts such as 0in
-            tree = ast.parse(text.strip() if len(text) <= LONGEST else "", mode="eval")
-        exponents = [node.right for node in ast.walk(tree) if isinstance(getattr(node, "op", None), ast.Pow)]
-        for node in ast.walk(tree.body):
-            if not isinstance(node, _ALLOWED) or getattr(node, "keywords", ()):
-                return None
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") not in _NAMES:
-                return None
-            if isinstance(node, ast.Constant):
-                if type(node.value) not in (int, float):
-                    return None
-                # Powers of integers may take hours; a traced number to the power of an integer is multiplied.
-                node.value = node.value if node in exponents else float(node.value)
-    except (SyntaxError, ValueError, RecursionError, MemoryError, OverflowError):
-        return None
-    return tree
+        if len(text) <= LONGEST and _ARITHMETIC.fullmatch(text):
+            return compile(_WHOLE.sub(lambda number: f"{number[0]}.0", text.strip()), "spec", "eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        pass
+    return None
 
 
 def _unit(where: str) -> str:
@@ -59,7 +47,7 @@ def _unit(where: str) -> str:
 def is_quantity(value) -> bool:
     """Return whether a value is numbers with a unit, such as "34ms" or ["1 mm", 2]: it has texts, and no expression."""
     texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
-    return bool(texts) and not any(map(_tree, texts))
+    return bool(texts) and not any(map(_code, texts))
 
 
 def names(where: str, value) -> set:
@@ -68,8 +56,8 @@ def names(where: str, value) -> set:
         return set().union(*(names(where, v) for v in value))
     if not isinstance(value, str):
         return set()
-    if (tree := _tree(value)) is not None:
-        return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - set(KNOWN)
+    if (code := _code(value)) is not None:
+        return set(code.co_names) - set(KNOWN)
     timed = _unit(where) == quantities.SAMPLES and "s" in _read(where, value, 1.0).written
     return {"Ts"} if timed else set()  # a time in samples depends on the sampling time
 
@@ -78,12 +66,13 @@ def _read(where, text, Ts):
     try:
         return quantities.read(text, _unit(where), Ts, marked=True)
     except ValueError as error:
-        allowed = f"numbers, names, + - * / ** and {', '.join(sorted(_NAMES))}"
+        allowed = f"numbers, names, + - * / ** and {', '.join(FUNCTIONS)}"
         raise errors.fail(where, f"be a number or a short expression of {allowed}", str(error)) from None
 
 
-def evaluate(where: str, value, look):
-    """Return a value with its expressions evaluated, a list as an array; `look` returns the value of a name."""
+def evaluate(where: str, value, look=None):
+    """Return a value with its expressions evaluated, a list as an array; `look` returns the value of a name, if it may
+    use names."""
     if isinstance(value, (list, tuple)):
         parts = [evaluate(where, v, look) for v in value]
         try:
@@ -96,8 +85,11 @@ def evaluate(where: str, value, look):
             raise errors.fail(where, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
         return value
-    used = {name: look(name) for name in names(where, value)}
-    if (tree := _tree(value)) is None:
+    used = dict.fromkeys(names(where, value))
+    if used and look is None:
+        raise errors.fail(where, "be numbers", f"refers to {next(iter(used))!r}")
+    used = {name: look(name) for name in used}
+    if (code := _code(value)) is None:
         found = _read(where, value, used.get("Ts"))
         return np.array(found) if len(found) > 1 else found[0]
     try:
@@ -105,16 +97,9 @@ def evaluate(where: str, value, look):
             raise TypeError(f"{texts[0]} is a name, not a number")
         used = {name: float(v) if type(v) is int else v for name, v in used.items()}
         with np.errstate(all="ignore"):  # users of the value report what is not finite
-            result = eval(compile(tree, "spec", "eval"), KNOWN | {"__builtins__": {}}, used)
-        if np.iscomplexobj(result):
-            raise ValueError("the result is complex")
+            result = eval(code, KNOWN | {"__builtins__": {}}, used)
+        if callable(result) or np.iscomplexobj(result):
+            raise ValueError("the result is no real number")
         return result
     except (ArithmeticError, ValueError, TypeError, RecursionError) as error:
         raise errors.fail(where, "be an expression that can be worked out", f"{value!r} is not: {error}") from None
-
-
-def number(where: str, value):
-    """Return the value of an expression that uses no name, such as "pi/2" or "4 ms"."""
-    if used := sorted(names(where, value)):
-        raise errors.fail(where, "be numbers", f"refers to {used[0]!r}")
-    return evaluate(where, value, None)

@@ -37,11 +37,7 @@ class Axis(NamedTuple):
 
 
 def axis(name: str, values, where=None) -> Axis:
-    """Return an axis of Python values.
-
-    Numbers, in a list or an array, run inside one program: in float64 if they are floats or in a list, as integers if
-    they are M, a range or an array of integers. Compiled in, one program each, are N, delay, names, named objects such
-    as methods, and whatever a dict {label: value} holds.
+    """Return an axis of Python values, as `sweep` takes them.
 
     Args: where: its name in messages; default: `name`.
     Raises: ArgumentError for other values, none, or values that are not finite.
@@ -160,11 +156,12 @@ class Grid:
             for n, step in zip(self.shape, self.block, strict=True)
         ]
         outer = [i for i, a in enumerate(self.axes) if not a.inner]
-        order = itertools.product(*(range(len(self.axes[i])) for i in outer))
-        numbers = {places: number for number, places in enumerate(order)}
-        regions = itertools.product(*cuts)
-        blocks = [Block(numbers[tuple(region[i].start for i in outer)], region) for region in regions]
-        return sorted(blocks, key=lambda block: block.program)
+
+        def places(region):  # on the outer axes: those of a program
+            return [region[i].start for i in outer]
+
+        groups = itertools.groupby(sorted(itertools.product(*cuts), key=places), key=places)
+        return [Block(number, region) for number, (_, regions) in enumerate(groups) for region in regions]
 
     def lane_values(self, block: Block) -> dict:
         """Return the values of the inner axes, and `more`, in each lane; lanes beyond the grid repeat the last one."""

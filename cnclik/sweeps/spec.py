@@ -21,12 +21,11 @@ import numpy as np
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import named
-from cnclik.law.law import check_loop
 from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
 from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
-from cnclik.problem.names import robot_and_tip, stage_from
+from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
 from cnclik.reading import read_toml, toml
 from cnclik.stability.gain import mixed_share
@@ -82,19 +81,15 @@ class Spec:
         """Return the values of one loop. Args: values: of axes; those of numeric axes are their first by default."""
         return Loop(self, self.first() | values)
 
-    def build(self, values: dict) -> Problem:
-        """Return one loop. Args: as for `loop`."""
-        return self.loop(values).build()
-
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
-        problem = self.build(values)
+        problem = self.loop(values).build()
         run = problem.run(draws)
         return measure_run(run, problem.law, problem.reference, self.metrics, tolerance=self.tolerance)
 
     def draws(self, program: dict, lanes: dict) -> dict:
         """Return the standard normal numbers (lanes, N, m) of noise whose seed is an axis."""
-        if "seed" not in lanes or (problem := self.build(program)).noise is None:
+        if "seed" not in lanes or (problem := self.loop(program).build()).noise is None:
             return {}
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
         size = problem.N, problem.law.task.m
@@ -120,7 +115,7 @@ class Spec:
 
     def all_units(self) -> dict:
         """Return the units of the axes, given or known."""
-        law = self.build(next(self.programs())).law
+        law = self.loop(next(self.programs())).build().law
         known = dict(UNITS)
         for axis in self.axes:
             width = axis.values.shape[-1] if axis.inner and axis.values.ndim > 1 else None
@@ -179,7 +174,7 @@ class Loop(dict):
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
         robot = self.spec.file(self.given.get("robot")) or self.given.get("robot")
-        return robot_and_tip(robot, self.given.get("tip"), self.given.get("base"))[0].n
+        return load(robot, self.given.get("tip")).n
 
     def build(self) -> Problem:
         """Return the loop."""
@@ -270,7 +265,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     Args: folder: where files named in the spec are searched first.
     """
     known_keys("SPEC", written, KINDS)
-    words = {str: "be a text", list: "be a list", dict: "be a table"}
+    words: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
     texts = {key: errors.kind(key, written.get(key, of()), of, words.get(of)) for key, of in KINDS.items()}
     fixed, axes, units = (dict(texts[key]) for key in ("fixed", "axes", "units"))
     for key, value in units.items():
@@ -299,8 +294,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
         for last in (False, True):
-            problem = spec.build(program | spec.first(last))
-            check_loop(problem.law, problem.reference)
+            problem = spec.loop(program | spec.first(last)).build()
             check_metrics(spec.metrics, problem.law)
     return spec
 

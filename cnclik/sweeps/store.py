@@ -37,6 +37,8 @@ class Store:
         import zarr
 
         self.path = errors.path(name, folder) / DATA
+        if not os.path.isfile(self.path / OWN):
+            raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{str(folder)!r} does not")
         try:
             mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
             if mark["checksum"] != _checksum(self.path, mark["files"]):
@@ -52,10 +54,10 @@ class Store:
 
     def blocks(self) -> tuple[list, list]:
         """Return the blocks that are done, and those that are missing or damaged."""
-        sorted_: tuple[list, list] = [], []
+        done, missing = [], []
         for block in self.grid.blocks():
-            sorted_[not self._is_done(block)].append(block)
-        return sorted_
+            (done if self._is_done(block) else missing).append(block)
+        return done, missing
 
     def _is_done(self, block) -> bool:
         chunk = [str(cut.start // step) for cut, step in zip(block.region, self.grid.block, strict=True)]
@@ -86,7 +88,7 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    packed = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
+    packed: Any = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
     data = xarray.Dataset(coords=coordinates_of(spec, of), attrs=attributes(spec, of, outputs))
     texts = {name: v.astype(object) for name, v in data.coords.items() if v.dtype.kind == "U"}  # all that zarr settled
     data = data.assign_coords(texts)
@@ -96,7 +98,7 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
         group = zarr.open_group(path, mode="r+")
         for o in outputs:
             fill = np.nan if o.dtype.kind == "f" else -1  # of counts
-            about = {"dimension_names": [a.name for a in of.axes], "attributes": o.about, "fill_value": fill}
+            about: Any = {"dimension_names": [a.name for a in of.axes], "attributes": o.about, "fill_value": fill}
             group.create_array(o.name, shape=of.shape, chunks=of.block, dtype=o.dtype, **about, **packed)
         zarr.consolidate_metadata(path)
         # Description and coordinates never change: with their checksum the store is complete.
@@ -129,7 +131,7 @@ def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
     there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
     for name in there | here:
         if there.get(name) != here.get(name):
-            must = "hold results of this very spec (--fresh starts over, another --out keeps both)"
+            must = "hold results of this very spec (another --out keeps both)"
             before, now = (f"{some.get(name, 'nothing')!s:.40}" for some in (there, here))
             raise errors.fail("out", must, f"differs in {name}: {before} there, {now} here")
     with _disk(folder):

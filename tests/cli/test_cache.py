@@ -28,6 +28,7 @@ jax.monitoring.register_event_time_span_listener(span)
 jax.monitoring.register_event_listener(happened)
 from cnclik.cli import main
 main("solve planar:1,1 --N 3 --no-figures".split())
+jax.jit(jax.numpy.sin)(1.0)
 print("{compile} programs, {hits} from the cache".format(**found))
 """
 

@@ -22,12 +22,11 @@ def test_overview_and_version(capsys):
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_of_every_verb(verb, capsys):
-    with pytest.raises(SystemExit) as left:
-        main([verb, "--help"])
+    main([verb, "--help"])
     shown = capsys.readouterr().out
-    assert not left.value.code and f"usage: cnclik {verb}" in shown
+    assert f"usage: cnclik {verb}" in shown
     assert not re.search(r"\w-\n", shown)  # a name in two lines can't be copied
-    if verb in ("solve", "tune"):
+    if verb in ("solve", "export"):
         titles = re.findall(r"^([a-z ]+):$", shown, re.M)
         assert [t for t in titles if t != "options"] == ["robot and task", "path", "law", "loop", "drive", "output"]
 
@@ -35,7 +34,7 @@ def test_help_of_every_verb(verb, capsys):
 def test_the_options_are_few():
     modules = (importlib.import_module(f"cnclik.cli.{verb}") for verb in VERBS)
     every = {n for m in modules for some in arguments.options_of(m).values() for n in some if not some[n].positional}
-    assert len(every) <= 50, sorted(every)
+    assert len(every) <= 45, sorted(every)
 
 
 VERB = """
@@ -81,7 +80,8 @@ def verb(tmp_path_factory):
         ("--step 3", "Unknown option --step; did you mean --steps?"),
         ("--zzz", "Unknown option --zzz; `cnclik x --help` lists the options."),
         ("--off=1", "Unknown option --off=1; did you mean --off?"),
-        ("loose", "What stands without an option must be nothing, but is 'loose'."),
+        ("loose", "'loose' is one too many; `cnclik x --help` lists the options."),
+        ("--no-on", "Unknown option --no-on; `cnclik x --help` lists the options."),
     ],
 )
 def test_wrong_options_are_one_line(verb, argv, says):

@@ -43,7 +43,7 @@ def test_a_number_may_have_a_unit(verb, argv, name, wanted):
     place = "log.csv" if verb is diagnose else "panda"
     made = arguments.parse(verb, [place, *(argv.split() if isinstance(argv, str) else argv)], prog="", description="")
     shared = {key: value for key, value in made.items() if isinstance(value, quantities.Quantities) and key in OPTIONS}
-    assert (made | in_own_units(shared)[0])[name] == pytest.approx(wanted, rel=1e-12)
+    assert (made | in_own_units(shared))[name] == pytest.approx(wanted, rel=1e-12)
 
 
 def test_a_number_read_aloud_has_at_most_three_digits():

@@ -5,14 +5,13 @@ arrive late. A push moves the target by up to 2 cm; a run that strays by 4 cm is
 right is found by running: the largest gain with which the tip overshoots by less than 5 %.
 """
 
-import argparse
-import collections
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 import cnclik as ck
+from tests.diagnosis.logs import arguments, report
 from tests.oracles import robots
 
 ROBOTS = {  # file below example-robot-data's robots, tip, base
@@ -215,36 +214,26 @@ def log(seed, robot, kind):
             return plant, e, alpha, best
 
 
-def main() -> None:
-    """Print what `diagnose` says of the errors of each log, with alpha and without."""
-    parser = argparse.ArgumentParser(prog="python -m tests.diagnosis.arms")
-    parser.add_argument("shake", type=int, nargs="?", default=44)
-    parser.add_argument("calm", type=int, nargs="?", default=29)
-    parser.add_argument("--seed", type=int, default=0)
-    args, told, sure = parser.parse_args(), collections.defaultdict(collections.Counter), []
-    kinds = ["shakes"] * args.shake + [("calm", "rest", "path")[i % 3] for i in range(args.calm)]
-    for i, kind in enumerate(kinds):
-        i -= args.shake * (kind != "shakes")
-        robot = list(ROBOTS)[i % len(ROBOTS)]
-        plant, e, present, best = log(args.seed + i // len(ROBOTS), robot, kind)
+def answers(shake, calm, seed):
+    """(group, gain or None, answer, what it is worth) of logs of all robots in turn, with alpha and without."""
+    kinds = [(i, "shakes") for i in range(shake)] + [(i, ("calm", "rest", "path")[i % 3]) for i in range(calm)]
+    for i, kind in kinds:
+        plant, e, present, best = log(seed + i // len(ROBOTS), list(ROBOTS)[i % len(ROBOTS)], kind)
         for alpha in (present, None):
             found = ck.diagnose(e, plant.Ts, alpha=alpha)
-            said = "no gain" if found.cause is None else "false cause"
-            if found.factor is not None:
-                gain = found.factor * present
-                said = "right" if gain > 0.25 * best else "low"
-                if kind != "shakes":
-                    said = "false" if gain < present else "right"
-                elif over(plant, gain) > 0.05:
-                    said = "over"
-            told["shakes" if kind == "shakes" else "calm", "alpha" if alpha else "no alpha"][said] += 1
-            sure += [said == "right"] if (found.confidence or 0.0) >= 0.9 else []
-            if said not in ("right", "no gain"):
-                print(kind, robot, alpha, said, best, found, flush=True)
-    for row, each in told.items():
-        print(*row, dict(each))
-    print(f"Of what is said with 0.9 or more {sum(sure)} of {len(sure)} are right.")
+            worth = "no cause" if found.cause is None else "wrong"
+            if found.factor is not None and kind != "shakes":
+                worth = "false" if found.factor < 1 else "right"
+            elif found.factor is not None and found.factor * present > 0.25 * best:
+                worth = "wrong" if over(plant, found.factor * present) > 0.05 else "right"
+            yield (
+                f"{'shakes' if kind == 'shakes' else 'calm'}{' with alpha' * (alpha is not None)}",
+                alpha,
+                found,
+                worth,
+            )
 
 
 if __name__ == "__main__":
-    main()
+    args = arguments(44, 29)
+    report(answers(*args.counts, args.seed))

@@ -10,7 +10,7 @@ from PIL import Image
 
 import cnclik as ck
 from cnclik.cli import main
-from cnclik.paper import claims, readings, tables
+from cnclik.paper import claims, readings
 from cnclik.paper import data as paper_data
 from cnclik.paper import figures as pictures
 from cnclik.writing import LIST
@@ -78,7 +78,7 @@ def test_committed_claims_follow_from_committed_data(results):
     again = claims.judge(results.trajectories, results.passes)
     assert [r["mean_error"] for r in judged["rows"]] == [r["mean_error"] for r in again["rows"]]
     captions = {name: about["Title"] for name, (_, about) in pictures.figures(*results, READING).items()}
-    text = tables.page(judged, results, READING, captions)
+    text = claims.page(judged, results, READING, captions)
     assert text == (COMMITTED / "claims.md").read_text(encoding="utf-8")
 
 

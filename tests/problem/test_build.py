@@ -1,6 +1,5 @@
 """Builders that turn a user's words into records: defaults are usable, and nothing is accepted silently."""
 
-import jax
 import numpy as np
 import pytest
 
@@ -73,22 +72,16 @@ def test_numbers_may_be_texts_with_a_unit():
     assert p.problem_from("planar:1,1", damping="20 mm").law.inverse == ck.damped(0.02)
     for options, told in (
         ({"q0": ["0deg", "1m"]}, "joint 'q2' is in rad, and m is given"),
-        ({"q0": ["0deg", "nonsense"]}, "`q0` must be .* a text of numbers with their unit, but is 'nonsense'"),
-        ({"q0": ["0deg", "90"]}, "`q0` must be .* a text of numbers with their unit, but is '90'"),
+        ({"q0": ["0deg", "nonsense"]}, "`q0` must be numbers, but is 'nonsense'"),
         ({"q0": ["0deg", "1 2 deg"]}, "`q0` must have 2 joint values, but has 3"),
         ({"q0": ["0deg", None]}, "`q0` must be an array of real numbers"),
-        ({"alpha": [["1 1/s", 0], [0, 2.0]]}, "`alpha` must"),
         ({"delay": ["34ms"]}, "`delay` must be"),
-        ({"delay": "34"}, "`delay` must be a number, or a text of numbers with their unit, but is '34'"),
         ({"delay": "34kg"}, r"but is '34kg' \(units: s, ms"),
-        ({"q0": "1m 2m"}, "joint 'q1' is in rad, and m is given"),
         ({"delay": "34ms", "Ts": [0.1]}, "`Ts` must be a number"),
-        ({"measurement_delay": "9ms"}, "`measurement_delay` must be an integer, but is '9ms', 0.9 samples"),
+        ({"measurement_delay": "9ms"}, "`measurement_delay` must be an integer, but is '9ms'"),
     ):
         with pytest.raises(ck.ArgumentError, match=told):
             p.problem_from("planar:1,1", **options)
-    with pytest.raises(ck.ArgumentError, match="`delay` must be in samples where `Ts` is traced, but is '34ms'"):
-        jax.jit(lambda Ts: p.problem_from("planar:1,1", Ts=Ts, delay="34ms").Ts)(0.1)
 
 
 @pytest.mark.parametrize(
@@ -138,13 +131,8 @@ def test_waypoint_files(tmp_path):
     np.testing.assert_allclose(reference_from(str(file), arm, task, q0).curve(0.0)[0], start, atol=1e-12)
 
 
-def test_rates_are_those_of_python():
-    made = p.problem_from(
-        "panda", posture=[0.1] * 7, posture_rate=3.0, damping=0.1, limits="bounded", limit_rate=2.0
-    ).law
-    assert float(made.null_velocity.rate) == 3.0 and float(made.limits.rate) == 2.0
-    made = p.problem_from("panda", posture=[0.1] * 7, damping=0.1, limits="bounded", Ts=0.5).law
-    assert float(made.null_velocity.rate) == 1.0 and float(made.limits.rate) == 2.0  # one step may stop there
+def test_a_joint_may_stop_at_its_limit_in_one_step():
+    assert float(p.problem_from("panda", damping=0.1, limits="bounded", Ts=0.5).law.limits.rate) == 2.0
 
 
 def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
@@ -157,7 +145,7 @@ def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
     file.write_text("x,y,z\n0.3,0,0.4\n0.3,0,0.4\n")
     for options, told in (
         ({"speed": 0.5}, "points that differ, with a speed"),
-        ({}, "or a --speed, but way.csv lacks time"),
+        ({}, "have columns time x y z, or a --speed, but way.csv has x y z"),
     ):
         with pytest.raises(ck.ArgumentError, match=told):
             p.problem_from("panda", reference=str(file), **asked, **options)
@@ -166,10 +154,11 @@ def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
 @pytest.mark.parametrize(
     "text, told",
     [
-        ("", "two waypoints"),
+        ("", "way.csv has none"),
+        ("time,x,y,z,qw,qx,qy,qz", "two waypoints"),
         ("0,1,2,3", "two waypoints"),
         ("0,1,2,3\n1,1,2", "as many in every row"),
-        ("0,1,2,3\n1,1,2,3\n0.5,1,2,3", "way.csv has 1 s and then 0.5 s"),
+        ("0,1,2,3\n1,1,2,3\n0.5,1,2,3", "way.csv has times 0, 1, 0.5"),
         ("O.0,1,2,3\n1,1,2,3\n2,1,2,3", "row 1 of way.csv holds 'O.0'"),
         ("0,1,2,3\n1,1,2,x", "as many in every row"),
         ("0,1\n1,1", "have columns time x y z qw qx qy qz, in this order or by name, but way.csv has 2"),
@@ -201,17 +190,15 @@ def test_every_option_has_a_help_and_takes_its_units():
     "options, told",
     [
         ({"robot": "planar:"}, "planar:1,1,1"),
+        ({"robot": "planar:1,1", "task": "pose"}, "`task` must have at most 2 coordinates, one per joint"),
         ({"robot": "planar:1,-1"}, "at least 0"),
         ({"task": ""}, "`task`"),
         ({"task": ["x"]}, "`task`"),
-        ({"center": [1, 2, 3]}, "`center` must be left out for the reference 'hold'"),
         ({"reference": "circle", "speed": 0.1}, "`speed` must be left out for the reference 'circle'"),
         ({"period": 2.0}, "`period` must be left out for the reference 'hold'"),
         ({"robot": "planar"}, "`robot` must give link lengths such as planar:1,1,1"),
         ({"robot": "panda:1"}, "`robot` must be panda, but is 'panda:1'"),
-        ({"robot": "ur5", "base": "free"}, "`base` must be left out for the robot 'ur5'"),
         ({"reference": "circle", "radius": 0}, "positive"),
-        ({"Ts": 1e308}, "`Ts` must make a run of at most"),
         ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
         ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
         ({"reference": "line", "period": 0}, "`period`"),
@@ -222,17 +209,8 @@ def test_every_option_has_a_help_and_takes_its_units():
         ({"M": -1}, "M"),
         ({"damping": 0}, "damping"),
         ({"threshold": 0.1}, "`threshold` must come with `damping`"),
-        ({"posture": [0] * 6}, "posture"),
-        ({"damping_ratio": 1.0}, "`damping_ratio` must come with `natural_frequency`, but comes without"),
-        ({"posture_rate": 2.0}, "`posture_rate` must come with `posture`, but comes without"),
-        ({"posture": [0] * 7, "posture_rate": 0}, "`posture_rate` must be positive"),
-        (
-            {"limit_rate": 2.0},
-            "`limit_rate` must come with limits bounded, but comes with none",
-        ),
-        ({"limits": "velocity_scaling", "limit_rate": 2.0}, "`limit_rate` must come with limits"),
-        ({"limits": "bounded", "limit_rate": -2.0}, "`limit_rate` must be positive"),
-        ({"limits": "bounded"}, "`limits` must come with `damping`, such as 0.05, if it is bounded, but comes without"),
+        ({"damping_ratio": 0.7}, "`damping_ratio` must come with a natural_frequency"),
+        ({"limits": "bounded"}, "`limits` must come with `damping`, such as 0.05, but comes without"),
         ({"sped": 3}, r"`option` must be one of .* \(did you mean 'speed'\?\)"),
     ],
 )
@@ -240,8 +218,3 @@ def test_what_does_not_fit_is_named(options, told):
     with pytest.raises(ck.ArgumentError, match=told) as error:
         p.problem_from(**({"robot": "panda"} | options))
     assert "\n" not in str(error.value)
-
-
-def test_a_coordinate_that_no_joint_moves_is_named():
-    with pytest.raises(ck.ArgumentError, match="that 2 joints can move independently, but is z, always singular"):
-        names.require_free(ck.planar_arm([1.0, 1.0]), ck.position("z"))

@@ -39,7 +39,7 @@ def file(tmp_path):
 def test_a_stack_stays_where_it_starts_and_takes_options_that_are_its_arguments(file):
     made = problem_of(file(TWO), alpha=3.0, Ts=0.02, N=5, delay=1.0)
     assert made.name == "cell" and float(made.law.alpha) == 3.0 and (made.Ts, made.N) == (0.02, 5)
-    assert made.drive == ck.Drive(delay=1.0) and "reference" not in made.given
+    assert made.drive == ck.Drive(delay=1.0) and made.reference.still
     run = made.run()
     np.testing.assert_allclose(run.q[-1], [0.3, 0.5, 0.2], atol=1e-12)
     assert run["hand"].e.shape == (6, 2)

@@ -187,7 +187,7 @@ test_what_cannot_be_meant_is_refused = refusals(
     (lambda: ck.to_model_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),
     (lambda: ck.to_model_q(*humanoid(), np.zeros(8), np.zeros(4)), "`qdot` must have 8 numbers, but has 4"),
     (lambda: ck.load("panda_mjcf"), "`robot` must be a URDF or MJCF file, panda, ur5, planar:1,1,1 or a name of"),
-    (lambda: ck.load("panda", tip="hand"), "`tip` must be 'flange' for the robot 'panda', but is 'hand'"),
+    (lambda: ck.load("panda", tip="hand"), "`tip` must be left out for the robot 'panda', but is 'hand'"),
 )
 
 

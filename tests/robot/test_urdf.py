@@ -193,9 +193,9 @@ RING = "".join(f'<link name="{a}"/>' + joint(f"j{a}", a, b) for a, b in ("xy", "
 
 BAD = (
     ("", "has no links"),
-    (SPLIT, "candidates are c, d"),
-    (SPLIT + MORE, "candidates are e, c, f, g[.]"),
-    (SPLIT + MORE + '<link name="h"/>' + joint("j7", "a", "h"), "candidates are e, c, f, g and 1 more"),
+    (SPLIT, "such as c, d, but is not"),
+    (SPLIT + MORE, "such as e, c, f, g, but"),
+    (SPLIT + MORE + '<link name="h"/>' + joint("j7", "a", "h"), "such as e, c, f, g and 1 more"),
     (LINKS + joint("j1", "a", "b"), "3 roots: a, c, d"),
     (LINKS + joint("j1", "a", "b") + joint("j2", "b", "a"), "a loop through link 'a'"),
     (ROW + joint("j4", "d", "b"), "a loop: link 'b' hangs on 'j1' and 'j4'"),

@@ -27,11 +27,10 @@ PLANAR = ["planar:1,1", "--reference", "circle"]
 AXES = ("method=['EE']", "Ts=[0.1]", "alpha=[1, 9]")
 COMMANDS = {  # verbs that write results, on small cases
     "sweep": ["sweep", str(SPEC), *(word for axis in AXES for word in ("--set", f"axes.{axis}"))],
-    "solve": ["solve", *PLANAR, "--N", "50", "--csv"],
+    "solve": ["solve", *PLANAR, "--N", "50"],
     "reach": ["reach", "planar:1,1", "--random", "20", "--out", "{out}/answers.csv"],
-    "tune": ["tune", *PLANAR, "--N", "20", "--steps", "3"],
 }
-DATA = {"trajectory.nc", "trajectory.csv", "tuned.json", "summary.md", "answers.csv"}
+DATA = {"trajectory.nc", "summary.md", "answers.csv"}
 
 
 def start(name, out):
