@@ -1,4 +1,4 @@
-"""A bank of loops that tests share: five programs, whose gains, sampling times, starts and targets are arrays.
+"""A bank of loops that tests share: four programs, whose gains, sampling times, starts and targets are arrays.
 
 A literal arm, a task, a method or a dtype is a program to trace and to compile; other numbers are not. A test that
 needs a loop of no special kind takes one of these, and asks it for numbers.
@@ -17,34 +17,32 @@ from tests.oracles import damped_inverse, robot_file
 
 N, LANES, DAMPING = 5, 7, 0.1
 LENGTHS = np.array([1.0, 0.8, 0.6, 0.5])
-HANDS = ["left_rubber_hand", "right_rubber_hand"]
-FILES = {"panda": (robot_file("panda"), ["panda_hand"]), "g1": (robot_file("g1"), HANDS)}
+G1, HANDS = robot_file("g1"), ["left_rubber_hand", "right_rubber_hand"]
 
 
 @functools.cache
 def robot(name):
-    """planar2 and planar3, the Panda, two planar arms on one trunk, or G1 above the pelvis."""
+    """planar2 and planar3, two planar arms on one trunk, or G1 above the pelvis."""
     if name.startswith("planar"):
         return ck.planar_arm(LENGTHS[: int(name[-1])].tolist())
     if name == "two arms":
         trunk, arm = (ck.planar_arm(v.tolist()) for v in (LENGTHS[:2], LENGTHS[2:4]))
         both = ck.join(trunk, arm, prefix="one_", keep=True)
         return ck.join(both, arm, at="tip", prefix="two_")
-    file, tips = FILES[name]
-    return ck.load_urdf(file, tips=tips)
+    return ck.load_urdf(G1, tips=HANDS)
 
 
 @functools.cache
 def law(name):
     """Positions of all tips, damped; the plane's x and y for planar arms."""
-    axes = "xyz" if name in FILES else "xy"
+    axes = "xyz" if name == "g1" else "xy"
     each = [ck.position(axes, tip=tip.name) for tip in robot(name).tips]
     return ck.Law(robot(name), functools.reduce(lambda a, b: a & b, each), alpha=1.0, inverse=ck.damped(DAMPING))
 
 
 def places(name, q):
     """Coordinates of the task, (m,), at joint values."""
-    count = 3 if name in FILES else 2
+    count = 3 if name == "g1" else 2
     tips = [ck.forward(robot(name), q, tip=tip.name) for tip in robot(name).tips]
     return np.concatenate([np.asarray(at.position, float)[:count] for at in tips])
 
@@ -94,15 +92,13 @@ def lanes(loop):
     return jax.jit(jax.vmap(loop.run))
 
 
-def by_pinocchio(name, alpha, Ts, q0, target):
-    """q of N explicit Euler steps on Pinocchio's kinematics, of robots that have a file."""
+def by_pinocchio(alpha, Ts, q0, target):
+    """q of N explicit Euler steps of G1 on Pinocchio's kinematics."""
     from tests.robot.test_urdf import Pinocchio, oracle
 
-    (file, tips), path = FILES[name], [q0]
-    where, names = Pinocchio(file, oracle(file)[0]), robot(name).joint_names
-    base = {"panda": "panda_link0", "g1": "pelvis"}[name]
+    where, path = Pinocchio(G1, oracle(G1)[0]), [q0]
     for _ in range(N):
-        each = [where.at(names, path[-1], tip, base) for tip in tips]
+        each = [where.at(robot("g1").joint_names, path[-1], tip, "pelvis") for tip in HANDS]
         e = target - np.concatenate([at[0] for at in each])
         path.append(path[-1] + Ts * damped_inverse(DAMPING)(np.vstack([at[2][:3] for at in each])) @ (alpha * e))
     return np.array(path)
@@ -111,7 +107,6 @@ def by_pinocchio(name, alpha, Ts, q0, target):
 LOOPS = [
     Loop("planar2", "CN", "float32"),
     Loop("planar3", "EXP-MIDPOINT", "float64"),
-    Loop("panda", "EE", "float64"),
     Loop("two arms", "EXP-MIDPOINT", "float64"),
     Loop("g1", "EE", "float64"),
 ]
