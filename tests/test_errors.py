@@ -80,26 +80,26 @@ def test_what_no_file_system_can_name_is_one_line(path):
         errors.path("out", path)
 
 
+EVERY = ["EE", "HEUN", "RK4", "MIDPOINT", "EXP-MIDPOINT"]
+
+
 @pytest.mark.parametrize(
-    ("written", "meant"), [("ee", "EE"), ("Heunn", "HEUN"), ("exp_midpoint", "EXP-MIDPOINT"), ("rk-4", "RK4")]
-)
-def test_the_name_that_was_meant_whatever_its_letters_size(written, meant):
-    assert errors.nearest(written, ["EE", "HEUN", "RK4", "MIDPOINT", "EXP-MIDPOINT"]) == f" (did you mean {meant!r}?)"
+    ("written", "names", "meant"),
+    [("ee", EVERY, "EE"), ("Heunn", EVERY, "HEUN"), ("exp_midpoint", EVERY, "EXP-MIDPOINT"), ("rk-4", EVERY, "RK4"),
+     ("name", ["question", "axes", "fixed"], ""), ("euler", EVERY, "EE"), ("euler", ["base", "euler_"], "euler_")],
+)  # fmt: skip
+def test_the_name_that_was_meant(written, names, meant):
+    """Whatever its letters' size, by the field's words for a method, and none that is not near."""
+    assert errors.nearest(written, names) == (f" (did you mean {meant!r}?)" if meant else "")
 
 
-def test_no_name_is_suggested_that_is_not_near_and_a_long_list_gives_way_to_one_that_is():
-    assert errors.nearest("name", ["question", "axes", "fixed"]) == ""
+def test_a_long_list_gives_way_to_a_name_that_is_near():
     names = [f"--option-{k}" for k in range(60)]
     with pytest.raises(errors.ArgumentError) as said:
         errors.one_of("Option", "--optoin-7", names)
     assert str(said.value).endswith("be one of 60 names, but is '--optoin-7' (did you mean '--option-7'?).")
     with pytest.raises(errors.ArgumentError, match="--option-0, --option-1"):
         errors.one_of("Option", "x", names)
-
-
-def test_what_the_field_calls_a_method_hides_no_name_of_another_kind():
-    assert errors.nearest("euler", ["EE", "CN"]) == " (did you mean 'EE'?)"
-    assert errors.nearest("euler", ["base", "euler_"]) == " (did you mean 'euler_'?)"
 
 
 def test_numbers_of_numpy_are_written_as_numbers_and_a_text_as_it_is():

@@ -114,7 +114,6 @@ def arms(tips=tuple(ARMS), **options):
 test_what_cannot_be_meant_is_refused = refusals(
     (lambda: arms(()), r"`tips` must hold different links, or be {name: link} .*but is \[\]"),
     (lambda: arms((ARMS[0], ARMS[0])), "`tips` must hold different links"),
-    (lambda: arms("left_rubber_hand"), "`tips` must hold different links"),
     (lambda: arms(("left_hand",)), "`tips` must be one of .* is 'left_hand'"),
     (lambda: ck.load_urdf(G1, tip="left_rubber_hnd"), "`tip` .*did you mean 'left_rubber_hand'"),
     (lambda: ck.load_urdf(G1, tip=3), "`tip` must be one of the"),
@@ -124,12 +123,10 @@ test_what_cannot_be_meant_is_refused = refusals(
     (lambda: arms({"a": (ARMS[0], [0, 0, np.nan])}), r"`tips\['a'\]\[2\]` must be finite"),
     (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must name joints .*'waist_yaw' .did you mean"),
     (lambda: arms(freeze={"waist_yaw_joint": 9}), r"`freeze\['waist_yaw_joint'\]` must be within"),
-    (lambda: arms(freeze={"waist_yaw_joint": np.nan}), "must be finite"),
     (lambda: arms(freeze=["waist_yaw_joint"]), "`freeze` must be {name of a joint"),
     (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
     (lambda: ck.jacobian(ck.panda(), np.zeros(7), tip="hand"), "`tip` must be one of tip, but is 'hand'"),
     (lambda: ck.Law(arms(), ck.position(), alpha=1.0), "`tip` must be given for a robot with several"),
-    (lambda: ck.reach(arms(), np.eye(4)), "`tip` must be given for a robot with several"),
     (lambda: ck.join(ck.panda(), ck.panda()), "`prefix` must tell the names of both robots apart"),
     (lambda: ck.join(ck.panda(), 3), "`other` must be a Chain"),
 )
