@@ -11,7 +11,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.record import combine, is_literal, partition, record, replace, stack
-from cnclik.stability import Verdict
+from cnclik.stability.ending import Verdict
 
 
 @record
@@ -129,8 +129,8 @@ def test_what_a_newcomer_prints_is_a_few_lines(loop):
     for part in ("x, y [m]", "alpha 5 1/s", "Damped(damping=0.1)", "error_clamp [0.1, 0.2]"):
         assert part in str(law)
     assert str(law.chain).split("\n")[1:] == [
-        "  shoulder: revolute, no limits",
-        "  elbow: revolute, no limits",
+        "  shoulder: -inf to inf rad, up to inf rad/s",
+        "  elbow: -inf to inf rad, up to inf rad/s",
     ]
     assert repr(ck.pose("xy", "z", weights=[1, 1, 2])) == "Task: x, y [m], rz [rad], weights [1, 1, 2]"
     assert repr(ck.hold([1.0, 2.0])) == "Reference: Hold(position=[1, 2], rotation=None)"

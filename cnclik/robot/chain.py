@@ -16,11 +16,10 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot import poses
-from cnclik.robot.bases import BALL
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
 from cnclik.robot.masses import Masses
 from cnclik.robot.poses import PoseLike
-from cnclik.robot.tree import MOST
+from cnclik.robot.tree import BALL, MOST
 
 Names = Sequence[str] | None
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
@@ -65,7 +64,7 @@ class Chain:
         lower, upper, speed = (_known(n, getattr(self, n), self.n) for n in ("lower", "upper", "velocity_limit"))
         if speed is not None and min(speed) < 0:
             raise errors.fail("velocity_limit", "be at least 0", f"is {min(speed):g}")
-        for name, low, high in zip(self.joint_names, lower, upper, strict=True) if None not in (lower, upper) else ():
+        for name, low, high in zip(self.joint_names, lower or (), upper or (), strict=False):
             if low > high:
                 raise errors.fail("lower", "not exceed `upper`", f"is {low:g} > {high:g} at joint {name}")
 
@@ -109,13 +108,8 @@ class Chain:
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each joint coordinate, "rad" or "m": that of the first joint it drives."""
-        return tuple("m" if kind == PRISMATIC else "rad" for kind in self._kinds)
-
-    @property
-    def _kinds(self) -> tuple[str, ...]:
-        """Kind of the first joint that each coordinate drives."""
-        kinds = {j.coordinate: "rotation vector" if j.kind == BALL else j.kind for j in reversed(self.joints)}
-        return tuple(kinds.get(i, REVOLUTE) for i in range(self.n))
+        kinds = {joint.coordinate: joint.kind for joint in reversed(self.joints)}
+        return tuple("m" if kinds.get(i) == PRISMATIC else "rad" for i in range(self.n))
 
     @property
     def periodic(self) -> tuple[bool, ...]:
@@ -130,14 +124,10 @@ class Chain:
         return f"Chain({kinds}, joint_names={list(self.joint_names)}{tips})"
 
     def __str__(self):
-        """A line per joint: its kind and limits."""
-        tips = f", tips {', '.join(t.name for t in self.tips)}" if len(self.tips) > 1 else ""
-        lines = [f"Chain of {self.n} joints{tips}"]
-        for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
-            low, high, speed = (bound[i] for bound in (self.lower, self.upper, self.velocity_limit))
-            room = f"{low:.5g} to {high:.5g} {unit}" if math.isfinite(low) or math.isfinite(high) else "no limits"
-            fast = f", up to {speed:.5g} {unit}/s" if math.isfinite(speed) else ""
-            lines.append(f"  {name}: {self._kinds[i]}, {room}{fast}")
+        """A line per joint: its limits."""
+        lines = [f"Chain of {self.n} joints, tips {', '.join(t.name for t in self.tips)}"]
+        limits = zip(self.joint_names, self.units, self.lower, self.upper, self.velocity_limit, strict=True)
+        lines += [f"  {name}: {low:.5g} to {high:.5g} {u}, up to {v:.5g} {u}/s" for name, u, low, high, v in limits]
         return "\n".join(lines)
 
 
@@ -187,24 +177,22 @@ def from_dh(
       kinds: string such as "RRP", by default all revolute; for P, q adds to d.
       joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
     """
-    a, alpha, d = _scalars("a", a), _scalars("alpha", alpha), _scalars("d", d)
+    a = _scalars("a", a)
     n = len(a)
-    theta = _scalars("theta", theta) if theta is not None else (0.0,) * n
-    for name, values in (("alpha", alpha), ("d", d), ("theta", theta)):
-        if len(values) != n:
-            raise errors.fail(name, f"have shape ({n},) like `a`", f"has shape ({len(values)},)")
-    errors.one_of("convention", convention, ("standard", "modified"))
-    kinds = _kinds(kinds, n)
-
+    alpha, d, theta = (
+        _scalars("alpha", alpha, n),
+        _scalars("d", d, n),
+        _scalars("theta", (0.0,) * n if theta is None else theta, n),
+    )
+    modified = errors.one_of("convention", convention, ("standard", "modified")) == "modified"
     joints, before = [], Offset()
-    for i in range(n):
+    for i, kind in enumerate(_kinds(kinds, n)):
         along_x = Offset(position=(a[i], 0.0, 0.0), rotation=turn((1.0, 0.0, 0.0), alpha[i]))
         along_z = Offset(position=(0.0, 0.0, d[i]), rotation=turn((0.0, 0.0, 1.0), theta[i]))
-        if convention == "modified":
-            before = compose(before, along_x)
+        before = compose(before, along_x) if modified else before
         # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
-        joints.append(Joint(kind=kinds[i], axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
-        before = along_z if convention == "modified" else compose(along_z, along_x)
+        joints.append(Joint(kind=kind, axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
+        before = along_z if modified else compose(along_z, along_x)
     return assemble(joints, before, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
@@ -231,11 +219,9 @@ def from_screws(
     points, axes = _rows("points", points), [_unit(f"axes[{i}]", w) for i, w in enumerate(_rows("axes", axes))]
     if len(axes) != len(points):
         raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
-    kinds = _kinds(kinds, len(points))
-    tip = offset_of("home", home)
-    joints, last = [], ZERO
-    for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
-        joints.append(Joint(kind=kinds[i], axis=axis, origin=Offset(position=vsub(point, last)), coordinate=i))
+    tip, joints, last = offset_of("home", home), [], ZERO
+    for i, (kind, point, axis) in enumerate(zip(_kinds(kinds, len(points)), points, axes, strict=True)):
+        joints.append(Joint(kind=kind, axis=axis, origin=Offset(position=vsub(point, last)), coordinate=i))
         last = point
     tip = Offset(position=vsub(tip.position, last), rotation=tip.rotation)
     return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
@@ -259,25 +245,17 @@ def assemble(
     if not joints:
         raise errors.fail("joints", "hold at least one joint", "is empty")
     n = 1 + max(j.coordinate for j in joints)
-    names = [f"q{i + 1}" for i in range(n)] if joint_names is None else joint_names
-    given = list(names) if np.iterable(names) and not isinstance(names, (str, dict)) else []
-    if len(given) != n or not all(isinstance(v, str) for v in given) or len(set(given)) != n:
+    names = tuple(f"q{i + 1}" for i in range(n)) if joint_names is None else joint_names
+    texts = isinstance(names, (list, tuple)) and all(isinstance(v, str) for v in names)
+    if not texts or len(names) != n or len(set(names)) != n:
         raise errors.fail("joint_names", f"hold {n} different names", f"is {joint_names!r}")
-
-    def limits(name, values, default):
-        if values is None:
-            return (default,) * n
-        return tuple(map(float, errors.array(name, values, (n,), finite=False)))
-
-    return Chain(
-        joints=joints,
-        tips=tip if isinstance(tip, tuple) else (Tip(name="tip", joint=len(joints) - 1, offset=tip or Offset()),),
-        joint_names=tuple(given),
-        lower=limits("lower", lower, -math.inf),
-        upper=limits("upper", upper, math.inf),
-        velocity_limit=limits("velocity_limit", velocity_limit, math.inf),
-        masses=masses,
-    )
+    limits = {"lower": (lower, -math.inf), "upper": (upper, math.inf), "velocity_limit": (velocity_limit, math.inf)}
+    bounds = {
+        name: (default,) * n if values is None else tuple(map(float, errors.array(name, values, (n,), finite=False)))
+        for name, (values, default) in limits.items()
+    }
+    tips = tip if isinstance(tip, tuple) else (Tip(name="tip", joint=len(joints) - 1, offset=tip or Offset()),)
+    return Chain(joints=joints, tips=tips, joint_names=tuple(names), masses=masses, **bounds)
 
 
 # --- reading arguments --------------------------------------------------------------------------------
@@ -318,10 +296,10 @@ def _known(name, values, n):
 
 def _kinds(kinds, n):
     letters = {"R": REVOLUTE, "P": PRISMATIC}
-    given = ["R"] * n if kinds is None else list(kinds) if np.iterable(kinds) else []
-    if len(given) != n or not all(isinstance(k, str) and k in letters for k in given):
+    word = "R" * n if kinds is None else kinds
+    if not isinstance(word, str) or len(word) != n or not set(word) <= set(letters):
         raise errors.fail("kinds", f"be {n} letters R or P", f"is {kinds!r}")
-    return tuple(letters[k] for k in given)
+    return tuple(letters[k] for k in word)
 
 
 def offset_of(name, transform) -> Offset:
@@ -335,8 +313,7 @@ def offset_of(name, transform) -> Offset:
     if pose is None and len(poses.shape_of(transform)) == 1:
         return Offset(position=_scalars(name, transform, 3))
     if pose is None or np.ndim(pose[0]) != 1:
-        must = f"be one pose: {poses.FORMS}, or a position (3,)"
-        raise errors.fail(name, must, f"has shape {np.shape(pose[0])}" if pose else f"is {transform!r}")
+        raise errors.fail(name, f"be one pose: {poses.FORMS}, or a position (3,)", f"is {transform!r}")
     if all(map(is_number, jax.tree.leaves(transform))):
         pose = [part.tolist() for part in pose]
     position, rotation = pose

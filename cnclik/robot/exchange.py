@@ -1,13 +1,11 @@
 """Exchange of joint values and velocities with models of Pinocchio and MuJoCo, matched by joint names.
 
-Both count a posture from the neutral one by a velocity that leads there in a second, and write a rotation as a
-quaternion. For a free joint, MuJoCo's velocities are those of `cnclik.robot.chart`, ṗ along the world's axes and ω in
-the base's own; Pinocchio's are Rᵀṗ and ω, and Rᵀṗ for a planar joint.
+Both write a rotation as a quaternion. For a free joint, MuJoCo's velocities are those of `cnclik.robot.chart`, ṗ along
+the world's axes and ω in the base's own; Pinocchio's are Rᵀṗ and ω, and Rᵀṗ for a planar joint.
 """
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,13 @@ from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 
 _TURNS = ("rx", "ry", "rz")
-_PARTS = {"free": ("x", "y", "z", *_TURNS), "planar": ("x", "y", "yaw"), "ball": _TURNS, "one": ("",)}
-_AXES = {"free": slice(6), "planar": [0, 1, 5]}  # of a free base's coordinates, those of a base
+_KINDS = {  # coordinates of a joint, how many of them are a position, how many numbers a model has for the rest
+    "free": (("x", "y", "z", *_TURNS), 3, 4),
+    "planar": (("x", "y", "yaw"), 2, 2),
+    "ball": (_TURNS, 0, 4),
+    "circle": (("",), 0, 2),
+    "one": (("",), 1, 0),
+}
 
 
 def to_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any = None) -> Any:
@@ -32,18 +35,23 @@ def to_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... n"], qdot: Any
       qdot: (..., n) velocities, or None.
     Returns: q, or where velocities are given (q, v).
     """
-    q, rates = _given("q", errors.kind("robot", robot, Chain).n, q, "qdot", robot.n, qdot)
+    shape, q, rates = _rows("q", errors.kind("robot", robot, Chain).n, q, "qdot", robot.n, qdot)
     followers = [joint for joint in robot.joints if joint.follower]
-    coordinates = [joint.coordinate for joint in followers]
-    factors, shifts = (np.array([getattr(j, name) for j in followers], float) for name in ("multiplier", "offset"))
-    values = np.concatenate([q, q[..., coordinates] * factors + shifts], -1)
-    rates = np.concatenate([rates, rates[..., coordinates] * factors], -1)
-    displacements, speeds = np.zeros((2, *q.shape[:-1], model.nv))
-    joints, posture, _, inward, _ = _library(model)
-    for kind, own, at in _matched(robot, [*robot.joint_names, *(joint.follower for joint in followers)], joints):
-        displacements[..., at], speeds[..., at] = _each(kind, inward, values[..., own], rates[..., own])
-    theirs = np.apply_along_axis(posture, -1, displacements)
-    return theirs if qdot is None else (theirs, speeds)
+    nothing = np.zeros((len(q), 1))  # the last column, of joints that the robot has not
+    values = np.hstack([q, *(q[:, [j.coordinate]] * j.multiplier + j.offset for j in followers), nothing])
+    rates = np.hstack([rates, *(rates[:, [j.coordinate]] * j.multiplier for j in followers), nothing])
+    theirs, v = np.zeros((len(q), model.nq)), np.zeros((len(q), model.nv))
+    for own, place, turn, velocity in _matched(robot, [*robot.joint_names, *(j.follower for j in followers)], model):
+        count = place.stop - place.start
+        theirs[:, place], v[:, velocity], angles = values[:, own[:count]], rates[:, own], values[:, own[count:]]
+        rotation = _rotation(angles)
+        if angles.shape[1] == 1:
+            theirs[:, turn] = np.hstack([np.cos(angles), np.sin(angles)])
+        elif angles.shape[1] == 3:
+            theirs[:, turn] = rotation.as_quat(scalar_first=_is_mujoco(model))
+        v[:, velocity] = _turned(model, v[:, velocity], count, rotation.inv())
+    theirs, v = theirs.reshape(*shape, -1), v.reshape(*shape, -1)
+    return theirs if qdot is None else (theirs, v)
 
 
 def from_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any = None) -> Any:
@@ -52,104 +60,78 @@ def from_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any
     Returns: q, or where velocities v (..., nv) are given (q, qdot).
     """
     errors.kind("robot", robot, Chain)
-    q, speeds = _given("q", model.nq, q, "v", model.nv, v)
-    values, rates = np.zeros((2, *q.shape[:-1], robot.n))
-    joints, _, displacement, _, outward = _library(model)
-    matched, displacements = _matched(robot, robot.joint_names, joints), np.apply_along_axis(displacement, -1, q)
-    for kind, own, at in matched:
-        values[..., own], rates[..., own] = _each(kind, outward, displacements[..., at], speeds[..., at])
+    shape, q, v_rows = _rows("q", model.nq, q, "v", model.nv, v)
+    values, rates = np.zeros((2, len(q), robot.n + 1))
+    for own, place, turn, velocity in _matched(robot, robot.joint_names, model):
+        count, angles = place.stop - place.start, q[:, turn]
+        if angles.shape[1] == 2:
+            angles = np.arctan2(angles[:, 1:], angles[:, :1])
+        elif angles.shape[1] == 4:
+            if not angles.any(axis=1).all():
+                raise errors.fail("q", "hold a quaternion for each free or ball joint", "holds zeros in place of one")
+            angles = _rotations().from_quat(angles, scalar_first=_is_mujoco(model)).as_rotvec()
+        values[:, own] = np.hstack([q[:, place], angles])
+        rates[:, own] = _turned(model, v_rows[:, velocity], count, _rotation(angles))
+    values, rates = (each[:, :-1].reshape(*shape, -1) for each in (values, rates))
     return values if v is None else (values, rates)
 
 
-def _given(name, size, q, rate, count, v) -> tuple:
-    """Return joint values (..., size) and velocities (..., count), 0 where none are given, checked."""
+def _rows(name, size, q, rate, count, v) -> tuple:
+    """Return the shape before the last axis, joint values (B, size), and velocities (B, count), by default 0."""
     q = np.asarray(errors.array(name, q, (size,), (None, size)), float)
-    shape = (*q.shape[:-1], count)
-    v = np.zeros(count) if v is None else errors.array(rate, v, *dict.fromkeys(((count,), shape)))
-    return q, np.broadcast_to(np.asarray(v, float), shape)
+    v = np.zeros(count) if v is None else errors.array(rate, v, *dict.fromkeys(((count,), (*q.shape[:-1], count))))
+    rows = q.reshape(-1, size)
+    return q.shape[:-1], rows, np.broadcast_to(np.asarray(v, float), (len(rows), count))
 
 
-def _library(model) -> tuple:
-    """Return a model's joints, as (name, kind, index of its velocity), and four functions: its posture (nq,) by the
-    displacement (nv,) from the neutral one, the inverse; of a base's values and velocities (6,) its own, the inverse.
-    """
-    return _mujoco(model) if hasattr(model, "njnt") else _pinocchio(model)
+def _is_mujoco(model) -> bool:
+    return hasattr(model, "njnt")
 
 
-def _mujoco(model):
-    mujoco: Any = importlib.import_module("mujoco")
-    joints, neutral, turns = [], np.zeros(model.nq), []
-    for joint in map(model.joint, range(model.njnt)):
-        kind = ("free", "ball", "one", "one")[int(joint.type[0])]
-        joints.append((joint.name or f"joint{joint.id}", kind, int(joint.dofadr[0])))
-        turns += [int(joint.qposadr[0]) + 3 * (kind == "free")] * (kind != "one")
-    neutral[turns] = 1.0
-
-    def posture(displacement):
-        q = neutral.copy()
-        mujoco.mj_integratePos(model, q, displacement, 1.0)
-        return q
-
-    def displacement(q):
-        if not all(q[i : i + 4].any() for i in turns):
-            raise errors.fail("q", "hold a quaternion for each free or ball joint", "holds zeros in place of one")
-        v = np.zeros(model.nv)
-        mujoco.mj_differentiatePos(model, v, 1.0, neutral, q)
-        return v
-
-    return joints, posture, displacement, lambda *same: same, lambda *same: same
-
-
-def _pinocchio(model):
-    pin: Any = importlib.import_module("pinocchio")
-    joints, neutral, kinds = [], pin.neutral(model), {(7, 6): "free", (4, 3): "planar", (2, 1): "one", (1, 1): "one"}
-    for name, joint in zip(model.names, model.joints, strict=True):
+def _joints(model) -> list:
+    """Return (name, kind, first index in q, first index in the velocity) of a model's joints."""
+    if _is_mujoco(model):
+        kinds, every = ("free", "ball", "one", "one"), map(model.joint, range(model.njnt))
+        return [(j.name or f"joint{j.id}", kinds[j.type[0]], int(j.qposadr[0]), int(j.dofadr[0])) for j in every]
+    kinds, joints = {(7, 6): "free", (4, 3): "planar", (2, 1): "circle", (1, 1): "one"}, []
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:  # the first is the universe
         kind = "ball" if "Spherical" in joint.shortname() else kinds.get((joint.nq, joint.nv))
         if joint.nq and kind is None:
             raise errors.fail("model", "have joints of one kind each", f"has {name!r}, {joint.shortname()}")
-        joints += [(name, kind, joint.idx_v)] * (kind is not None)
-
-    def inward(values, rates):
-        rotation = pin.exp3(values[3:])
-        return pin.log6(pin.SE3(rotation, values[:3])).vector, [*rotation.T @ rates[:3], *rates[3:]]
-
-    def outward(screw, rates):
-        pose = pin.exp6(screw)
-        return [*pose.translation, *pin.log3(pose.rotation)], [*pose.rotation @ rates[:3], *rates[3:]]
-
-    return (
-        joints,
-        lambda v: pin.integrate(model, neutral, v),
-        lambda q: pin.difference(model, neutral, q),
-        inward,
-        outward,
-    )
+        joints += [(name, kind, joint.idx_q, joint.idx_v)] * (kind is not None)
+    return joints
 
 
-def _matched(robot, names, joints) -> list:
-    """Return (kind, indices of its names, and of its velocity) of each joint of a model that is named.
-
-    All of the robot's own names must be in the model.
-    """
-    index, bases, matched = {name: i for i, name in enumerate(names)}, [j for j in joints if j[1] in _AXES], []
-    for name, kind, at in joints:
-        for called in (name, *["base"] * (len(bases) == 1 and kind in _AXES)):
-            own = [index.get(f"{called}_{part}" if part else called) for part in _PARTS[kind]]
-            if None not in own:
-                matched.append((kind, own, list(range(at, at + len(own)))))
-                break
-    known = {i for _, own, _ in matched for i in own}
-    if missing := [name for name in robot.joint_names if index[name] not in known]:
-        raise errors.fail("model", "have the robot's joints", f"has no {', '.join(missing)}")
+def _matched(robot, names, model) -> list:
+    """Return (the robot's indices; the model's of position, rotation and velocity) of each of a model's joints."""
+    joints, index, matched = _joints(model), {name: i for i, name in enumerate(names)}, []
+    bases = [name for name, kind, _, _ in joints if kind in ("free", "planar")]
+    for name, kind, i, j in joints:
+        parts, count, size = _KINDS[kind]
+        called = "base" if bases == [name] and f"{name}_x" not in index else name
+        own = [index.get(f"{called}_{part}" if part else called, -1) for part in parts]
+        own = own if -1 not in own else [-1] * len(own)
+        matched.append((own, slice(i, i + count), slice(i + count, i + count + size), slice(j, j + len(own))))
+    if missing := {*range(robot.n)}.difference(*(own for own, *_ in matched)):
+        has_no = ", ".join(robot.joint_names[i] for i in sorted(missing))
+        raise errors.fail("model", "have the robot's joints", f"has no {has_no}")
     return matched
 
 
-def _each(kind, fn, values, rates):
-    """Return fn(coordinates, velocities), each (6,), for each of a base's (..., k); other joints' as they are."""
-    if kind not in _AXES:
-        return values, rates
-    rows = np.zeros((2, *values.shape[:-1], 6))
-    rows[..., _AXES[kind]] = values, rates
-    for i in np.ndindex(values.shape[:-1]):
-        rows[(slice(2), *i)] = fn(*rows[(slice(2), *i)])
-    return rows[..., _AXES[kind]]
+def _turned(model, rates, count, rotation):
+    """Return a joint's velocity with ṗ turned, which Pinocchio has along the body's axes."""
+    if count < 2 or _is_mujoco(model):
+        return rates
+    place = np.pad(rates[:, :count], ((0, 0), (0, 3 - count)))
+    return np.hstack([rotation.apply(place)[:, :count], rates[:, count:]])
+
+
+def _rotation(angles):
+    """Return rotations of rotation vectors (B, 3), of angles about z (B, 1), or of none (B, 0)."""
+    return _rotations().from_rotvec(np.pad(angles, ((0, 0), (3 - angles.shape[1], 0))))
+
+
+def _rotations() -> Any:
+    from scipy.spatial.transform import Rotation  # here, as most runs exchange nothing
+
+    return Rotation

@@ -10,8 +10,6 @@ from cnclik.reading import read_bytes
 from cnclik.robot.tree import Tree, read_urdf, text_of
 
 ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
-_DESCRIPTIONS = "robot_descriptions"
-_FIRST = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->|<!\w[^>]*>)*<([\w:.-]+)", re.S)
 
 
 @errors.called("path", "robot")
@@ -38,7 +36,7 @@ def is_mjcf(robot) -> bool:
         data = read_bytes("robot", robot, "a file of a robot")
     else:
         return False
-    first = _FIRST.match(data)
+    first = re.search(rb"<([\w:.-]+)", re.sub(rb"<!--.*?-->", b"", data, flags=re.S))
     return first is not None and first[1] == b"mujoco"
 
 
@@ -51,16 +49,13 @@ def file_of(name: str) -> str | None:
     """
     if os.path.exists(name) or name.lower().endswith(ENDINGS):
         return name
-    module = f"{_DESCRIPTIONS}.{name}"
-    known = re.fullmatch(r"[a-z]\w*", name) and importlib.util.find_spec(_DESCRIPTIONS)
+    module = f"robot_descriptions.{name}"
+    known = re.fullmatch(r"[a-z]\w*", name) and importlib.util.find_spec("robot_descriptions")
     if not (known and importlib.util.find_spec(module)):
         return None
     try:
         loaded = importlib.import_module(module)
+        return str(getattr(loaded, "URDF_PATH", None) or loaded.MJCF_PATH)
     except Exception as error:  # network, git and disk raise different errors
-        must = f"be one that {_DESCRIPTIONS} can load"
+        must = "be one that robot_descriptions can load, in URDF or MJCF"
         raise errors.fail("robot", must, f"{name!r} ends with {errors.in_a_line(error)}") from None
-    for kind in ("URDF_PATH", "MJCF_PATH"):
-        if hasattr(loaded, kind):
-            return str(getattr(loaded, kind))
-    raise errors.fail("robot", f"be one that {_DESCRIPTIONS} has in URDF or MJCF", f"is {name!r}")

@@ -86,20 +86,17 @@ def _compiled(model) -> tuple:
         raise errors.ArgumentError(need) from None
     if isinstance(model, mujoco.MjModel):
         return "the model", model
-    if isinstance(model, mujoco.MjSpec):
-        file, read = "the spec", lambda: model.copy().compile()
-    elif (text := text_of(model)) is not None:
-        file, read = "the text", lambda: mujoco.MjModel.from_xml_string(text)
-    elif isinstance(model, (str, os.PathLike)):
+    text = text_of(model)
+    if text is None and not isinstance(model, mujoco.MjSpec):
         read_bytes("model", model, "an MJCF file")  # reports an unreadable file in our words
-        file, read = pathlib.Path(model).name, lambda: mujoco.MjModel.from_xml_path(os.fspath(model))
-    else:
-        must = "be an MJCF file, the text of one, a mujoco.MjSpec or a mujoco.MjModel"
-        raise errors.fail("model", must, f"is {type(model).__name__}")
     try:
-        return file, read()
+        if isinstance(model, mujoco.MjSpec):
+            return "the spec", model.copy().compile()
+        if text is not None:
+            return "the text", mujoco.MjModel.from_xml_string(text)
+        return pathlib.Path(model).name, mujoco.MjModel.from_xml_path(os.fspath(model))
     except (ValueError, mujoco.FatalError) as error:
-        raise errors.fail("model", "be one that MuJoCo reads", f"{file}: {' '.join(str(error).split())}") from None
+        raise errors.fail("model", "be one that MuJoCo reads", f"it says: {error}") from None
 
 
 def _offset(position, quaternion) -> Offset:
@@ -139,22 +136,18 @@ def _joints_of(model, i, parent, body, joints, coupled) -> list:
 
 def _couplings(file, model, joints) -> dict:
     """Return {joint: (the joint that it follows, multiplier, offset)}; None instead of a joint for a constant value."""
-    follows, left = {}, []
+    follows, left = {}, False
     for k in np.flatnonzero(model.eq_active0):
-        kind, one, other = int(model.eq_type[k]), int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-        if kind != 2:  # mjEQ_JOINT; 0, 1 and 3 are connect, weld and tendon
-            left += [("a closed loop", "a closed loop", "", "a coupling of tendons")[kind]] * (kind in (0, 1, 3))
-            continue
+        one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
         shift, factor, *higher = map(float, model.eq_data[k][:5])
+        if model.eq_type[k] != 2 or (other >= 0 and any(higher)):  # mjEQ_JOINT
+            left = True
+            continue
         rest, its = (float(model.qpos0[model.jnt_qposadr[j]]) if j >= 0 else 0.0 for j in (one, other))
-        if other < 0:
-            follows[joints[one]] = None, 0.0, rest + shift
-        elif any(higher):
-            left.append(f"a coupling of {joints[one]} that is not linear")
-        else:
-            follows[joints[one]] = joints[other], factor, rest + shift - factor * its
+        leader, factor = (joints[other], factor) if other >= 0 else (None, 0.0)
+        follows[joints[one]] = leader, factor, rest + shift - factor * its
     if left:
-        errors.remark(f"{file} has {' and '.join(dict.fromkeys(left))}: joints are taken as if there were none.")
+        errors.remark(f"{file} has constraints beside linear couplings of joints: they are left out.")
     return follows
 
 

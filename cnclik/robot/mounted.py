@@ -32,15 +32,16 @@ def with_base(chain: Chain, base: PoseLike) -> Chain:
 
     Targets, Jacobians and tip poses are then in the world frame.
     """
-    parents, place = errors.kind("chain", chain, Chain).parents, offset_of("base", base)
-    return replace(chain, joints=_placed(chain.joints, parents, place), masses=put(chain.masses, place))
+    place = offset_of("base", base)
+    joints = _placed(errors.kind("chain", chain, Chain), place)
+    return replace(chain, joints=joints, masses=put(chain.masses, place))
 
 
-def _placed(joints, parents, base):
-    """Return joints with a fixed transform before those on the base."""
+def _placed(chain, base):
+    """Return a chain's joints with a fixed transform before those on the base."""
     return tuple(
         replace(joint, origin=compose(base, joint.origin)) if parent < 0 else joint
-        for joint, parent in zip(joints, parents, strict=True)
+        for joint, parent in zip(chain.joints, chain.parents, strict=True)
     )
 
 
@@ -66,16 +67,13 @@ def join(
       keep: whether the carrying tip remains a tip, such as a torso's, for another arm.
     Raises: ArgumentError where a name would occur twice.
     """
-    number = errors.kind("chain", chain, Chain).tip_number(at)
-    errors.kind("other", other, Chain)
-    carrier, count = chain.tips[number], len(chain.joints)
-    start = compose(carrier.offset, offset_of("transform", transform))
+    carrier = errors.kind("chain", chain, Chain).tips[chain.tip_number(at)]
+    start, count = compose(carrier.offset, offset_of("transform", transform)), len(chain.joints)
     joints = list(chain.joints)
-    for joint, parent in zip(_placed(other.joints, other.parents, start), other.parents, strict=True):
-        parent = carrier.joint if parent < 0 else count + parent
-        name = joint.follower and prefix + joint.follower
-        joints.append(replace(joint, parent=parent, coordinate=chain.n + joint.coordinate, follower=name))
-    tips = [t for i, t in enumerate(chain.tips) if i != number or keep]
+    for joint, parent in zip(_placed(errors.kind("other", other, Chain), start), other.parents, strict=True):
+        changes = {"parent": carrier.joint if parent < 0 else count + parent, "coordinate": chain.n + joint.coordinate}
+        joints.append(replace(joint, **changes, follower=joint.follower and prefix + joint.follower))
+    tips = [tip for tip in chain.tips if tip is not carrier or keep]
     tips += [Tip(name=prefix + t.name, joint=count + t.joint, offset=t.offset) for t in other.tips]
     names = [*chain.joint_names, *(prefix + name for name in other.joint_names)]
     for several in (names, [t.name for t in tips]):

@@ -15,10 +15,9 @@ from cnclik import errors
 from cnclik.record import ArrayLike
 from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
 
-ROUGH = 1e-3  # largest deviation of a rotation's row lengths from 1, and of cosines between rows from 0
+_ROUGH = 1e-3  # largest deviation of a rotation's row lengths from 1, and of cosines between rows from 0
 _EXACT = 1e-12  # the same for one that is used unchanged
-NORM = 1e-2  # largest deviation of a quaternion's norm from 1, as for 0.71 0.71 0 0
-_LAST = np.array([0.0, 0.0, 0.0, 1.0])  # row of a transform
+_NORM = 1e-2  # largest deviation of a quaternion's norm from 1, as for 0.71 0.71 0 0
 FORMS = "a 4×4 transform, [x, y, z, w, x, y, z], a Pose, or an object with translation and rotation"
 
 
@@ -40,21 +39,22 @@ def whole(name, value, *, finite=True):
       finite: whether numbers must be finite; otherwise a status reports them.
     Raises: ArgumentError for invalid transforms and quaternions.
     """
-    place = next((p for p in ("translation", "position") if hasattr(value, p)), None)
-    if place and hasattr(value, "rotation"):
-        if callable(value.rotation):
-            raise errors.fail(name, f"be {FORMS}", f"is {type(value).__name__}")
-        where = errors.array(name, getattr(value, place), (3,), (None, 3), finite=finite)
+    place = getattr(value, "translation", getattr(value, "position", None))
+    if place is not None and hasattr(value, "rotation"):
+        where = errors.array(name, place, (3,), (None, 3), finite=finite)
         return _float(where), rotations(name, value.rotation, finite=finite)
     shape = shape_of(value)
     if shape[-2:] == (4, 4) and len(shape) < 4:
-        found = errors.array(name, value, finite=finite)
-        turn = _from_matrices(name, found[..., :3, :3])
-        _check_last_row(name, found)
-        return _float(found[..., :3, 3]), turn
+        transforms = errors.array(name, value, finite=finite)
+        turn, last = _from_matrices(name, transforms[..., :3, :3]), transforms[..., 3, :]
+        if errors.concrete(last):
+            wrong = np.isfinite(last).all(axis=-1) & (np.abs(last - np.eye(4)[3]) > 1e-9).any(axis=-1)
+            texts = "has {:g} {:g} {:g} {:g} (a transposed one has the translation there)"
+            _refuse(name, wrong, "have the last row 0 0 0 1", lambda k: texts.format(*last.reshape(-1, 4)[k]))
+        return _float(transforms[..., :3, 3]), turn
     if shape[-1:] == (7,) and len(shape) < 3:
-        found = errors.array(name, value, finite=finite)
-        return _float(found[..., :3]), rotations(name, found[..., 3:], finite=finite)
+        numbers = errors.array(name, value, finite=finite)
+        return _float(numbers[..., :3]), rotations(name, numbers[..., 3:], finite=finite)
     return None
 
 
@@ -99,12 +99,12 @@ def _from_quaternions(name, value):
     with np.errstate(over="ignore", invalid="ignore"):
         norm = xp.sqrt(xp.sum(value * value, axis=-1, keepdims=True))
         if xp is np:
-            several = "unit quaternions" if value.size > 4 else "a unit quaternion"
-            wrong = np.isfinite(value).all(axis=-1) & ~(np.abs(norm[..., 0] - 1) <= NORM)
-            _refuse(name, wrong, f"hold {several} w x y z", lambda k: f"has one of norm {norm.ravel()[k]:.6g}")
+            must = f"hold {'unit quaternions' if value.size > 4 else 'a unit quaternion'} w x y z"
+            wrong = np.isfinite(value).all(axis=-1) & ~(np.abs(norm[..., 0] - 1) <= _NORM)
+            _refuse(name, wrong, must, lambda k: f"has one of norm {norm.ravel()[k]:.6g}")
         value = xp.where(xp.isfinite(norm), value / norm, xp.nan)
-        rotations = xp.array(rotation_from_quaternion(value.T))
-    return rotations if value.ndim == 1 else xp.moveaxis(rotations, -1, 0)
+        turns = xp.array(rotation_from_quaternion(value.T))
+    return turns if value.ndim == 1 else xp.moveaxis(turns, -1, 0)
 
 
 def _from_matrices(name, value):
@@ -112,29 +112,16 @@ def _from_matrices(name, value):
         return value
     value = _float(value)
     with np.errstate(over="ignore", invalid="ignore"):
-        gap = np.abs(np.einsum("...ij,...kj->...ik", value, value) - np.eye(3)).max(axis=(-2, -1))
-        mirrored = ~(np.einsum("...i,...i", np.cross(value[..., 0, :], value[..., 1, :]), value[..., 2, :]) > 0)
-        if np.all(gap <= _EXACT) and not mirrored.any():
-            return value
-        several = "rotations" if value.size > 9 else "a rotation"
-        wrong = np.isfinite(value).all(axis=(-2, -1)) & ((gap > ROUGH) | mirrored)  # a status reports others
-        must = f"hold {several}, with rows of length 1 at right angles"
-        off = gap.ravel()
-        _refuse(name, wrong, must, lambda k: "is mirrored" if off[k] <= ROUGH else f"is off by {off[k]:.3g}")
+        gap = np.abs(value @ value.mT - np.eye(3)).max(axis=(-2, -1))
+        mirrored = ~(np.linalg.det(value) > 0)
+        wrong = np.isfinite(value).all(axis=(-2, -1)) & ((gap > _ROUGH) | mirrored)  # a status reports others
+        must = f"hold {'rotations' if value.size > 9 else 'a rotation'}, with rows of length 1 at right angles"
+        off = np.ravel(gap)
+        _refuse(name, wrong, must, lambda k: "is mirrored" if off[k] <= _ROUGH else f"is off by {off[k]:.3g}")
         exact = value
-        for _ in range(3):  # to the nearest rotation: an error of ROUGH becomes its eighth power
+        for _ in range(3):  # to the nearest rotation: an error of _ROUGH becomes its eighth power
             exact = exact @ (1.5 * np.eye(3) - 0.5 * exact.mT @ exact)
     return np.where((gap <= _EXACT)[..., None, None], value, exact)
-
-
-def _check_last_row(name, transforms):
-    """Raise ArgumentError unless transforms (..., 4, 4), if finite, end with 0 0 0 1."""
-    if errors.concrete(transforms):
-        last = np.asarray(transforms)[..., 3, :]
-        wrong = np.isfinite(last).all(axis=-1) & (np.abs(last - _LAST) > 1e-9).any(axis=-1)
-        found = "has {} (a transposed one has the translation there)"
-        row = last.reshape(-1, 4)
-        _refuse(name, wrong, "have the last row 0 0 0 1", lambda k: found.format(" ".join(f"{v:g}" for v in row[k])))
 
 
 def _refuse(name, wrong, must, found):

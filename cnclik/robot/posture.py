@@ -6,7 +6,6 @@ A task's class is in a later room; its `rows_at` and `lengths` are used.
 import functools
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,9 +16,8 @@ from cnclik.robot.model import frames, modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
-_SINGULAR = 1e-9  # least singular values that are rounding
-_PARALLEL, _SHORT = 0.99, 0.01  # cosine of parallel axes; distance of axes that are one [m]
 _BEND = math.radians(0.5), math.radians(25)  # range of a joint beyond straight that is "a few degrees"
+_SINGULAR = 1e-9  # least singular values that are rounding
 
 
 def arm_length(chain: Chain, least=1e-3, number=None):
@@ -39,21 +37,17 @@ def arm_length(chain: Chain, least=1e-3, number=None):
 
 
 def beyond_arm(chain: Chain, points, axes=(0, 1, 2), xp=np, number=0):
-    """Return how far points lie beyond the stretched arm, measured from the first joint [m].
+    """Return how far points (..., len(axes)) lie beyond the stretched arm, from its first joint along those axes [m].
 
-    Args: points: (..., len(axes)), coordinates along those axes. number: index of the tip.
+    Args: number: index of the tip.
     Returns: (...,), negative within reach; −∞ for arms with sliding joints, which have no fixed length.
     """
     way = [chain.joints[i] for i in chain.way(number)]
     if any(joint.kind != REVOLUTE for joint in way):
         return xp.full(points.shape[:-1], -math.inf)
-    origin = way[0].origin.position
-    away = points - xp.stack([xp.asarray(origin[i]) for i in axes])
-    size = xp.maximum(xp.max(xp.abs(away), axis=-1, keepdims=True), np.finfo(np.float32).tiny)  # keeps squares finite
-    longest = (1 + 64 * float(np.finfo(away.dtype).eps)) * arm_length(
-        chain, least=0.0, number=number
-    )  # with room for rounding
-    return size[..., 0] * xp.sqrt(xp.sum((away / size) ** 2, axis=-1)) - longest
+    away = points - xp.stack([xp.asarray(way[0].origin.position[i]) for i in axes])
+    room = 1 + 64 * float(np.finfo(away.dtype).eps)  # for rounding
+    return xp.linalg.norm(away, axis=-1) - room * arm_length(chain, least=0.0, number=number)
 
 
 def is_planar(chain: Chain) -> bool:
@@ -70,34 +64,23 @@ def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
     An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
     is singular, and an answer of an inverse may end on the side that was not meant.
     """
-    limits = list(zip(chain.lower, chain.upper, strict=True))
-    if not all(map(errors.concrete, jax.tree.leaves(chain))):
-        return []
-    bends = {
-        i: limits[joint.coordinate]
-        for i, joint in enumerate(chain.joints)
-        if joint.kind == REVOLUTE and not joint.follower and joint.multiplier == 1
-        if limits[joint.coordinate][0] < limits[joint.coordinate][1] < math.inf
-    }
-    if not bends:
-        return []
-    stretched = frames(modelled(chain), np.zeros(chain.n))
-    axes, places, elbows = stretched.axes, stretched.points, {}
+    stretched, elbows = frames(modelled(chain), np.zeros(chain.n)), {}
     for way in map(chain.way, range(len(chain.tips))):
         way = [i for i in way if chain.joints[i].kind == REVOLUTE]
-        for i in [i for i in way if i in bends]:
-            away = {j: places[j] - places[i] for j in way if abs(axes[j] @ axes[i]) > _PARALLEL}
-            across = {j: v - axes[i] * (axes[i] @ v) for j, v in away.items()}
-            near = [j for j in across if np.linalg.norm(across[j]) > _SHORT]
+        for i in way:
+            joint, axis = chain.joints[i], stretched.axes[i]
+            low, high = chain.lower[joint.coordinate], chain.upper[joint.coordinate]
+            away = {j: stretched.points[j] - stretched.points[i] for j in way if abs(stretched.axes[j] @ axis) > 0.99}
+            across = {j: v - axis * (axis @ v) for j, v in away.items()}
+            near = [j for j in across if np.linalg.norm(across[j]) > 0.01]
             above, below = [j for j in near if j < i], [j for j in near if j > i]
-            if not (above and below):
+            if joint.follower or not (above and below and low < high < math.inf):
                 continue
             back, on = -across[above[-1]], across[below[0]]
-            straight = math.atan2(axes[i] @ np.cross(on, back), on @ back)
-            low, high = bends[i]
+            straight = math.atan2(axis @ np.cross(on, back), on @ back)
             beyond = min(high - straight, straight - low)
             if _BEND[0] < beyond < _BEND[1]:
-                elbows.setdefault(chain.joint_names[chain.joints[i].coordinate], (straight, beyond))
+                elbows[chain.joint_names[joint.coordinate]] = straight, beyond
     return [(name, *values) for name, values in elbows.items()]
 
 

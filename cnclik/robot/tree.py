@@ -7,12 +7,14 @@ import collections
 import dataclasses
 import functools
 import math
+import os
 import pathlib
 
 from cnclik import errors, quantities
 from cnclik.reading import read_bytes
 
 MOVING = ("revolute", "continuous", "prismatic")
+BALL = "rotation"  # kind of each of three joints that form a rotation; their values are its rotation vector
 MOST = 1e12  # largest length or angle [m, rad]: products of larger ones overflow
 NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -97,41 +99,31 @@ def read_urdf(path) -> Tree:
     """
     file, data = "the text", text_of(path)
     if data is None:
-        try:
-            path = pathlib.Path(path)
-        except TypeError:
-            raise errors.fail("path", "be a file name", f"is {path!r}") from None
-        file, data = path.name, read_bytes("path", path, "a URDF file")
+        data = read_bytes("path", path, "a URDF file")
+        file = pathlib.Path(os.fsdecode(path)).name
     root = _root(file, data)
     try:
-        links = tuple(element.attrib["name"] for element in root.findall("link"))
-        edges = tuple(_edge(file, element) for element in root.findall("joint"))
+        links = tuple(element.attrib["name"] for element in root.iterfind("link"))
+        edges = tuple(_edge(file, element) for element in root.iterfind("joint"))
     except (KeyError, AttributeError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise errors.fail("path", "name a valid URDF file", f"{file} has a bad or missing entry: {reason}") from None
-    top = _top(file, links, edges)
-    return Tree(
-        file=file, name=root.get("name", file), root=top, links=links, edges=edges, inertials=_inertials(file, root)
-    )
+    top, name = _top(file, links, edges), root.get("name", file)
+    return Tree(file=file, name=name, root=top, links=links, edges=edges, inertials=_inertials(file, root))
 
 
 def _root(file, data):
-    """Return the file's outermost element, <robot>.
-
-    Well-formedness is checked strictly; prefixes need not be declared, as ROS tools write undeclared ones.
-    """
+    """Return the outermost element, <robot>. Prefixes need not be declared, as ROS tools write undeclared ones."""
     from xml.etree import ElementTree
     from xml.parsers import expat
 
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes)
-    parser.EndElementHandler = builder.end
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     try:
         parser.Parse(data, True)
         root = builder.close()
     except (expat.ExpatError, ValueError, AssertionError, LookupError) as error:  # a LookupError is an unknown encoding
-        what = f"is not well-formed XML: {error}" if data.strip() else "is empty"
-        raise errors.fail("path", "name a URDF file", f"{file} {what}") from None
+        raise errors.fail("path", "name a URDF file", f"{file} is not well-formed XML: {error}") from None
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise errors.fail("path", "name a plain URDF file", f"{file} is xacro: run `xacro {file} -o robot.urdf` first")
     if root.tag != "robot":
@@ -143,70 +135,57 @@ def _edge(file, element) -> Edge:
     """Return a joint, checked."""
     name, kind = element.attrib["name"], element.get("type")
     parent, child = (element.find(end).get("link") for end in ("parent", "child"))
-    limit, follows = element.find("limit"), element.find("mimic")
 
     def bad(what):
         return errors.fail("path", "name a valid URDF file", f"joint {name!r} of {file} {what}")
 
-    def number(part, key, text, most=MOST):
-        value = quantities.number(text)
-        if value is None:
-            raise bad(f"has {part} {key} {text!r}{quantities.hint(text)}")
-        if not abs(value) <= most:  # refuses NaN, too
-            raise bad(f"has {part} {key} {text!r}, not within ±{most:g}")
-        return value
-
-    def three(part, key, default="0 0 0"):
+    def numbers(part, key, default, most=MOST):
         inside = element.find(part)
         text = default if inside is None else inside.get(key, default)
-        values = tuple(number(part, key, word) for word in (text.split() if "$" not in text else [text]))
-        if len(values) != 3:
-            raise bad(f"has {part} {key} {text!r}, not three numbers")
+        values = [math.nan if (x := quantities.number(word)) is None else x for word in text.split()]
+        if len(values) != len(default.split()) or not all(abs(x) <= most for x in values):  # refuses NaN, too
+            count = {1: "a number", 3: "three numbers"}[len(default.split())]
+            raise bad(f"has {part} {key} {text!r}, not {count} within ±{MOST:g}")
         return values
 
-    position, angles, axis = three("origin", "xyz"), three("origin", "rpy"), three("axis", "xyz", "1 0 0")
-    edge = Edge(name, kind, parent, child, (snapped(position), tuple(map(snapped, _rotation(*angles)))))
+    origin = snapped(numbers("origin", "xyz", "0 0 0")), _rotation(*numbers("origin", "rpy", "0 0 0"))
     if kind in ("fixed", "floating"):
-        return edge
+        return Edge(name, kind, parent, child, origin)
     if kind not in (*MOVING, "planar"):
         raise bad(f"has type {kind!r}")
+    axis = numbers("axis", "xyz", "1 0 0")
     length = math.hypot(*axis)
     if not length > 0:
         raise bad(f"has axis {' '.join(f'{x:g}' for x in axis)}")
-    edge = dataclasses.replace(edge, axis=snapped(x / length for x in axis))
+    edge = Edge(name, kind, parent, child, origin, snapped(x / length for x in axis))
     if kind == "planar":
         return edge
-    if limit is None and kind != "continuous" and follows is None:
+    limit, mimic = element.find("limit"), element.find("mimic")
+    if limit is None and kind != "continuous" and mimic is None:
         raise bad(f"is {kind} and has no <limit>")
-    given = {} if limit is None else dict(limit.items())
-    lower, upper, velocity = (
-        number("limit", key, given[key], math.inf) if key in given else None for key in ("lower", "upper", "velocity")
-    )
-    if kind == "continuous" or (lower is None and upper is None):
-        lower, upper = -math.inf, math.inf
-    lower, upper = lower or 0.0, upper or 0.0  # by the format, one omitted limit is 0
-    if lower > min(upper, MOST) or upper < -MOST:
-        raise bad(f"has limits from {lower:g} to {upper:g}")
-    edge = dataclasses.replace(
-        edge,
-        lower=lower if lower >= -MOST else -math.inf,  # exporters write 1e16 and the like for none
-        upper=upper if upper <= MOST else math.inf,
-        velocity=abs(velocity or math.inf),  # and 0 for an unknown limit
-    )
-    if follows is None:
-        return edge
-    factor, shift = (number("mimic", key, follows.get(key, n)) for key, n in (("multiplier", "1"), ("offset", "0")))
-    return dataclasses.replace(edge, mimic=(follows.get("joint"), factor, shift))
+    bounds = {}
+    if kind != "continuous" and limit is not None and {"lower", "upper"} & set(limit.keys()):
+        lower, upper = (numbers("limit", key, "0", math.inf)[0] for key in ("lower", "upper"))
+        if lower > min(upper, MOST) or upper < -MOST:
+            raise bad(f"has limits from {lower:g} to {upper:g}")
+        # exporters write 1e16 and the like for none
+        bounds = {"lower": lower if lower >= -MOST else -math.inf, "upper": upper if upper <= MOST else math.inf}
+    if mimic is not None:
+        factor, shift = numbers("mimic", "multiplier", "1")[0], numbers("mimic", "offset", "0")[0]
+        bounds["mimic"] = mimic.get("joint"), factor, shift
+    velocity = abs(numbers("limit", "velocity", "0", math.inf)[0]) or math.inf  # 0 is an unknown limit
+    return dataclasses.replace(edge, velocity=velocity, **bounds)
 
 
 def _rotation(roll, pitch, yaw):
     """Return the rows of Rz(yaw)·Ry(pitch)·Rx(roll)."""
     (a, b, c), (d, e, f) = (list(map(part, (roll, pitch, yaw))) for part in (math.sin, math.cos))
-    return (
+    rows = (
         (f * e, f * b * a - c * d, f * b * d + c * a),
         (c * e, c * b * a + f * d, c * b * d - f * a),
         (-b, e * a, e * d),
     )
+    return tuple(map(snapped, rows))
 
 
 def snapped(values):
@@ -221,14 +200,14 @@ def _inertials(file, root) -> dict:
         mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
         if mass is None:
             continue
-        words = [mass.get("value", ""), *("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()]
-        of, *center = [math.nan if (x := quantities.number(word)) is None else x for word in words]
-        if len(center) != 3 or not (0 <= of <= MOST and all(abs(x) <= MOST for x in center)):
-            what = f"Link {link.get('name')!r} of {file} has an inertial of {' '.join(words)!r}"
+        text = f"{mass.get('value')} {'0 0 0' if origin is None else origin.get('xyz', '0 0 0')}"
+        values = [math.nan if (x := quantities.number(word)) is None else x for word in text.split()]
+        if len(values) != 4 or not all(abs(x) <= MOST for x in values) or values[0] < 0:
+            what = f"Link {link.get('name')!r} of {file} has an inertial of {text!r}"
             errors.remark(f"{what}: the robot is taken as one without masses.")
             return {}
-        if of:
-            masses[link.get("name")] = of, tuple(center)
+        if values[0]:
+            masses[link.get("name")] = values[0], tuple(values[1:])
     return masses
 
 
@@ -238,31 +217,27 @@ def _top(file, links, edges) -> str:
     def bad(what):
         return errors.fail("path", "name a robot that is a tree of links", f"{file} {what}")
 
-    if not links:
-        raise bad("has no links")
     for kind, names in (("link", links), ("joint", [e.name for e in edges])):
-        twice = sorted(n for n, count in collections.Counter(names).items() if count > 1)
-        if twice:
+        if twice := [name for name, count in collections.Counter(names).items() if count > 1]:
             raise bad(f"has more than one {kind} {twice[0]!r}")
-    known, above = set(links), {}
+    above: dict = dict.fromkeys(links)
     for edge in edges:
         for link in (edge.parent, edge.child):
-            if link not in known:
+            if link not in above:
                 raise bad(f"has no link {link!r}, which joint {edge.name!r} connects")
-        if edge.child in above:
+        if above[edge.child]:
             raise bad(f"has a loop: link {edge.child!r} hangs on {above[edge.child].name!r} and {edge.name!r}")
         above[edge.child] = edge
-    roots = [link for link in links if link not in above]
+    roots = [link for link in links if not above[link]]
     rooted = set(roots)
     for link in links:  # go up from every link until a known one: who meets itself is in a loop
-        way = {}
+        way: dict = {}
         while link not in rooted:
             if link in way:
                 raise bad(f"has a loop through link {link!r}")
             way[link] = None
             link = above[link].parent
         rooted |= set(way)
-    if len(roots) > 1:
-        more = f" and {len(roots) - 5:,} more" if len(roots) > 6 else ""
-        raise bad(f"has {len(roots):,} roots: {', '.join(roots[: 5 if more else 6])}{more}")
+    if len(roots) != 1:
+        raise bad(f"has {len(roots):,} roots: {', '.join(roots)}" if roots else "has no links")
     return roots[0]

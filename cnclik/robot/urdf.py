@@ -1,17 +1,20 @@
 """URDF files: a real robot as a Chain. `tree` reads the file."""
 
+import dataclasses
 import os
 from collections.abc import Sequence
 
 from cnclik import errors
-from cnclik.robot.bases import BALL, BASES, grounded, unfolded
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
 from cnclik.robot.masses import lumped
-from cnclik.robot.tree import Tree, read_urdf
+from cnclik.robot.tree import BALL, NO_OFFSET, Edge, Tree, read_urdf
 
-_NAMED = 4  # candidates for a tip that a message names
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
+_BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # {name of a base: type of its joint}
+_X, _Y, _Z = NO_OFFSET[1]
+_ALONG = [("x", "prismatic", _X), ("y", "prismatic", _Y), ("z", "prismatic", _Z)]
+_ABOUT = [("rx", BALL, _X), ("ry", BALL, _Y), ("rz", BALL, _Z)]
 
 
 def load_urdf(
@@ -25,12 +28,10 @@ def load_urdf(
     """Load a robot from a URDF file, without its meshes: the chain from base to tip, or the tree to several tips.
 
     Revolute, continuous and prismatic joints become coordinates, in order from the base and tip by tip. A planar joint
-    becomes three coordinates, two translations and a rotation; a floating joint six, see `base`. Fixed joints are
-    merged; side branches are left out. The chain may lead up towards the root and down again, such as from a humanoid's
-    foot to its hand; joints on the way up keep their values and limits but act in the opposite direction. A mimic joint
-    shares the coordinate of the joint that it follows, with its multiplier and offset, even if that joint is on a side
-    branch. Its limits are those of the followed joint, as the mimic's own contradict them in files such as PR2's. A
-    missing position limit means no limit, and so does a velocity limit of 0, which exporters write for unknown limits.
+    becomes three coordinates, two translations and a rotation; a floating joint six, see `base`. The chain may lead up
+    towards the root and down again; joints on the way up act in the opposite direction. A mimic joint shares coordinate
+    and limits of the joint that it follows, as its own contradict them in files such as PR2's. A missing position limit
+    means no limit, and so does a velocity limit of 0, which exporters write for unknown limits.
 
     Args:
       path: a URDF file (run xacro first), or its text, which begins with "<".
@@ -52,16 +53,12 @@ def load_urdf(
 
 def chain(tree: Tree, tip: str | None = None, base: str | None = None, *, tips=None, freeze=None) -> Chain:
     """Return the robot of a tree. Args and raises: as `load_urdf`."""
-    tree, base = grounded(tree, base if base is None or base in BASES else link_of(tree, "base", base))
-    if tips is None:
-        end = tip_of(tree, tip, base)
-        ends = {end: (end, Offset())}
-    elif tip is not None:
+    tree, base = _grounded(tree, base)
+    if tips is not None and tip is not None:
         raise errors.fail("tip", "be left out where `tips` are given", f"is {tip!r}")
-    else:
-        ends = _ends(tree, tips)
+    ends = _ends(tree, tips) if tips is not None else {(end := _tip_of(tree, tip, base)): (end, Offset())}
     links = [link for link, _ in ends.values()]
-    tree = unfolded(tree, base, links)
+    tree = _unfolded(tree, base, links)
     walk = _Walk(tree, base, _frozen(tree, freeze))
     for link in links:
         walk.to(link)
@@ -101,15 +98,10 @@ class _Walk:
             if edge.type == BALL and turned:
                 name = edge.name.rpartition("_")[0]
                 raise errors.fail("base", "be a link before a floating joint", f"is beyond {name!r}")
-            if edge.type == "fixed":
-                self._still(edge, turned)
-                continue
             leader, multiplier, offset = _leader(self.by_name, edge)
-            if leader.name in self.frozen:
-                self._still(edge, turned, multiplier * self.frozen[leader.name] + offset)
-                continue
-            self.coordinates.setdefault(leader.name, len(self.coordinates))
-            self._moving(edge, turned, leader, multiplier, offset)
+            if edge.type != "fixed" and leader.name not in self.frozen:
+                self.coordinates.setdefault(leader.name, len(self.coordinates))
+            self._add(edge, turned, leader, multiplier, offset)
 
     def beside(self) -> None:
         """Walk to all other links, for their masses.
@@ -118,58 +110,43 @@ class _Walk:
         where that does. Links on a floating or planar joint are another body and left out. Ball joints keep the file's
         orientation.
         """
-        tree, waiting = self.tree, [*self.at]
+        waiting = [*self.at]
         for link in waiting:
-            above = [(tree.above[link], True)] if link in tree.above else []
-            for edge, turned in [*above, *((e, False) for e in tree.below[link])]:
+            above = [(self.tree.above[link], True)] if link in self.tree.above else []
+            for edge, turned in [*above, *((e, False) for e in self.tree.below[link])]:
                 there = edge.parent if turned else edge.child
                 if there in self.at or edge.type in ("floating", "planar"):
                     continue
                 waiting.append(there)
                 try:
-                    leader, multiplier, offset = _leader(self.by_name, edge) if edge.mimic else (edge, 1.0, 0.0)
+                    self._add(edge, turned, *_leader(self.by_name, edge))
                 except errors.ArgumentError:  # it follows itself, or a joint that is missing
-                    leader, multiplier, offset = edge, 1.0, 0.0
-                if leader.name in self.coordinates:
-                    self._moving(edge, turned, leader, multiplier, offset)
-                else:
-                    value = self.frozen.get(leader.name, min(max(0.0, leader.lower), leader.upper))
-                    self._still(edge, turned, multiplier * value + offset)
+                    self._add(edge, turned, edge, 1.0, 0.0)
 
-    def _moving(self, edge, turned, leader, multiplier, offset) -> None:
-        """Add a joint and the link after it."""
+    def _add(self, edge, turned, leader, multiplier, offset) -> None:
+        """Add a joint, of which value = multiplier · its leader's + offset, and the link after it."""
         here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
-        parent, before = self.at[here]
-        origin, axis, after = _around(before, edge, turned)
-        joint = Joint(
-            kind=_MOVING[edge.type],
-            axis=axis,
-            origin=origin,
-            coordinate=self.coordinates[leader.name],
-            multiplier=multiplier,
-            offset=offset,
-            parent=parent,
-            follower="" if leader is edge else edge.name,
-        )
-        self.joints.append(joint)
-        self.at[there] = len(self.joints) - 1, after
-
-    def _still(self, edge, turned, value=0.0) -> None:
-        """Add the link after a joint that does not move, or stays at a value."""
-        here, there = (edge.child, edge.parent) if turned else (edge.parent, edge.child)
-        parent, before = self.at[here]
-        before, axis, after = _around(before, edge, turned)
-        if edge.type in _MOVING:
-            before = compose(before, moved(edge.type, axis, value))
-        self.at[there] = parent, compose(before, after) if turned else before
-
-
-def _around(before: Offset, edge, turned) -> tuple:
-    """Return the pose of a joint, its axis, and the offset after its motion."""
-    origin = Offset(position=edge.origin[0], rotation=edge.origin[1])
-    if turned:  # traversed from its child, a joint acts in the opposite direction
-        return before, scale(-1.0, edge.axis), inverse(origin)
-    return compose(before, origin), edge.axis, Offset()
+        (parent, before), origin = self.at[here], Offset(position=edge.origin[0], rotation=edge.origin[1])
+        # Traversed from its child, a joint acts in the opposite direction.
+        axis, after = (scale(-1.0, edge.axis), inverse(origin)) if turned else (edge.axis, Offset())
+        before = before if turned else compose(before, origin)
+        if leader.name in self.coordinates:
+            joint = Joint(
+                kind=_MOVING[edge.type],
+                axis=axis,
+                origin=before,
+                coordinate=self.coordinates[leader.name],
+                multiplier=multiplier,
+                offset=offset,
+                parent=parent,
+                follower="" if leader is edge else edge.name,
+            )
+            self.joints.append(joint)
+            parent, before = len(self.joints) - 1, Offset()
+        elif edge.type in _MOVING:
+            value = self.frozen.get(leader.name, min(max(0.0, leader.lower), leader.upper))
+            before = compose(before, moved(edge.type, axis, multiplier * value + offset))
+        self.at[there] = parent, compose(before, after)
 
 
 def moved(kind: str, axis, value) -> Offset:
@@ -181,33 +158,31 @@ def moved(kind: str, axis, value) -> Offset:
 
 def _leader(by_name, edge) -> tuple:
     """Return the joint that an edge follows (itself, if it is no mimic) and how: value = multiplier·q + offset."""
-    multiplier, offset, way = 1.0, 0.0, {edge.name: None}
-    while edge.mimic is not None:
+    multiplier, offset, way = 1.0, 0.0, {edge.name}
+    while edge.mimic is not None and edge.type in _MOVING:
         name, factor, shift = edge.mimic
         multiplier, offset = multiplier * factor, multiplier * shift + offset
-        if name in way:
-            raise errors.fail("path", "have mimic joints that end at a joint", f"{' -> '.join((*way, name))} do not")
         follower, edge = edge, by_name.get(name)
-        if edge is None or edge.type not in _MOVING:
-            what = "is not in the file" if edge is None else f"is {edge.type}"
+        if edge is None or edge.type not in _MOVING or name in way:
+            what = "is not in the file" if edge is None else "follows it" if name in way else f"is {edge.type}"
             must = "have mimic joints that follow a moving joint"
             raise errors.fail("path", must, f"{follower.name!r} follows {name!r}, which {what}")
-        way[name] = None
+        way.add(name)
     return edge, multiplier, offset
 
 
 def _ends(tree, tips) -> dict:
     """Return {name of a tip: (its link, its place in the link's frame)}."""
     named = tips if isinstance(tips, dict) else {}
-    if not named and isinstance(tips, (list, tuple)) and all(isinstance(link, str) for link in tips):
+    if isinstance(tips, (list, tuple)) and all(isinstance(link, str) for link in tips):
         named = {link: link for link in tips}
     if not named or len(named) < len(tips):
         raise errors.fail("tips", "hold different links, or be {name: link} or {name: (link, where)}", f"is {tips!r}")
-    ends = {}
-    for name, end in named.items():
-        link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
-        ends[name] = link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where)
-    return ends
+    pairs = {name: end if isinstance(end, tuple) and len(end) == 2 else (end, None) for name, end in named.items()}
+    return {
+        name: (_link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where))
+        for name, (link, where) in pairs.items()
+    }
 
 
 def _frozen(tree, freeze) -> dict:
@@ -216,44 +191,88 @@ def _frozen(tree, freeze) -> dict:
     if not isinstance(freeze, (dict, type(None))):
         raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
     for name, value in (freeze or {}).items():
-        edge = moving.get(name)
-        if edge is None:
-            kind = next((e.type for e in tree.edges if e.name == name and e.type != "fixed"), None)
-            hint = f", which is {kind} (`with_base` turns a base)" if kind else errors.nearest(name, moving)
-            raise errors.fail("freeze", f"name joints of {tree.file} with one coordinate", f"names {name!r}{hint}")
+        edge = moving[errors.one_of("freeze", name, moving, ", joints of one coordinate (`with_base` turns a base)")]
         if edge.mimic is not None:
             raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
-        value = errors.number(f"freeze[{name!r}]", value)
-        if not edge.lower <= value <= edge.upper:
+        if not edge.lower <= errors.number(f"freeze[{name!r}]", value) <= edge.upper:
             raise errors.fail(f"freeze[{name!r}]", f"be within {edge.lower:g} and {edge.upper:g}", f"is {value:g}")
     return {name: float(value) for name, value in (freeze or {}).items()}
 
 
-def tip_of(tree: Tree, tip: str | None = None, base: str | None = None) -> str:
-    """Return the name of the last link: the given one, or the only possible one. Args and raises: as `load_urdf`."""
-    base = _first(tree, base)
+def _tip_of(tree: Tree, tip, base) -> str:
+    """Return the last link: the named one, or the only possible one."""
     if tip is not None:
-        return link_of(tree, "tip", tip)
+        return _link_of(tree, "tip", tip)
     candidates = tree.tips(base)
-    if not candidates and base != tree.root:
-        raise errors.fail("tip", f"be given, as no moving joint hangs on {base!r} of {tree.file}", "is not")
-    if not candidates:
-        raise errors.fail("base", "have a moving joint after it", f"is {base!r} of {tree.file}, which has none")
-    if len(candidates) > 1:
-        far = sorted(candidates, key=lambda link: -sum(e.type != "fixed" for way in tree.way(link, base) for e in way))
-        named = ", ".join(far[:_NAMED]) + f" and {len(far) - _NAMED} more" * (len(far) > _NAMED)
-        raise errors.fail("tip", f"be given for {tree.file}, such as {named}", "is not")
+    if len(candidates) != 1:
+        found = f"is not; {', '.join(candidates) or 'none'} hang on moving joints after {base!r}"
+        raise errors.fail("tip", f"be given for {tree.file}", found)
     return candidates[0]
 
 
-def _first(tree, base) -> str:
-    return tree.root if base is None or base in BASES else link_of(tree, "base", base)
-
-
-def link_of(tree, name, link) -> str:
+def _link_of(tree, name, link) -> str:
     """Return a link. Raises: ArgumentError of an argument `name` for an unknown one."""
     if isinstance(link, str) and link in tree.links:
         return link
-    moving = f"{', '.join(BASES)} or " if name == "base" else ""
+    moving = f"{', '.join(_BASES)} or " * (name == "base")
     must = f"be {moving}one of the {len(tree.links)} links of {tree.file}"
     raise errors.fail(name, must, f"is {link!r}{errors.nearest(link, tree.links)}")
+
+
+# --- moving bases, and joints of several coordinates split into joints of one -----------------------------
+
+
+def _grounded(tree: Tree, base) -> tuple[Tree, str]:
+    """Return (the tree, its first link), on one of `_BASES` or on a link.
+
+    Raises: ArgumentError for a moving base if the file has its own joint for that.
+    """
+    if base in (None, "fixed"):
+        return tree, tree.root
+    if not isinstance(base, str) or base not in _BASES or base in tree.links:
+        return tree, _link_of(tree, "base", base)
+    if name := next((e.name for e in tree.below[tree.root] if e.type in ("floating", "planar")), None):
+        must = f"be left out for {tree.file}, where joint {name!r} already moves what it carries"
+        raise errors.fail("base", must, f"is {base!r}")
+    ground = next(name for name in ("world", "ground", "_world", "_ground") if name not in tree.links)
+    joint = Edge("base", _BASES[base], ground, tree.root, NO_OFFSET, _Z)
+    return dataclasses.replace(tree, root=ground, links=(*tree.links, ground), edges=(*tree.edges, joint)), ground
+
+
+def _unfolded(tree: Tree, base, tips) -> Tree:
+    """Return the tree with the joints between its first link and the tips split into joints of one coordinate each.
+
+    A planar joint becomes P, P, R: two translations in the plane across its axis, then the rotation about it. A
+    floating joint becomes P, P, P along the axes of its frame, then three joints that form one rotation, as a ball
+    joint does. The links in between have no shape.
+    """
+    ways = {edge.name for tip in tips for way in tree.way(tip, base) for edge in way}
+    edges = tuple(part for edge in tree.edges for part in (_parts(edge) if edge.name in ways else [edge]))
+    known = set(tree.links)
+    between = (edge.child for edge in edges if edge.child not in known)
+    return dataclasses.replace(tree, links=(*tree.links, *between), edges=edges)
+
+
+def _parts(edge):
+    """Return the joint as joints of one coordinate each, named after it."""
+    if edge.type == "planar":
+        across, along = _across(edge.axis)
+        parts = [("x", "prismatic", across), ("y", "prismatic", along), ("yaw", "continuous", edge.axis)]
+    elif edge.type in ("floating", "ball"):
+        parts = _ALONG * (edge.type == "floating") + _ABOUT
+    else:
+        return [edge]
+    links = [edge.parent, *(f"{edge.name}_{name}" for name, _, _ in parts[:-1]), edge.child]
+    origins = [edge.origin, *[NO_OFFSET] * 5]
+    return [
+        Edge(f"{edge.name}_{name}", kind, links[i], links[i + 1], origins[i], axis)
+        for i, (name, kind, axis) in enumerate(parts)
+    ]
+
+
+def _across(axis):
+    """Return two axes across a unit axis, right-handed with it; x and y if the axis is z."""
+    x, y, z = axis
+    s = 1 if z > -0.5 else -1
+    k = 1 / (1 + s * z)  # the shortest rotation from ±z to the axis, applied to x and ±y
+    return (1 - k * x * x, -k * x * y, -s * x), (-s * k * x * y, s * (1 - k * y * y), -y)

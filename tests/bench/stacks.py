@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik.measure.files import markdown
-from cnclik.robot.bases import BALL
 from cnclik.robot.chain import PRISMATIC
 from cnclik.robot.model import modelled
+from cnclik.robot.tree import BALL
 from tests.bench import timing, users
 from tests.bench.bodies import FEET, TIPS
 from tests.bench.cases import end

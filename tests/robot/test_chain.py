@@ -99,7 +99,7 @@ test_bad_input = refusals(
     (lambda: ck.planar_arm([1.0, -1.0]), r"`lengths\[1\]` must be at least 0, but is -1\."),
     (lambda: ck.planar_arm([1.0, math.nan]), r"`lengths\[1\]` must be finite, but is nan\."),
     (lambda: ck.planar_arm([1.0, 1.0], joint_names=["a", "a"]), r"`joint_names` must hold 2 different names"),
-    (lambda: ck.from_dh([1.0], [0.0, 0.0], [0.0]), r"`alpha` must have shape \(1,\) like `a`, but has shape \(2,\)\."),
+    (lambda: ck.from_dh([1.0], [0.0, 0.0], [0.0]), r"`alpha` must have shape \(1,\), but has shape \(2,\)\."),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], convention="Standard"), r"`convention` must be one of standard, modified"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
     (lambda: ck.with_base(ARM, np.eye(3)), r"`base` must be one pose: a 4×4 transform, .*, but is array"),

@@ -121,7 +121,7 @@ test_what_cannot_be_meant_is_refused = refusals(
     (lambda: arms(tip=ARMS[0]), "`tip` must be left out where `tips` are given"),
     (lambda: arms({"a": (ARMS[0], [1, 2])}), r"`tips\['a'\]` must have shape"),
     (lambda: arms({"a": (ARMS[0], [0, 0, np.nan])}), r"`tips\['a'\]\[2\]` must be finite"),
-    (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must name joints .*'waist_yaw' .did you mean"),
+    (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must be one of .*'waist_yaw' .did you mean"),
     (lambda: arms(freeze={"waist_yaw_joint": 9}), r"`freeze\['waist_yaw_joint'\]` must be within"),
     (lambda: arms(freeze=["waist_yaw_joint"]), "`freeze` must be {name of a joint"),
     (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
