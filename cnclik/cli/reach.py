@@ -114,7 +114,7 @@ def _robot_and_task(robot, tips, near, task=None) -> tuple:
 
 def _given(task, points):
     from cnclik.reaching.targets import by_name
-    from cnclik.task.aims import aims
+    from cnclik.task.task import aims
 
     every = aims(task)
     if len(points) != len(every):
@@ -138,8 +138,7 @@ def _of_file(task, file):
     from cnclik.reaching.targets import by_name
     from cnclik.reading import read_bytes
     from cnclik.record import replace
-    from cnclik.task.aims import aims
-    from cnclik.task.task import Task
+    from cnclik.task.task import Task, aims
 
     every = aims(task)
     if errors.ending("TARGETS", file, ".csv", ".npy") == ".csv":
@@ -169,8 +168,8 @@ def _random(chain, task, count, seed):
     from cnclik.reaching.starts import spans
     from cnclik.reaching.targets import by_name
     from cnclik.robot.model import modelled
-    from cnclik.task.aims import aims
     from cnclik.task.parts import At
+    from cnclik.task.task import aims
 
     low, high = spans(chain)
     at = At(modelled(chain), np.random.default_rng(errors.seed(seed)).uniform(low, high, (count, chain.n)))
@@ -217,7 +216,7 @@ def _tell(made, summary, path) -> None:
     import numpy as np
 
     from cnclik.reaching.result import ReachStatus
-    from cnclik.task.aims import aims
+    from cnclik.task.task import aims
 
     count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
     evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"

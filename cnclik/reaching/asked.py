@@ -12,8 +12,7 @@ from cnclik.reaching.units import unit_of
 from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
-from cnclik.task.aims import WIDTH, aims
-from cnclik.task.task import Task
+from cnclik.task.task import WIDTH, Task, aims
 
 MOST_SEEDS = ((1 << 31) - 1) // 16  # the numbers of all tries must fit int32
 SURE = 256  # tries, at least, before it is said that there is no answer

@@ -30,9 +30,8 @@ from cnclik.reaching.units import per_unit, unit_of
 from cnclik.record import Array, Bool, Float, Int, cast, memoized
 from cnclik.robot.model import modelled
 from cnclik.robot.rotations import quaternion_from_rotation
-from cnclik.task.aims import WIDTH, aims, told_apart
 from cnclik.task.parts import At, places
-from cnclik.task.task import Task, rows
+from cnclik.task.task import WIDTH, Task, aims, rows, told_apart
 
 PLAIN, CAREFUL, DOWNHILL = (
     9,

@@ -21,8 +21,7 @@ from cnclik.reaching.units import nearer
 from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
-from cnclik.task.aims import aims
-from cnclik.task.task import Task
+from cnclik.task.task import Task, aims
 
 POOL, REPORTED = 1 << 17, 1 << 13  # targets of one search, as it needs memory, and with progress
 

@@ -13,9 +13,8 @@ from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import task_jacobians
-from cnclik.task.aims import WIDTH, aims
 from cnclik.task.parts import At
-from cnclik.task.task import Task
+from cnclik.task.task import WIDTH, Task, aims
 
 
 class ReachStatus(enum.IntEnum):

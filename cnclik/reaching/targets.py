@@ -9,10 +9,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References, aims_of
 from cnclik.robot import poses
-from cnclik.task.aims import WIDTH, aims, of_tips
 from cnclik.task.build import orientation, pose, position
 from cnclik.task.parts import places
-from cnclik.task.task import Task
+from cnclik.task.task import WIDTH, Task, aims, of_tips
 
 TASKS = {"pose": pose, "position": position, "orientation": orientation}
 _FORMS = {

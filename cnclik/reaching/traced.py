@@ -16,7 +16,7 @@ from cnclik.reaching.search import ANEW, ROUND, Found, Stage, advanced, begins_a
 from cnclik.reaching.starts import Starts, empty, turned
 from cnclik.reaching.units import per_unit
 from cnclik.record import replace
-from cnclik.task.aims import aims
+from cnclik.task.task import aims
 
 LEAST = 64  # smallest tolerance, in roundings
 _attempt = native(attempt)

@@ -9,7 +9,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import memoized
 from cnclik.robot.posture import arm_length
-from cnclik.task.aims import WIDTH
+from cnclik.task.task import WIDTH
 
 BASE = 16.0
 SMALLEST = 1e-5  # [m] shorter arms keep the metre

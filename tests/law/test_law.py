@@ -113,7 +113,7 @@ XY = ck.position("xy")
             lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=np.ones(3)),
             "`alpha` must be a single number or have 2 numbers",
         ),
-        (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), r"`reference` must give positions of 2"),
+        (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), r"`reference` must give 2 values"),
         (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "of 3 coordinates"),
         (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
     ],

@@ -78,7 +78,7 @@ def test_a_camera_keeps_looking_at_what_moves():
     ("make", "message"),
     [
         (lambda: _run(looking(), ck.hold(values=[0.4, 0.1])), r"`reference` must give 3 values \(across, down\)"),
-        (lambda: _run(looking(), ck.hold_at(PANDA, looking(), Q)), "must give 3 values .*, but gives none"),
+        (lambda: _run(looking(), ck.hold_at(PANDA, looking(), Q)), "must give 3 values .*, but gives 0"),
         (lambda: ck.function(abs, ["a"], ["m"], target=2), "`target` must come with an `error`"),
         (lambda: ck.function(abs, ["a"], ["m"], error=1), "`error` must be a function"),
     ],

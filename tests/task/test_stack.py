@@ -187,11 +187,11 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
         (lambda: law(inverse=ck.levels(["feet"], damping=(0.1,))), "`inverse` must have each task of the law in one"),
         (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),
         (lambda: ck.levels([{}], damping=(0.1,)), "`names` must be a list of names for each level"),
-        (lambda: ck.joints(0.5), "`names` must be texts, but is 0.5"),
-        (lambda: ck.joints([]), r"`names` must be one text at least, and none of them empty, but is \[\]"),
+        (lambda: ck.joints(0.5), "`names` must be texts, at least one, but is 0.5"),
+        (lambda: ck.joints([]), r"`names` must be texts, at least one, but is \[\]"),
         (lambda: ck.bounded(walls=3), r"`walls` must be a list of ck.wall\(\.\.\.\), but is 3"),
         (lambda: ck.pose(tip="a", relative_to="a"), "`relative_to` must be another tip than `tip`, but is 'a'"),
-        (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
+        (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, at least one, but is 2"),
         (
             lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0),
             "`weights` must be a single number or have 4 numbers",
@@ -218,7 +218,7 @@ LEFT, RIGHT = ck.position(tip="l"), ck.position(tip="r")
             "`reference.torso` must give",
         ),
         (lambda: ck.hold_at(HUMANOID, STACK, np.zeros(29), arms=ck.hold([0.0] * 3)), "`others` must be one of feet"),
-        (lambda: ck.function(abs, ["a"], []), "`units` must be as many as `names`, 1, but are 0"),
+        (lambda: ck.function(abs, ["a"], []), "`units` must be texts, at least one"),
     ],
 )
 def test_what_is_refused(make, message):
