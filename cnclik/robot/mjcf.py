@@ -96,7 +96,7 @@ def _compiled(model) -> tuple:
             return "the text", mujoco.MjModel.from_xml_string(text)
         return pathlib.Path(model).name, mujoco.MjModel.from_xml_path(os.fspath(model))
     except (ValueError, mujoco.FatalError) as error:
-        raise errors.fail("model", "be one that MuJoCo reads", f"it says: {error}") from None
+        raise errors.fail("model", "be one that MuJoCo reads", f"it finds: {error}") from None
 
 
 def _offset(position, quaternion) -> Offset:

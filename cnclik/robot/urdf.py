@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from cnclik import errors
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
-from cnclik.robot.masses import lumped
+from cnclik.robot.mounted import lumped
 from cnclik.robot.tree import BALL, NO_OFFSET, Edge, Tree, read_urdf
 
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}

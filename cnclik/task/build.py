@@ -10,8 +10,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import Array, ArrayLike, Float, record, replace
 from cnclik.robot.chain import Chain
-from cnclik.robot.masses import shares
 from cnclik.robot.model import as_joint_values, mass_frames, modelled
+from cnclik.robot.mounted import shares
 from cnclik.task.parts import AXES, At, Function, Joints, Orientation, Position, Vector, places
 from cnclik.task.task import Task, spread, weighted
 
@@ -153,7 +153,7 @@ class Center(Vector):
 
     along: str  # letters of axes
     to: str | None = None
-    bodies: Float[Array, "j+1 4"] | None = None  # see `robot.masses.shares`, once the robot is known
+    bodies: Float[Array, "j+1 4"] | None = None  # see `robot.mounted.shares`, once the robot is known
     tip = "center_of_mass"
 
     @property
