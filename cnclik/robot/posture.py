@@ -58,7 +58,7 @@ def is_planar(chain: Chain) -> bool:
     )
 
 
-def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
+def past_straight(chain: Chain) -> list:
     """Return (name, straight value, range beyond it) [rad] of elbows and knees that bend both ways, one of them little.
 
     An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm

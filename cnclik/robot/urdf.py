@@ -11,7 +11,7 @@ from cnclik.robot.mounted import lumped
 from cnclik.robot.tree import BALL, NO_OFFSET, Edge, Tree, read_urdf
 
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
-_BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # {name of a base: type of its joint}
+_BASES = {"fixed": "fixed", "planar": "planar", "free": "floating"}  # {name of a base: type of its joint}
 _X, _Y, _Z = NO_OFFSET[1]
 _ALONG = [("x", "prismatic", _X), ("y", "prismatic", _Y), ("z", "prismatic", _Z)]
 _ABOUT = [("rx", BALL, _X), ("ry", BALL, _Y), ("rz", BALL, _Z)]

@@ -263,6 +263,11 @@ class Aim:
     linear: tuple[int, ...]  # axes of the position
     angular: tuple[int, ...]
 
+    @property
+    def label(self) -> str:
+        """Its name as a text, such as "hands.left", or "right in left" of a tip as seen from another."""
+        return ".".join(self.path) + (f" in {self.to}" if self.to else "")
+
     def way(self, chain: Chain) -> list[int]:
         """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
         own, other = (chain.way(chain.tip_number(tip)) for tip in (self.tip, self.to or self.tip))
