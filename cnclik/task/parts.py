@@ -29,7 +29,7 @@ from cnclik import errors
 from cnclik.record import record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product
+from cnclik.robot.rotations import exp_so3, library, log_quaternion, log_so3, product
 
 AXES = "xyz"
 
@@ -112,7 +112,12 @@ class Vector:
     @property
     def width(self):
         """Numbers of the target's motion."""
-        return self.shape[0]
+        return self.m
+
+    @property
+    def shape(self):
+        """Of the target."""
+        return (self.width,)
 
     def aim(self, position, rotation):
         return position
@@ -125,11 +130,6 @@ class Vector:
     def here(self, robot: At):
         """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
-
-    @property
-    def shape(self):
-        """Of the target."""
-        return (self.m,)
 
     def error(self, robot: At, aim):
         return aim - self.x(robot)
@@ -160,6 +160,7 @@ class Position(Vector):
     axes: str
     tip: str | None = None
     to: str | None = None
+    unit = "m"
 
     @property
     def names(self):
@@ -167,7 +168,7 @@ class Position(Vector):
 
     @property
     def units(self):
-        return ("m",) * self.m
+        return (self.unit,) * self.m
 
     def aim(self, position, rotation):
         return position if len(position) == self.m else position[places(self.axes)]
@@ -180,32 +181,17 @@ class Position(Vector):
 
 
 @record
-class Orientation(Vector):
+class Orientation(Position):
     """Components of a tip's rotation vector [rad], in the base frame or that of another tip.
 
     e = log(R_d Rᵀ), x = log R.
     """
 
-    axes: str
-    tip: str | None = None
-    to: str | None = None
-    turns, shape = True, (3, 3)
-
-    @property
-    def width(self):
-        return self.m
+    turns, unit, shape = True, "rad", (3, 3)
 
     @property
     def names(self):
         return tuple("r" + a for a in self.axes)
-
-    @property
-    def units(self):
-        return ("rad",) * self.m
-
-    @property
-    def whole(self):
-        return self.m == 3
 
     def aim(self, position, rotation):
         return rotation
@@ -213,10 +199,6 @@ class Orientation(Vector):
     def check(self, position, rotation):
         if rotation is None:
             raise errors.fail("reference", "give a rotation for this task", "gives a position only")
-
-    def spread(self, w):
-        """Return components (m,) as a vector (3,)."""
-        return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
 
     def x(self, robot: At):
         return log_so3(robot.rotation(self.tip, self.to))[places(self.axes)]
@@ -235,7 +217,7 @@ class Orientation(Vector):
 
     def mean(self, aim, before):
         turn = aim @ before.T
-        return _log_of_step(turn)[places(self.axes)], turn if self.whole else None
+        return _log_of_step(turn)[places(self.axes)], turn if self.m == 3 else None
 
     def averaged(self, kept, before, aim):
         return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
@@ -254,7 +236,8 @@ def spin(rotation, drotation):
 def _log_of_step(turn):
     """Return the rotation vector of a step's turn, exact to 177°: a target that turns farther in a step has jumped."""
     w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), 4 * 0.02**2))
-    return log_quaternion(w, 0.25 / w * axial(turn))
+    axis = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return log_quaternion(w, 0.25 / w * axis)
 
 
 # --- parts that are no tip's pose -----------------------------------------------------------------------
@@ -316,8 +299,8 @@ class Function(Vector):
         return self.of_target is not None
 
     @property
-    def shape(self):
-        return (self.size or self.m,)
+    def width(self):
+        return self.size or self.m
 
     def _checked(self, name, values, q):
         values = jnp.asarray(values)
