@@ -178,25 +178,24 @@ def _ends(tree, tips) -> dict:
         named = {link: link for link in tips}
     if not named or len(named) < len(tips):
         raise errors.fail("tips", "hold different links, or be {name: link} or {name: (link, where)}", f"is {tips!r}")
-    pairs = {name: end if isinstance(end, tuple) and len(end) == 2 else (end, None) for name, end in named.items()}
-    return {
-        name: (_link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where))
-        for name, (link, where) in pairs.items()
-    }
+    ends = {}
+    for name, end in named.items():
+        link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
+        ends[name] = _link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where)
+    return ends
 
 
 def _frozen(tree, freeze) -> dict:
     """Return {name of a fixed joint: its value}, checked."""
     moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
-    if not isinstance(freeze, (dict, type(None))):
-        raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
-    for name, value in (freeze or {}).items():
+    freeze = errors.kind("freeze", {} if freeze is None else freeze, dict, "be {name of a joint: its value}")
+    for name, value in freeze.items():
         edge = moving[errors.one_of("freeze", name, moving, ", joints of one coordinate (`with_base` turns a base)")]
         if edge.mimic is not None:
             raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
         if not edge.lower <= errors.number(f"freeze[{name!r}]", value) <= edge.upper:
             raise errors.fail(f"freeze[{name!r}]", f"be within {edge.lower:g} and {edge.upper:g}", f"is {value:g}")
-    return {name: float(value) for name, value in (freeze or {}).items()}
+    return {name: float(value) for name, value in freeze.items()}
 
 
 def _tip_of(tree: Tree, tip, base) -> str:
