@@ -39,8 +39,6 @@ DOORS = {  # what is traced of each, and how it is called
     ("require_ok", "run"): lambda x: ck.require_ok(run(x)),
     ("plot", "run"): lambda x: ck.plot(run(x), LAW),
     ("reach", "tolerance"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", tolerance=x),
-    ("reach", "accept"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", accept=(x[0], 0.1)),
-    ("reach", "seed"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", seed=x[0]),
 }
 
 

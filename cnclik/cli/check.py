@@ -52,13 +52,13 @@ def run(
     with errors.called("q", "LOG"):
         answer = check_log(t, q, Ts=found.Ts, **asked)
     if json:
-        print_json(
-            {"findings": answer.findings, "broken": len(answer.broken), "Ts": answer.Ts, "rows": answer.rows}
-        )  # fmt: skip
+        found_in = {"findings": answer.findings, "broken": len(answer.broken)}
+        print_json(found_in | {"Ts": answer.Ts, "rows": answer.rows})
     else:
         print(answer)
         print(f"{answer.rows} rows, Ts = {1e3 * answer.Ts:.4g} ms ({found.stamps}).")
-    sys.exit(1 if answer.broken else 0)
+    if answer.broken:
+        sys.exit(1)
 
 
 def _table(file) -> dict:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import io
 import operator
 import pathlib
 import time
@@ -47,13 +46,12 @@ def run(
 
     Args:
       targets: FILE.csv with a target per row: columns x, y, z and, for a pose, qw, qx, qy, qz, by name or in this
-        order. With several tips each name begins with the tip's, as in left.x. Or FILE.npy, an array as `cnclik.reach`
-        takes it.
+        order. With several tips each name begins with the tip's, as in left.x.
       tip: last link of the chain. Give --tip several times for several tips with targets at the same time.
       target: one target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z. Give it once for each
         tip.
       random: number of random reachable poses, in place of TARGETS.
-      seed: seed of the random numbers of --random and of the search.
+      seed: seed of the random numbers of --random.
       near: joint values from which the search starts [rad, m], such as the robot's present ones.
       path: treat the targets as a path: start each search from the previous answer.
       jump: largest distance of each joint from --near or from the previous answer [rad, m].
@@ -81,7 +79,7 @@ def run(
         wanted, line = _of_file(parts, pathlib.Path(targets or "")), f"Targets: those of {targets}."
     begins = ", each from the answer before it" * path
     asked = [title, line, f"Search {'within the' if limits else 'without'} joint limits{begins}, to 1 µm and 1 µrad."]
-    options = dict(jump=jump, solutions=solutions, limits=limits, seed=seed, near="previous" if path else near)
+    options = dict(jump=jump, solutions=solutions, limits=limits, near="previous" if path else near)
     with errors.called("targets", "target") if target else contextlib.nullcontext():
         made, seconds = _answers(chain, wanted, parts, options, out, overwrite)
     summary = _summary(made, seconds)
@@ -120,44 +118,25 @@ def _given(task, points):
     if len(points) != len(every):
         labels = ", ".join(aim.label for aim in every)
         raise errors.fail("target", f"be given once for each tip ({labels})", f"is given {len(points)} times")
-    return by_name(task, [[errors.array("target", values)] for values in points])
+    return by_name(task, [errors.array("target", values)[None] for values in points])
 
 
 def _point(values) -> str:
-    words = [f"{v:.5g}" for v in values]
-    place, turn = (words[:-4], words[-4:]) if len(words) > 3 else (words, [])
-    said = [f"{' '.join(place)} m"] * bool(place) + [f"quaternion w x y z = {' '.join(turn)}"] * bool(turn)
-    return ", ".join(said)
+    return " ".join(f"{v:.5g}" for v in values)
 
 
 def _of_file(task, file):
-    """Targets of a file: CSV, where of several tips columns begin with its name, or an array (.npy)."""
-    import numpy as np
-
+    """Targets of a CSV file, where of several tips columns begin with its name."""
     from cnclik.problem.tables import read_points
     from cnclik.reaching.targets import by_name
-    from cnclik.reading import read_bytes
     from cnclik.record import replace
     from cnclik.task.task import Task, aims
 
-    every = aims(task)
-    if errors.ending("TARGETS", file, ".csv", ".npy") == ".csv":
-        each = []
-        for aim in every:
-            own = Task(parts=tuple(replace(part, tip=None, to=None) for part in aim.parts))
-            each.append(read_points("TARGETS", file, own, tip=aim.label if len(every) > 1 else "")[1])
-    else:
-        data = read_bytes("TARGETS", file, "a file")
-        try:
-            whole = np.load(io.BytesIO(data), allow_pickle=False)
-        except (ValueError, EOFError, OSError):
-            raise errors.fail("TARGETS", "name a file that can be read", f"{file.name} is damaged") from None
-        if len(every) > 1 and (whole.ndim != 4 or whole.shape[1] != len(every)):
-            found = f"{file.name} holds {whole.shape}"
-            raise errors.fail("TARGETS", f"hold transforms (N, {len(every)}, 4, 4)", found)
-        each = [whole[:, k] for k in range(len(every))] if len(every) > 1 else [whole]
-    if each[0].size == 0:
-        raise errors.fail("TARGETS", "hold at least one target", f"{file.name} holds none")
+    errors.ending("TARGETS", file, ".csv")
+    every, each = aims(task), []
+    for aim in every:
+        own = Task(parts=tuple(replace(part, tip=None, to=None) for part in aim.parts))
+        each.append(read_points("TARGETS", file, own, tip=aim.label if len(every) > 1 else "")[1])
     return by_name(task, each)
 
 
@@ -183,7 +162,6 @@ def _answers(chain, targets, task, options, out, overwrite) -> tuple:
     """(answers, seconds that they took), written to a file."""
     from cnclik.measure.answers import ENDINGS, answers, save
     from cnclik.reaching.public import reach
-    from cnclik.reaching.result import with_axis
     from cnclik.reaching.targets import read, transforms
 
     pose, _ = read(targets, task)
@@ -191,7 +169,7 @@ def _answers(chain, targets, task, options, out, overwrite) -> tuple:
     with contextlib.nullcontext() if file is None else output_folder(file.parent) as folder:
         begun = time.perf_counter()
         with progress.bar("targets", len(pose)) as report:
-            made = with_axis(reach(chain, targets, task=task, **options, progress=report))
+            made = reach(chain, targets, task=task, **options, progress=report)
         seconds = time.perf_counter() - begun
         if file is not None and folder is not None:
             folder.write(file.name, functools.partial(save, answers(made, transforms(pose))))
@@ -204,10 +182,9 @@ def _summary(made, seconds) -> dict:
     first_of_each = made.status[..., 0] if made.status.ndim == 2 else made.status
     return {
         "targets": len(first_of_each),
-        "solve_rate": float((first_of_each <= ReachStatus.ACCEPTED).mean()),
+        "solve_rate": float((first_of_each == ReachStatus.SOLVED).mean()),
         "status": count(first_of_each),
         "seconds": seconds,
-        "evaluations_per_target": float(made.evaluations.mean()),
     }
 
 
@@ -215,12 +192,8 @@ def _tell(made, summary, path) -> None:
     """Print the number of targets with each status and its meaning; for a single target also the joint values."""
     import numpy as np
 
-    from cnclik.reaching.result import ReachStatus
-    from cnclik.task.task import aims
-
-    count, each = summary["targets"], f"{summary['evaluations_per_target']:.0f}"
-    evaluations = f"{each} evaluation{'s' * (each != '1')}{' each' * (count > 1)}"
-    print(f"{count:,} target{'s' * (count > 1)} in {summary['seconds']:.2f} s, {evaluations}")
+    count = summary["targets"]
+    print(f"{count:,} target{'s' * (count > 1)} in {summary['seconds']:.2f} s")
     for name, number in summary["status"].items():
         print(f"  {name:<14} {number:>9,}  {_MEANING[name]}")
     if count == 1:
@@ -228,22 +201,11 @@ def _tell(made, summary, path) -> None:
         for row in q[np.isfinite(q).all(axis=1)]:
             shown = zip(made.chain.joint_names, row, made.chain.units, strict=True)
             print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
-        missed, least = _error(made, made.task.lengths, made.task.angles), made.least_singular_value.flat[0]
-        print(f"  error {missed}; least singular value {least:.3g}")
-        for aim, own in zip(aims(made.task), made.each, strict=True) if made.targets is not None else ():
-            print(f"    {aim.label}: {_error(own, aim.linear, aim.angular)}")
+        missed = [aloud(float(made.position_error.flat[0]), "m")] * bool(made.task.lengths)
+        missed += [aloud(float(made.orientation_error.flat[0]), "rad")] * bool(made.task.angles)
+        print(f"  error {' and '.join(missed)}")
     if path and np.isfinite(made.strays).any():
         print(f"  half-way between rows the tip strays by up to {aloud(float(np.nanmax(made.strays)), 'm')}")
-    held = made.at_limit.reshape(-1, made.chain.n)[(made.status == ReachStatus.AT_LIMIT).ravel()]
-    if len(held):
-        often = [(int(n), name) for n, name in zip(held.sum(axis=0), made.chain.joint_names, strict=True) if n]
-        print("  at limits: " + ", ".join(f"{name} ({n:,} times)" for n, name in sorted(often, reverse=True)[:4]))
-
-
-def _error(made, lengths, angles) -> str:
-    """Position and orientation error of the first target, as far as its task has coordinates of them."""
-    parts = [(made.position_error, "m")] * bool(lengths) + [(made.orientation_error, "rad")] * bool(angles)
-    return " and ".join(aloud(float(values.flat[0]), unit) for values, unit in parts)
 
 
 _MEANING = {

@@ -13,7 +13,7 @@ def run(robot: str) -> None:
     Args:
       robot: a URDF or MJCF file, a name of robot_descriptions, or a built-in robot such as panda.
     """
-    from cnclik.robot.tree import file_of, read_robot
+    from cnclik.robot.files import file_of, read_robot
 
     kind = robot.partition(":")[0]
     if kind in (*ROBOTS, *PLANAR):

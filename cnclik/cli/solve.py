@@ -38,12 +38,14 @@ def run(
     with output_folder(Path(out), overwrite=overwrite, **names) as folder:
         with progress.bar("steps"):
             trajectory = made.run()
-        _answer(made, trajectory, out if json else None)
         from cnclik.measure.dataset import labelled
         from cnclik.measure.files import save_netcdf
 
         data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
-        folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+        try:  # before a reader of the answer may leave
+            folder.write("trajectory.nc", functools.partial(save_netcdf, data))
+        finally:  # on a full disk, too
+            _answer(made, trajectory, out if json else None)
     about = {"Title": made.name, "Comment": data.attrs["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}
     with progress.bar("figures") as report:

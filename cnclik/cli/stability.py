@@ -9,7 +9,7 @@ from typing import Literal
 
 from cnclik import errors
 from cnclik.cli import progress
-from cnclik.cli.common import prepare, print_table, problem
+from cnclik.cli.common import prepare, print_json, print_table, problem
 from cnclik.problem.options import DEFAULTS, DRIVE, in_own_units
 from cnclik.quantities import aloud, in_samples
 from cnclik.show.output import draw as draw_figures
@@ -30,6 +30,7 @@ def run(
     speed: float = 0.1,
     draw: tuple[Literal["gains", "plane", "map"], ...] = (),
     out: str = "stability-out",
+    json: bool = False,
     overwrite: bool = False,
     **loop,
 ) -> None:
@@ -43,11 +44,14 @@ def run(
       draw: figures: gains over sampling time and dead time; stability regions of methods in the complex z-plane; a map
         of simulated loops over alpha and Ts, of the robot or of the paper's planar arm.
       out: folder for figures and their data (netCDF).
+      json: print the answer as JSON, without figures.
     """
     from cnclik.integrate.drive import Drive
     from cnclik.stability.gain import gains
 
     given, made = in_own_units(loop), None
+    if json and draw:
+        raise errors.fail("json", "be left out with --draw", "is given")
     if draw:
         errors.integer("N", given.get("N", 100), at_least=4, at_most=errors.MOST)
         load_ahead("cnclik.show.style")
@@ -58,7 +62,9 @@ def run(
     else:
         made = problem(robot, loop)
         found = gains(Ts=made.Ts, method=made.method, M=made.stage, drive=made.drive)
-    if draw != ("plane",):
+    if json:
+        print_json(_facts(found, given.get("alpha", ())))
+    elif draw != ("plane",):
         _answer(found, given.get("alpha", ()), speed)
         if made is not None:
             _of_robot(found, made, speed, str(robot).endswith(".py"))
@@ -89,27 +95,26 @@ def _answer(found, alpha, speed) -> None:
     from cnclik.stability.linear import describe
 
     euler = found if found.method.name == "EE" else found.by("EE")
-    yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
     drives = drive_in_words(found.drive, found.Ts) + ", assumed" * found.assumed
     print(f"{describe(found.method, found.M)}, Ts {1e3 * found.Ts:g} ms, {drives}.")
     if found.assumed:
         print(_MEASURE)
     rows: list[tuple[str, ...]] = [("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")]
     for name in GAINS:
-        alpha = getattr(found, name)
-        each = (alpha, alpha * found.Ts, getattr(euler, name))
+        most = getattr(found, name)
+        each = (most, most * found.Ts, getattr(euler, name))
         rows.append((name.replace("_", " "), *map(in_words, each)))
-    rows += [("yours", f"{a:.4g}", f"{a * found.Ts:.4g}", "") for a in yours]
+    rows += [("yours", f"{a:.4g}", f"{a * found.Ts:.4g}", "") for a in _each(alpha)]
     print_table(*(row[: 3 if euler is found else 4] for row in rows))
     print(f"Recommended: {found.reason}.")
     print("These gains hold for any robot, posture, task and stack, each task's alpha and the rate of a posture alike.")
     if found.response:
         _costs(found, found.response, speed)
-    for alpha in yours:
-        response = found.at(alpha) if alpha else None
+    for yours in _each(alpha):
+        response = found.at(yours) if yours else None
         unstable = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
         judged = f"is stable: a step {_in_words(response, found.Ts)}" if response else unstable
-        print(f"Your gain (alpha = {alpha:g} 1/s) {judged if alpha else 'asks for no motion'}.")
+        print(f"Your gain (alpha = {yours:g} 1/s) {judged if yours else 'asks for no motion'}.")
     print("The same loop elsewhere, by explicit Euler:")
     print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
 
@@ -118,6 +123,26 @@ _MEASURE = (
     "Measure yours: command a step of all joints at once, record commands and positions, and run `cnclik diagnose "
     "LOG.csv --step`; it prints the options to give here. For a purely kinematic simulation give --delay 0."
 )
+
+
+def _facts(found, alpha) -> dict:
+    """The answer in numbers."""
+    drives = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
+    each = ((a, found.at(a) if a else None) for a in _each(alpha))
+    return {
+        **{"method": found.method.name, "M": found.M, "Ts": found.Ts, "drive": drives, "assumed": found.assumed},
+        **{name: getattr(found, name) for name in GAINS},
+        "reason": found.reason,
+        "recommended_response": found.response,
+        "explicit_euler": {name: getattr(found.by("EE"), name) for name in GAINS},
+        "alpha": [{"alpha": a, "stable": not a or response is not None, "response": response} for a, response in each],
+        "elsewhere": {where: setting._asdict() for where, setting in found.elsewhere.items()},
+    }
+
+
+def _each(alpha) -> list:
+    """The gains given, each once."""
+    return sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
 
 
 def _in_words(response, Ts) -> str:

@@ -10,7 +10,7 @@ BETTER = 12.0  # decrease of the information criterion that is more than strong 
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
 ROUND, COHERENT = 0.6, 0.8  # |vᵀv| of a shape v of columns that circle: 0 for a circle, 1 in phase; its energy
 OPEN = 10.0  # range of the angles [degrees], with more dead time, that leaves the answer unsure
-STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most
+STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
 FASTER = 1.3  # least ratio of the last two quarters of a growth
@@ -70,9 +70,10 @@ def turned(y, gain=None) -> tuple | None:
         whole[: len(R), : len(R)] = R
         turns.append(Rotation.from_matrix(whole).as_rotvec(degrees=True))
     angles = [np.linalg.norm(turn) for turn, spin in zip(turns, alike, strict=True) if spin[0] <= least + BETTER]
-    third = len(y) // 3  # the first one may be a push
-    larger = float(np.linalg.norm(wave[-third:])) / max(float(np.linalg.norm(wave[third:-third])), 1e-300)
-    steady = 1 / STEADY < larger < STEADY  # as of a circular path
+    sizes = [float(np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3])) for i in (3, 2, 1)]
+    steady = (
+        1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
+    )  # as of a circular path
     return turns[0], alike[0][2], steady, max(angles) - min(angles) < OPEN and not steady
 
 

@@ -23,6 +23,7 @@ OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
+TURNED = 27.0  # [degrees]: turned by less an error passes its target by 0.2 %, and by nearly 180 its sign is wrong
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY, UNREST = 0.1, 0.2  # unrest of a sustained oscillation, at most; beyond that of one that grows as a mode does
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
@@ -127,7 +128,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
     spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
-    if spin is not None and 15 < np.linalg.norm(spin[0]) < 173:
+    if spin is not None and TURNED < np.linalg.norm(spin[0]) < 173:
         turn, z, steady, sure = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": CIRCLE}

@@ -7,8 +7,6 @@ fitted by itself, and the information of all is added up.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from cnclik import errors
@@ -121,11 +119,12 @@ def fit_drive(
     if t is not None and np.size(t) != len(command):
         raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
     log = _Log(command, motion, Ts, velocity)
-    best = _least(log, "delay", _starts(log, "delay"))
-    for kind in list(NUMBERS)[1 : 3 + velocity]:
-        fit = _least(log, kind, _starts(log, kind))
-        best = fit if fit.score < best.score - BETTER else best
-    return _made(log, best)
+    best, score, fitted = "", np.inf, np.empty(0)
+    for kind in list(NUMBERS)[: 3 + velocity]:
+        values, lower = _least(log, kind, _starts(log, kind))
+        if lower < score - BETTER:
+            best, score, fitted = kind, lower, values
+    return _made(log, best, fitted)
 
 
 class _Log:
@@ -218,16 +217,11 @@ def _starts(log, kind):
     return np.moveaxis(found, 0, 1)
 
 
-class Fit(NamedTuple):
-    """Fitted values (k, p) of all joints: dead time [samples], logarithms of numbers in samples."""
+def _least(log, kind, starts, late=None) -> tuple:
+    """(Values (k, p): dead time [samples], logarithms of numbers in samples; information criterion) of least squares.
 
-    kind: str
-    values: np.ndarray
-    score: float
-
-
-def _least(log, kind, starts, late=None) -> Fit:
-    """The least squares of each joint, from the better of its starts (k, s, p); `late`: with this dead time."""
+    Args: starts: (k, s, p), of which the better one counts for each joint. late: the dead time, if that is fixed.
+    """
     low, high = np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
     low[0], high[0] = (0.0, MOST - 1.0) if late is None else (late, late)
     N = len(log.t)
@@ -253,17 +247,18 @@ def _least(log, kind, starts, late=None) -> Fit:
     each = np.arange(log.k), np.argmin(power, 1)
     left = power[each] / N + EXACT**2
     numbers = log.k * len(low) * np.log(N)
-    return Fit(kind, values[each], float(N * np.sum(np.log(left)) + numbers))
+    return values[each], float(N * np.sum(np.log(left)) + numbers)
 
 
 # --- all joints together ------------------------------------------------------------------------------
 
 
-def _made(log, fit) -> DriveFit:
+def _made(log, kind, fitted) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
-    kind, names, every = fit.kind, NUMBERS[fit.kind], np.arange(log.k)
-    values, covs, own = _together(log, kind, fit.values)
-    left, gain = log.left(kind, np.broadcast_to(values, fit.values.shape), every)
+    names, every = NUMBERS[kind], np.arange(log.k)
+    values, covs, own = _together(log, kind, fitted)
+    each = np.broadcast_to(values, fitted.shape)
+    left, gain = log.left(kind, each, every)
     explained = 1.0 - np.mean(left**2, -1)  # of each motion's variance; a joint may also move as others shake it
     follows = explained > EXPLAINED
     if not follows.any():
@@ -291,7 +286,7 @@ def _made(log, fit) -> DriveFit:
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
-    moved = gain[:, None] * (log.response(kind, np.broadcast_to(values, fit.values.shape), every) + log.base)
+    moved = gain[:, None] * (log.response(kind, each, every) + log.base)
     return DriveFit(
         drive=_drive(log, kind, values),
         interval=interval,
@@ -319,7 +314,7 @@ def _together(log, kind, fitted) -> tuple:
     most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
     each[:, 0, 0] = 1 / np.sum(1 / each[:, 0, 0])
     starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
-    return _least(log, kind, starts, late).values, each, True
+    return _least(log, kind, starts, late)[0], each, True
 
 
 def _information(log, kind, values):

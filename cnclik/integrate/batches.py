@@ -8,7 +8,7 @@ from cnclik.engine.native import native
 from cnclik.engine.plan import as_here, chosen
 from cnclik.engine.program import Bound, Program
 from cnclik.integrate.lanes import TILE, tiled
-from cnclik.threads import cores
+from cnclik.threads import cores, side_by_side
 
 ALONE = 1024  # lanes, at most, that one thread runs
 CAPACITY = 1024  # lanes of a call of XLA's program, which serves batches of all sizes
@@ -31,18 +31,29 @@ class Batches:
         self.run = bounded_jit(run)
 
     def bound(self, *kept):
-        """Return the function call(leaves, size, pool=None) of batches. Args: kept: the first arguments, of all calls.
+        """Return the function call(leaves, size) of batches, on all cores. Args: kept: the first arguments, of all.
 
-        Its leaves are the other arguments, (size, ...), or (...) for what all lanes share; `pool`: threads.
+        Its leaves are the other arguments, (size, ...), or (...) for what all lanes share.
         """
+        call = self._bound(*kept)
+
+        def threaded(leaves, size):
+            if size <= ALONE or cores() == 1:
+                return call(leaves, size, None)
+            with side_by_side() as pool:
+                return call(leaves, size, pool)
+
+        return threaded
+
+    def _bound(self, *kept):
         if isinstance(self.program, Program):
             call = Bound(self.program, kept)
-            return lambda leaves, size, pool=None: call(leaves, size, pool if size > ALONE else None, cores())[0]
+            return lambda leaves, size, pool: call(leaves, size, pool, cores())[0]
         avals = self.avals[len(kept) :]
         with jax.enable_x64(True):
             kept = jax.device_put(kept)
 
-        def in_tiles(leaves, size, pool=None):
+        def in_tiles(leaves, size, pool):
             leaves = [np.broadcast_to(x, (size, *a.shape)).astype(a.dtype) for x, a in zip(leaves, avals, strict=True)]
 
             def part(first):

@@ -28,15 +28,10 @@ def answers(reached: Reached, transforms) -> Labelled:
         "status": (dims, reached.status, about("status", "1") | flags),
         "position_error": (dims, reached.position_error, about("position error", "m")),
         "orientation_error": (dims, reached.orientation_error, about("orientation error", "rad")),
-        "least_singular_value": (dims, reached.least_singular_value, about("least singular value", "m or 1")),
         "at_limit": ((*dims, "joint"), reached.at_limit, about("joint at a limit", "1")),
-        "evaluations": (dims, reached.evaluations, about("evaluations", "1")),
         "distance": (dims, reached.distance, about("largest joint's distance from near", units)),
     }
     if each:
-        places, turns = (np.stack(v, -1) for v in zip(*reached.each, strict=True))
-        variables["tip_position_error"] = ((*dims, "tip"), places, about("position error of a tip", "m"))
-        variables["tip_orientation_error"] = ((*dims, "tip"), turns, about("orientation error of a tip", "rad"))
         coords["tip"] = ("tip", [aim.label for aim in aims(reached.task)], {})
     return Labelled(variables, coords, {})
 
@@ -54,11 +49,9 @@ def save(data: Labelled, path) -> None:
     columns: dict = dict(zip(dims, np.indices(shape).reshape(len(shape), -1), strict=True))
     columns["status"] = [ReachStatus(code).name for code in flat["status"][:, 0]]
     columns |= dict(zip(joints, flat["q"].T, strict=True))
-    for name in ("position_error", "orientation_error", "least_singular_value", "evaluations", "distance"):
+    for name in ("position_error", "orientation_error", "distance"):
         columns[name] = flat[name][:, 0]
     columns["at_limit"] = [" ".join(np.array(joints)[hit.astype(bool)]) for hit in flat["at_limit"]]
-    for name in ("position_error", "orientation_error") if len(tips) > 1 else ():
-        columns |= dict(zip([tip + name for tip in tips], flat[f"tip_{name}"].T, strict=True))
     transforms = np.asarray(data.variables["transform"][1]).reshape(shape[0], -1)
     entries = [f"{tip}t{i}{j}" for tip in tips for i in range(4) for j in range(4)]
     columns |= dict(zip(entries, np.repeat(transforms, np.prod(shape[1:], dtype=int), axis=0).T, strict=True))

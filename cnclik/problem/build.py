@@ -82,12 +82,8 @@ class Problem:
         """Robot and task, law and loop, start and target."""
         law, task, drive = self.law, self.law.task, drive_in_words(self.drive or Drive(), float(self.Ts))
         stage = f" by {self.stage}" * self.method.implicit
-        gains = (
-            [f"{name} {law.alpha[part][0]:.5g}" for name, part in task.each]
-            if np.ndim(law.alpha) and task.tasks
-            else []
-        )
-        alpha = ", ".join(gains) or in_words(law.alpha)
+        distinct = list(dict.fromkeys(np.ravel(law.alpha).tolist()))
+        alpha = in_words(distinct if len(distinct) > 1 else distinct[0])
         lines = [
             f"{self.name}, {str(task)[6:]}; N = {self.N} steps of Ts = {1e3 * self.Ts:g} ms",
             f"{self.method}{stage}, {type(law.inverse).__name__.lower()}, alpha = {alpha} 1/s, {drive}",
@@ -95,8 +91,12 @@ class Problem:
         ]
         if isinstance(self.reference, Reference):
             aims = zip(task.parts, aims_of(self.reference, task, 0.0), strict=True)
-            each = [(part, quaternions(np.array(v)) if getattr(part, "turns", False) else v) for part, v in aims]
-            points = (f"{in_words(v)} {'as w x y z' if np.size(v) == 4 else part.units[0]}" for part, v in each)
+            points = (
+                f"{in_words(quaternions(np.array(aim)))} as w x y z"
+                if getattr(part, "turns", False)
+                else f"{in_words(aim)} {', '.join(dict.fromkeys(part.units))}"
+                for part, aim in aims
+            )
             path = "Target" if self.reference.still else f"Path {type(self.reference.curve).__name__.lower()}, from"
             lines.append(f"{path} {', '.join(points)}")
         return "\n".join(lines)

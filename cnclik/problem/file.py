@@ -20,9 +20,8 @@ def problem_of(robot, **options) -> Problem:
     """Return the problem of a robot and its options, as `problem_from`, or of a file FILE.py.
 
     The file's function `problem` is called with those options that are its arguments. It returns a `Problem`, a tuple
-    (law, reference, q0) or (law, reference, q0, drive), or a dict of these and of Ts, N, method, stage, and robot, a
-    file with its meshes. A reference of None stays where q0 is, and q0 of None is a posture away from singularities.
-    Ts, N, method, M and the fields of `Drive` may be options beside it.
+    (law, reference, q0) or (law, reference, q0, drive), or a dict of attributes of a `Problem`. Ts, N, method, M and
+    the fields of `Drive` may be options beside it.
 
     Raises: ArgumentError, for an error in the file with its line.
     """

@@ -14,8 +14,9 @@ from cnclik.problem.words import PLANAR, ROBOTS, TASKS
 from cnclik.record import replace
 from cnclik.robot import builtin, urdf
 from cnclik.robot.chain import Chain, planar_arm
+from cnclik.robot.files import file_of, read_robot
 from cnclik.robot.posture import is_planar, start_posture
-from cnclik.robot.tree import file_of, read_robot, text_of
+from cnclik.robot.tree import text_of
 from cnclik.task import build
 from cnclik.task.task import Task
 

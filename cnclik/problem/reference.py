@@ -96,7 +96,7 @@ def waypoints(arm, file, speed=None):
         if positions is None:
             raise errors.fail("speed", "be left out for a task without position", f"is {speed:g}")
         times = np.cumsum([0.0, *np.linalg.norm(np.diff(positions, axis=0), axis=1) / speed])
-    if not np.all(np.diff(times) > 0):  # also if one is not finite
+    if not np.all(times[1:] > times[:-1]):  # also if one is not finite
         must = f"hold {'times that increase' if speed is None else 'points that differ, with a speed'}"
         raise errors.fail("reference", must, f"{name} has times {', '.join(f'{t:g}' for t in times[:9])}")
     return paths.waypoints(times, positions, rotations)

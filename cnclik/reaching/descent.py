@@ -19,36 +19,44 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from cnclik import errors
 from cnclik.engine.plan import in_c
 from cnclik.integrate.batches import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
-from cnclik.reaching.result import ReachStatus, row_of
-from cnclik.reaching.starts import Starts, binned, empty, is_free, start, turned
-from cnclik.reaching.units import per_unit, unit_of
+from cnclik.reaching.result import ReachStatus
+from cnclik.reaching.starts import Starts, binned, empty, start, turned
 from cnclik.record import Array, Bool, Float, Int, cast, memoized
 from cnclik.robot.model import modelled
+from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import quaternion_from_rotation
 from cnclik.task.parts import At, places
 from cnclik.task.task import WIDTH, Task, aims, rows, told_apart
 
-PLAIN, CAREFUL, DOWNHILL = (
-    9,
-    24,
-    150,
-)  # looks, at most: of plain descents, of careful ones, of those to the nearest pose
+PLAIN, CAREFUL = 9, 24  # looks, at most, of plain descents and of careful ones
+DOWNHILL = 150  # of those to the nearest pose
 COARSE, SLOW = 2e-5, 30  # careful descents that are so close to the target have so many looks more
 STUCK, STILL = 1e-5, 1e-10  # of `State.steep`: careful descents whose error falls so slowly end; to the nearest pose
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = {32: 1e-6, 64: 1e-9}  # λ₀² by the bits of a number
-LONGEST = 1.0  # [rad, units] largest joint step
+LONGEST = 1.0  # [rad, m] largest joint step
 SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # factors of τ after an accepted and after a rejected step
 MOST_TRUST = 1e12
 SHORT = 100.0  # of ‖J‖²: damped by more, steps are so short that an error which still grows with them is at a kink
-TOUCHING = 1e-9  # [rad, units] distance from a limit that counts as being at it
 CLOSE = 0.5  # [rad, m] from `near`: so close the first answer is the one that is wanted
-FREE = -1.0  # status of a descent that arrives where it is free of all bounds
+AHEAD = 64  # targets that one call goes along a path
+SMALLEST = 1e-5  # [m] shorter arms, such as a wrist alone, keep the metre
+
+
+def unit_of(chain) -> float:
+    """Return the length [m] that counts as much as a radian: of arms below 25 cm and above 4 m, their own.
+
+    A metre also where joints slide, or the geometry is traced.
+    """
+    length = arm_length(chain, least=0.0)
+    odd = errors.concrete(length) and "m" not in chain.units and not 0.25 <= length <= 4.0
+    return float(length) if odd and length > SMALLEST else 1.0
 
 
 class Terms(NamedTuple):
@@ -57,8 +65,8 @@ class Terms(NamedTuple):
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
     jump: Float[Array, ""]  # largest distance of a joint from `near` [rad, m]; infinite without one
-    tolerance: Float[Array, " 2"]  # [units], chord of an angle [rad]
-    roots: Float[Array, " m"]  # of the weights of the task's coordinates
+    tolerance: Float[Array, " 2"]  # [m], chord of an angle [rad]
+    roots: Float[Array, " m"]  # of the weights of the task's coordinates, lengths in units
 
     def box(self, near):
         """Return the bounds (n,) of answers about `near`: those of the limits nearest to it where it is beyond."""
@@ -81,27 +89,24 @@ class State(NamedTuple):
 def look(chain, task: Task, q, target):
     """Return the error (m,), J (m, n), and the squared errors of position and orientation, the largest of all tips.
 
-    All are in the chain's unit, see `units`. Args: target: (t,) twelve numbers of each of the task's aims [m].
+    Args: target: (t,) twelve numbers of each of the task's aims [m].
     """
-    at, unit, each, squares = At(cast(modelled(chain), q.dtype), q), unit_of(chain), [], []
+    at, each, squares = At(cast(modelled(chain), q.dtype), q), [], []
     for aim, wanted in zip(aims(task), target.reshape(-1, WIDTH), strict=True):
-        place, turn = (wanted[:3] - at.position(aim.tip, aim.to)) / unit, wanted[3:].reshape(3, 3)
+        place, turn = wanted[:3] - at.position(aim.tip, aim.to), wanted[3:].reshape(3, 3)
         chord = 2.0 * quaternion_from_rotation(turn @ at.rotation(aim.tip, aim.to).T)[1:]
         own = [(chord if part.turns else place)[places(part.axes)] for part in aim.parts]
         kinds = [[e @ e for e, part in zip(own, aim.parts, strict=True) if part.turns == turns] for turns in (0, 1)]
         each += own
         squares.append(jnp.stack([sum(some, 0.0 * q[0]) for some in kinds]))
-    j = rows(task, at)
-    if unit != 1.0:
-        j = j * per_unit(chain) / np.where(np.isin(np.arange(task.m), task.lengths), unit, 1.0)[:, None]
-    return jnp.concatenate(each), j, functools.reduce(jnp.maximum, squares)
+    return jnp.concatenate(each), rows(task, at), functools.reduce(jnp.maximum, squares)
 
 
 @precise
 def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State:
     """Look at `q` and step from there; a descent that has arrived does not move."""
     e, j, squares = look(chain, task, s.q, target)
-    if task.weights is not None:
+    if task.weights is not None or unit_of(chain) != 1.0:
         e, j = terms.roots * e, terms.roots[:, None] * j
     cost, size, (low, high) = e @ e, jnp.sum(j**2), bounds
     better, here = (cost <= s.cost) | ~careful, (squares <= terms.tolerance**2).all()
@@ -115,53 +120,49 @@ def _step(chain, task, terms: Terms, s: State, target, bounds, careful) -> State
     step = dense.cholesky_solve(dense.cholesky(dense.shifted(left @ left.T, damping)), e) @ left
     steep = downhill @ downhill / jnp.where(cost * size > 0, cost * size, 1.0)
     steep = jnp.where((trust > 1) & (damping > SHORT * size), 0.0, steep)  # at a kink
-    step = jnp.asarray(per_unit(chain), step.dtype) * jnp.clip(step, -LONGEST, LONGEST)
     best = jnp.where(better, s.q, s.best)
-    onward = jnp.where(better, jnp.clip(s.q + step, low, high), best)
-    squares, cost, steep = jax.tree.map(
-        lambda new, old: jnp.where(better, new, old), (squares, cost, steep), (s.squares, s.cost, s.steep)
-    )
+    onward = jnp.where(better, jnp.clip(s.q + jnp.clip(step, -LONGEST, LONGEST), low, high), best)
+    pairs = (squares, s.squares), (cost, s.cost), (steep, s.steep)
+    squares, cost, steep = (jnp.where(better, new, old) for new, old in pairs)
     return State(jnp.where(here, s.q, onward), best, squares, cost, steep, trust, s.looks + 1, here)
 
 
-def descend(chain, task: Task, terms: Terms, q, target, near, most, free) -> Array:
+def descend(chain, task: Task, terms: Terms, q, target, near, most) -> Array:
     """Descend from a posture (n,) by at most `most` looks. Returns: the row of `result.Row`.
 
-    Args: near: (n,), NaN where there is none. free: whether bounds are ignored: the row has the posture within them.
+    Args: near: (n,), NaN where there is none.
     """
     careful, around, zero = most > PLAIN, jnp.where(jnp.isnan(near), 0.0, near), 0.0 * q[0]
     low, high = terms.box(around)
-    free = free & (jnp.isfinite(low) | jnp.isfinite(high)).any()
-    bounds, q = (jnp.where(free, -jnp.inf, low), jnp.where(free, jnp.inf, high)), jnp.clip(q, low, high)
+    q = jnp.clip(q, low, high)
 
     def goes_on(s):
-        close = careful & (s.squares <= COARSE**2).all()  # as next to singularities, where errors fall slowly
+        close = careful & (s.cost <= COARSE**2)  # as next to singularities, where errors fall slowly
         stuck = careful & ~close & (s.steep <= jnp.where(most <= CAREFUL, STUCK, STILL))
         return ~s.arrived & (s.looks < most + jnp.where(close, SLOW, 0)) & ~stuck
 
     far = zero + jnp.inf
     begin = State(q, q, jnp.stack([far, far]), far, far, zero + 1.0, 0 * most, zero > 1)
-    s = lax.while_loop(goes_on, lambda s: _step(chain, task, terms, s, target, bounds, careful), begin)
+    s = lax.while_loop(goes_on, lambda s: _step(chain, task, terms, s, target, (low, high), careful), begin)
     q = jnp.clip(turned(s.best, around, np.array(chain.periodic), low, high, jnp), low, high)
-    touching = jnp.asarray(TOUCHING * per_unit(chain), q.dtype)
-    at_limit = (q <= terms.lower + touching) | (q >= terms.upper - touching)
-    status = jnp.where(s.arrived, jnp.where(free, FREE, int(ReachStatus.SOLVED)), int(ReachStatus.OUT_OF_BUDGET))
-    position, turn = unit_of(chain) * jnp.sqrt(s.squares[0]), jnp.minimum(jnp.sqrt(s.squares[1]) / 2, 1.0)
-    cost = jnp.where(free, jnp.inf, s.cost)
-    rest = status, position, 2.0 * jnp.arcsin(turn), s.looks, jnp.max(jnp.abs(q - near)), cost, s.steep
-    return jnp.concatenate([q, at_limit.astype(q.dtype), jnp.stack([jnp.asarray(v, q.dtype) for v in rest])])
+    distance, (position, chord) = jnp.max(jnp.abs(q - near)), jnp.sqrt(s.squares)
+    arrived = s.arrived & ~(distance > terms.jump * (1 + 1e-9))  # as where `near` is beyond the limits
+    status = jnp.where(arrived, int(ReachStatus.SOLVED), int(ReachStatus.OUT_OF_BUDGET))
+    turn, cost = 2.0 * jnp.arcsin(jnp.minimum(chord / 2, 1.0)), jnp.where(s.arrived & ~arrived, jnp.inf, s.cost)
+    rest = status, position, turn, distance, cost, s.steep
+    return jnp.concatenate([q, jnp.stack([jnp.asarray(v, q.dtype) for v in rest])])
 
 
-def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away, k, most, seed) -> Array:
+def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away, k, most) -> Array:
     """Make one try. Returns: the row of `result.Row`.
 
     Args:
-      near: (n,), NaN where there is none. given, away: see `starts.start`.
-      k: int32, the number of the try. most: int32, looks. seed: int32.
+      near: (n,), NaN where there is none. given (n,), away: see `starts.start`.
+      k: int32, the number of the try. most: int32, looks.
     """
     low, high = terms.box(jnp.where(jnp.isnan(near), 0.0, near))
-    q = start(chain, task, starts, target, given, away, low, high, k, seed)
-    return descend(chain, task, terms, q, target, near, most, is_free(k))
+    q = start(chain, task, starts, target, near, given, away, low, high, k)
+    return descend(chain, task, terms, q, target, near, most)
 
 
 def tips(chain, task, q):
@@ -172,75 +173,64 @@ def tips(chain, task, q):
 
 
 def along(chain, task, terms: Terms, target, near):
-    """Go along targets (N, t), plainly from each answer to the next one, until there is none that is CLOSE.
+    """Go along targets (N, t), plainly from each answer to the next one.
 
-    Returns: rows (N, width); of targets beyond that one they mean nothing.
+    Returns: rows (N, width); those after the first that is no answer, or not CLOSE, mean nothing.
     """
 
-    def once(carry, target):
-        near, going = carry
-        row = descend(chain, task, terms, near, target, near, jnp.where(going, PLAIN, 0).astype(np.int32), False)
-        made = row_of(row, chain.n)
-        going = going & (made.status == ReachStatus.SOLVED) & (made.distance <= CLOSE)
-        return (jnp.where(going, made.q, near), going), row
+    def once(near, target):
+        row = descend(chain, task, terms, near, target, near, np.int32(PLAIN))
+        return row[: chain.n], row
 
-    return lax.scan(once, (near, jnp.bool_(True)), target)[1]
+    return lax.scan(once, near, target)[1]
 
 
 # --- for batches of NumPy's numbers -----------------------------------------------------------------------
 
 
-class Attempts:
-    """`attempt` for batches, with the starts of a chain."""
+def attempts(chain, task) -> Batches:
+    """Return `attempt` for batches, made once for a chain, a task's aims and the engine that is chosen."""
 
-    def __init__(self, chain, task):
-        n, t, f, i = chain.n, WIDTH * len(aims(task)), np.float64, np.int32
-        self.chain, self.task, self.kept, self.nowhere = chain, task, {}, np.full(n, np.nan)
-        self.terms = [jax.ShapeDtypeStruct(shape, f) for shape in ((n,), (n,), (), (2,), (task.m,), (t,), (n,))]
-        avals = [*(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in empty(chain, task)), *self.terms]
-        avals += [jax.ShapeDtypeStruct(*of) for of in (((n,), f), ((), f), ((), i), ((), i), ((), i))]
+    def flat(*args):
+        return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
 
-        def flat(*args):
-            return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
+    def make(chain):
+        starts = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in empty(chain, task)]
+        tried = [jax.ShapeDtypeStruct(*of) for of in (((chain.n,), float), ((), float), ((), np.int32), ((), np.int32))]
+        return Batches(flat, starts + _shared(chain, task) + tried)
 
-        self.starts, self.program = starts_of(chain, task), Batches(flat, avals)
+    return memoized(chain, f"_attempts_{_key(task)}", make)
 
-    def __call__(self, terms: Terms, pose, near, given, away, k, most, seed, pool=None) -> np.ndarray:
-        """Return the rows of tries k of targets (T, t), or of one target; see `attempt`.
 
-        Args: near, given: or None. pool: threads for more than a few tries.
-        """
-        bound = self.kept.get(id(terms))
-        if bound is None:
-            bound = self.kept[id(terms)] = self.program.bound(*self.starts, *terms), terms
-        near, given = self.nowhere if near is None else near, self.nowhere if given is None else given
-        return bound[0]((pose, near, given, away, k, most, seed), len(k), pool)
+def ahead(chain, task) -> Batches:
+    """Return `along` for AHEAD targets, made once as `attempts` are."""
 
-    def along(self, terms: Terms, count):
-        """Return `along` for `count` targets."""
-        *shared, target, near = self.terms
+    def flat(*args):
+        return along(chain, task, Terms(*args[:5]), *args[5:])
 
-        def flat(*args):
-            return along(self.chain, self.task, Terms(*args[:5]), *args[5:])
+    def make(chain):
+        *terms, target, near = _shared(chain, task)
+        return Batches(flat, [*terms, jax.ShapeDtypeStruct((AHEAD, *target.shape), float), near], single=True)
 
-        avals = [*shared, jax.ShapeDtypeStruct((count, *target.shape), target.dtype), near]
-        program = memoized(self, f"_along_{count}", lambda _: Batches(flat, avals, single=True))
-        return program.bound(*terms)
+    return memoized(chain, f"_ahead_{_key(task)}", make)
+
+
+def _shared(chain, task):
+    n, shapes = chain.n, ((), (2,), (task.m,), (WIDTH * len(aims(task)),))
+    return [jax.ShapeDtypeStruct(shape, float) for shape in ((n,), (n,), *shapes, (n,))]
+
+
+def _key(task):
+    return f"{told_apart(task)}_{task.weights is None}_{in_c()}"
 
 
 def starts_of(chain, task) -> Starts:
     """Return the starts of a chain, made once for it and a task's aims."""
 
     def make(chain):
-        q = jax.ShapeDtypeStruct((chain.n,), np.float64)
+        q = jax.ShapeDtypeStruct((chain.n,), float)
         with jax.ensure_compile_time_eval():
             call = Batches(functools.partial(tips, chain, task), [q]).bound()
             return binned(chain, task, lambda q: call((q,), len(q)))
 
     return memoized(chain, f"_starts_{told_apart(task)}", make)
-
-
-def attempts(chain, task) -> Attempts:
-    """Return the tries of a chain, made once for it, a task's aims and the engine that is chosen."""
-    name = f"_attempts_{told_apart(task)}_{task.weights is None}_{in_c()}"
-    return memoized(chain, name, lambda chain: Attempts(chain, task))

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.reference import Reference, References
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.result import Reached, from_rows
-from cnclik.reaching.search import path, search_of
-from cnclik.reaching.several import most_at_once, several
+from cnclik.reaching.search import Targets, path, search_of
+from cnclik.reaching.several import AT_ONCE, MOST_DRAWN, several
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
-from cnclik.reaching.units import nearer
 from cnclik.record import ArrayLike, Float
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
-from cnclik.task.task import Task, aims
+from cnclik.task.task import Task
 
 POOL, REPORTED = 1 << 17, 1 << 13  # targets of one search, as it needs memory, and with progress
 
@@ -29,39 +27,35 @@ POOL, REPORTED = 1 << 17, 1 << 13  # targets of one search, as it needs memory, 
 @np.errstate(over="ignore", invalid="ignore")  # by targets far beyond any robot, whose status reports it
 def reach(
     chain: Chain,
-    targets: PoseLike | tuple[ArrayLike | None, ArrayLike | None] | Mapping[str, Any] | Reference | References,
+    targets: PoseLike | tuple[ArrayLike | None, ArrayLike | None] | Mapping[str, Any],
     *,
     task: str | Task = "pose",
     tolerance: ArrayLike = (1e-6, 1e-6),
-    accept: ArrayLike | None = None,
     near: Float[ArrayLike, "*B n"] | str | None = None,
     jump: float | None = None,
     solutions: int = 1,
     seeds: int = 512,
     limits: bool = True,
-    explain: bool = True,
-    seed: int = 0,
     progress: Callable[[int, int], object] | None = None,
 ) -> Reached:
     """Find joint values that put the tip, or several tips, at each of some targets, or the reason why there are none.
 
     Called with numbers it works in float64, whatever JAX's setting, on all cores, and returns NumPy arrays; the same
     numbers give the same answers. With a C compiler the search is native code, which is built at the first call for a
-    chain, in about a second; otherwise, and for few targets of a process's seventeenth chain, JAX's programs do the
-    same to rounding, several times more slowly. Under jit, vmap and grad it is a pure function in JAX's dtype; in
-    float32 the tolerance is at least 1e-5. Derivatives with respect to targets and geometry are those of the implicit
-    function theorem, dq = J# de, with joints at their limits held constant.
+    chain, in about a second; otherwise JAX's programs do the same to rounding, several times more slowly. Under jit,
+    vmap and grad it is a pure function in JAX's dtype; in float32 the tolerance is at least 1e-5. Derivatives with
+    respect to targets and geometry are those of the implicit function theorem, dq = J# de, with joints at their limits
+    held constant.
 
     Args:
       chain: the robot.
       targets: one target, or several along a first axis: 4×4 transforms; position and quaternion [x, y, z, w, x, y, z];
         positions (3,) for a position task, or the coordinates alone that it has, such as (2,) for xy; rotations (3, 3)
         or quaternions (4,) for an orientation task; a `Pose`; or a pair (positions, rotations). [m] For several tips a
-        dict of such targets by the names of a stack's tasks, or of the tips; or constant `references`. One target may
-        be shared by a batch of others.
+        dict of such targets by the names of a stack's tasks, or of the tips. One target may be shared by a batch of
+        others.
       task: "pose", "position", "orientation" or a `Task` of tips; its weights define the nearest pose.
-      tolerance: tolerance of position [m] and orientation [rad] for which the search aims.
-      accept: a wider pair; an answer within it that misses `tolerance` is ACCEPTED.
+      tolerance: tolerance of position [m] and orientation [rad].
       near: joint values (n,) or (B, n) from which to search, such as the present ones, within the limits or not;
         "previous" for a path: each target from the answer before it, the first one from a default posture.
       jump: largest distance of any joint from `near` [rad, m]; where all answers are farther away the status is JUMP.
@@ -73,48 +67,40 @@ def reach(
         found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is reported; with fewer it is OUT_OF_BUDGET.
       limits: whether to keep the chain's joint limits. A joint that can turn more than once is given in the turn that
         is nearest to `near` or 0.
-      explain: whether to find the reason and the nearest pose where there is no answer, which is most of the work for
-        such a target. Otherwise its status is OUT_OF_BUDGET, or OUT_OF_REACH beyond the stretched arm, without joint
-        values.
-      seed: seed of the start postures.
       progress: called as progress(done, total).
 
     Returns: `Reached`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    asked = asked_of(chain, task, tolerance, accept, jump, seeds, seed, limits, explain)
+    asked = asked_of(chain, task, tolerance, jump, seeds, limits)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
     errors.progress(progress)
     pose, alone = read(targets, asked.task)
     known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
-    previous = isinstance(near, str)
+    previous, begin = isinstance(near, str), cast(Any, None)
     if previous:
         errors.one_of("near", near, ("previous",))
-    elif near is None and jump is not None:
-        raise errors.fail("near", "be given with `jump`", "is not")
-    begin = None
-    if near is not None and not previous:
+    elif near is not None:
         begin = errors.array("near", near, (chain.n,), (len(pose), chain.n), finite=False)
         begin = (np if known else jnp).broadcast_to(begin, (len(pose), chain.n)).astype(pose.dtype)
-    if not known and (solutions > 1 or previous):
-        name, value = ("solutions", solutions) if solutions > 1 else ("near", near)
-        raise errors.fail(name, "be left out under jit, vmap and grad", f"is {value}")
+    elif jump is not None:
+        raise errors.fail("near", "be given with `jump`", "is not")
+    for name, refused in (("solutions", solutions > 1), ("near", previous)):
+        if refused and not known:
+            raise errors.fail(name, "be left out under jit, vmap and grad", "is given")
     if previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
-    given = {} if len(aims(asked.task)) < 2 else {"targets": pose[0] if alone else pose}
-    pose, moved = nearer(chain, pose, np if known else jnp)
     if not known:
         rows = traced(asked, pose, begin)
     elif previous:
         rows = path(search_of(asked), pose, progress)
     else:
-        rows, search, size = [], search_of(asked), POOL if progress is None else REPORTED
-        size = size if solutions == 1 else min(size, most_at_once(solutions))
+        rows, search, of, size = [], search_of(asked), Targets(pose, begin), POOL if progress is None else REPORTED
+        size = size if solutions == 1 else min(size, AT_ONCE // (MOST_DRAWN + solutions))
         for i in range(0, len(pose), size):
-            part = pose[i : i + size], None if begin is None else begin[i : i + size]
-            rows.append(several(search, *part, solutions) if solutions > 1 else search.rows(*part))
+            part = of.some(slice(i, i + size))
+            rows.append(several(search, part, solutions) if solutions > 1 else search.rows(part))
             if progress is not None:
                 progress(min(i + size, len(pose)), len(pose))
         rows = rows[0] if len(rows) == 1 else np.concatenate(rows)
-    rows = rows if moved is None else asked.farther(rows, moved, np if known else jnp)
-    return from_rows(chain, asked.task, rows[0] if alone else rows, solutions=solutions, **given)
+    return from_rows(chain, asked.task, rows[0] if alone else rows)

@@ -1,65 +1,56 @@
 """Search: tries for the targets that are still open, in rounds, around one compiled program.
 
 The first sixteen tries begin at postures whose tips are near the target. The first that arrives is the answer; with
-`near` it is the one nearest to that. Later rounds hold tries of four kinds, see `starts.origins`; the best of a round
+`near` it is the one nearest to that. Later rounds hold tries of three kinds, see `starts.origins`; the best of a round
 go on carefully. So an answer is its target's own, whatever is asked beside it.
 """
 
 import functools
-from concurrent.futures import Executor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cnclik.engine.plan import in_c
 from cnclik.reaching.asked import SURE, Asked
-from cnclik.reaching.descent import CAREFUL, CLOSE, DOWNHILL, FREE, PLAIN, Terms, attempts
-from cnclik.reaching.result import ReachStatus, row_of, width
-from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins, turned
+from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts, starts_of
+from cnclik.reaching.result import ReachStatus, blank, row_of, width
+from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins
 from cnclik.record import AnyArray, Float, memoized, replace
 from cnclik.robot.posture import start_posture
-from cnclik.threads import cores, side_by_side
 
 ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
 MANY = 512  # tries at once, at least, if there are as many
 AT_ONCE = 1 << 15  # tries at once, at most
 CLOSER, LONGER = (0.3, 2e-2), (4, 16)  # [rad, units] a target missed by less gets so many times the tries
-ANEW = 512  # tries after which the islands are left for others
-AHEAD = 64  # targets that one call goes along a path
 FREELY, NEAREST = 128, 64  # tries without limits, and descents to the nearest pose
 
 
 class Stage(NamedTuple):
     """Some tries of a search, and the targets that they are for."""
 
-    terms: Terms
+    terms: Any  # of the descents: numbers, or a program that is bound to them
     first: int  # number of the first try
     last: int  # and one more than that of the last one
     less: float = np.inf  # for targets missed by less
     status: int = 0  # what an answer means, of a search beyond `jump` or the limits
-    sure: bool = True  # for those alone of which enough was tried
-    far: bool = False  # also for those farther off than the arm is long
     downhill: bool = False  # whether the tries go to the nearest pose, the first ones from the best postures so far
 
 
 def stages(asked: Asked, xp=np) -> list:
     """Return the stages of a search, in order."""
-    seeds, own = int(asked.seeds), asked.terms(xp=xp)
-    four, sixteen = (times * seeds for times in LONGER)
-    made = [Stage(own, 0, min(ROUND, seeds), sure=False, far=asked.downhill), Stage(own, ROUND, seeds, sure=False)]
-    nearest = Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, sure=False, far=True, downhill=True)
-    made += [nearest] * asked.downhill
-    if not asked.explain:
+    seeds, own, begun = asked.seeds, asked.terms(xp=xp), asked.seeds
+    nearest = Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, downhill=True)
+    made = [Stage(own, 0, min(ROUND, seeds)), Stage(own, ROUND, seeds), nearest]
+    if seeds < SURE:
         return made
-    made += [Stage(own, seeds, four, CLOSER[0]), Stage(own, four, sixteen, CLOSER[1])]
-    made.append(nearest._replace(last=ISLANDS, less=CLOSER[0], sure=True, far=False))
-    wide = [(ReachStatus.JUMP, asked.terms(jump=False, xp=xp), four)] * (asked.jump is not None)
-    bounded = bool(np.isfinite(asked.limited()).any())
-    for status, terms, last in wide + [(ReachStatus.AT_LIMIT, asked.terms(limits=False, xp=xp), FREELY)] * bounded:
-        made.append(Stage(terms, 0, last, status=int(status)))
-        if last > FREELY:
-            made.append(Stage(terms, four, sixteen, CLOSER[1], int(status)))
-        made.append(Stage(terms, 0, ISLANDS, CLOSER[0], int(status), downhill=True))
+    for less, times in zip(CLOSER, LONGER, strict=True):
+        made.append(Stage(own, begun, times * seeds, less))
+        begun = times * seeds
+    made.append(nearest._replace(last=ISLANDS, less=CLOSER[0]))
+    if asked.jump is not None:
+        made.append(Stage(asked.terms(jump=False, xp=xp), 0, seeds, status=int(ReachStatus.JUMP)))
+    if np.isfinite(asked.limited()).any():
+        made.append(Stage(asked.terms(limits=False, xp=xp), 0, FREELY, status=int(ReachStatus.AT_LIMIT)))
     return made
 
 
@@ -77,81 +68,57 @@ def nothing(shape, n, xp=np, dtype=float) -> Found:
     return Found(rows, xp.zeros((*shape, ISLANDS, n), dtype), xp.full((*shape, ISLANDS), np.inf, dtype))
 
 
-def blank(n) -> np.ndarray:
-    """Return the row of a try that was not made."""
-    return np.append(np.zeros(2 * n), [int(ReachStatus.OUT_OF_BUDGET), np.inf, np.inf, 0.0, np.nan, np.inf, np.inf])
-
-
 def winners(block, n, near, first, xp=np) -> tuple:
-    """Return the winning rows (..., width) of tries (..., W, width), with the looks they took, and which are answers.
+    """Return the winning rows (..., width) of tries (..., W, width), and which of them are answers.
 
     Args:
       near: whether the nearest answer wins, and not the first one.
       first: whether the first of them is the search's first, which then wins at once where it is CLOSE.
     """
     row = row_of(block, n)
-    solved, looks = row.status == ReachStatus.SOLVED, xp.cumsum(row.evaluations, axis=-1)
-    found = at_once = solved.any(axis=-1)
+    solved = row.status == ReachStatus.SOLVED
     won = xp.argmax(solved, axis=-1)
     if near:
         at_once = first & solved[..., 0] & (row.distance[..., 0] <= CLOSE)
         won = xp.where(at_once, 0, xp.argmin(xp.where(solved, row.distance, np.inf), axis=-1))
-    counted = xp.where(at_once, of_each(looks, won, xp), looks[..., -1])
-    return with_looks(of_each(block, won, xp), n, counted, xp), found
+    return of_each(block, won, xp), solved.any(axis=-1)
 
 
-def of_each(values, index, xp=np):
-    """Return an entry of each target's values: of (B, W, ...) and indices (B,), or while traced of (W, ...) and one."""
-    return values[np.arange(len(values)), index] if xp is np else values[index]
+def of_each(rows, index, xp=np):
+    """Return one row (..., width) of each target's (..., W, width)."""
+    return xp.take_along_axis(rows, index[..., None, None], -2)[..., 0, :]
 
 
-def with_looks(rows, n, looks, xp=np):
-    """Return the rows, in NumPy the same ones, with another number of evaluations."""
-    if xp is not np:
-        return rows.at[..., 2 * n + 3].set(looks)
-    rows[..., 2 * n + 3] = looks
-    return rows
+def wanted(asked, stage: Stage, row, far, why, xp=np):
+    """Return which targets (...,) need a stage: those too far off for the arm its first tries, and the nearest pose."""
+    near = xp.isinf(stage.less) | (asked.squares(row, xp) < stage.less**2)
+    return (row.status != ReachStatus.SOLVED) & (why == 0) & near & (~far | (stage.first + stage.status == 0))
 
 
-def wanted(asked, stage: Stage, found: Found, beyond: Found, far, sure, why, xp=np):
-    """Return which targets (...,) need a stage of a search."""
-    row = row_of(found.rows, asked.chain.n)
-    missed = xp.where(stage.status, xp.min(beyond.costs, axis=-1), asked.squares(row, xp))
-    unsolved = (row.status != ReachStatus.SOLVED) & (why == 0) & (sure | xp.logical_not(stage.sure))
-    return unsolved & (xp.isinf(stage.less) | (missed < stage.less**2)) & (~far | stage.far)
-
-
-def advanced(stage: Stage, found: Found, k, inside, tried, block=None, xp=np) -> Found:
+def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> Found:
     """Return what was found, after tries k (W,) of a stage, and the careful ones that follow.
 
-    Args: inside: `near` within the limits, or None. tried: makes tries, see `Search.tried`. block: those already made.
+    Args: near: whether there is one. tried: makes tries, see `Search.tried`. block: those already made.
     """
-    n, island, first = found.places.shape[-1], island_of(k), (k[0] == 0) & xp.logical_not(stage.downhill)
+    n, island, uphill = found.places.shape[-1], island_of(k), xp.logical_not(stage.downhill)
     if block is None:
-        number, given, away = origins(k, stage.downhill, inside, found.places, found.costs, xp)
-        block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(stage.downhill, DOWNHILL, PLAIN))
+        number, given, away = origins(k, stage.downhill, found.places, found.costs, xp)
+        block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(uphill, PLAIN, DOWNHILL))
     row = row_of(block, n)
-    none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & xp.logical_not(stage.downhill)
+    none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & uphill
     better = xp.isfinite(row.cost) & ((k % 2 == 1) | (row.cost < found.costs[..., island]))
-    careful = none & (better | (row.status == FREE))
-    again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(careful, CAREFUL, 0))
+    again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(none & better, CAREFUL, 0))
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
-    rows, solved = winners(both, n, inside is not None, first, xp)
+    rows, solved = winners(both, n, near, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
     nearest = of_each(both, xp.argmin(row.cost, axis=-1), xp)
     nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
-    looks = row_of(found.rows, n).evaluations + row_of(rows, n).evaluations
     rows = xp.where(solved[..., None], rows, xp.where(nearer[..., None], nearest, found.rows))
     mine = np.arange(ISLANDS)[:, None] == xp.concatenate([np.arange(ISLANDS), island])
     costs = xp.concatenate([found.costs, row.cost], axis=-1)
     best = xp.argmin(xp.where(mine, costs[..., None, :], np.inf), axis=-1)
     places = xp.take_along_axis(xp.concatenate([found.places, row.q], axis=-2), best[..., None], -2)
-    return Found(with_looks(rows, n, looks, xp), places, xp.take_along_axis(costs, best, -1))
-
-
-def begins_anew(k):
-    """Return whether the islands are left for others before try k."""
-    return (k >= ANEW) & (k % ANEW < WIDEST)
+    return Found(rows, places, xp.take_along_axis(costs, best, -1))
 
 
 class Targets(NamedTuple):
@@ -159,50 +126,33 @@ class Targets(NamedTuple):
 
     pose: Float[np.ndarray, "B t"]
     near: Float[np.ndarray, "B n"] | None
-    inside: Float[np.ndarray, "B n"] | None  # `near`, turned into the limits
-    pool: Executor | None = None  # threads for more than a few tries
 
     def some(self, ids):
         """Return some of them, or each several times."""
-        return Targets(*(None if v is None else v[ids] for v in self[:3]), self.pool)
+        return Targets(self.pose[ids], None if self.near is None else self.near[ids])
 
 
 class Search:
     """The search for a chain's targets, with all that they share; made once for an `Asked`."""
 
     def __init__(self, asked: Asked):
-        self.asked, self.attempts = asked, attempts(asked.chain, asked.task)
-        self.n, self.stages, self.wide = asked.chain.n, stages(asked), asked.terms(limits=False)
+        chain, task = asked.chain, asked.task
+        bound, starts = attempts(chain, task).bound, starts_of(chain, task)
+        self.asked, self.n, self.nowhere = asked, chain.n, np.full(chain.n, np.nan)
+        self.stages = [stage._replace(terms=bound(*starts, *stage.terms)) for stage in stages(asked)]
+        self.wide = bound(*starts, *asked.terms(limits=False))
 
-    def targets(self, pose, near) -> Targets:
-        """Return targets (B, t), near (B, n) or None, as the search takes them."""
-        turn = np.array(self.asked.chain.periodic), *self.asked.limited()
-        return Targets(pose, near, None if near is None else turned(near, near, *turn))
-
-    def rows(self, pose, near) -> np.ndarray:
-        """Return the rows (B, width) of targets (B, t), near (B, n) or None."""
-        of = self.targets(pose, near)
-        if len(pose) * ROUND <= MANY or cores() == 1:
-            return self.found(of)
-        with side_by_side() as pool:
-            return self.found(of._replace(pool=pool))
-
-    def found(self, of: Targets) -> np.ndarray:
-        """Return the rows of targets."""
-        asked, finite = self.asked, self.asked.finite(*of[:2])
-        usable = finite if asked.downhill else finite & ~asked.too_far(of.pose)  # nothing is tried for the others
-        if not usable.all():
-            rows = asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), finite, False, 0, True)
-            if usable.any():
-                rows[usable] = self.found(of.some(usable))
+    def rows(self, of: Targets) -> np.ndarray:
+        """Return the rows (B, width) of targets."""
+        finite = self.asked.finite(*of)
+        if not finite.all():
+            rows = self.asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), False, 0, False)
+            if finite.any():
+                rows[finite] = self.rows(of.some(finite))
             return rows
         rows, block, left = self.first(of)
         if len(left):
             rows[left] = self.rest(of.some(left), block)
-        if asked.jump is not None:  # of answers at once: where `near` is outside the limits
-            row = row_of(rows, self.n)
-            gone = (row.status <= ReachStatus.ACCEPTED) & asked.away(row)
-            rows[gone] = asked.concluded(rows[gone], True, False, 0, False)
         return rows
 
     def first(self, of: Targets) -> tuple:
@@ -210,73 +160,59 @@ class Search:
 
         Returns: rows (B, width); the tries (K, W, width) of targets that have no answer; the indices of these.
         """
-        n, count, near, ids = self.n, min(ROUND, int(self.asked.seeds)), of.near is not None, np.arange(len(of.pose))
-        rows, block, k = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n))), 0
-        while len(ids) and k < count:
-            one, of_ = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
+        n, count, near, ids = self.n, min(ROUND, self.asked.seeds), of.near is not None, np.arange(len(of.pose))
+        rows, block = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n)))
+        while len(ids) and (k := block.shape[1]) < count:
+            one, part = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
             order = np.arange(k, k + 1 if one else count)
-            _, given, away = origins(order, False, of_.inside, *nothing((), n)[1:]) if near else (0, None, 0.0 * order)
-            tries = self.tried(of_, self.stages[0].terms, given, away, order, PLAIN)
-            block, k = tries if k == 0 else np.concatenate([block, tries], axis=1), order[-1] + 1
-            if one:
-                made, row = tries[:, 0], row_of(tries[:, 0], n)
-                solved = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE if near else True)
-                made = with_looks(made[solved], n, row_of(block[solved], n).evaluations.sum(axis=1))
-            else:
-                made, solved = winners(block, n, near, first=True)
-                made = made[solved]
-            rows[ids[solved]] = made
+            tries = self.tried(part, self.stages[0].terms, None, 0.0 * order, order, PLAIN)
+            block = np.concatenate([block, tries], axis=1) if k else tries
+            made, solved = winners(block if near else tries, n, near, first=True)
+            if near and one:
+                solved &= row_of(made, n).distance <= CLOSE
+            rows[ids[solved]] = made[solved]
             ids, block = ids[~solved], block[~solved]
         return rows, block, ids
 
     def rest(self, of: Targets, block) -> np.ndarray:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
-        asked, n, K = self.asked, self.n, len(of.pose)
-        far, order = asked.too_far(of.pose), np.arange(block.shape[1])
-        tried = functools.partial(self.tried, of)
-        found = beyond = advanced(self.stages[0], nothing((K,), n), order, of.inside, tried, block)
-        sure, why = np.zeros(K, bool), np.zeros(K, int)
-        for i, stage in enumerate(self.stages[1:]):
-            if stage.status and not (stage.first or stage.downhill):
-                beyond = nothing((K,), n)
-            ids = np.flatnonzero(wanted(asked, stage, found, beyond, far, sure, why))
-            self.stage(stage, beyond if stage.status else found, ids, of)
-            if i == 0:
-                sure = (asked.seeds >= SURE) & ~far
+        asked, n, K, tried = self.asked, self.n, len(of.pose), functools.partial(self.tried, of)
+        far, why, order = asked.too_far(of.pose), np.zeros(K, int), np.arange(block.shape[1])
+        found = advanced(self.stages[0], nothing((K,), n), order, of.near is not None, tried, block)
+        for stage in self.stages[1:]:
+            ids = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
+            into = nothing((K,), n) if stage.status else found
+            self.stage(stage, into, ids, of)
             if stage.status:
-                why[ids] = asked.meaning(stage.status, row_of(beyond.rows[ids], n))
-        return asked.concluded(found.rows, True, sure, why, far)
+                why[ids] = asked.meaning(stage.status, into.rows[ids], into.costs[ids].min(axis=1))
+        return asked.concluded(found.rows, True, why, far)
 
     def stage(self, stage: Stage, found: Found, ids, of: Targets) -> None:
         """Put what comes of a stage's tries for some targets into what was found."""
         k = stage.first
         while len(ids) and k < stage.last:
             count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
-            if not stage.downhill and begins_anew(k):
-                found.costs[ids] = np.inf
             for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
-                own, before = of.some(some), Found(*(v[some] for v in found))
-                tried = functools.partial(self.tried, own)
-                made = advanced(stage, before, k + np.arange(count), own.inside, tried)
+                tried, before = functools.partial(self.tried, of.some(some)), Found(*(v[some] for v in found))
+                made = advanced(stage, before, k + np.arange(count), of.near is not None, tried)
                 for whole, part in zip(found, made, strict=True):
                     whole[some] = part
             ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
 
-    def tried(self, of: Targets, terms, given, away, k, most) -> np.ndarray:
+    def tried(self, of: Targets, call, given, away, k, most) -> np.ndarray:
         """Return the rows (B, W, width) of tries k (W,), see `descent.attempt`; blank ones where `most` is 0."""
-        shape = len(of.pose), len(k)
+        shape, near = (len(of.pose), len(k)), self.nowhere if of.near is None else of.near
+        given = self.nowhere if given is None else given
         if shape[0] == 1 and np.ndim(most) == 0:  # as a control loop asks for one target: quicker
-            near = None if of.near is None else of.near[0]
-            given = given if given is None else given.reshape(-1, self.n)
-            return self.attempts(terms, of.pose[0], near, given, away, k, most, self.asked.seed)[None]
+            near, given = near.reshape(self.n), given[0] if given.ndim > 2 else given
+            return call((of.pose[0], near, given, away, k, most), len(k))[None]
         most = np.broadcast_to(most, shape)
         ids, which = np.nonzero(most)
         if not len(ids):
             return np.tile(blank(self.n), (*shape, 1))
-        given = None if given is None else np.broadcast_to(given, (*shape, self.n))[ids, which]
-        targets = of if shape[1] == 1 and len(ids) == shape[0] else of.some(ids)
-        numbers = away[which], k[which], most[ids, which]
-        made = self.attempts(terms, targets.pose, targets.near, given, *numbers, self.asked.seed, pool=of.pool)
+        given = np.broadcast_to(given, (*shape, self.n))[ids, which] if given.ndim > 1 else given
+        near = near[ids] if near.ndim > 1 else near
+        made = call((of.pose[ids], near, given, away[which], k[which], most[ids, which]), len(ids))
         if len(ids) == shape[0] * shape[1]:
             return made.reshape(*shape, made.shape[-1])
         rows = np.tile(blank(self.n), (*shape, 1))
@@ -291,15 +227,14 @@ def path(search: Search, pose, progress=None) -> np.ndarray:
     """
     asked, n, B = search.asked, search.n, len(pose)
     free = search if asked.jump is None else Search(replace(asked, jump=None))
-    along = search.attempts.along(search.stages[0].terms, AHEAD)
+    along = ahead(asked.chain, asked.task).bound(*asked.terms())
     rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
     while k < B:
-        rows[k] = (search if k else free).rows(pose[k : k + 1], q[None])[0]
+        rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], np.asarray(q)[None]))[0]
         row, k = row_of(rows[k], n), k + 1
-        q, count = row.q if row.status <= ReachStatus.ACCEPTED else q, AHEAD
+        q, count = row.q if row.status == ReachStatus.SOLVED else q, AHEAD
         while k < B and count == AHEAD:
-            ahead = pose[np.minimum(np.arange(k, k + AHEAD), B - 1)]
-            made = along((ahead, q), 1)[0, : B - k]
+            made = along((pose[np.minimum(np.arange(k, k + AHEAD), B - 1)], q), 1)[0, : B - k]
             row = row_of(made, n)
             close = (row.status == ReachStatus.SOLVED) & (row.distance <= CLOSE)
             count = len(made) if close.all() else int(np.argmin(close))

@@ -2,39 +2,34 @@
 
 import numpy as np
 
-from cnclik.reaching.descent import CAREFUL, FREE
-from cnclik.reaching.result import ReachStatus, row_of
-from cnclik.reaching.search import Search, Targets, blank
+from cnclik.reaching.descent import CAREFUL
+from cnclik.reaching.result import ReachStatus, blank, row_of
+from cnclik.reaching.search import Search, Targets
 from cnclik.reaching.starts import spans, turned
 
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] answers differ by more in some joint; of a redundant arm
 DRAWN, MOST_DRAWN = 4, 64  # tries in the first round; each round has twice as many
-EDGE = 1e-3  # [rad, m] an answer beyond a bound by less may be one at it
 PATIENCE = 64  # the search ends after so many tries without a new answer, plus twice the tries before the last one
 AT_ONCE = 1 << 16  # answers compared at once
 
 
-def most_at_once(solutions) -> int:
-    """Return the number of targets that may be asked at once."""
-    return AT_ONCE // (MOST_DRAWN + solutions)
-
-
-def several(search: Search, pose, near, solutions) -> np.ndarray:
-    """Return rows (B, solutions, width) of targets (B, t): the nearest ones first; NO_OTHER where there are fewer.
+def several(search: Search, of: Targets, solutions) -> np.ndarray:
+    """Return rows (B, solutions, width) of targets: the nearest ones first; NO_OTHER where there are fewer.
 
     Tries go on until each target has as many answers as are wanted, or none has been new for long.
     """
-    of, first = search.targets(pose, near), search.rows(pose, near)
+    first = search.rows(of)
     n, B = search.n, len(first)
-    found = np.concatenate([first[:, None], np.tile(_no_other(n), (B, solutions - 1, 1))], axis=1)
-    count = (row_of(first, n).status <= ReachStatus.ACCEPTED).astype(int)
+    no_other = blank(n) + np.where(np.arange(len(blank(n))) < n + 3, np.nan, 0.0)
+    no_other[n] = int(ReachStatus.NO_OTHER)
+    found = np.concatenate([first[:, None], np.tile(no_other, (B, solutions - 1, 1))], axis=1)
+    count = (row_of(first, n).status == ReachStatus.SOLVED).astype(int)
     newest, done, size, left = np.zeros(B, int), 0, DRAWN, np.flatnonzero(count)
     while len(left):
         own = of.some(left)
-        best, there = _nearest(
-            search.asked, np.concatenate([found[left], _drawn(search, own, done, size)], 1), own.near
-        )
-        found[left] = np.where((np.arange(solutions) < there[:, None])[..., None], best[:, :solutions], _no_other(n))
+        every = np.concatenate([found[left], _drawn(search, own, done, size)], axis=1)
+        best, there = _nearest(search.asked, every, own.near)
+        found[left] = np.where((np.arange(solutions) < there[:, None])[..., None], best[:, :solutions], no_other)
         there = np.minimum(there, solutions)
         done, size = done + size, min(2 * size, MOST_DRAWN)
         newest[left] = np.where(there > count[left], done, newest[left])
@@ -43,44 +38,20 @@ def several(search: Search, pose, near, solutions) -> np.ndarray:
     return found
 
 
-def _no_other(n):
-    row = blank(n)
-    made = row_of(row, n)
-    made.q[:] = made.position_error[...] = made.orientation_error[...] = np.nan
-    made.status[...] = int(ReachStatus.NO_OTHER)
-    return row
-
-
 def _drawn(search, of: Targets, k, size):
-    """Return the rows (B, size, width) of tries from number k on.
-
-    Where there are no more joints than coordinates they are free of all bounds: those that arrive within them count.
-    """
-    asked, n, B = search.asked, search.n, len(of.pose)
-    each, own = of.some(np.repeat(np.arange(B), size)), search.stages[0].terms
-    wide, k, none = n <= asked.task.m, np.arange(k, k + size), np.zeros(size)
-    rows = search.tried(of, search.wide if wide else own, None, none, k, CAREFUL).reshape(B * size, -1)
-    row = row_of(rows, n)
-    again = row.status == FREE
-    if wide:
-        around = 0.0 if each.near is None else np.where(np.isfinite(own.jump), each.near, 0.0)
-        low, high = np.maximum(own.lower, around - own.jump), np.minimum(own.upper, around + own.jump)
-        about = 0.0 if each.near is None else each.near
-        row.q[:] = turned(row.q, about, np.array(asked.chain.periodic), low, high)
-        beyond = np.max(np.maximum(low - row.q, row.q - high), axis=1)
-        again = (row.status == ReachStatus.SOLVED) & (beyond < EDGE)
-        row.status[:] = int(ReachStatus.OUT_OF_BUDGET)
-    ids = np.flatnonzero(again)
-    given = row.q[ids][:, None]
-    rows[ids] = search.tried(each.some(ids), own, given, none[:1], np.array([-1]), CAREFUL)[:, 0]
-    return rows.reshape(B, size, -1)
+    """Return the rows (B, size, width) of tries from number k on: free of all bounds, then from there within them."""
+    asked, k, none = search.asked, np.arange(k, k + size), np.zeros(size)
+    row = row_of(search.tried(of, search.wide, None, none, k, CAREFUL), search.n)
+    about = 0.0 if of.near is None else of.near[:, None]
+    q = turned(row.q, about, np.array(asked.chain.periodic), *asked.limited())
+    return search.tried(of, search.stages[0].terms, q, none, 0 * k - 1, (row.status == ReachStatus.SOLVED) * CAREFUL)
 
 
 def _nearest(asked, rows, near):
     """Return rows (B, K, width) with those of different answers first, the nearest first, and how many these are."""
     row = row_of(rows, asked.chain.n)
     around = sum(spans(asked.chain)) / 2 if near is None else near[:, None]
-    usable = row.status <= ReachStatus.ACCEPTED
+    usable = row.status == ReachStatus.SOLVED
     away = np.max(np.abs(row.q - around), axis=2, where=usable[..., None], initial=0.0)
     order = np.argsort(np.where(usable, away, np.inf), axis=1, kind="stable")
     q, taken = np.take_along_axis(row.q, order[..., None], axis=1), np.take_along_axis(usable, order, axis=1)

@@ -12,6 +12,7 @@ import numpy as np
 
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import evenly
+from cnclik.robot.rotations import products_of_quaternion
 from cnclik.task.task import WIDTH, aims, owners
 
 COUNT = 1 << 17  # postures
@@ -20,7 +21,7 @@ BINNED = 16  # tries from the target's bin, at most; others start anywhere
 STRETCHES = np.array([1.0, 4.0, 8.0, 4.0])  # of those: some have most joints, or all, at limits
 ABOUT = 8  # tries about `near`; the last ones begin anywhere in the ranges of the joints
 ISLANDS = 8  # of the tries of a target
-SCATTERED = 0.3, 0.1  # ranges of the joints about a posture found
+SCATTERED = 0.2  # of the joints' ranges about a posture found
 
 
 class Starts(NamedTuple):
@@ -99,13 +100,12 @@ def _bin(aim, pose, lines, xp=jnp):
         number = put(number, (pose[..., axis] - lines[0, i]) * lines[1, i], shape[i])
     if len(aim.angular) < 3:
         return number
-    m = [pose[..., 3 + i] for i in range(9)]  # of the quaternion's products, the row of its largest component
-    a, b, c, d, e, f = m[7] - m[5], m[2] - m[6], m[3] - m[1], m[1] + m[3], m[2] + m[6], m[5] + m[7]
-    most, chart, rest = 1 + m[0] + m[4] + m[8], 0 * number, (a, b, c)
-    squares = 1 + m[0] - m[4] - m[8], 1 - m[0] + m[4] - m[8], 1 - m[0] - m[4] + m[8]
-    for k, (square, row) in enumerate(zip(squares, ((a, d, e), (b, d, f), (c, e, f)), strict=True), 1):
-        larger = square > most
-        most, chart = xp.where(larger, square, most), xp.where(larger, k, chart)
+    products = products_of_quaternion([[pose[..., 3 + 3 * i + j] for j in range(3)] for i in range(3)])
+    (most, *rest), chart = products[0], 0 * number
+    for k in (1, 2, 3):  # the row of the largest component
+        row = list(products[k])
+        larger = row[k] > most
+        most, chart = xp.where(larger, row.pop(k), most), xp.where(larger, k, chart)
         rest = [xp.where(larger, new, old) for new, old in zip(row, rest, strict=True)]
     number, most = number * 4 + chart, (TURNS / 2) / most
     for v in rest:
@@ -113,16 +113,21 @@ def _bin(aim, pose, lines, xp=jnp):
     return number
 
 
-def start(chain, task, starts: Starts, target, given, away, low, high, k, seed):
+def start(chain, task, starts: Starts, target, near, given, away, low, high, k):
     """Return the posture (n,) that try `k` (int32) of a target (t,) begins at.
 
-    Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. Else of a joint that would
-    begin beyond its bounds, its place in the range of the starts becomes its place between them: all that is between
-    them is tried, and not their corners alone. An answer with several joints at limits has few postures about it from
-    which a descent arrives, and most of them have joints there, too: so some starts are stretched about the middle.
+    Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. The first ABOUT tries
+    begin about `near` (n,) where that is not NaN, each one farther off than the one before; others of the first BINNED
+    in the target's bin. Else of a joint that would begin beyond its bounds, its place in the range of the starts
+    becomes its place between them: all that is between them is tried, and not their corners alone. An answer with
+    several joints at limits has few postures about it from which a descent arrives, and most of them have joints there,
+    too: so some starts are stretched about the middle.
     """
-    ends, own, base, where = spans(chain), owners(task, chain), 0, []
-    number, there = (k + seed).astype(np.uint32), ~jnp.isnan(given[0])
+    (least, most), own, base, where = spans(chain), owners(task, chain), 0, []
+    number, about = k.astype(np.uint32), jnp.isnan(given[0]) & (k < ABOUT)
+    inside = turned(near, near, np.array(chain.periodic), low, high, jnp)
+    given, away = jnp.where(about, inside, given), jnp.where(about, k / ABOUT, away).astype(target.dtype)
+    there = ~jnp.isnan(given[0])
     anywhere = number * np.uint32(2654435761) >> 15  # even (Knuth)
     for a, aim in enumerate(aims(task)):
         first = starts.first[base + _bin(aim, target[WIDTH * a : WIDTH * (a + 1)], starts.lines[a])]
@@ -130,18 +135,13 @@ def start(chain, task, starts: Starts, target, given, away, low, high, k, seed):
         where.append(jnp.where((k < BINNED) & ~there, binned, anywhere))
         base += math.prod(_shape(aim))
     drawn = jnp.stack([starts.postures[where[own[j]], j] for j in range(chain.n)]).astype(target.dtype)
-    middle, width = (ends[0] + ends[1]) / 2, np.maximum(ends[1] - ends[0], 1e-9)
-    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES)[(k.astype(np.uint32) // 4) % 4], 1.0)
-    bounded, stretch = jnp.isfinite(high - low), stretch.astype(target.dtype)
+    middle, width = (least + most) / 2, np.maximum(most - least, 1e-9)
+    stretch = jnp.where((k >= BINNED) & (k % 4 == 3), jnp.asarray(STRETCHES, target.dtype)[(number // 4) % 4], 1.0)
+    bounded = jnp.isfinite(high - low)
     beyond = ((drawn < low) | (drawn > high) | (stretch > 1)) & bounded
     between = low + jnp.where(bounded, high - low, 0.0) * (0.5 + stretch * (drawn - middle) * (1 / width))
     q = jnp.where(there, given + away * (drawn - middle), jnp.where(beyond, between, drawn))
     return jnp.clip(q, low, high)
-
-
-def is_free(k):
-    """Return whether a try is free of all bounds, and then begins again within them from where it arrives."""
-    return (k >= BINNED) & (k % 4 == 1)
 
 
 def island_of(k):
@@ -149,18 +149,15 @@ def island_of(k):
     return (k // ISLANDS + k) % ISLANDS
 
 
-def origins(k, downhill, near, places, costs, xp=np) -> tuple:
+def origins(k, downhill, places, costs, xp=np) -> tuple:
     """Return where tries k (W,) begin: their numbers (W,), `given` (..., W, n) and `away` (W,) of `start`.
 
-    The first ABOUT tries begin about `near` (..., n) or None, each one farther off than the one before; others of the
-    first BINNED in the target's bin. Of later ones every second begins about the best posture of its island so far, of
-    `places` (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as
-    tries from anywhere. The rest are free of all bounds, or stretched. Downhill, to the nearest pose, the first begin
-    at the best postures, the others anywhere, every second stretched.
+    After the first BINNED every second one begins about the best posture of its island so far, of `places`
+    (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as tries from
+    anywhere. Of the rest every second is stretched. Downhill, to the nearest pose, the first begin at the best
+    postures, the others anywhere, every second stretched.
     """
     island = island_of(k)
     by = xp.isfinite(costs[..., island]) & xp.where(downhill, k < ISLANDS, (k >= BINNED) & (k % 2 == 0))
-    given, about = xp.where(by[..., None], places[..., island, :], xp.nan), xp.logical_not(downhill) & (k < ABOUT)
-    given = given if near is None else xp.where(about[:, None], near[..., None, :], given)
-    away = xp.where(about, k / ABOUT, xp.where(downhill, 0.0, xp.where(k // 16 % 2 == 0, *SCATTERED)))
+    given, away = xp.where(by[..., None], places[..., island, :], xp.nan), xp.where(downhill, 0.0 * k, SCATTERED)
     return xp.where(downhill, BINNED + k // 2 * 4 + k % 2 * 3, k), given, away

@@ -10,14 +10,7 @@ from cnclik.writing import Refused, output_folder
 
 
 class FigureError(RuntimeError):
-    """Figures that could not be drawn, after all else was written; the message is one line fit for a terminal.
-
-    Attributes: written: names of those that could.
-    """
-
-    def __init__(self, message, written=()):
-        super().__init__(message)
-        self.written = list(written)
+    """Figures that could not be drawn, after all else was written; the message is one line fit for a terminal."""
 
 
 def load_ahead(*modules) -> None:
@@ -68,5 +61,5 @@ def draw(figures, path, *, name="out", again="", progress=None, overwrite=False)
     if failed:
         what = ", ".join(f"{file} ({errors.in_a_line(error)})" for file, error in failed.items())
         message = f"Not drawn: {what}; the data are kept in {path}{f', `{again}` draws again' if again else ''}."
-        raise FigureError(message, [f for f in figures if f not in failed]) from next(iter(failed.values()))
+        raise FigureError(message) from next(iter(failed.values()))
     return list(figures)

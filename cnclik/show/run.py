@@ -43,20 +43,6 @@ def plot(run: Trajectory, law: Law, kind: str = "overview") -> Figure:
         return draw(to_dataset(run, law), law.chain)
 
 
-def tuned(found):
-    """Draw the norms of the errors of a `Tuned`, before in grey and after."""
-    figure, panel = plt.subplots(figsize=(style.COLUMN, 2.4))
-    _draw_error(panel, to_dataset(found.after, found.law))
-    bottom, top = panel.get_ylim()
-    before = to_dataset(found.before, found.law)
-    for k, (_, norm) in enumerate(_norms(before)):
-        panel.plot(before.time, norm, color="0.7", linewidth=2.4, zorder=1, label="_" * bool(k) + "before")
-        top = max(top, 1.2 * np.nanmax(norm, initial=0.0))
-    panel.set(xlabel=_TIME, ylim=(bottom, top))
-    panel.legend(loc="best")
-    return figure
-
-
 def tip(data, chain):
     """Draw the paths of the tips and of their targets in space, or in the plane of a planar robot, at one scale."""
     motion, axes = motion_of(data, chain), "xy" if is_planar(chain) else "xyz"
@@ -109,23 +95,17 @@ def overview(data, chain):
 KINDS = {"overview": overview, "tip": tip}
 
 
-def _norms(data):
-    """Yield ((task, unit), norms of its error) of each part; what is 0 is NaN, as the axis is logarithmic."""
-    for task, unit, some in error_parts(data):
-        norm = np.linalg.norm(data.e.values[:, some], axis=1)
-        yield (task, unit), np.where(norm > 0, norm, np.nan)
-
-
 def _draw_error(panel, data):
     """Draw a line for positions and one for orientations, of each task in a colour of its own."""
-    tasks, norms = data.task.values.tolist() if "task" in data.coords else [], list(_norms(data))
-    for (task, unit), norm in norms:
+    tasks, norms = data.task.values.tolist() if "task" in data.coords else [], []
+    for task, unit, some in error_parts(data):
         label, look = _PARTS.get(unit, (f"[{unit}]", {"color": style.BLACK}))
         if task:
             look = style.series(tasks.index(task), marker="", linestyle=style.DASH if unit == "rad" else "-")
             label = f"{task} [{unit}]"
-        panel.plot(data.time, norm, label=label, **look)
-    style.log_errors(panel, [norm for _, norm in norms])
+        norms.append(np.linalg.norm(data.e.values[:, some], axis=1))
+        panel.plot(data.time, np.where(norms[-1] > 0, norms[-1], np.nan), label=label, **look)
+    style.log_errors(panel, norms)
     panel.set_ylabel(f"error ‖e‖ [{', '.join(dict.fromkeys(data.axis_unit.values))}]")
     panel.legend(loc="best")
 

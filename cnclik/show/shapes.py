@@ -12,8 +12,9 @@ from trimesh.creation import box, capsule, cylinder, icosphere
 
 from cnclik.reading import read_bytes
 from cnclik.robot.chain import PRISMATIC
+from cnclik.robot.files import is_mjcf
 from cnclik.robot.posture import arm_length
-from cnclik.robot.tree import BALL, is_mjcf, read_urdf
+from cnclik.robot.tree import BALL, read_urdf
 from cnclik.robot.urdf import chain as chain_of
 from cnclik.show import style
 from cnclik.show.motion import link_poses

@@ -17,8 +17,8 @@ from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
 from cnclik.problem.build import Problem
 from cnclik.robot import poses
+from cnclik.robot.files import file_of
 from cnclik.robot.posture import arm_length, is_planar
-from cnclik.robot.tree import file_of
 from cnclik.show import style
 from cnclik.show.motion import error_parts, motion_of
 

@@ -41,6 +41,7 @@ KINDS |= {"fixed": dict, "axes": dict, "units": dict, "figure": list}
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.OPTIONS
+WHOLE = {name for name, option in OPTIONS.items() if option.kind == options.INTEGER}
 DEFAULTS = options.DEFAULTS | {"delay": 0, "measurement_delay": 0}
 TIMED = {"lag", "natural_frequency", "cutoff"}  # options of a drive with which the largest stable z depends on Ts
 
@@ -148,6 +149,7 @@ class Loop(dict):
     def __init__(self, spec: Spec, values: dict):
         super().__init__()
         self.spec, self.begun = spec, []  # names whose values are being evaluated
+        self.counts = next((a.values for a in spec.axes if a.name == "M" and a.inner), None)
         self.given = DEFAULTS | spec.fixed
         for name, value in values.items():
             self.given |= spec.tables[name][value] if name in spec.tables else {name: value}
@@ -167,8 +169,13 @@ class Loop(dict):
 
     def _value(self, name, written):
         value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
-        if isinstance(value, float) and value.is_integer() and name in OPTIONS:
-            return int(value) if OPTIONS[name].kind == options.INTEGER else value
+        if (
+            isinstance(value, float)
+            and value.is_integer()
+            and name in OPTIONS
+            and OPTIONS[name].kind == options.INTEGER
+        ):
+            return int(value)
         return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
 
     def joints(self) -> int:
@@ -187,11 +194,8 @@ class Loop(dict):
                 made[name] = str(self.spec.file(written) or written)
         if "robot" not in made:
             raise errors.fail("robot", "be given in [fixed] or [axes]", "is not")
-        most = {} if (counts := self._counts()) is None else {"maximum": int(counts.max())}
+        most = {"maximum": int(self.counts.max())} if self.counts is not None else {}
         return problem_from(**made | {"stage": stage_from(made.pop("stage"), made.pop("M"), **most)})
-
-    def _counts(self):
-        return next((a.values for a in self.spec.axes if a.name == "M" and a.inner), None)
 
     def _limit(self):
         """Return linear theory's largest stable z, inf if there is none; for a traced M, from a table."""
@@ -201,9 +205,8 @@ class Loop(dict):
         of = functools.partial(_largest_z, self["method"], self["stage"], hashed, Ts)
         if errors.concrete(M := self["M"]):
             return of(int(M))
-        counts = self._counts()
-        table = np.full(max(counts) + 1, np.nan)
-        table[counts] = [of(int(m)) for m in counts]
+        table = np.full(self.counts.max() + 1, np.nan)
+        table[self.counts] = [of(int(m)) for m in self.counts]
         return jnp.asarray(table)[M]
 
 

@@ -62,7 +62,6 @@ for line in sys.stdin:
     elif verb == "many":
         made = ck.reach(chain, some(value), task=task)
         answer = {"s": spent() - begun, "q": made.q.tolist(), "status": made.status.tolist()}
-        answer["looks"] = float(made.evaluations.mean())
     else:
         for k in range(value):
             ck.reach(chain, one(k), task=task)
@@ -137,14 +136,14 @@ def measured(name, count, trees, rounds):
     own, status = last[0], np.array(last[0]["status"])
     right = "" if robot is None else f"{int(robot.right(np.array(own['q']), targets).sum()):,}"
     us = [f"{1e6 * statistics.median(times[:, k, 0]) / kind[1]:.3g}" for k, kind in enumerate(kinds)]
-    row = [name, f"{int((status == 0).sum()):,}", right, f"{own['looks']:.1f}", *us, f"{workers[0].first:.2f}"]
+    row = [name, f"{int((status == 0).sum()):,}", right, *us, f"{workers[0].first:.2f}"]
     if len(trees) > 1:
         ratios = [f"{statistics.median(times[:, k, 0] / times[:, k, 1]):.2f}" for k in range(len(kinds))]
         row += [f"{int((np.array(last[1]['status']) == 0).sum()):,}", *ratios, f"{workers[1].first:.2f}"]
     return row, (counts(status) if (status != 0).any() else None)
 
 
-COLUMNS = ["robot", "solved", "right by Pinocchio", "evaluations", "µs", "µs of 2000", "µs alone", "first call s"]
+COLUMNS = ["robot", "solved", "right by Pinocchio", "µs", "µs of 2000", "µs alone", "first call s"]
 MORE = ["solved before", "µs over before", "of 2000", "alone", "first call before s"]
 
 

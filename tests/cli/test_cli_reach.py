@@ -65,9 +65,9 @@ def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
     (tmp_path / "one.csv").write_text("0.5,1,0\n")
     main(["reach", ARM, str(tmp_path / "one.csv"), "--task", "xy", "--near", "1", "-1", "--solutions", "2"])
     shown = capsys.readouterr().out
-    assert shown.count("q1 ") == 2 and "rad" in shown and re.search(r"  error (zero|\S+ .?m); least singular", shown)
+    assert shown.count("q1 ") == 2 and "rad" in shown and re.search(r"  error (zero|\S+ .?m)\n", shown)
     main(["reach", ARM, "--target", "0", "1.8", "--task", "xy", "--near", "0", "0"])
-    assert re.search(r"1 target in \S+ s, 1 evaluation\n", capsys.readouterr().out)
+    assert re.search(r"1 target in \S+ s\n", capsys.readouterr().out)
 
 
 def test_a_path_with_a_jump(tmp_path, capsys):

@@ -1,5 +1,7 @@
 """`cnclik stability`: the table of gains and what it says, a robot, figures with their data, and bad input."""
 
+import dataclasses
+import json
 import re
 
 import numpy as np
@@ -48,6 +50,18 @@ def test_the_table_has_the_three_gains_and_those_of_explicit_euler(options, driv
     assert f"{1e3 * 0.1 * ours.response.lag:.3g} mm without feed-forward" in said
     assert f"a step does not overshoot and settles in {ours.response.settling_time:.3g} s" in said
     assert f"MoveIt Servo {euler.recommended:.4g} " in said and ("assumed" in said) == (drive is None)
+
+
+def test_json_has_the_same_numbers(capsys):
+    main(["stability", "--Ts", "10ms", "--delay", "3", "--lag", "20ms", "--alpha", "4", "50", "--json"])
+    said, gains = json.loads(capsys.readouterr().out), ck.gains(Ts=0.01, drive=ck.Drive(delay=3, lag=0.02))
+    assert [said[name] for name in GAINS] == [getattr(gains, name) for name in GAINS]
+    assert said["recommended_response"] == dataclasses.asdict(gains.response) and said["reason"] == gains.reason
+    assert said["explicit_euler"]["recommended"] == gains.by("EE").recommended
+    assert [(each["alpha"], each["stable"]) for each in said["alpha"]] == [(4.0, True), (50.0, False)]
+    assert said["elsewhere"]["pink"]["value"] == gains.elsewhere["pink"].value
+    with pytest.raises(SystemExit):
+        main(["stability", "--json", "--draw", "gains"])
 
 
 def test_unknown_drives_are_assumed_and_it_says_how_to_measure_them(capsys):

@@ -57,14 +57,12 @@ def test_every_answer_is_one(name):
         angle = np.arccos(np.clip((np.trace(rotation.T @ target[:3, :3]) - 1) / 2, -1, 1))
         assert away <= 1.0001e-6 and angle <= 2e-6  # arccos is good for 1e-8 there
         assert abs(away - error) < 1e-12 and abs(angle - turn) < 1e-6
-    assert made.evaluations.mean() < 60
 
 
 def test_the_same_numbers_give_the_same_answers_whatever_the_setting():
     targets = tips(WRIST, drawn(WRIST, 20))
-    first, again, other = ck.reach(WRIST, targets), ck.reach(WRIST, targets), ck.reach(WRIST, targets, seed=3)
+    first, again = ck.reach(WRIST, targets), ck.reach(WRIST, targets)
     assert (first.q == again.q).all() and first.q.dtype == np.float64 and isinstance(first.q, np.ndarray)
-    assert other.solved.all() and not (first.q == other.q).all()
     with jax.enable_x64(False):
         single, alone = ck.reach(WRIST, targets), ck.reach(WRIST, targets[0])
         arrays = ck.reach(WRIST, jnp.asarray(targets[0]), near=jnp.asarray(first.q[0]))  # in float32
@@ -83,7 +81,6 @@ def test_out_of_reach_is_told_and_the_nearest_pose_given():
         assert (made.status == ReachStatus.OUT_OF_REACH).all()
         far = np.linalg.norm(targets[: len(made.q)], axis=1) - 2.0
         np.testing.assert_allclose(made.position_error, far, rtol=1e-4)
-    assert "40 OUT_OF_REACH" in str(ck.reach(ARM, targets, task=PLANE))
 
 
 def test_in_a_hole_of_the_limits():
@@ -126,16 +123,6 @@ def test_targets_that_are_not_finite():
     target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
     for some in (target, np.stack([target] * 12)):
         assert np.all(ck.reach(ARM, some, task=PLANE, near=[np.nan, 0.5]).status == ReachStatus.NON_FINITE)
-
-
-def test_two_tolerances():
-    targets = np.array([[2.001, 0.0, 0.0]] * 10)
-    for some in (targets, targets[0]):
-        made = ck.reach(ARM, some, task=PLANE, accept=(0.01, 0.01))
-        assert np.all(made.status == ReachStatus.ACCEPTED) and np.all(made.solved)
-        assert np.allclose(made.position_error, 0.001, rtol=1e-2)
-        hasty = ck.reach(ARM, some, task=PLANE, accept=(0.01, 0.01), explain=False)  # of one as of many
-        assert np.all(hasty.status == ReachStatus.ACCEPTED)
 
 
 def test_weights_decide_what_is_nearest_and_nothing_else():
@@ -181,7 +168,7 @@ def test_near_stays_on_the_branch():
     assert made.solved.all() and np.median(made.distance) < 0.05
     assert (made.distance == np.abs(made.q - q).max(axis=1)).all()
     alone = ck.reach(WRIST, tips(WRIST, moved)[0], near=q[0])
-    assert alone.solved and alone.distance < 0.1 and alone.evaluations < 60
+    assert alone.solved and alone.distance < 0.1
 
 
 def test_a_jump_is_reported_and_not_made():
@@ -233,7 +220,7 @@ def test_a_path_gives_what_its_waypoints_give_one_by_one():
     at = made.q[0]
     for k in range(1, len(path)):
         alone = ck.reach(ARM, path[k], task=PLANE, near=at, jump=0.3)
-        assert made.status[k] == alone.status and made.evaluations[k] == alone.evaluations
+        assert made.status[k] == alone.status
         np.testing.assert_allclose(made.q[k], alone.q, atol=1e-9)
         np.testing.assert_allclose(made.distance[k], alone.distance, atol=1e-9)
         at = alone.q if alone.solved else at
@@ -261,10 +248,6 @@ def test_the_same_call_again_is_checked_as_the_first_was():
     for wrong in (1.0, True):
         with pytest.raises(ck.ArgumentError, match="`seeds` must be an integer"):
             ck.reach(ARM, target, task=PLANE, seeds=wrong)
-    near = {"near": np.array([0.3, 0.9]), "task": PLANE}
-    assert ck.reach(ARM, target, jump=0.5, **near).solved
-    assert ck.reach(ARM, target, jump=0.01, **near).status == ReachStatus.JUMP
-    assert ck.reach(ARM, target, jump=np.float32(0.5), **near).solved
 
 
 # --- as part of other programs ------------------------------------------------------------------------
@@ -278,7 +261,7 @@ def test_jit_vmap_and_the_implicit_derivative():
     targets = tips(held, near)
 
     def q_at(shift, target, near):
-        made = ck.reach(held, target.at[:3, 3].add(shift), near=near, tolerance=(1e-12, 1e-12), accept=(1e-3, 1e-3))
+        made = ck.reach(held, target.at[:3, 3].add(shift), near=near, tolerance=(1e-10, 1e-10))
         return made.q, made
 
     slopes, made = jax.jit(jax.vmap(jax.jacfwd(q_at, has_aux=True), (None, 0, 0)))(jnp.zeros(3), targets, near)
@@ -334,27 +317,21 @@ def test_the_forms_of_targets():
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (
-            {"targets": np.zeros((2, 5))},
-            r"`targets` must hold 7 numbers, x y z \[m\] and a quaternion w x y z, but holds 5",
-        ),
+        ({"targets": np.zeros((2, 5))}, r"must hold 7 numbers, x y z \[m\] and a quaternion w x y z, but holds 5"),
         ({"targets": [0.3, 0.1], "task": "position"}, r"`targets` must hold 3 numbers, x y z \[m\], but holds 2"),
-        ({"targets": np.zeros((2, 3))}, "holds positions alone, which are for task position"),
         ({"targets": 2 * np.eye(4)}, "`targets` must hold a rotation, .* but is off by 3"),
-        ({"targets": (np.zeros((2, 3)), np.eye(3)[None])}, "as many positions as rotations"),
+        ({"targets": (np.zeros((2, 3)), np.eye(3)[None])}, "must be as many of each, or one, but are 1 and 2"),
         ({"targets": np.zeros((0, 4, 4))}, "at least one target"),
         ({"task": "elbow"}, "`task` must be one of"),
-        ({"tolerance": 1e-6}, "`tolerance` must be a pair"),
+        ({"tolerance": 1e-6}, "`tolerance` must have 2 numbers"),
         ({"tolerance": (1e-6, -1)}, "`tolerance` must hold positive"),
         ({"jump": 0.1}, "`near` must be given with `jump`"),
         ({"near": [0.0, 1.0]}, "`near` must have 6 numbers or shape"),
         ({"near": "last"}, "`near` must be one of previous"),
         ({"solutions": 0}, "`solutions` must be at least 1"),
-        ({"solutions": 10**25}, "`solutions` must be at most 1,000"),
         ({"seeds": 2.5}, "`seeds` must be an integer"),
         ({"chain": 3}, "`chain` must be a Chain"),
         ({"targets": np.array(np.eye(4) + np.eye(4, k=-3))}, "`targets` must have the last row 0 0 0 1"),
-        ({"targets": ([0, 0, 0], np.stack([np.eye(3)] * 5))}, "as many positions as rotations, but have one and 5"),
         ({"seeds": 1 << 27}, "`seeds` must be at most 134,217,727"),  # 16 times as many overflowed
         ({"near": "previous", "solutions": 2}, "`solutions` must be 1 along a path"),
     ],

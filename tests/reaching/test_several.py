@@ -53,21 +53,16 @@ def test_every_answer_is_one(name):
     task = ck.stack(left=ck.pose(tip=tips[0]), right=ck.pose(tip=tips[1]))
     q = drawn(robot, 60)
     due = {side: where(robot, q, tip) for side, tip in zip(("left", "right"), tips, strict=True)}
-    made, sides = ck.reach(robot, due, task=task), {}
-    assert made.solved.all() and made.evaluations.mean() < 100
+    made, sides = ck.reach(robot, due, task=task), []
+    assert made.solved.all()
     assert (made.q >= np.array(robot.lower)).all() and (made.q <= np.array(robot.upper)).all()
     for side, tip in zip(due, tips, strict=True):
         there = [other.at(robot.joint_names, v, tip, base)[:2] for v in made.q]
         away = [np.linalg.norm(at[0] - p) for at, p in zip(there, due[side][0], strict=True)]
         turn = [angle(at[1], r) for at, r in zip(there, due[side][1], strict=True)]
-        close(made[side].position_error, away, atol=1e-12)
-        close(made[side].orientation_error, turn, atol=1e-12)
-        sides[side] = away, turn
-    close(made.position_error, np.max([away for away, _ in sides.values()], axis=0), atol=1e-12)
-    close(made.orientation_error, np.max([turn for _, turn in sides.values()], axis=0), atol=1e-12)
+        sides.append((away, turn))
+    close(np.stack([made.position_error, made.orientation_error]), np.max(sides, axis=0), atol=1e-12)
     assert made.position_error.max() <= 1e-6 and made.orientation_error.max() <= 1e-6
-    least = ck.jacobian(robot, made.q[0], tip=tips[0]), ck.jacobian(robot, made.q[0], tip=tips[1])
-    close(made.least_singular_value[0], np.linalg.svd(np.concatenate(least))[1].min(), rtol=1e-9)
 
 
 def test_a_target_has_all_the_forms_of_a_single_one():
@@ -78,11 +73,9 @@ def test_a_target_has_all_the_forms_of_a_single_one():
     for form in (matrices(right), poses, np.concatenate([right[0], quaternions(right[1])], axis=1)):
         made = ck.reach(TWO, {"right": form, "left": matrices(left)}, task=TASK)
         close(made.q, whole.q, atol=1e-6)
-    held = ck.references(left=ck.hold(left[0][1], left[1][1]), right=ck.hold(right[0][1], right[1][1]))
-    for one in (held, {"left": (left[0][1], left[1][1]), "right": matrices(right)[1]}):
-        made = ck.reach(TWO, one, task=TASK)
-        assert made.q.shape == (TWO.n,) and made["left"].position_error.shape == ()
-        close(made.q, whole.q[1], atol=0)
+    made = ck.reach(TWO, {"left": (left[0][1], left[1][1]), "right": matrices(right)[1]}, task=TASK)
+    assert made.q.shape == (TWO.n,) and made.position_error.shape == ()
+    close(made.q, whole.q[1], atol=0)
     shared = ck.reach(TWO, {"left": left, "right": (right[0][0], right[1][0])}, task=TASK)
     assert shared.solved.all() and shared.q.shape == (3, TWO.n)
     close(shared.q[0], whole.q[0], atol=0)
@@ -94,10 +87,9 @@ def test_tasks_joined_and_tasks_of_several_tips():
     q = drawn(TWO, 12, seed=2)
     left, right = where(TWO, q, LEFT), where(TWO, q, RIGHT)
     due = {LEFT: left, RIGHT: right[0]}
-    made, nested = ck.reach(TWO, due, task=HANDS), ck.reach(TWO, {"hands": due}, task=ck.stack(hands=HANDS))
+    made, stacked = ck.reach(TWO, due, task=HANDS), {f"hands.{tip}": target for tip, target in due.items()}
     assert made.solved.all()
-    close(nested.q, made.q, atol=0)
-    close(nested["hands"].position_error, made.position_error, atol=1e-12)
+    close(ck.reach(TWO, stacked, task=ck.stack(hands=HANDS)).q, made.q, atol=0)
     close(where(TWO, made.q, RIGHT)[0], right[0], atol=1e-6)
     close(where(TWO, made.q, LEFT)[1], left[1], atol=3e-6)
     near = q + 0.05
@@ -124,7 +116,6 @@ def test_one_tip_seen_from_the_other():
             position, rotation = other.at(TWO.joint_names, v, RIGHT, LEFT)[:2]
             assert np.linalg.norm(position - p) <= 1.0001e-6 and angle(rotation, r) <= 1.0001e-6
     close(where(TWO, both.q, LEFT)[0], there, atol=1e-6)
-    close(both["grip"].orientation_error, both.orientation_error, atol=1e-12)
 
 
 def test_near_with_jump_solutions_and_paths():
@@ -137,7 +128,6 @@ def test_near_with_jump_solutions_and_paths():
     three = ck.reach(TWO, due, task=TASK, solutions=3)
     assert (three.status <= 0).mean() > 0.9 and three.q.shape == (20, 3, TWO.n)
     assert np.abs(three.q[:, 1] - three.q[:, 0]).max(axis=1).min() >= 0.1
-    close(three["left"].position_error.max(), three.position_error.max(), atol=1e-6)
     line = q[0] + np.linspace(0, 0.3, 20)[:, None] * np.sign(-q[0])
     along = {"left": where(TWO, line, LEFT), "right": where(TWO, line, RIGHT)}
     path = ck.reach(TWO, along, task=TASK, near="previous", jump=0.2)
@@ -152,17 +142,14 @@ def test_farther_than_one_arm_is_long_is_out_of_reach():
     q = drawn(TWO, 1, seed=6)
     left, right = (tuple(v[0] for v in where(TWO, q, tip)) for tip in GRIPPERS)
     far = (right[0] + [0.0, -4.0, 0.0], right[1])
-    for explain in (True, False):
-        made = ck.reach(TWO, {"left": left, "right": far}, task=TASK, explain=explain)
-        assert made.status == ck.ReachStatus.OUT_OF_REACH and (np.isnan(made.q).all() == (not explain))
-    assert made.evaluations == 0 and np.isnan(made["left"].position_error)
-    both = ck.reach(TWO, {"left": left, "right": far}, task=TASK)
-    assert both["right"].position_error > 2 and both.position_error == pytest.approx(both["right"].position_error)
+    made = ck.reach(TWO, {"left": left, "right": far}, task=TASK)
+    assert made.status == ck.ReachStatus.OUT_OF_REACH and made.position_error > 2
+    close(made.position_error, np.linalg.norm(where(TWO, made.q, RIGHT)[0] - far[0]), rtol=1e-9)
     robot = ck.load_urdf(BAXTER, tips={"hand": LEFT, "elbow": "left_lower_elbow"})
     place = where(robot, np.zeros((1, robot.n)), "hand")[0][0]
     task = ck.position(tip="elbow")
-    assert ck.reach(robot, place, task=task, explain=False).status == ck.ReachStatus.OUT_OF_REACH
-    assert ck.reach(robot, place, task=ck.position(tip="hand"), explain=False).solved
+    assert ck.reach(robot, place, task=task).status == ck.ReachStatus.OUT_OF_REACH
+    assert ck.reach(robot, place, task=ck.position(tip="hand")).solved
 
 
 def test_a_pair_that_is_rigid_and_is_asked_to_part():
@@ -177,11 +164,11 @@ def test_a_pair_that_is_rigid_and_is_asked_to_part():
         made = ck.reach(robot, due, task=task)
         assert made.status == ck.ReachStatus.OUT_OF_REACH
         close(made.position_error, 0.05, atol=1e-4)
-        close(made["a"].position_error, 0.05, atol=1e-4)
         for alone, place in (("one", due["a"]), ("other", due["b"])):
             assert ck.reach(robot, place, task=ck.position(tip=alone)).solved
     made = ck.reach(robot, due, task=ck.replace(task, weights=np.repeat([9.0, 1.0], 3)))
-    close([made["a"].position_error, made["b"].position_error], [0.01, 0.09], atol=1e-3)
+    missed = [np.linalg.norm(where(robot, made.q, tip)[0] - due[name]) for tip, name in (("one", "a"), ("other", "b"))]
+    close(missed, [0.01, 0.09], atol=1e-3)
     due["b"] = due["a"] + 0.2 * along
     assert ck.reach(robot, due, task=task).solved
 
@@ -197,7 +184,7 @@ def test_a_pair_beyond_the_limits_is_not_called_out_of_reach():
     lost = due["left"][0].copy()
     lost[3, 1] = np.nan
     due["left"] = lost, due["left"][1]
-    assert ck.reach(TWO, due, task=TASK).status.tolist() == [6 if k == 3 else 0 for k in range(12)]
+    assert ck.reach(TWO, due, task=TASK).status.tolist() == [5 if k == 3 else 0 for k in range(12)]
 
 
 # --- in one's own JAX code ----------------------------------------------------------------------------
@@ -229,16 +216,17 @@ def ask(targets, task=TASK, **options):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (ask(EYE), r"`targets` must be a target for each tip, {'left': ..., 'right': ...}, but is ndarray"),
-        (ask({"left": EYE}), "`targets` must be for left and right, but is for left"),
-        (ask({"left": EYE, "rigth": EYE}), "`targets` must be for left and right, but is for left, rigth"),
-        (ask({"left": EYE, "right": np.zeros(3)}), r"`targets\['right'\]` must be 4×4 transforms"),
+        (ask(EYE), "`targets` must be a dict with left and right, but is ndarray"),
+        (ask({"left": EYE}), "`targets` must be a dict with left and right, but is left"),
+        (ask({"left": EYE, "rigth": EYE}), "`targets` must be a dict with left and right, but is left, rigth"),
+        (ask({"left": EYE, "right": np.zeros(3)}), r"`targets\['right'\]` must hold 7 numbers, .* but holds 3"),
         (ask({"left": EYE, "right": 2 * EYE}), r"`targets\['right'\]` must hold a rotation"),
-        (ask({"left": EYE[None][[0, 0]], "right": EYE[None][[0, 0, 0]]}), "as many for each, but have 2 in .*'left'"),
-        (ask({"left": EYE, "right": np.zeros((0, 4, 4))}), r"`targets\['right'\]` must hold at least one target"),
-        (ask({"left": {"nose": EYE}, "right": EYE}), r"`targets\['left'\]` must be for left_gripper, but is for nose"),
-        (ask({LEFT: EYE}, HANDS), f"`targets` must be for {LEFT} and {RIGHT}, but is for {LEFT}"),
-        (ask({"left": ck.line([0, 0, 0], [1, 0, 0], duration=1.0), "right": EYE}), "must stand still, as ck.hold"),
+        (
+            ask({"left": EYE[None][[0, 0]], "right": EYE[None][[0, 0, 0]]}),
+            "as many of each, or one, but are 2 and 3",
+        ),
+        (ask({"left": EYE, "right": np.zeros((0, 4, 4))}), "`targets` must hold at least one target"),
+        (ask({LEFT: EYE}, HANDS), f"`targets` must be a dict with {LEFT} and {RIGHT}, but is {LEFT}"),
         (ask(EYE, "pose"), "`tip` must be given for a robot with several"),
         (ask(EYE, ck.pose(tip="nose")), "`tip` must be one of left_gripper, right_gripper"),
         (ask(EYE, ck.pose(tip=LEFT) & ck.joints()), "`task` must be of positions and orientations of tips, but has"),

@@ -9,8 +9,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.robot.files import read_robot
 from cnclik.robot.mjcf import read_mjcf
-from cnclik.robot.tree import read_robot
 from cnclik.robot.urdf import chain
 from tests.oracles import close, robots
 from tests.robot.test_trees import postures

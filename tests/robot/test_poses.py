@@ -147,8 +147,8 @@ def test_four_quaternions_are_no_transform():
     assert read(np.eye(4), pose())[1]  # a pose has one reading
 
 
-def test_positions_alone_name_their_task():
-    with pytest.raises(ck.ArgumentError, match="positions alone, which are for task position"):
+def test_positions_alone_are_no_poses():
+    with pytest.raises(ck.ArgumentError, match=r"must hold 7 numbers, .* but holds 3"):
         ck.reach(ck.ur5(), np.zeros((5, 3)))
 
 

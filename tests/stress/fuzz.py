@@ -55,7 +55,6 @@ CHOICES = {
     "method": ("EE", "CN", "EXP-MIDPOINT", "RK4"),
     "reference": ("hold", "line", "circle", "lissajous", "way.csv"),
     "out": ("out", ".", "out/a/b", "way.csv", "/dev/null", "/dev/full/x", "x" * 300, "", "out.csv", "arm.urdf"),
-    "over": ("alpha", "damping", "Ts"),
     "log": ("log.csv", "log.csv", "way.csv", "none"),
     "spec": ("a.toml",),
     "set": ("alpha=5", "axes.M=[1,2]", "N=3", "alpha=9**9**9", "method=CN"),
@@ -232,7 +231,7 @@ def until_traced():
             raise Reached
 
     jax.monitoring.register_scalar_listener(begun)
-    names = ("cnclik.show.output.draw", "cnclik.show.viewer.scene._server", "cnclik.sweeps.program.fit")
+    names = ("cnclik.show.output.draw", "cnclik.show.viewer._server", "cnclik.sweeps.program.fit")
     try:
         with contextlib.ExitStack() as stack:
             for name in names:
