@@ -1,9 +1,8 @@
 """What `cnclik` offers and where it is, for editors, type checkers and the loader."""
 
 from . import (
-    diagnosis as diagnosis, export as export, measure as measure, paper as paper,
-    problem as problem, show as show, stability as stability, sweeps as sweeps,
-    tuning as tuning,
+    diagnosis as diagnosis, export as export, measure as measure, problem as problem,
+    show as show, stability as stability, sweeps as sweeps, tuning as tuning,
 )
 from .cache import use_cache as use_cache
 from .diagnosis.check import check_log as check_log
@@ -11,14 +10,13 @@ from .diagnosis.diagnose import diagnose as diagnose
 from .diagnosis.fit import fit_drive as fit_drive
 from .engine.native import native as native
 from .engine.plan import use_engine as use_engine
-from .errors import ArgumentError as ArgumentError, Remark as Remark
+from .errors import ArgumentError as ArgumentError
 from .integrate.drive import Drive as Drive
 from .integrate.lanes import lanes as lanes
 from .integrate.method import METHODS as METHODS, Method as Method, exponential as exponential
-from .integrate.solve import Step as Step, solve as solve, step as step
+from .integrate.solve import solve as solve, step as step
 from .integrate.stage import chord as chord, newton as newton, picard as picard
-from .integrate.status import Status as Status, StepError as StepError, require_ok as require_ok
-from .integrate.trajectory import Trajectory as Trajectory
+from .integrate.status import Status as Status, require_ok as require_ok
 from .law.bounded import bounded as bounded
 from .law.inverse import (
     damped as damped, error_damped as error_damped, levels as levels, pseudoinverse as pseudoinverse,
@@ -30,19 +28,17 @@ from .law.paths import (
     causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
     lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints,
 )
-from .law.reference import Reference as Reference, References as References, references as references
+from .law.reference import references as references
 from .law.walls import (
     support_polygon as support_polygon, wall as wall, wall_margin as wall_margin,
 )
-from .measure.dataset import to_dataset as to_dataset
-from .problem.build import problem_from as problem_from
 from .problem.names import load as load
 from .reaching.public import reach as reach
-from .reaching.result import ReachStatus as ReachStatus, Reached as Reached
+from .reaching.result import ReachStatus as ReachStatus
 from .record import replace as replace
 from .robot.builtin import panda as panda, ur5 as ur5
 from .robot.chain import (
-    Chain as Chain, from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
+    from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
 )
 from .robot.exchange import from_model_q as from_model_q, to_model_q as to_model_q
 from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian
@@ -53,8 +49,6 @@ from .show.run import plot as plot
 from .stability.advice import advise as advise
 from .stability.ending import verdict as verdict
 from .stability.gain import gains as gains
-from .stability.linear import stability_limit as stability_limit
-from .stability.spectrum import spectral_radius as spectral_radius
 from .sweeps.sweep import sweep as sweep
 from .task.build import center_of_mass as center_of_mass, com as com
 from .task.build import (
@@ -62,6 +56,5 @@ from .task.build import (
     stack as stack,
 )
 from .task.shapes import capsule as capsule, distance as distance, sphere as sphere
-from .task.task import Task as Task
 from .tuning.tune import tune as tune
 from .version import __version__ as __version__

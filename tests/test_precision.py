@@ -35,7 +35,7 @@ DOORS = {  # what is traced of each, and how it is called
     ("tune", "q0"): lambda x: ck.tune(LAW, GOAL, x, Ts=TS, N=3),
     ("tune", "bounds"): lambda x: ck.tune(LAW, GOAL, Q, Ts=TS, N=3, bounds={"alpha": (x[0], x[1])}),
     ("sweep", "alpha"): lambda x: ck.sweep(lambda alpha: {"a": alpha}, alpha=x),
-    ("to_dataset", "run"): lambda x: ck.to_dataset(run(x), LAW),
+    ("to_dataset", "run"): lambda x: ck.measure.to_dataset(run(x), LAW),
     ("require_ok", "run"): lambda x: ck.require_ok(run(x)),
     ("plot", "run"): lambda x: ck.plot(run(x), LAW),
     ("reach", "tolerance"): lambda x: ck.reach(ARM, [1.0, 0.5, 0.0], task="position", tolerance=x),
@@ -51,4 +51,4 @@ def test_what_decides_by_numbers_names_what_is_traced(door, name):
 
 def test_tables_of_any_keys_are_looked_into():
     with pytest.raises(ck.ArgumentError, match="`config` must be what JSON can write"):
-        ck.to_dataset(run(Q), LAW, config={1: "one", "two": 2})
+        ck.measure.to_dataset(run(Q), LAW, config={1: "one", "two": 2})

@@ -11,7 +11,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.record import combine, is_literal, partition, record, replace, stack
-from cnclik.stability import Verdict
+from cnclik.stability.ending import Verdict
 
 
 @record

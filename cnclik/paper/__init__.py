@@ -9,8 +9,7 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "claims": ["judge"],
         "data": ["reproduce"],
-        "readings": ["DEFAULT", "READINGS", "experiment"],
+        "readings": ["experiment"],
     },
 )

@@ -5,7 +5,7 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "build": ["Problem", "problem_from"],
+        "build": ["problem_from"],
         "file": ["problem_of"],
         "names": ["load", "start_from"],
     },

@@ -8,5 +8,5 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submod_attrs={"output": ["FigureError", "draw"], "run": ["plot"], "style": ["save"], "viewer": ["view"]},
+    submod_attrs={"run": ["plot"], "viewer": ["view"]},
 )

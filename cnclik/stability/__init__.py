@@ -10,9 +10,9 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "advice": ["Advice", "Rate", "advise"],
-        "ending": ["Behaviour", "Verdict", "verdict"],
-        "gain": ["Gains", "Response", "Setting", "gain_table", "gains"],
+        "advice": ["advise"],
+        "ending": ["verdict"],
+        "gain": ["gain_table", "gains"],
         "linear": ["amplification", "stability_limit"],
         "maps": ["plane", "stability_map"],
         "spectrum": ["spectral_radius"],

@@ -25,7 +25,9 @@ def _is_text(line) -> bool:
 def listed(app, docname, source):
     if docname == "api/index":
         each = sorted(rows(app.srcdir / "api"), key=lambda row: row[0].lower())
-        text = [f"| {{py:obj}}`ck.{name[7:]} <{name}>` | {about.replace('|', chr(92) + '|')} |" for name, about in each]
+        public = importlib.import_module("cnclik").__all__  # a result's class is imported from its module
+        called = {n: f"ck.{n[7:]}" if n.count(".") < 3 and n.split(".")[1] in public else n for n, _ in each}
+        text = [f"| {{py:obj}}`{called[n]} <{n}>` | {about.replace('|', chr(92) + '|')} |" for n, about in each]
         source[0] += "\n".join(["", "## Every name", "", "| name | what it is |", "| --- | --- |", *text, ""])
 
 

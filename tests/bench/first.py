@@ -45,7 +45,8 @@ _CNCLIK = """
 import sys, jax, numpy as np, cnclik as ck
 jax.config.update("jax_enable_x64", True)
 ck.use_cache()
-problem = ck.problem_from(sys.argv[1], q0=Q0, reference="circle", radius=0.1, period=4.0, alpha=GAIN / 0.01, Ts=0.01)
+path = dict(q0=Q0, reference="circle", radius=0.1, period=4.0)
+problem = ck.problem.problem_from(sys.argv[1], alpha=GAIN / 0.01, Ts=0.01, **path)
 np.asarray(ck.solve(problem.law, problem.reference, problem.q0, 0.01, 400, METHOD).q)
 """
 
@@ -65,7 +66,7 @@ _CALL = """
 import time, jax, cnclik as ck
 jax.config.update("jax_enable_x64", True)
 ck.use_cache()
-problem = ck.problem_from("arm.urdf", reference="circle")
+problem = ck.problem.problem_from("arm.urdf", reference="circle")
 law, goal, q0 = problem.law, problem.reference, problem.q0
 CALL
 """

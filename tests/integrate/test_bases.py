@@ -126,7 +126,7 @@ def test_drives_move_a_base():
 
 def test_rest_is_judged_in_the_chart():
     """Breaks for a loop that is differentiated by the rotation vector: R(z) is then another in each posture."""
-    assert ck.spectral_radius(LAW, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
+    assert ck.stability.spectral_radius(LAW, None, start(), 0.1, "EE") == pytest.approx(0.6, abs=1e-12)
 
 
 def test_what_a_free_base_has_not_is_one_line():

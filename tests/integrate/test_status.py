@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.integrate.status import count, names
+from cnclik.integrate.status import StepError, count, names
 
 S = ck.Status
 
@@ -178,7 +178,7 @@ def made_up(status, t=None):
     ],
 )
 def test_require_ok_names_the_first_bad_step(status, message):
-    with pytest.raises(ck.StepError) as caught:
+    with pytest.raises(StepError) as caught:
         ck.require_ok(made_up(status))
     assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
 
@@ -186,5 +186,5 @@ def test_require_ok_names_the_first_bad_step(status, message):
 def test_require_ok_allows_what_is_allowed():
     made = made_up([0, 2, 4])
     assert ck.require_ok(made, allow=S.NEAR_SINGULAR | S.AT_LIMIT) is made
-    with pytest.raises(ck.StepError, match=r"Step 2 .* AT_LIMIT"):
+    with pytest.raises(StepError, match=r"Step 2 .* AT_LIMIT"):
         ck.require_ok(made, allow=S.NEAR_SINGULAR)

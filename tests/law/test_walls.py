@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.integrate.status import StepError
 from cnclik.law.bounded import Bounded
 from cnclik.law.walls import wall_distance
 from cnclik.record import record
@@ -155,7 +156,7 @@ def test_contradicting_walls_are_told_in_the_status():
     missed = [-1.0, -1.0, 0.0, 0.0]  # half of 10/s times 0.2 m each; and the others hold
     np.testing.assert_allclose(run.walls[-1], missed, rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(run.x[-1], [0.2, 0.225, 0.0], atol=1e-3)
-    with pytest.raises(ck.StepError, match="WALLS_CONTRADICT: move apart the walls"):
+    with pytest.raises(StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)
 
 

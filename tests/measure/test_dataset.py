@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 import cnclik as ck
-from cnclik.measure import save_netcdf, to_dataset
-from cnclik.measure.files import markdown
+from cnclik.measure import to_dataset
+from cnclik.measure.files import markdown, save_netcdf
 
 CHAIN = ck.from_screws([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [1, 0, 0]], [1.0, 0.0, 0.0], kinds="RP")  # units differ
 LAW = ck.Law(CHAIN, ck.position("xy"), alpha=2.0)

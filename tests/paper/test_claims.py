@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from cnclik.paper import READINGS, claims, readings
+from cnclik.paper import claims, readings
+from cnclik.paper.readings import READINGS
 
 
 @pytest.fixture(scope="module")

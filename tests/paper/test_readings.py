@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.paper import READINGS, claims
+from cnclik.paper import claims
 from cnclik.paper import readings as paper
+from cnclik.paper.readings import READINGS
 from tests.paper import oracle
 
 MEANS = [  # arm, case, reading, EE, IE, CN: mean of ‖e‖ over k = 0 … 30, as printed

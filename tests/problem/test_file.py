@@ -51,7 +51,9 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
     np.testing.assert_array_equal(made.q0, ck.problem.start_from(ck.panda(), ck.pose()))
     made = problem_of(file(ONE), N=3, method="CN", M=2, delay=0.0)
     assert (made.N, str(made.method), made.stage.M, made.drive) == (3, "CN", 2, ck.Drive(lag=0.05))
-    same = problem_of(file("import cnclik as ck\ndef problem(): return ck.problem_from('ur5', Ts=0.002, damping=0.1)"))
+    same = problem_of(
+        file("import cnclik as ck\ndef problem(): return ck.problem.problem_from('ur5', Ts=0.002, damping=0.1)")
+    )
     assert same.Ts == 0.002 and same.name == "ur5" and same.law.chain.n == 6
 
 

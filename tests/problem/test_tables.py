@@ -62,7 +62,7 @@ def test_numbers_are_what_they_look_like(slip, tmp_path):
     with pytest.raises(ck.ArgumentError, match="row 2 of f"):
         read_points("TARGETS", tmp_path / "f.csv", pose())
     with pytest.raises(ck.ArgumentError, match="`robot` must give link lengths"):
-        ck.problem_from(f"planar:1,{slip}")
+        ck.problem.problem_from(f"planar:1,{slip}")
 
 
 def test_what_was_probably_meant_is_said(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.cli import main
+from cnclik.errors import Remark
 from cnclik.robot.files import read_robot
 from cnclik.robot.mjcf import read_mjcf
 from cnclik.robot.urdf import chain
@@ -180,7 +181,7 @@ CLOSED = """<mujoco><worldbody><body name="a"><joint name="p" axis="0 1 0"/><geo
     ],
 )
 def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
-    with pytest.warns(ck.Remark, match=says):
+    with pytest.warns(Remark, match=says):
         assert ck.load_mjcf(CLOSED.format(constraint)).n == 2
     assert ck.load_mjcf(CLOSED.format('<joint joint1="r" joint2="p" polycoef="0 1 2 0 0" active="false"/>')).n == 2
 

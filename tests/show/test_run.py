@@ -7,6 +7,7 @@ from matplotlib.colors import to_rgb
 
 import cnclik as ck
 from cnclik.integrate.status import level
+from cnclik.integrate.trajectory import Trajectory
 from cnclik.show import run as pictures
 from cnclik.show import style
 
@@ -29,7 +30,7 @@ def run(qdot=None, status=None):
     """A run whose first joint moves at qdot (N,) and whose second rests."""
     qdot = np.c_[np.full(N, 0.1) if qdot is None else qdot, np.zeros(N)]
     q = np.concatenate([np.zeros((1, 2)), np.cumsum(0.1 * qdot, axis=0)])
-    return ck.Trajectory(
+    return Trajectory(
         t=0.1 * np.arange(N + 1),
         q=q,
         x=q,

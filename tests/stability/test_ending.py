@@ -7,7 +7,7 @@ import pytest
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
-from cnclik.stability import Behaviour, verdict
+from cnclik.stability.ending import Behaviour, verdict
 
 FIVE = ck.planar_arm([1.0] * 5, clockwise=True)
 Q5 = np.array([0.3, 0.5, -0.4, 0.6, 0.2])

@@ -131,7 +131,7 @@ def test_gains_need_no_jax():
     code = (
         "import sys, cnclik as ck\n"
         "g = ck.gains(Ts=0.002, drive=ck.Drive(delay=17))\n"
-        "ck.stability_limit('RK4'); g.elsewhere; g.at(5.0)\n"
+        "ck.stability.stability_limit('RK4'); g.elsewhere; g.at(5.0)\n"
         "assert 'jax' not in sys.modules and 'xarray' not in sys.modules\n"
         "import jax\n"
         "law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position('xy'), alpha=1.0)\n"

@@ -21,6 +21,7 @@ import numpy as np
 import cnclik as ck
 from cnclik import cache
 from cnclik.cli import main
+from cnclik.measure.files import save_netcdf
 
 GROWTH, LEAST = 1.05, 30  # of the median of the last third over that of the second; rounds before it is looked at
 CIRCLE = "--reference circle --N 20 --no-figures --overwrite"
@@ -52,7 +53,7 @@ def everything(rng, folder):
     ck.reach(law.chain, np.append(run.x[-1], 0.0), task=law.task)
     ck.tune(law, reference, q, Ts=Ts, N=10, steps=3)
     plt.close(ck.plot(run, law))
-    ck.measure.save_netcdf(ck.to_dataset(run, law), folder / "run.nc")
+    save_netcdf(ck.measure.to_dataset(run, law), folder / "run.nc")
     lengths = ",".join(f"{v:.6f}" for v in rng.uniform(0.2, 1.0, 3))
     with contextlib.redirect_stdout(io.StringIO()):
         main(["solve", f"planar:{lengths}", *CIRCLE.split(), "--out", str(folder / "out")])

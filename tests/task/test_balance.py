@@ -6,6 +6,7 @@ import pinocchio as pin
 import pytest
 
 import cnclik as ck
+from cnclik.errors import Remark
 from cnclik.robot.model import modelled
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
@@ -151,6 +152,6 @@ ARM = """<robot name="r"><link name="a"/><link name="b"><inertial><mass value="{
 
 
 def test_an_inertial_that_cannot_be_read_is_remarked_on():
-    with pytest.warns(ck.Remark, match="Link 'b' of the text has an inertial of 'heavy 0 0 0'"):
+    with pytest.warns(Remark, match="Link 'b' of the text has an inertial of 'heavy 0 0 0'"):
         assert ck.load_urdf(ARM.format("heavy")).masses == ()
     assert ck.load_urdf(ARM.format("2.5")).masses[1][0] == 2.5

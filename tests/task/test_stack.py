@@ -155,7 +155,7 @@ def test_a_run_tells_what_each_task_did():
     assert bits["hands"] & ck.Status.GROWING and not bits["feet"] & ck.Status.GROWING
     close(run["hands"].e, run.e[:, 12:21], atol=0)
     assert run["torso"].x.shape == (9, 2) and "hands: ‖e‖" in repr(run)
-    data = ck.to_dataset(run, law)
+    data = ck.measure.to_dataset(run, law)
     assert list(data.task.values) == ["feet", "hands", "torso"] and data.task_status.shape == (8, 3)
     assert list(data.axis_task.values[10:13]) == ["feet", "feet", "hands"]
     with pytest.raises(ck.ArgumentError, match="`name` must be one of feet, hands, torso"):
