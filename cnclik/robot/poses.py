@@ -103,7 +103,7 @@ def _from_matrices(name, value):
     if not errors.concrete(value):
         return value
     value = _float(value)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         gap = np.abs(value @ value.mT - np.eye(3)).max(axis=(-2, -1))
         mirrored = ~(np.linalg.det(value) > 0)
         wrong = np.isfinite(value).all(axis=(-2, -1)) & ((gap > _ROUGH) | mirrored)  # a status reports others

@@ -204,8 +204,8 @@ def _tip_of(tree: Tree, tip, base) -> str:
         return _link_of(tree, "tip", tip)
     candidates = tree.tips(base)
     if len(candidates) != 1:
-        found = f"is not; {', '.join(candidates) or 'none'} hang on moving joints after {base!r}"
-        raise errors.fail("tip", f"be given for {tree.file}", found)
+        some = f", such as {', '.join(candidates[:8])}" if candidates else f"; no joint moves after {base!r}"
+        raise errors.fail("tip", f"be given for {tree.file}{some}", "is not")
     return candidates[0]
 
 
