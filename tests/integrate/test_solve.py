@@ -121,7 +121,7 @@ test_bad_input = refusals(
     (lambda: solve(Q, 0.1, 3, t0=np.nan), "`t0` must be finite, but is nan"),
     (lambda: ck.solve(ARM, HOLD, Q, 0.1, 3), "`law` must be a Law, but is Chain"),
     (lambda: ck.solve(LAW, [1, 2], Q, 0.1, 3), r"`reference` must be a Reference such as hold\(...\), .* but is list"),
-    (lambda: ck.solve(LAW, ck.hold([1]), Q, 0.1, 3), "`reference` must give positions of 2 coordinates"),
+    (lambda: ck.solve(LAW, ck.hold([1]), Q, 0.1, 3), "`reference` must give 2 values"),
     (lambda: ck.step(LAW, HOLD, Q[:1], 0, 0.1), r"`q` must have 3 joint values, but has 1"),
     (lambda: ck.step(LAW, HOLD, Q, None, 0.1), "`t` must be a number, but is None"),
     (lambda: jax.jit(lambda q: solve(q, 0.1, 3).q)(Q[:2]), r"`q0` must have 3 joint values, but has 2\."),

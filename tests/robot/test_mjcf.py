@@ -179,8 +179,8 @@ def test_couplings_that_are_none_of_a_tree_are_remarked_on(constraint, says):
 test_what_cannot_be_meant_is_refused = refusals(
     (lambda: ck.load_mjcf(HUMANOID, tip="soles", base="pelvis"), "`tip` must be one of .* 'soles' .did you mean"),
     (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="free"), "`base` must be left out .* joint 'root' already"),
-    (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but it says: "),
-    (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but it says: "),
+    (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but it finds: "),
+    (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but it finds: "),
     (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
     (lambda: ck.load_mjcf(3), "`model` must name an MJCF file, but is 3"),
     (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),

@@ -191,7 +191,7 @@ RING = "".join(f'<link name="{a}"/>' + joint(f"j{a}", a, b) for a, b in ("xy", "
 
 BAD = (
     ("", "has no links"),
-    (SPLIT, "is not; c, d hang on moving joints"),
+    (SPLIT, "such as c, d, but is not"),
     (LINKS + joint("j1", "a", "b"), "3 roots: a, c, d"),
     (LINKS + joint("j1", "a", "b") + joint("j2", "b", "a"), "a loop through link 'a'"),
     (ROW + joint("j4", "d", "b"), "a loop: link 'b' hangs on 'j1' and 'j4'"),
@@ -199,7 +199,7 @@ BAD = (
     (ROW + '<link name="a"/>', "more than one link 'a'"),
     (ROW.replace("j3", "j2"), "more than one joint 'j2'"),
     (ROW.replace("revolute", "round"), "type 'round'"),
-    (ROW.replace("revolute", "fixed"), "none hang on moving joints after 'a'"),
+    (ROW.replace("revolute", "fixed"), "no joint moves after 'a'"),
     (ROW.replace("0 0 1", "0 0 0"), "axis 0 0 0"),
     (ROW.replace("0 0 1", "0 0"), "joint 'j1' of the text has axis xyz '0 0', not three numbers"),
     (ROW.replace("0 0 1", "0 0 one"), "joint 'j1' of the text has axis xyz '0 0 one'"),

@@ -167,9 +167,9 @@ test_what_is_refused = refusals(
     (lambda: law(alpha={"feet": -1.0, "hands": 1.0, "torso": 1.0}), "`alpha` must not be negative"),
     (lambda: law(inverse=ck.levels(["feet"], damping=(0.1,))), "`inverse` must have each task of the law in one"),
     (lambda: ck.levels("feet", damping=(0.1,)), "`names` must be a list of names for each level"),
-    (lambda: ck.joints([]), r"`names` must be one text at least, and none of them empty, but is \[\]"),
+    (lambda: ck.joints([]), r"`names` must be texts, at least one, but is \[\]"),
     (lambda: ck.pose(tip="a", relative_to="a"), "`relative_to` must be another tip than `tip`, but is 'a'"),
-    (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, but is 2"),
+    (lambda: ck.function(len, 2, ["m"]), "`names` must be texts, at least one, but is 2"),
     (
         lambda: ck.Law(PLANAR, ck.position("xy") & ck.joints(weights=[2.0]), alpha=1.0),
         "`weights` must be a single number or have 4 numbers",
@@ -193,7 +193,7 @@ test_what_is_refused = refusals(
         "`others` must be left out for one task that is no stack",
     ),
     (lambda: held(arms=ck.hold([0.0] * 3)), "`others` must be one of feet"),
-    (lambda: ck.function(abs, ["a"], []), "`units` must be as many as `names`, 1, but are 0"),
+    (lambda: ck.function(abs, ["a"], []), "`units` must be texts, at least one"),
 )
 
 

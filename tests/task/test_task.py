@@ -131,7 +131,7 @@ def test_rows_and_velocities_are_what_the_error_does():
 
 test_functions_that_are_refused = refusals(
     (lambda: _run(looking(), ck.hold(values=[0.4, 0.1])), r"`reference` must give 3 values \(across, down\)"),
-    (lambda: _run(looking(), ck.hold_at(PANDA, looking(), BENT)), "must give 3 values .*, but gives none"),
+    (lambda: _run(looking(), ck.hold_at(PANDA, looking(), BENT)), "must give 3 values .*, but gives 0"),
     (lambda: ck.function(abs, ["a"], ["m"], target=2), "`target` must come with an `error`"),
     (lambda: ck.function(abs, ["a"], ["m"], error=1), "`error` must be a function"),
 )
