@@ -103,7 +103,7 @@ test_bad_input = refusals(
     (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
     (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
     (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), "`reference` must give 2 values"),
-    (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "of 3 coordinates"),
+    (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "`reference` must give 3 values"),
     (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
 )
 
