@@ -121,7 +121,7 @@ MISTAKES = [
     ("diagnose way.csv --Ts 1 --columns zz --step", "Option `--columns` must name as many"),
     ("diagnose empty.csv --Ts 1", "must hold numbers"),
     ("diagnose two.urdf", "Argument `LOG` must hold numbers, but two.urdf holds none."),
-    ("check log.csv --limits pandda", "must be one of panda, fr3, or FILE.csv, but is 'pandda' (did you mean 'panda'?)"),
+    (
         "check log.csv --limits pandda",
         "must be one of panda, fr3, or FILE.csv, but is 'pandda' (did you mean 'panda'?).",
     ),
