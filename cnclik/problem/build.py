@@ -84,10 +84,13 @@ class Problem:
         stage = f" by {self.stage}" * self.method.implicit
         distinct = list(dict.fromkeys(np.ravel(law.alpha).tolist()))
         alpha = in_words(distinct if len(distinct) > 1 else distinct[0])
+        beyond = (self.q0 < np.asarray(law.chain.lower)) | (self.q0 > np.asarray(law.chain.upper))
+        outside = ", ".join(name for name, out in zip(law.chain.joint_names, beyond, strict=True) if out)
+        outside = f", beyond the limits of {outside} (degrees are written with deg)" if outside else ""
         lines = [
             f"{self.name}, {str(task)[6:]}; N = {self.N} steps of Ts = {1e3 * self.Ts:g} ms",
             f"{self.method}{stage}, {type(law.inverse).__name__.lower()}, alpha = {alpha} 1/s, {drive}",
-            f"Start: q0 = {in_words(self.q0)} {', '.join(dict.fromkeys(law.chain.units))}",
+            f"Start: q0 = {in_words(self.q0)} {', '.join(dict.fromkeys(law.chain.units))}{outside}",
         ]
         if isinstance(self.reference, Reference):
             aims = zip(task.parts, aims_of(self.reference, task, 0.0), strict=True)
