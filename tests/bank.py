@@ -1,4 +1,4 @@
-"""A bank of loops that tests share: eight programs, whose gains, sampling times, starts and targets are arrays.
+"""A bank of loops that tests share: four programs, whose gains, sampling times, starts and targets are arrays.
 
 A literal arm, a task, a method or a dtype is a program to trace and to compile; other numbers are not. A test that
 needs a loop of no special kind takes one of these, and asks it for numbers.
@@ -13,38 +13,36 @@ import numpy as np
 import cnclik as ck
 from cnclik.law.reference import Reference
 from cnclik.paper.readings import WithVelocity
-from tests.oracles import damped_inverse, planar_law, robot_file
+from tests.oracles import damped_inverse, robot_file
 
 N, LANES, DAMPING = 5, 7, 0.1
-LENGTHS = np.array([1.0, 0.8, 0.6, 0.5, 0.4])
-HANDS = ["left_rubber_hand", "right_rubber_hand"]
-FILES = {"panda": (robot_file("panda"), ["panda_hand"]), "g1": (robot_file("g1"), HANDS)}
+LENGTHS = np.array([1.0, 0.8, 0.6, 0.5])
+G1, HANDS = robot_file("g1"), ["left_rubber_hand", "right_rubber_hand"]
 
 
 @functools.cache
 def robot(name):
-    """planar2, planar3 and planar5, the Panda, two planar arms on one trunk, or G1 above the pelvis."""
+    """planar2 and planar3, two planar arms on one trunk, or G1 above the pelvis."""
     if name.startswith("planar"):
         return ck.planar_arm(LENGTHS[: int(name[-1])].tolist())
     if name == "two arms":
         trunk, arm = (ck.planar_arm(v.tolist()) for v in (LENGTHS[:2], LENGTHS[2:4]))
         both = ck.join(trunk, arm, prefix="one_", keep=True)
         return ck.join(both, arm, at="tip", prefix="two_")
-    file, tips = FILES[name]
-    return ck.load_urdf(file, tips=tips)
+    return ck.load_urdf(G1, tips=HANDS)
 
 
 @functools.cache
 def law(name):
     """Positions of all tips, damped; the plane's x and y for planar arms."""
-    axes = "xyz" if name in FILES else "xy"
+    axes = "xyz" if name == "g1" else "xy"
     each = [ck.position(axes, tip=tip.name) for tip in robot(name).tips]
     return ck.Law(robot(name), functools.reduce(lambda a, b: a & b, each), alpha=1.0, inverse=ck.damped(DAMPING))
 
 
 def places(name, q):
     """Coordinates of the task, (m,), at joint values."""
-    count = 3 if name in FILES else 2
+    count = 3 if name == "g1" else 2
     tips = [ck.forward(robot(name), q, tip=tip.name) for tip in robot(name).tips]
     return np.concatenate([np.asarray(at.position, float)[:count] for at in tips])
 
@@ -94,35 +92,21 @@ def lanes(loop):
     return jax.jit(jax.vmap(loop.run))
 
 
-def field(name, alpha, target):
-    """f(q, t) of a loop in NumPy: closed forms for planar arms, Pinocchio's kinematics for the others; or None."""
-    if name.startswith("planar"):
-        lengths = LENGTHS[: int(name[-1])]
-        still = lambda t: np.zeros(2)  # noqa: E731
-        return planar_law(lengths, lambda t: target, still, alpha, inverse=damped_inverse(DAMPING))
-    if name not in FILES:
-        return None
+def by_pinocchio(alpha, Ts, q0, target):
+    """q of N explicit Euler steps of G1 on Pinocchio's kinematics."""
     from tests.robot.test_urdf import Pinocchio, oracle
 
-    file, tips = FILES[name]
-    where, names = Pinocchio(file, oracle(file)[0]), robot(name).joint_names
-    base = {"panda": "panda_link0", "g1": "pelvis"}[name]
-
-    def slope(q, t):
-        each = [where.at(names, q, tip, base) for tip in tips]
+    where, path = Pinocchio(G1, oracle(G1)[0]), [q0]
+    for _ in range(N):
+        each = [where.at(robot("g1").joint_names, path[-1], tip, "pelvis") for tip in HANDS]
         e = target - np.concatenate([at[0] for at in each])
-        return damped_inverse(DAMPING)(np.vstack([at[2][:3] for at in each])) @ (alpha * e)
-
-    return slope
+        path.append(path[-1] + Ts * damped_inverse(DAMPING)(np.vstack([at[2][:3] for at in each])) @ (alpha * e))
+    return np.array(path)
 
 
 LOOPS = [
-    Loop("planar2", "EE", "float64"),
     Loop("planar2", "CN", "float32"),
     Loop("planar3", "EXP-MIDPOINT", "float64"),
-    Loop("planar3", "CN", "float64"),
-    Loop("planar5", "EXP-MIDPOINT", "float32"),
-    Loop("panda", "EE", "float64"),
     Loop("two arms", "EXP-MIDPOINT", "float64"),
     Loop("g1", "EE", "float64"),
 ]

@@ -1,15 +1,10 @@
-"""Independent references for the tests: plain NumPy, SciPy, Pinocchio. Nothing here uses cnclik.
-
-Loops are written out method by method, as the paper and the textbooks print them, and not from tableaus.
-"""
+"""Independent references for the tests: plain NumPy, SciPy, Pinocchio. Nothing here uses cnclik."""
 
 import importlib.metadata
 import pathlib
 
 import numpy as np
 import scipy.linalg
-
-# --- robots -------------------------------------------------------------------------------------------
 
 # file, tip, base: robots people own, 6 to 8 joints, prismatic and continuous ones among them.
 ARMS = {
@@ -110,36 +105,16 @@ def dh_product(a, alpha, d, theta, kinds, q, convention, base=None, tool=None):
     return out if tool is None else out @ tool
 
 
-# --- loops --------------------------------------------------------------------------------------------
-
-
-def clik(method, f, q0, Ts, N, M=5):
-    """q[0..N] of the loop q̇ = f(q, t), each method written out on its own.
-
-    CN is Drexler (2016), eqs. 2 and 6-12: Picard iteration from the explicit slope, θ[k] stays, the target is taken
-    at k + 1, and the mean of the EE and the IE increment.
-    """
-    q, path = np.array(q0, float), [np.array(q0, float)]
-    for k in range(N):
-        t = k * Ts
-        explicit = f(q, t)
-        if method == "EE":
-            move = explicit
-        elif method == "CN":
-            implicit = explicit
-            for _ in range(M):
-                implicit = f(q + Ts * implicit, t + Ts)
-            move = (explicit + implicit) / 2
-        elif method == "RK4":
-            k2 = f(q + Ts / 2 * explicit, t + Ts / 2)
-            k3 = f(q + Ts / 2 * k2, t + Ts / 2)
-            k4 = f(q + Ts * k3, t + Ts)
-            move = (explicit + 2 * k2 + 2 * k3 + k4) / 6
-        else:
-            raise KeyError(method)
-        q = q + Ts * move
-        path.append(q)
-    return np.array(path)
+def rk4(f, q0, Ts, N):
+    """q[N] of the loop q̇ = f(q, t)."""
+    q = np.array(q0, float)
+    for t in Ts * np.arange(N):
+        k1 = f(q, t)
+        k2 = f(q + Ts / 2 * k1, t + Ts / 2)
+        k3 = f(q + Ts / 2 * k2, t + Ts / 2)
+        k4 = f(q + Ts * k3, t + Ts)
+        q = q + Ts * (k1 + 2 * k2 + 2 * k3 + k4) / 6
+    return q
 
 
 def planar_law(lengths, target, velocity, alpha, sense=1.0, inverse=np.linalg.pinv, null=None):
@@ -160,8 +135,6 @@ def damped_inverse(damping):
     """Jᵀ(JJᵀ + λ²I)⁻¹ by a general solver."""
     return lambda j: j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(len(j)))
 
-
-# --- amplification ------------------------------------------------------------------------------------
 
 # R(z), the factor of the error per step, stages solved exactly.
 AMPLIFICATION = {

@@ -16,28 +16,16 @@ from cnclik.errors import ArgumentError
     ("call", "said"),
     [
         (lambda: errors.number("x", -0.1, positive=True), "be positive, but is -0.1."),
-        (lambda: errors.number("x", 0, positive=True), "be positive, but is 0."),
-        (lambda: errors.number("x", -1, at_least=0), "be at least 0, but is -1."),
         (lambda: errors.number("x", float("nan")), "be finite, but is nan."),
-        (lambda: errors.number("x", jnp.inf), "be finite, but is inf."),
         (lambda: errors.number("x", "fast"), "be a number, but is 'fast'."),
-        (lambda: errors.number("x", None), "be a number, but is None."),
-        (lambda: errors.number("x", 1j), "be a number, but is 1j."),
         (lambda: errors.number("x", [[1], []]), "be a number, but is [[1], []]."),
         (lambda: errors.number("x", 10**400), f"be a number, but is 1{'0' * 115}…."),
         (lambda: errors.integer("x", 3.0, at_least=0), "be an integer, but is 3.0."),
-        (lambda: errors.integer("x", True, at_least=0), "be an integer, but is True."),
-        (lambda: errors.integer("x", -1, at_least=0), "be at least 0, but is -1."),
         (lambda: errors.integer("x", 10, at_least=0, at_most=9), "be at most 9, but is 10."),
         (lambda: errors.array("x", [1, 2], (3,)), "have 3 numbers, but has 2."),
         (lambda: errors.array("x", np.ones((2, 3)), (), (2, 2)), "have shape () or (2, 2), but has shape (2, 3)."),
-        (lambda: errors.array("x", 1.0, (None,)), "have shape (n,), but has shape ()."),
         (lambda: errors.array("x", [0, np.nan]), "be finite, but is nan at index (1,)."),
-        (lambda: errors.array("x", np.float64(np.inf)), "be finite, but is inf."),
-        (lambda: errors.array("x", [[1], []]), "be an array of real numbers, but is [[1], []]."),
-        (lambda: errors.array("x", [True, "a"]), "be an array of real numbers, but is [True, 'a']."),
         (lambda: errors.one_of("x", "RK5", ["EE", "RK4"]), "be one of EE, RK4, but is 'RK5' (did you mean 'RK4'?)."),
-        (lambda: errors.one_of("x", [], {"EE": 1}), "be one of EE, but is []."),
         *(
             (lambda bad=bad: errors.seed(bad), f"be a whole number from 0 to 1,073,741,823, but is {bad}.")
             for bad in (1 << 30, -1, 0.5)
@@ -54,17 +42,6 @@ def test_what_is_no_real_number():
     for bad in (np.ones(2, complex), np.ones(2, bool), np.array(["a"]), "5", ["1", "2"], [True, False], [None], [1j]):
         with pytest.raises(ArgumentError, match="real numbers"):
             errors.array("q", bad)
-
-
-@pytest.mark.parametrize("value", [[1, 2], (1, 2), np.array([1, 2]), jnp.array([1, 2]), [np.int32(1), jnp.asarray(2)]])
-def test_integers_become_floats(value):
-    found = errors.array("q", value, (2,))
-    assert found.dtype == float
-    np.testing.assert_array_equal(found, [1, 2])
-
-
-def test_single_precision_is_kept():
-    assert errors.array("q", np.ones(2, np.float32)).dtype == np.float32
 
 
 @pytest.mark.parametrize("dtype", [">f8", ">f4", np.longdouble])
@@ -91,12 +68,6 @@ def test_traced_values_are_checked_by_shape_alone():
         jax.jit(lambda x: errors.array("q", x[None], (3,)))(1.0)
 
 
-def test_numbers_pass_as_they_came():
-    for value in (1, 0.5, np.float32(2), jnp.asarray(3.0)):
-        assert errors.number("x", value, positive=True) is value
-    assert errors.integer("N", np.int64(3), at_least=0) == 3
-
-
 def test_a_message_is_one_short_line_whatever_it_speaks_of():
     for error in (errors.fail("n" * 10**6, "be", "is\n\x1b[31m"), ArgumentError("a\nb \x1b[2J" + "c" * 10**6)):
         said = str(error)
@@ -109,26 +80,26 @@ def test_what_no_file_system_can_name_is_one_line(path):
         errors.path("out", path)
 
 
+EVERY = ["EE", "HEUN", "RK4", "MIDPOINT", "EXP-MIDPOINT"]
+
+
 @pytest.mark.parametrize(
-    ("written", "meant"), [("ee", "EE"), ("Heunn", "HEUN"), ("exp_midpoint", "EXP-MIDPOINT"), ("rk-4", "RK4")]
-)
-def test_the_name_that_was_meant_whatever_its_letters_size(written, meant):
-    assert errors.nearest(written, ["EE", "HEUN", "RK4", "MIDPOINT", "EXP-MIDPOINT"]) == f" (did you mean {meant!r}?)"
+    ("written", "names", "meant"),
+    [("ee", EVERY, "EE"), ("Heunn", EVERY, "HEUN"), ("exp_midpoint", EVERY, "EXP-MIDPOINT"), ("rk-4", EVERY, "RK4"),
+     ("name", ["question", "axes", "fixed"], ""), ("euler", EVERY, "EE"), ("euler", ["base", "euler_"], "euler_")],
+)  # fmt: skip
+def test_the_name_that_was_meant(written, names, meant):
+    """Whatever its letters' size, by the field's words for a method, and none that is not near."""
+    assert errors.nearest(written, names) == (f" (did you mean {meant!r}?)" if meant else "")
 
 
-def test_no_name_is_suggested_that_is_not_near_and_a_long_list_gives_way_to_one_that_is():
-    assert errors.nearest("name", ["question", "axes", "fixed"]) == ""
+def test_a_long_list_gives_way_to_a_name_that_is_near():
     names = [f"--option-{k}" for k in range(60)]
     with pytest.raises(errors.ArgumentError) as said:
         errors.one_of("Option", "--optoin-7", names)
     assert str(said.value).endswith("be one of 60 names, but is '--optoin-7' (did you mean '--option-7'?).")
     with pytest.raises(errors.ArgumentError, match="--option-0, --option-1"):
         errors.one_of("Option", "x", names)
-
-
-def test_what_the_field_calls_a_method_hides_no_name_of_another_kind():
-    assert errors.nearest("euler", ["EE", "CN"]) == " (did you mean 'EE'?)"
-    assert errors.nearest("euler", ["base", "euler_"]) == " (did you mean 'euler_'?)"
 
 
 def test_numbers_of_numpy_are_written_as_numbers_and_a_text_as_it_is():

@@ -42,8 +42,7 @@ def test_python_numbers_are_literal_and_everything_else_is_a_leaf():
 
 def test_round_trip():
     tree = outer(extra={"a": (None, jnp.arange(3)), "b": 4})
-    arrays, literals = partition(tree)
-    back = combine(arrays, literals)
+    back = combine(*partition(tree))
     assert back.numbers == tree.numbers and back.inner.value == tree.inner.value
     assert back.extra["b"] == 4 and back.extra["a"][0] is None
     doubled = jax.tree.map(lambda v: 2 * v, tree)
@@ -67,13 +66,6 @@ def test_literals_key_the_compilation():
     assert len(traces) == 1
     assert fn(outer(inner=Inner(value=3.0))) == 9
     assert len(traces) == 2
-
-
-def test_transformations():
-    tree = outer()
-    assert jax.grad(lambda t: t.numbers[2] ** 2 * t.inner.value)(tree).numbers[2] == 12
-    many = replace(tree, numbers=(1, 2.5, jnp.arange(3.0)))
-    np.testing.assert_array_equal(jax.vmap(lambda t: t.numbers[2] + t.numbers[1])(many), [2.5, 3.5, 4.5])
 
 
 def test_frozen_and_keyword_only():
@@ -108,9 +100,6 @@ def test_stack_keeps_what_agrees_literal():
     np.testing.assert_array_equal(both.numbers[2], [3.0, 3.0])
     doubled = jax.vmap(lambda r: r.inner.value * r.numbers[1] + r.numbers[2])(both)
     np.testing.assert_array_equal(doubled, [8.0, 13.0])
-
-
-# --- in print -----------------------------------------------------------------------------------------
 
 
 def test_records_print_in_short():

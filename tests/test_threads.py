@@ -5,8 +5,6 @@ import time
 
 import pytest
 
-from cnclik.sweeps import program
-from cnclik.sweeps.grid import grid
 from cnclik.threads import cores, side_by_side
 
 
@@ -35,22 +33,3 @@ def test_who_is_interrupted_waits_for_nothing_and_begins_nothing_more(left):
         go.set()
     time.sleep(0.1)
     assert started == [0]
-
-
-def test_an_interrupted_sweep_does_not_wait_for_its_compilers(monkeypatch):
-    compiled, begun, real = threading.Event(), time.perf_counter(), program.compile_program
-
-    def slow(study, fixed, of):
-        if fixed["N"] > 1:
-            compiled.wait(20)
-        return real(study, fixed, of)
-
-    monkeypatch.setattr(program, "compile_program", slow)
-    of = grid({"N": [1, 2, 3], "z": [0.5, 1.0]})
-    try:
-        blocks = program.run_blocks(lambda N, z: {"y": N * z}, of, of.blocks())
-        next(blocks)
-        blocks.close()  # as an exception in the loop around it does
-        assert time.perf_counter() - begun < 10
-    finally:
-        compiled.set()

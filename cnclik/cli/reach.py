@@ -112,7 +112,7 @@ def _robot_and_task(robot, tips, near, task=None) -> tuple:
 
 def _given(task, points):
     from cnclik.reaching.targets import by_name
-    from cnclik.task.aims import aims
+    from cnclik.task.task import aims
 
     every = aims(task)
     if len(points) != len(every):
@@ -130,8 +130,7 @@ def _of_file(task, file):
     from cnclik.problem.tables import read_points
     from cnclik.reaching.targets import by_name
     from cnclik.record import replace
-    from cnclik.task.aims import aims
-    from cnclik.task.task import Task
+    from cnclik.task.task import Task, aims
 
     errors.ending("TARGETS", file, ".csv")
     every, each = aims(task), []
@@ -148,8 +147,8 @@ def _random(chain, task, count, seed):
     from cnclik.reaching.starts import spans
     from cnclik.reaching.targets import by_name
     from cnclik.robot.model import modelled
-    from cnclik.task.aims import aims
     from cnclik.task.parts import At
+    from cnclik.task.task import aims
 
     low, high = spans(chain)
     at = At(modelled(chain), np.random.default_rng(errors.seed(seed)).uniform(low, high, (count, chain.n)))

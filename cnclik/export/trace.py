@@ -18,6 +18,7 @@ from cnclik.law.reference import Reference, References, of_each
 from cnclik.record import cast
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.task.parts import places
 
 
 class Request(NamedTuple):
@@ -155,7 +156,7 @@ def _target(law, inputs):
         for part, where in zip(parts.parts, parts.motions, strict=True):
             aim, rate = inputs[before + place(part)], inputs[f"{before}velocity"][where]
             if part.turns:
-                rotation, spin = aim, part.spread(rate)
+                rotation, spin = aim, jnp.zeros(3, rate.dtype).at[places(part.axes)].set(rate)
             else:
                 position, velocity = aim, rate
         return Reference(curve=Tangent(t=t, position=position, velocity=velocity, rotation=rotation, spin=spin))

@@ -116,7 +116,7 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
             if aim is not None:
                 went, turn = part.mean(aim, now)
                 xdot = jnp.where(still, xdot, went / safe)
-            elif part.turns and part.whole and not path.still:
+            elif part.turns and part.m == 3 and not path.still:
                 turn = exp_so3(Ts * xdot)
             means.append(xdot)
             turns.append(turn)

@@ -8,7 +8,7 @@ from cnclik import errors
 from cnclik.measure.dataset import Labelled, about
 from cnclik.measure.files import save_csv, save_netcdf
 from cnclik.reaching.result import Reached, ReachStatus
-from cnclik.task.aims import aims
+from cnclik.task.task import aims
 
 ENDINGS = (".nc", ".csv")
 

@@ -19,7 +19,7 @@ from cnclik.robot import poses
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
-from cnclik.task.parts import At
+from cnclik.task.parts import At, places
 from cnclik.task.task import Task
 
 
@@ -172,5 +172,5 @@ def _point(name, given, arm, default=lambda arm: arm.here):
             values, rotation = values[:-4], poses.rotations(name, values[-4:])
         position = values
     if task.position and len(position) != len(task.position):
-        position = position[np.array(task.linear)]
+        position = position[places(task.position)]
     return (position if task.position else None), (rotation if task.orientation else None)

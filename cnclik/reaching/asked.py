@@ -11,9 +11,8 @@ from cnclik.reaching.result import ReachStatus, Row, row_of, touching
 from cnclik.record import AnyArray, Float, Number, leaf, memoized, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import beyond_arm
-from cnclik.task.aims import WIDTH, aims
 from cnclik.task.build import orientation, pose, position
-from cnclik.task.task import Task
+from cnclik.task.task import WIDTH, Task, aims
 
 TASKS = {"pose": pose(), "position": position(), "orientation": orientation()}
 

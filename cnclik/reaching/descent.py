@@ -31,9 +31,8 @@ from cnclik.record import Array, Bool, Float, Int, cast, memoized
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
 from cnclik.robot.rotations import quaternion_from_rotation
-from cnclik.task.aims import WIDTH, aims, told_apart
 from cnclik.task.parts import At, places
-from cnclik.task.task import Task, rows
+from cnclik.task.task import WIDTH, Task, aims, rows, told_apart
 
 PLAIN, CAREFUL = 9, 24  # looks, at most, of plain descents and of careful ones
 DOWNHILL = 150  # of those to the nearest pose

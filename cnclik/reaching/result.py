@@ -8,9 +8,8 @@ import numpy as np
 from cnclik.record import AnyArray, Bool, Float, Int, record
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import modelled
-from cnclik.task.aims import aims
 from cnclik.task.parts import At
-from cnclik.task.task import Task
+from cnclik.task.task import Task, aims
 
 TOUCHING = 1e-9  # [rad, m] distance from a limit that counts as being at it
 

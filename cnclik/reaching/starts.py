@@ -13,7 +13,7 @@ import numpy as np
 from cnclik.robot.chain import Chain
 from cnclik.robot.posture import evenly
 from cnclik.robot.rotations import products_of_quaternion
-from cnclik.task.aims import WIDTH, aims, owners
+from cnclik.task.task import WIDTH, aims, owners
 
 COUNT = 1 << 17  # postures
 PER_BIN, TURNS = 5, 3  # about so many of them in a bin; bins along a coordinate of a turn

@@ -7,8 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.reference import Reference, References, aims_of
 from cnclik.robot import poses
-from cnclik.task.aims import WIDTH, aims, of_tips
-from cnclik.task.task import Task
+from cnclik.task.task import WIDTH, Task, aims, of_tips
 
 
 def read(targets, task: Task):

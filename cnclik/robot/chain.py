@@ -17,11 +17,11 @@ from cnclik import errors
 from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot import poses
 from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
-from cnclik.robot.masses import Masses
 from cnclik.robot.poses import PoseLike
 from cnclik.robot.tree import BALL, MOST
 
 Names = Sequence[str] | None
+Masses = tuple[tuple[Number, Triple], ...]  # masses [kg] and their centres in the frame of what carries them [m]
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
 
 

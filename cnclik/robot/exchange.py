@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cnclik import errors
 from cnclik.record import ArrayLike, Float
@@ -69,7 +70,7 @@ def from_model_q(robot: Chain, model: Any, q: Float[ArrayLike, "... nq"], v: Any
         elif angles.shape[1] == 4:
             if not angles.any(axis=1).all():
                 raise errors.fail("q", "hold a quaternion for each free or ball joint", "holds zeros in place of one")
-            angles = _rotations().from_quat(angles, scalar_first=_is_mujoco(model)).as_rotvec()
+            angles = Rotation.from_quat(angles, scalar_first=_is_mujoco(model)).as_rotvec()
         values[:, own] = np.hstack([q[:, place], angles])
         rates[:, own] = _turned(model, v_rows[:, velocity], count, _rotation(angles))
     values, rates = (each[:, :-1].reshape(*shape, -1) for each in (values, rates))
@@ -128,10 +129,4 @@ def _turned(model, rates, count, rotation):
 
 def _rotation(angles):
     """Return rotations of rotation vectors (B, 3), of angles about z (B, 1), or of none (B, 0)."""
-    return _rotations().from_rotvec(np.pad(angles, ((0, 0), (3 - angles.shape[1], 0))))
-
-
-def _rotations() -> Any:
-    from scipy.spatial.transform import Rotation  # here, as most runs exchange nothing
-
-    return Rotation
+    return Rotation.from_rotvec(np.pad(angles, ((0, 0), (3 - angles.shape[1], 0))))

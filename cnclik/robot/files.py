@@ -9,8 +9,6 @@ from cnclik import errors
 from cnclik.reading import read_bytes
 from cnclik.robot.tree import Tree, read_urdf, text_of
 
-ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
-
 
 @errors.called("path", "robot")
 @errors.called("model", "robot")
@@ -47,7 +45,7 @@ def file_of(name: str) -> str | None:
 
     Raises: ArgumentError if robot_descriptions knows the name but cannot load it.
     """
-    if os.path.exists(name) or name.lower().endswith(ENDINGS):
+    if os.path.exists(name) or name.lower().endswith((".urdf", ".xml", ".xacro", ".mjcf")):
         return name
     module = f"robot_descriptions.{name}"
     known = re.fullmatch(r"[a-z]\w*", name) and importlib.util.find_spec("robot_descriptions")

@@ -33,14 +33,10 @@ def load_mjcf(
 ) -> Chain:
     """Load a robot from an MJCF model, as MuJoCo reads it: the chain from base to tip, or the tree to several tips.
 
-    Bodies and sites are the links. Hinges and slides become coordinates with their ranges; their values are MuJoCo's
-    `qpos`. MJCF has no velocity limits. A joint that an active equality constraint couples linearly to another one is a
-    mimic joint of it. Masses are those of bodies that hang on joints, so that a table in the scene is not part of the
-    robot.
-
-    A free joint, such as that of a humanoid's pelvis, is a free base, see `load_urdf`; with the body behind it as the
-    base the robot stands. A ball joint is three coordinates, its rotation vector; its velocity is the angular velocity
-    in the body's own axes.
+    Bodies and sites are the links. Joint values are MuJoCo's `qpos`; MJCF has no velocity limits. A joint that an
+    active equality constraint couples linearly to another one is a mimic joint of it. Masses are those of bodies that
+    hang on joints. A free joint is a free base, see `load_urdf`; with the body behind it as the base the robot stands.
+    A ball joint is three coordinates, its rotation vector; its velocity is the angular velocity in the body's own axes.
 
     Args:
       model: the file, its text, which begins with "<", a `mujoco.MjSpec` or a `mujoco.MjModel`.
@@ -96,7 +92,7 @@ def _compiled(model) -> tuple:
             return "the text", mujoco.MjModel.from_xml_string(text)
         return pathlib.Path(model).name, mujoco.MjModel.from_xml_path(os.fspath(model))
     except (ValueError, mujoco.FatalError) as error:
-        raise errors.fail("model", "be one that MuJoCo reads", f"it says: {error}") from None
+        raise errors.fail("model", "be one that MuJoCo reads", f"it finds: {error}") from None
 
 
 def _offset(position, quaternion) -> Offset:

@@ -189,9 +189,8 @@ def _model(chain: Chain) -> Model:
     def some(*names):
         return not all(type(x) is float and math.isinf(x) for name in names for x in limits[name])
 
-    rotations, positions = (
-        xp.array([getattr(t.offset, name) for t in chain.tips], float) for name in ("rotation", "position")
-    )
+    rotations = xp.array([t.offset.rotation for t in chain.tips], float)
+    positions = xp.array([t.offset.position for t in chain.tips], float)
     return Model(
         n=chain.n,
         transforms=_of_joints(xp, joints, turning),
@@ -212,11 +211,8 @@ def _model(chain: Chain) -> Model:
 
 def _of_joints(xp, joints, turning):
     """Return A, B, C, and D (j, 4, 4) or None: a rotation is R = a aᵀ + (I − a aᵀ) cos + [a]× sin."""
-    given = (
-        (joint.axis for joint in joints),
-        *zip(*((j.origin.rotation, j.origin.position) for j in joints), strict=True),
-    )
-    axes, rotation, position = (xp.array(list(part), float) for part in given)
+    parts = zip(*((j.axis, j.origin.rotation, j.origin.position) for j in joints), strict=True)
+    axes, rotation, position = (xp.array(part, float) for part in parts)
     if xp is jnp:
         axes, rotation = of_the_model((axes, rotation))
     revolute = np.array([joint.kind == REVOLUTE for joint in joints])[:, None, None]
@@ -297,8 +293,6 @@ def forward(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) 
     Args:
       q: (n,) joint values [rad, m].
       tip: its name; None: the only one.
-    Returns: `Pose`: position (3,) [m] and rotation (3, 3).
-    Raises: ArgumentError if q does not have shape (n,), for an unknown tip, and for a missing name among several tips.
     """
     position, rotation = _pose(chain, q, tip)
     return Pose(position=position, rotation=rotation)
@@ -311,6 +305,5 @@ def jacobian(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None)
     3.30). Units: m/s and rad/s per unit of q̇. A joint that does not move the tip has a column of zeros.
 
     Args: q, tip: as for `forward`.
-    Raises: as `forward`.
     """
     return _jacobian(chain, q, tip)[0]

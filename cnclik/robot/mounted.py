@@ -1,11 +1,13 @@
-"""Mounted: a robot with a tool, on a base, or with another robot on it."""
+"""Mounted: a robot with a tool, on a base, or with another robot on it; the masses that its base and joints carry."""
+
+import functools
+from typing import Any
 
 from cnclik import errors
-from cnclik.record import replace
-from cnclik.robot.chain import Chain, Tip, assemble, offset_of
-from cnclik.robot.fixed import Offset, compose
-from cnclik.robot.masses import joined, put
-from cnclik.robot.poses import PoseLike
+from cnclik.record import Array, Float, replace
+from cnclik.robot.chain import Chain, Masses, Tip, assemble, offset_of
+from cnclik.robot.fixed import ZERO, Offset, compose, placed, scale, vadd
+from cnclik.robot.poses import PoseLike, library
 
 
 def with_tip(chain: Chain, offset: Offset, tip: str | None = None) -> Chain:
@@ -34,7 +36,7 @@ def with_base(chain: Chain, base: PoseLike) -> Chain:
     """
     place = offset_of("base", base)
     joints = _placed(errors.kind("chain", chain, Chain), place)
-    return replace(chain, joints=joints, masses=put(chain.masses, place))
+    return replace(chain, joints=joints, masses=_put(chain.masses, place))
 
 
 def _placed(chain, base):
@@ -80,5 +82,53 @@ def join(
         if twice := sorted({name for name in several if several.count(name) > 1}):
             raise errors.fail("prefix", "tell the names of both robots apart", f"leaves {', '.join(twice)} twice")
     limits = {name: getattr(chain, name) + getattr(other, name) for name in ("lower", "upper", "velocity_limit")}
-    masses = joined(chain, other, carrier.joint, start)
+    masses: Any = ()
+    if chain.masses and other.masses:
+        (first, *above), below = _put(other.masses, start), list(chain.masses)
+        below[carrier.joint + 1] = _sum(*(mass for mass in (below[carrier.joint + 1], first) if mass[0]))
+        masses = (*below, *above)
     return assemble(joints, tuple(tips), joint_names=names, **limits, masses=masses)
+
+
+# --- masses -------------------------------------------------------------------------------------------
+
+
+def _sum(*each) -> tuple:
+    """Return several masses as one."""
+    whole = sum(mass for mass, _ in each)
+    moment = functools.reduce(vadd, (scale(mass, center) for mass, center in each), ZERO)
+    return (whole, scale(1.0 / whole, moment)) if each else (0.0, ZERO)
+
+
+def lumped(inertials: dict, at: dict, count: int) -> Masses:
+    """Return the masses of the base and of each joint; () if there are none.
+
+    Args:
+      inertials: {link: (mass, its centre in the link's frame)}.
+      at: {link: (index of the joint that carries it, −1 for the base; its place in that frame)}.
+      count: of joints.
+    """
+    carried: list = [[] for _ in range(count + 1)]
+    for link, (mass, center) in inertials.items():
+        if link in at:
+            joint, offset = at[link]
+            carried[joint + 1].append((mass, placed(offset, center)))
+    return tuple(_sum(*each) for each in carried) if any(carried) else ()
+
+
+def _put(masses: Masses, base: Offset) -> Masses:
+    """Return the masses of a robot with its base moved."""
+    return (*((mass, placed(base, center)) for mass, center in masses[:1]), *masses[1:])
+
+
+def shares(chain) -> Float[Array, "j+1 4"]:
+    """Return for the base, then for each joint its share s of the total mass and its centre, as s·(c, 1).
+
+    Raises: ArgumentError for a robot without masses.
+    """
+    if not chain.masses:
+        found = "has none, or was joined from one without"
+        raise errors.fail("robot", "have masses, as of a URDF file with <inertial> in its links", found)
+    each: Any = [[*scale(mass, center), mass] for mass, center in chain.masses]
+    each = library(each).array(each, float)
+    return each / each[:, 3].sum()

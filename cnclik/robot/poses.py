@@ -5,7 +5,7 @@ A rotation may be as rough as three decimals; a known one is then made exact, in
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,15 +20,7 @@ _EXACT = 1e-12  # the same for one that is used unchanged
 _NORM = 1e-2  # largest deviation of a quaternion's norm from 1, as for 0.71 0.71 0 0
 FORMS = "a 4×4 transform, [x, y, z, w, x, y, z], a Pose, or an object with translation and rotation"
 
-
-class Posed(Protocol):
-    """A `Pose`, or an object such as Pinocchio's SE3; its place is its `position` or `translation`."""
-
-    @property
-    def rotation(self) -> Any: ...
-
-
-PoseLike = ArrayLike | Posed  # numbers may be only a position
+PoseLike = ArrayLike | Any  # one of FORMS, or numbers that are only a position
 
 
 def whole(name, value, *, finite=True):
@@ -111,7 +103,7 @@ def _from_matrices(name, value):
     if not errors.concrete(value):
         return value
     value = _float(value)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         gap = np.abs(value @ value.mT - np.eye(3)).max(axis=(-2, -1))
         mirrored = ~(np.linalg.det(value) > 0)
         wrong = np.isfinite(value).all(axis=(-2, -1)) & ((gap > _ROUGH) | mirrored)  # a status reports others

@@ -58,7 +58,7 @@ def is_planar(chain: Chain) -> bool:
     )
 
 
-def past_straight(chain: Chain) -> list[tuple[str, float, float]]:
+def past_straight(chain: Chain) -> list:
     """Return (name, straight value, range beyond it) [rad] of elbows and knees that bend both ways, one of them little.
 
     An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
@@ -89,28 +89,21 @@ def task_jacobians(chain: Chain, task, postures):
     return np.array(task.rows_at(modelled(chain), np.asarray(postures, float)))
 
 
-def singular_values(chain: Chain, tasks, postures):
-    """Return least singular values (k, K) at (K, n) postures of the Jacobian of each task, and of all of them together
-    where the chain has joints enough. Lengths are in the arm's own unit."""
-    each = []
-    for task in tasks:
-        each.append(task_jacobians(chain, task, postures))
-        each[-1][:, task.lengths] /= arm_length(chain)
-    if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
-        each.append(np.concatenate(each, axis=1))
-    least = [np.linalg.svd(j, compute_uv=False)[:, -1] for j in each]
-    return np.array(least).reshape(-1, len(postures))
-
-
 def start_posture(chain: Chain, *tasks):
     """Return a posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip,
     and of all of them together where there are joints enough.
 
     The middle of the limits (0 for joints without limits) if the task Jacobians are well conditioned there. Otherwise,
     of 256 fixed postures around it, the one with the largest least singular value relative to each task's largest.
+    Lengths are in the arm's own unit.
     """
-    postures = spread_postures(chain)
-    least = singular_values(chain, tasks, postures)
+    postures, each = _spread_postures(chain), []
+    for task in tasks:
+        each.append(task_jacobians(chain, task, postures))
+        each[-1][:, task.lengths] /= arm_length(chain)
+    if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
+        each.append(np.concatenate(each, axis=1))
+    least = np.array([np.linalg.svd(j, compute_uv=False)[:, -1] for j in each]).reshape(-1, len(postures))
     most = least.max(axis=1, keepdims=True)
     least = np.where(most > _SINGULAR, least / np.maximum(most, _SINGULAR), 1.0).min(axis=0, initial=1.0)
     return postures[0] if least[0] > 0.3 * least.max() else postures[np.argmax(least)]
@@ -127,7 +120,7 @@ def evenly(count: int, n: int):
     return np.mod(0.5 + np.outer(np.arange(count), base ** -np.arange(1.0, n + 1)), 1.0)
 
 
-def spread_postures(chain: Chain):
+def _spread_postures(chain: Chain):
     """Return 256 postures (256, n) well inside the limits, the same on every machine; the first is their middle."""
     lower, upper = np.array(chain.lower), np.array(chain.upper)
     lower, upper = np.where(lower < -_FAR, -np.inf, lower), np.where(upper > _FAR, np.inf, upper)

@@ -39,11 +39,6 @@ def safe_sqrt(x):
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, least, x)))
 
 
-def axial(m):
-    """Return twice the vector of a 3×3 matrix's antisymmetric part: 2 sin θ a for a rotation by θ about a."""
-    return jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-
-
 def crossed(w):
     """Return [w]×, the matrix of the cross product with w (3, ...)."""
     (x, y, z), xp = w, library(w)

@@ -1,7 +1,4 @@
-"""The kinematic tree of a URDF file: links, joints, limits, masses. Read without loading JAX.
-
-Meshes and plugin sections are skipped, so no other files are needed.
-"""
+"""The kinematic tree of a robot's file: links, joints, limits, masses. A URDF file is read without loading JAX."""
 
 import collections
 import dataclasses
@@ -163,7 +160,7 @@ def _edge(file, element) -> Edge:
     limit, mimic = element.find("limit"), element.find("mimic")
     if limit is None and kind != "continuous" and mimic is None:
         raise bad(f"is {kind} and has no <limit>")
-    bounds = {}
+    bounds: dict = {}
     if kind != "continuous" and limit is not None and {"lower", "upper"} & set(limit.keys()):
         lower, upper = (numbers("limit", key, "0", math.inf)[0] for key in ("lower", "upper"))
         if lower > min(upper, MOST) or upper < -MOST:

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from cnclik import errors
 from cnclik.robot.chain import PRISMATIC, REVOLUTE, Chain, Joint, Tip, assemble, offset_of
 from cnclik.robot.fixed import Offset, compose, inverse, scale, turn
-from cnclik.robot.masses import lumped
+from cnclik.robot.mounted import lumped
 from cnclik.robot.tree import BALL, NO_OFFSET, Edge, Tree, read_urdf
 
 _MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC, BALL: BALL}
-_BASES = {"fixed": None, "planar": "planar", "free": "floating"}  # {name of a base: type of its joint}
+_BASES = {"fixed": "fixed", "planar": "planar", "free": "floating"}  # {name of a base: type of its joint}
 _X, _Y, _Z = NO_OFFSET[1]
 _ALONG = [("x", "prismatic", _X), ("y", "prismatic", _Y), ("z", "prismatic", _Z)]
 _ABOUT = [("rx", BALL, _X), ("ry", BALL, _Y), ("rz", BALL, _Z)]
@@ -178,25 +178,24 @@ def _ends(tree, tips) -> dict:
         named = {link: link for link in tips}
     if not named or len(named) < len(tips):
         raise errors.fail("tips", "hold different links, or be {name: link} or {name: (link, where)}", f"is {tips!r}")
-    pairs = {name: end if isinstance(end, tuple) and len(end) == 2 else (end, None) for name, end in named.items()}
-    return {
-        name: (_link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where))
-        for name, (link, where) in pairs.items()
-    }
+    ends = {}
+    for name, end in named.items():
+        link, where = end if isinstance(end, tuple) and len(end) == 2 else (end, None)
+        ends[name] = _link_of(tree, "tips", link), offset_of(f"tips[{name!r}]", where)
+    return ends
 
 
 def _frozen(tree, freeze) -> dict:
     """Return {name of a fixed joint: its value}, checked."""
     moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
-    if not isinstance(freeze, (dict, type(None))):
-        raise errors.fail("freeze", "be {name of a joint: its value}", f"is {freeze!r}")
-    for name, value in (freeze or {}).items():
+    freeze = errors.kind("freeze", {} if freeze is None else freeze, dict, "be {name of a joint: its value}")
+    for name, value in freeze.items():
         edge = moving[errors.one_of("freeze", name, moving, ", joints of one coordinate (`with_base` turns a base)")]
         if edge.mimic is not None:
             raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
         if not edge.lower <= errors.number(f"freeze[{name!r}]", value) <= edge.upper:
             raise errors.fail(f"freeze[{name!r}]", f"be within {edge.lower:g} and {edge.upper:g}", f"is {value:g}")
-    return {name: float(value) for name, value in (freeze or {}).items()}
+    return {name: float(value) for name, value in freeze.items()}
 
 
 def _tip_of(tree: Tree, tip, base) -> str:
@@ -205,8 +204,8 @@ def _tip_of(tree: Tree, tip, base) -> str:
         return _link_of(tree, "tip", tip)
     candidates = tree.tips(base)
     if len(candidates) != 1:
-        found = f"is not; {', '.join(candidates) or 'none'} hang on moving joints after {base!r}"
-        raise errors.fail("tip", f"be given for {tree.file}", found)
+        some = f", such as {', '.join(candidates[:8])}" if candidates else f"; no joint moves after {base!r}"
+        raise errors.fail("tip", f"be given for {tree.file}{some}", "is not")
     return candidates[0]
 
 

@@ -25,7 +25,7 @@ from cnclik.quantities import aloud
 from cnclik.record import ArrayLike, record, replace
 from cnclik.robot.posture import arm_length
 from cnclik.stability.advice import ROUNDING, advise
-from cnclik.task.values import Joints
+from cnclik.task.parts import Joints
 
 ARRIVED = 1e-3  # of the first error: a loop whose error stays below has settled, as in `outcome`
 GROWN = 1.2  # ratio of two quarters' errors or swings from which on they grow; at its inverse a swing comes to rest

@@ -10,22 +10,16 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import Array, ArrayLike, Float, record, replace
 from cnclik.robot.chain import Chain
-from cnclik.robot.masses import shares
 from cnclik.robot.model import as_joint_values, mass_frames, modelled
-from cnclik.task.parts import AXES, At, Orientation, Position, Vector, places
-from cnclik.task.task import Task, weighted, with_weights
-from cnclik.task.values import Function, Joints
+from cnclik.robot.mounted import shares
+from cnclik.task.parts import AXES, At, Function, Joints, Orientation, Position, Vector, places
+from cnclik.task.task import Task, spread, weighted
 
 Weights = Float[ArrayLike, " m"] | None
+Tip = str | None
 
 
-def position(
-    axes: str = "xyz",
-    *,
-    tip: str | None = None,
-    relative_to: str | None = None,
-    weights: Weights = None,
-) -> Task:
+def position(axes: str = "xyz", *, tip: Tip = None, relative_to: Tip = None, weights: Weights = None) -> Task:
     """Control the position of a tip along some of the axes of a frame [m].
 
     Args:
@@ -37,19 +31,12 @@ def position(
     return _task(weights, _part(Position, "axes", axes, tip, relative_to))
 
 
-def orientation(
-    axes: str = "xyz",
-    *,
-    tip: str | None = None,
-    relative_to: str | None = None,
-    weights: Weights = None,
-) -> Task:
+def orientation(axes: str = "xyz", *, tip: Tip = None, relative_to: Tip = None, weights: Weights = None) -> Task:
     """Control the orientation of a tip: error log(R_d Rᵀ), a rotation vector in the frame of the position's axes [rad].
 
     Args:
       axes: components of the rotation vector that count, such as "z" for a planar arm.
-      tip, relative_to: as for `position`.
-      weights: (m,) positive weights, or one for all.
+      tip, relative_to, weights: as for `position`.
     """
     return _task(weights, _part(Orientation, "axes", axes, tip, relative_to))
 
@@ -58,8 +45,8 @@ def pose(
     axes: str = "xyz",
     rotation_axes: str = "xyz",
     *,
-    tip: str | None = None,
-    relative_to: str | None = None,
+    tip: Tip = None,
+    relative_to: Tip = None,
     weights: Weights = None,
 ) -> Task:
     """Control position [m] and orientation [rad] of a tip; `pose("xy", "z")` is the whole pose in a plane.
@@ -73,7 +60,20 @@ def pose(
 def _part(kind, name, axes, tip, to):
     if to is not None and to == tip:
         raise errors.fail("relative_to", "be another tip than `tip`", f"is {to!r}, too")
-    return kind(axes=letters_of(name, axes), tip=tip, to=to)
+    return kind(axes=_letters(name, axes), tip=tip, to=to)
+
+
+def _letters(name, axes):
+    if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):
+        raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
+    return axes
+
+
+def _task(weights, *parts):
+    """Return the task of parts with weights: None, one for all coordinates, or (m,)."""
+    if weights is None or len(parts) == 1:
+        return weighted(parts, (weights,) * len(parts))
+    return Task(parts=parts, weights=spread(weights, sum(part.m for part in parts)))
 
 
 def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Task:
@@ -81,7 +81,7 @@ def joints(names: Sequence[str] | None = None, *, weights: Weights = None) -> Ta
 
     Args:
       names: of the joints; None: all but those of a free base.
-      weights: (m,) positive weights, or one for all.
+      weights: as for `position`.
     """
     return _task(weights, Joints(wanted=None if names is None else _names("names", names)))
 
@@ -106,18 +106,25 @@ def function(
       error: (robot, q, target (k,)) to e (m,), 0 at the target, where the error is not target − value: for an angle the
         shorter way round, for a camera the distance of a moving target from its axis.
       target: k; default: m.
-      weights: (m,) positive weights, or one for all.
+      weights: as for `position`.
     """
     for name, fn in (("value", value), ("error", error or value)):
         if not callable(fn):
             raise errors.fail(name, "be a function of the robot and q", f"is {fn!r}")
     names, units = _names("names", names), _names("units", units)
-    if len(names) != len(units) or not names:
+    if len(names) != len(units):
         raise errors.fail("units", f"be as many as `names`, {len(names)}", f"are {len(units)}")
     if target is not None and error is None:
         raise errors.fail("target", "come with an `error`: else it is as long as the value", f"is {target!r}")
     size = None if target is None else errors.integer("target", target, at_least=1)
     return _task(weights, Function(value=value, names=names, units=units, of_target=error, size=size))
+
+
+def _names(name, value):
+    several = (value,) if isinstance(value, str) else value
+    if not isinstance(several, (list, tuple)) or not several or not all(isinstance(text, str) for text in several):
+        raise errors.fail(name, "be texts, at least one", f"is {value!r}")
+    return tuple(several)
 
 
 def stack(**tasks: Task) -> Task:
@@ -137,25 +144,6 @@ def stack(**tasks: Task) -> Task:
     return replace(whole, tasks=tuple((name, len(task.parts)) for name, task in tasks.items()))
 
 
-def _names(name, value):
-    several = (value,) if isinstance(value, str) else value
-    if not isinstance(several, (list, tuple)) or not all(isinstance(one, str) for one in several):
-        raise errors.fail(name, "be texts", f"is {value!r}")
-    if name == "names" and not all(several or [""]):
-        raise errors.fail(name, "be one text at least, and none of them empty", f"is {value!r}")
-    return tuple(several)
-
-
-def letters_of(name, axes):
-    if not isinstance(axes, str) or not axes or axes != "".join(a for a in AXES if a in axes):
-        raise errors.fail(name, 'be letters of "xyz" in that order', f"is {axes!r}")
-    return axes
-
-
-def _task(weights, *parts):
-    return with_weights(parts, weights)
-
-
 # --- the centre of mass; walls keep it above the feet -------------------------------------------------
 
 
@@ -165,7 +153,7 @@ class Center(Vector):
 
     along: str  # letters of axes
     to: str | None = None
-    bodies: Float[Array, "j+1 4"] | None = None  # see `robot.masses.shares`, once the robot is known
+    bodies: Float[Array, "j+1 4"] | None = None  # see `robot.mounted.shares`, once the robot is known
     tip = "center_of_mass"
 
     @property
@@ -200,10 +188,10 @@ def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights
     Args:
       axes: letters of "xyz" in that order: "xy" for balance.
       relative_to: name of the tip, such as a foot, in whose frame the centre of mass is expressed; None: the base.
-      weights: (m,) positive weights, or one for all.
+      weights: as for `position`.
     Raises: ArgumentError, when a law is made with it, for a robot without masses.
     """
-    return _task(weights, Center(along=letters_of("axes", axes), to=relative_to))
+    return _task(weights, Center(along=_letters("axes", axes), to=relative_to))
 
 
 def com(chain: Chain, q: Float[ArrayLike, " n"], *, relative_to: str | None = None) -> Float[Array, " 3"]:

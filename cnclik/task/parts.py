@@ -10,9 +10,9 @@ A part is a record with
   motion(aim, rate)             (w,) the target's own velocity, from its derivative by time;
   velocity(robot, aim, motion)  (m,) what that adds to the error,
 
-and with what exponential methods ask of two targets, `between` and the rest. Where a target is a vector
-that is all subtraction (`Vector`); orientations have their own. Rows and velocity of a part that is `tied`, a
-function of joint values and target, change with the target.
+and with what exponential methods ask of two targets, `mean` and the rest. Where a target is a vector that is all
+subtraction (`Vector`). Rows and velocity of a part that is `tied`, a function of joint values and target, change with
+the target.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import record
+from cnclik.record import record, replace
+from cnclik.robot import chart
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import axial, exp_so3, library, log_quaternion, log_so3, product
+from cnclik.robot.rotations import exp_so3, library, log_quaternion, log_so3, product
 
 AXES = "xyz"
-_HALF_TURN = 4 * 0.02**2  # 1 + the trace of a rotation by 177.7°
 
 
 class At:
@@ -101,7 +102,6 @@ class Vector:
 
     turns = False  # whether its target is a rotation
     tied: Any = False  # whether rows and velocity change with the target
-    called = "values"  # what its target holds
     names: Any
     x: Callable
 
@@ -112,24 +112,24 @@ class Vector:
     @property
     def width(self):
         """Numbers of the target's motion."""
-        return self.shape[0]
+        return self.m
+
+    @property
+    def shape(self):
+        """Of the target."""
+        return (self.width,)
 
     def aim(self, position, rotation):
         return position
 
     def check(self, position, rotation):
-        if position is None or len(position) != self.width:
-            size, names = "none" if position is None else f"{len(position)}", ", ".join(self.names)
-            raise errors.fail("reference", f"give {self.width} {self.called} ({names})", f"gives {size}")
+        size = 0 if position is None else len(position)
+        if size not in (self.width, 3 * hasattr(self, "axes") or self.width):
+            raise errors.fail("reference", f"give {self.width} values ({', '.join(self.names)})", f"gives {size}")
 
     def here(self, robot: At):
         """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
-
-    @property
-    def shape(self):
-        """Of the target."""
-        return (self.m,)
 
     def error(self, robot: At, aim):
         return aim - self.x(robot)
@@ -160,6 +160,7 @@ class Position(Vector):
     axes: str
     tip: str | None = None
     to: str | None = None
+    unit = "m"
 
     @property
     def names(self):
@@ -167,16 +168,10 @@ class Position(Vector):
 
     @property
     def units(self):
-        return ("m",) * self.m
+        return (self.unit,) * self.m
 
     def aim(self, position, rotation):
         return position if len(position) == self.m else position[places(self.axes)]
-
-    def check(self, position, rotation):
-        if position is None or len(position) not in (self.m, 3):
-            size = "no position" if position is None else f"{len(position)} coordinates"
-            wanted = f"{self.m} coordinates ({self.axes!r})" + (" or 3" if self.m != 3 else "")
-            raise errors.fail("reference", f"give positions of {wanted}", f"gives {size}")
 
     def x(self, robot: At):
         return robot.position(self.tip, self.to)[places(self.axes)]
@@ -186,32 +181,17 @@ class Position(Vector):
 
 
 @record
-class Orientation(Vector):
+class Orientation(Position):
     """Components of a tip's rotation vector [rad], in the base frame or that of another tip.
 
     e = log(R_d Rᵀ), x = log R.
     """
 
-    axes: str
-    tip: str | None = None
-    to: str | None = None
-    turns, shape = True, (3, 3)
-
-    @property
-    def width(self):
-        return self.m
+    turns, unit, shape = True, "rad", (3, 3)
 
     @property
     def names(self):
         return tuple("r" + a for a in self.axes)
-
-    @property
-    def units(self):
-        return ("rad",) * self.m
-
-    @property
-    def whole(self):
-        return self.m == 3
 
     def aim(self, position, rotation):
         return rotation
@@ -219,10 +199,6 @@ class Orientation(Vector):
     def check(self, position, rotation):
         if rotation is None:
             raise errors.fail("reference", "give a rotation for this task", "gives a position only")
-
-    def spread(self, w):
-        """Return components (m,) as a vector (3,)."""
-        return jnp.zeros(3, w.dtype).at[places(self.axes)].set(w)
 
     def x(self, robot: At):
         return log_so3(robot.rotation(self.tip, self.to))[places(self.axes)]
@@ -241,7 +217,7 @@ class Orientation(Vector):
 
     def mean(self, aim, before):
         turn = aim @ before.T
-        return log_of_step(turn)[places(self.axes)], turn if self.whole else None
+        return _log_of_step(turn)[places(self.axes)], turn if self.m == 3 else None
 
     def averaged(self, kept, before, aim):
         return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
@@ -257,7 +233,105 @@ def spin(rotation, drotation):
     return jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
 
 
-def log_of_step(turn):
+def _log_of_step(turn):
     """Return the rotation vector of a step's turn, exact to 177°: a target that turns farther in a step has jumped."""
-    w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), _HALF_TURN))
-    return log_quaternion(w, 0.25 / w * axial(turn))
+    w = 0.5 * jnp.sqrt(jnp.maximum(1 + jnp.trace(turn), 4 * 0.02**2))
+    axis = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    return log_quaternion(w, 0.25 / w * axis)
+
+
+# --- parts that are no tip's pose -----------------------------------------------------------------------
+
+
+@record
+class Joints(Vector):
+    """Joint values themselves [rad, m]: a posture as a task."""
+
+    wanted: tuple[str, ...] | None  # names of joints; None: all
+    which: tuple[int, ...] | None = None  # set by `on`, for the robot
+    units: tuple[str, ...] = ()
+    tip, to = "joints", None
+
+    @property
+    def names(self):
+        if self.wanted is None:
+            raise errors.fail("task", "name its joints where no robot is known", "is joints() of all of them")
+        return self.wanted
+
+    def on(self, chain):
+        if self.which is not None:
+            return self
+        turned = {i + k for _, i in chain.balls for k in range(3)}
+        wanted, names = self.wanted, chain.joint_names
+        if wanted is None:  # all joints but floating ones
+            bodies = {names[i][:-2] + names[i][-1] for i in turned}  # base_x of base_rx
+            wanted = tuple(name for i, name in enumerate(names) if i not in turned and name not in bodies)
+        which = tuple(
+            names.index(errors.one_of("joints", name, names, ", the joints that move a tip")) for name in wanted
+        )
+        if bad := [names[i] for i in which if i in turned]:
+            must = "leave out rotations, which ck.orientation(tip=...) of the link that turns is for"
+            raise errors.fail("joints", must, f"name {bad[0]}")
+        return replace(self, wanted=wanted, which=which, units=tuple(chain.units[i] for i in which))
+
+    def x(self, robot: At):
+        return robot.q[np.array(self.which)]
+
+    def rows(self, robot: At, aim=None):
+        q = robot.q
+        rows = np.eye(robot.chain.n)[np.array(self.which)].astype(q.dtype)
+        return library(q).broadcast_to(rows, (*q.shape[:-1], *rows.shape))
+
+
+@record
+class Function(Vector):
+    """Any differentiable function of the joint values, or of them and a target, see `function`."""
+
+    value: Callable
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    of_target: Callable | None = None  # (robot, q, target) to e; None: target − value
+    size: int | None = None  # of the target; None: m
+    tip, to = "function", None
+
+    @property
+    def tied(self):
+        return self.of_target is not None
+
+    @property
+    def width(self):
+        return self.size or self.m
+
+    def _checked(self, name, values, q):
+        values = jnp.asarray(values)
+        if values.shape != (self.m,):
+            raise errors.fail(name, f"return shape ({self.m},), one of each name", f"returns shape {values.shape}")
+        return values.astype(q.dtype)
+
+    def here(self, robot: At):
+        return None if self.size not in (None, self.m) else self.x(robot)
+
+    def x(self, robot: At):
+        return self._checked("value", self.value(robot.chain, robot.q), robot.q)
+
+    def error(self, robot: At, aim):
+        if self.of_target is None:
+            return aim - self.x(robot)
+        return self._checked("error", self.of_target(robot.chain, robot.q, aim), robot.q)
+
+    def rows(self, robot: At, aim=None):
+        chain = robot.chain
+
+        def moved(start, y):
+            at = At(chain, chart.out(chain, start, y))
+            return self.x(at) if aim is None or self.of_target is None else -self.error(at, aim)
+
+        def derivative(q):
+            return jax.jacfwd(functools.partial(moved, q))(chart.centre(chain, q))
+
+        return derivative(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(derivative)(robot.q))
+
+    def velocity(self, robot: At, aim, motion):
+        if self.of_target is None:
+            return motion
+        return jax.jvp(lambda aim: self.error(robot, aim), (aim,), (motion,))[1]

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import ArrayLike, Float, brief, record, replace
+from cnclik.record import ArrayLike, Float, brief, memoized, record, replace
+from cnclik.robot.chain import Chain
 from cnclik.robot.rotations import library
-from cnclik.task.parts import At, places
-from cnclik.task.values import Joints
+from cnclik.task.parts import At, Joints, places
 
 Part = Any  # one of those in `parts`, or of the same form
 
@@ -42,14 +42,14 @@ class Task:
         return sum(part.m for part in self.parts)
 
     @property
-    def slices(self) -> tuple[slice, ...]:
-        """Where the coordinates of each part stand."""
-        return _slices(part.m for part in self.parts)
-
-    @property
     def width(self) -> int:
         """Number of velocities that its targets have: m, unless a function's target has another size."""
         return sum(part.width for part in self.parts)
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        """Where the coordinates of each part stand."""
+        return _slices(part.m for part in self.parts)
 
     @property
     def motions(self) -> tuple[slice, ...]:
@@ -66,38 +66,25 @@ class Task:
         """The targets that a reference must give: (task, tip) or (tip,), and the parts that each is for."""
         parts, targets = iter(self.parts), []
         for name, count in self.tasks or (("", len(self.parts)),):
-            of_tips = itertools.groupby(itertools.islice(parts, count), lambda part: (part.tip, part.to))
-            path = (name,) if name else ()
-            targets += [((*path, tip or "tip"), Task(parts=tuple(some))) for (tip, _), some in of_tips]
+            for (tip, _), some in itertools.groupby(itertools.islice(parts, count), lambda part: (part.tip, part.to)):
+                targets.append(((name,) * bool(name) + (tip or "tip",), Task(parts=tuple(some))))
         return tuple(targets)
 
     @property
     def target_names(self) -> list[tuple[str, ...]]:
         """Of each target: its task and its tip, without a tip that is the only one."""
-        paths = [path for path, _ in self.targets]
-        before = [path[:-1] for path in paths]
-        return [path if before.count(path[:-1]) > 1 else path[:-1] for path in paths]
+        before = [path[:-1] for path, _ in self.targets]
+        return [path if before.count(path[:-1]) > 1 else path[:-1] for path, _ in self.targets]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates: x, y, z, rx, ry, rz; of several tasks or tips after theirs, as hands.x."""
-        every = zip(self.target_names, (parts for _, parts in self.targets), strict=True)
-        return tuple(".".join([*path, name]) for path, one in every for part in one.parts for name in part.names)
+        every = zip(self.target_names, self.targets, strict=True)
+        return tuple(".".join([*path, name]) for path, (_, of) in every for part in of.parts for name in part.names)
 
     @property
     def units(self) -> tuple[str, ...]:
         return tuple(unit for part in self.parts for unit in part.units)
-
-    @property
-    def each(self) -> tuple[tuple[str, slice], ...]:
-        """The names of a stack's tasks, and where the coordinates of each stand."""
-        names, counts = zip(*self.tasks, strict=True) if self.tasks else ((), ())
-        parts = [self.slices[at] for at in _slices(counts)]
-        return tuple((name, slice(at[0].start, at[-1].stop)) for name, at in zip(names, parts, strict=True))
-
-    def rows_at(self, chain, q):
-        """Return the task Jacobian (..., m, n) of a `Model` at q (n,), or in NumPy (..., n), before weighting."""
-        return rows(self, At(chain, q))
 
     @property
     def lengths(self) -> list[int]:
@@ -109,16 +96,23 @@ class Task:
         """Which of the coordinates are in rad: of a pose its orientation."""
         return [i for i, unit in enumerate(self.units) if unit == "rad"]
 
+    @property
+    def each(self) -> tuple[tuple[str, slice], ...]:
+        """The names of a stack's tasks, and where the coordinates of each stand."""
+        sizes, parts = [part.m for part in self.parts], _slices(count for _, count in self.tasks)
+        ends = _slices(sum(sizes[some]) for some in parts)
+        return tuple((name, at) for (name, _), at in zip(self.tasks, ends, strict=True))
+
     def of(self, name: str) -> slice:
         """Return where the coordinates of a stack's task stand. Raises: ArgumentError for an unknown one."""
-        known = dict(self.each)
-        return known[errors.one_of("name", name, known)]
+        each = dict(self.each)
+        return each[errors.one_of("name", name, each)]
 
     def require_each(self, argument: str, must: str, names) -> None:
         """Raise ArgumentError unless these are the names of a stack's tasks, each once."""
-        known = [name for name, _ in self.tasks]
-        if sorted(names) != sorted(known):
-            have = ", ".join(known) if known else "none: they are given names by ck.stack(name=task, ...)"
+        tasks = [name for name, _ in self.tasks]
+        if sorted(names) != sorted(tasks):
+            have = ", ".join(tasks) or "none: they are given names by ck.stack(name=task, ...)"
             raise errors.fail(argument, f"{must}; they are {have}", f"has {', '.join(names)}")
 
     @property
@@ -130,26 +124,27 @@ class Task:
 
     def only(self, kept) -> Task:
         """Return the task of some parts, a stack without its names. Args: kept: of each part, whether it stays."""
-        kept = list(kept)
         parts, weights = (itertools.compress(each, kept) for each in (self.parts, self.weight_of_parts))
         return weighted(tuple(parts), weights)
 
     def alone(self, name: str) -> Task:
         """Return one of a stack's tasks."""
         where = self.of(name)
-        return self.only(where.start <= at.start < where.stop for at in self.slices)
+        return self.only([where.start <= at.start < where.stop for at in self.slices])
 
     def on(self, chain) -> Task:
         """Return the task on this robot. Raises: ArgumentError for tips and joints that the robot has not."""
         for part in self.parts:
-            if hasattr(part, "axes"):
-                chain.tip_number(part.tip)
-            if part.to is not None:
-                chain.tip_number(part.to)
+            for tip in [part.tip] * hasattr(part, "axes") + [part.to] * (part.to is not None):
+                chain.tip_number(tip)
         parts = tuple(part.on(chain) if hasattr(part, "on") else part for part in self.parts)
         if all(new is old for new, old in zip(parts, self.parts, strict=True)):
             return self
         return replace(weighted(parts, self.weight_of_parts), tasks=self.tasks)
+
+    def rows_at(self, chain, q):
+        """Return the task Jacobian (..., m, n) of a `Model` at q (n,), or in NumPy (..., n), before weighting."""
+        return rows(self, At(chain, q))
 
     # --- of a task of one tip's pose alone ---
 
@@ -157,35 +152,34 @@ class Task:
     def of_one_tip(self) -> bool:
         """Whether it is of one tip's pose in the base frame."""
         alone = not self.tasks and len(self.targets) == 1
-        return alone and all(part.to is None and hasattr(part, "axes") and not part.tied for part in self.parts)
+        return alone and all(part.to is None and hasattr(part, "axes") for part in self.parts)
 
     @property
     def position(self) -> str:
         """Letters of the axes along which one tip is placed."""
-        return "".join(part.axes for part in _pose(self) if not part.turns)
+        return self._axes(False)
 
     @property
     def orientation(self) -> str:
         """Letters of the axes about which one tip is turned."""
-        return "".join(part.axes for part in _pose(self) if part.turns)
+        return self._axes(True)
 
-    @property
-    def linear(self) -> tuple[int, ...]:
-        return tuple(places(self.position).tolist())
+    def _axes(self, turns):
+        if not self.of_one_tip:
+            raise errors.fail("task", "be of one tip's pose for this", f"is {self!r}")
+        return "".join(part.axes for part in self.parts if part.turns == turns)
 
     def __and__(self, other: Task) -> Task:
-        other = errors.kind("task", other, Task, "be a task such as ck.position()")
-        for task in (self, other):
-            if task.tasks:
-                raise errors.fail("task", "be joined before it has names, by ck.stack(name=task & task)", "has names")
+        if self.tasks or errors.kind("task", other, Task, "be a task such as ck.position()").tasks:
+            raise errors.fail("task", "be joined before it has names, by ck.stack(name=task & task)", "has names")
         return weighted(self.parts + other.parts, self.weight_of_parts + other.weight_of_parts)
 
     def __repr__(self):
         said = []
-        for path, one in self.targets:
-            of = [_in_words(part) for part in one.parts]
+        for path, of in self.targets:
+            parts = ", ".join(map(_in_words, of.parts))
             about = f" of {path[-1]}" if len(self.targets) > 1 and path[-1] != "joints" else ""
-            said.append("".join(f"{name}: " for name in path[:-1]) + ", ".join(of) + about)
+            said.append("".join(f"{name}: " for name in path[:-1]) + parts + about)
         return f"Task: {'; '.join(said)}" + ("" if self.weights is None else f", weights {brief(self.weights)}")
 
 
@@ -201,13 +195,6 @@ def _slices(sizes):
     return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
 
 
-def _pose(task):
-    """Return the parts of a task of one tip's pose. Raises: ArgumentError for others."""
-    if not task.of_one_tip:
-        raise errors.fail("task", "be of one tip's pose for this", f"is {task!r}")
-    return task.parts
-
-
 # --- weights ---------------------------------------------------------------------------------------
 
 
@@ -221,18 +208,11 @@ def weighted(parts, each) -> Task:
         return Task(parts=parts)
     if any(isinstance(part, Joints) and part.wanted is None for part in parts):
         return Task(parts=parts, weights=each)
-    whole = [_spread(1.0 if weights is None else weights, part.m) for weights, part in zip(each, parts, strict=True)]
+    whole = [spread(1.0 if weights is None else weights, part.m) for weights, part in zip(each, parts, strict=True)]
     return Task(parts=parts, weights=(np if all(map(errors.concrete, whole)) else jnp).concatenate(whole))
 
 
-def with_weights(parts, weights) -> Task:
-    """Return the task of some parts with weights: None, one for all coordinates, or (m,)."""
-    if weights is None or len(parts) == 1:
-        return weighted(parts, (weights,))
-    return Task(parts=parts, weights=_spread(weights, sum(part.m for part in parts)))
-
-
-def _spread(weights, m):
+def spread(weights, m):
     """Return positive weights (m,), of one number for all, too."""
     weights = errors.array("weights", weights, (), (m,))
     if errors.concrete(weights) and not np.all(np.asarray(weights) > 0):
@@ -265,3 +245,71 @@ def velocity(task: Task, robot: At, aims, motion):
         return motion
     parts = zip(task.parts, aims, task.motions, strict=True)
     return jnp.concatenate([part.velocity(robot, aim, motion[at]) for part, aim, at in parts])
+
+
+# --- aims: what a task asks of each tip, a position, an orientation, or both ---------------------------------
+
+WIDTH = 12  # of an aim's target: a position [m], and the rows of a rotation
+
+
+@record
+class Aim:
+    """Position, orientation or both of one tip."""
+
+    path: tuple[str, ...]  # its name: the task of a stack, and the tip where there are several
+    parts: tuple[Part, ...]  # of the task: the coordinates that count
+    tip: str | None
+    to: str | None  # the tip from which it is seen; None: the base
+    linear: tuple[int, ...]  # axes of the position
+    angular: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        """Its name as a text, such as "hands.left", or "right in left" of a tip as seen from another."""
+        return ".".join(self.path) + (f" in {self.to}" if self.to else "")
+
+    def way(self, chain: Chain) -> list[int]:
+        """Indices of the joints that move the tip, from the base or from the tip that it is seen from."""
+        own, other = (chain.way(chain.tip_number(tip)) for tip in (self.tip, self.to or self.tip))
+        return own if self.to is None else sorted(set(own) ^ set(other))
+
+
+def aims(task: Task) -> tuple[Aim, ...]:
+    """The aims of a task. Raises: ArgumentError for coordinates that are no tip's, and for a tip that has two aims."""
+    return memoized(task, "_aims", _aims)
+
+
+def _aims(task):
+    every: list = []
+    for path, of in task.targets:
+        if not all(hasattr(part, "axes") for part in of.parts):
+            raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(of.names)}")
+        axes = [[int(i) for p in of.parts if p.turns == turns for i in places(p.axes)] for turns in (False, True)]
+        if path in [aim.path for aim in every] or any(len({*some}) < len(some) for some in axes):
+            raise errors.fail("task", "have each axis of a tip once, in one place", f"has {', '.join(of.names)}")
+        tip, to = of.parts[0].tip, of.parts[0].to
+        every.append(Aim(path=path, parts=of.parts, tip=tip, to=to, linear=tuple(axes[0]), angular=tuple(axes[1])))
+    return tuple(every)
+
+
+def of_tips(task: Task) -> Task:
+    """The parts of a task that are poses of tips. Raises: ArgumentError where there are none."""
+    kept = [hasattr(part, "axes") for part in task.parts]
+    if all(kept):
+        return task
+    if not any(kept):
+        raise errors.fail("task", "be of positions and orientations of tips", f"has {', '.join(task.names)}")
+    left = iter(kept)
+    counts = [(name, sum(itertools.islice(left, count))) for name, count in task.tasks]
+    return replace(task.only(kept), tasks=tuple((name, count) for name, count in counts if count))
+
+
+def told_apart(task: Task) -> str:
+    """A text that differs for tasks with different aims."""
+    return str([aim.parts for aim in aims(task)])
+
+
+def owners(task: Task, chain: Chain) -> np.ndarray:
+    """(n,) the number of the aim whose tip each joint moves; the first one of several."""
+    ways = [{chain.joints[i].coordinate for i in aim.way(chain)} for aim in aims(task)]
+    return np.array([next((k for k, way in enumerate(ways) if i in way), 0) for i in range(chain.n)], np.int32)

@@ -15,7 +15,7 @@ from cnclik.record import record, replace
 from cnclik.robot.fixed import Offset, scale
 from cnclik.robot.mounted import with_tip
 from cnclik.stability.gain import Gains
-from cnclik.task.values import Joints
+from cnclik.task.parts import Joints
 
 RANGE = 1e3  # of the largest gain to the least, and of a damping to either side
 

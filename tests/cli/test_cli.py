@@ -186,4 +186,4 @@ print(bool(jnp.allclose(first, end(1.0), rtol=1e-5)))
 def test_a_built_in_robot_is_shown(capsys):
     main(["robots", "panda"])
     said = capsys.readouterr().out
-    assert said.startswith("panda, built in, tip flange\n") and said.count("revolute") == 7
+    assert said.startswith("panda, built in, tip flange\n") and said.count(" rad, up to ") == 7

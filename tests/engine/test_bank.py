@@ -1,6 +1,6 @@
-"""Loops as C, as the engine's scalars and as their source, and by an oracle: NumPy, with Pinocchio for real robots.
+"""Loops as C, as the engine's scalars and as their source, and on Pinocchio's kinematics for real robots.
 
-No other test asks the engines about loops of no special kind. Oracles have no exponential steps: those are in
+No other test asks the engines about loops of no special kind. The oracle of planar arms, with every method, is
 tests/integrate/test_combinations.py.
 """
 
@@ -10,24 +10,18 @@ import pytest
 
 from engine.compare import check
 from tests import bank
-from tests.oracles import clik, close
-
-LARGE = ("panda", "g1")  # for which XLA takes seconds, once for the source and once for scalars
+from tests.oracles import close
 
 
 @pytest.mark.parametrize("loop", bank.LOOPS, ids=lambda loop: "-".join(loop))
 def test_c_scalars_source_and_oracle_are_one(loop):
     given = loop.numbers()
     with jax.enable_x64(loop.dtype == "float64"):
-        small = loop.name not in LARGE
+        small = loop.name != "g1"  # for which XLA takes seconds, once for the source and once for scalars
         found = check(loop.run, *given, ulps=3e3, derived_too=small, scalar_too=loop.name == "planar2")
     assert found["q"].dtype == loop.dtype and not found["status"].any()
-    if loop.method.startswith("EXP") or loop.name == "two arms":
-        return
-    alpha, Ts, q0, target = map(np.float64, given)
-    for k in range(bank.LANES):
-        wanted = clik(loop.method, bank.field(loop.name, alpha[k], target[k]), q0[k], Ts[k], bank.N, M=3)
-        close(found["q"][k], wanted, atol=1e-11 if loop.dtype == "float64" else 2e-5)
+    for k in range(0 if small else bank.LANES):
+        close(found["q"][k], bank.by_pinocchio(*(v[k] for v in given)), atol=1e-11)
 
 
 def test_a_lane_with_no_number_is_told_alone():

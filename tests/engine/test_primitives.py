@@ -119,12 +119,13 @@ def test_known_whole_numbers_are_worked_out_as_they_would_be(dtype):
     check(lambda *_: all_of(x, y), *(np.broadcast_to(v, (3, *v.shape)) for v in (x, y)), by=all_of)
 
 
-@pytest.mark.parametrize("dtype", [np.int32, np.uint8, bool])
-def test_bits_reduced_over_nothing(dtype):
-    def fn(x):
-        return [of(x[:0], axes=(0,)) | x[0] for of in (lax.reduce_and, lax.reduce_or, lax.reduce_xor)]
+def test_nothing_is_reduced():
+    def fn(x, whole):
+        bits = [of(whole[:0], axes=(0,)) | whole[0] for of in (lax.reduce_and, lax.reduce_or, lax.reduce_xor)]
+        return jnp.sum(x[:0]), jnp.prod(x[:0]), jnp.any(x[:0] > 1), jnp.all(x[:0] > 1), bits
 
-    check(fn, np.ones((3, 2), dtype))
+    for dtype in (np.int32, np.uint8, bool):
+        check(fn, np.ones((3, 2)), np.ones((3, 2), dtype))
 
 
 def test_functions_of_truths():
@@ -166,10 +167,6 @@ def test_reductions(dtype):
     check(fn, np.where(np.abs(x) > 1e4, 3, x) if dtype == "int32" else x, ulps=8)
 
 
-def test_nothing_is_reduced():
-    check(lambda x: (jnp.sum(x[:0]), jnp.prod(x[:0]), jnp.any(x[:0] > 1), jnp.all(x[:0] > 1)), np.ones((3, 2)))
-
-
 def test_moves():
     def fn(x):
         y = x.reshape(3, 2).T
@@ -190,20 +187,13 @@ def test_places_that_each_lane_has_for_itself(n):
         put = [x.at[k[0]].set(7.0), x.at[k].add(2.0), lax.dynamic_update_slice(x, x[:2], (k[1],)), x.at[k].max(0.5)]
         return taken, put, x.reshape(-1, 5)[k[0] % 2, k[1] % 5], x.at[jnp.array([1, 3])].mul(2.0), x[jnp.array([2, 0])]
 
-    check(fn, x, k)
-
-
-@pytest.mark.parametrize("n", [5, 40])
-def test_places_out_of_bounds_are_the_nearest_and_writes_there_do_nothing(n):
-    rng = np.random.default_rng(n)
-    x, k = rng.normal(size=(SIZE, n)), rng.integers(-4 * n, 4 * n, (SIZE, 2)).astype(np.int32)
-
-    def fn(x, k):
+    def beyond(x, k):
+        """The nearest place; what is written there does nothing."""
         y = x.reshape(-1, 5)
         taken = [x[k], y[:, k], y[k, k[::-1]], x[jnp.array([n + 2, -n - 2])]]
         return taken, x.at[k].add(2.0, mode="promise_in_bounds"), y.at[k[0], k[1]].set(7.0, mode="promise_in_bounds")
 
-    check(fn, x, k)
+    check(lambda x, k: (fn(x, k), beyond(x, 4 * k)), x, k)
 
 
 def test_places_in_sorted_numbers_have_nan_last():

@@ -7,12 +7,12 @@ import pytest
 from jax import lax
 
 import cnclik as ck
+from cnclik.engine import source
 from cnclik.engine.graph import Scan, SlowError, UnsupportedError, While
 from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.reader import read, trace
 from cnclik.engine.source import write
 from cnclik.engine.tracing import of_the_model
-from cnclik.measure.metrics import METRICS
 from engine.compare import NEEDS_C, check, in_c, same
 
 SIZE = 19
@@ -71,18 +71,7 @@ def test_loops_along_a_path(fn, length):
     check(fn, batch(3), batch(length, 3, seed=1), ulps=50)
 
 
-def test_rows_are_chains_of_any_length():
-    def many(x, path):
-        rows = path[:, 0]
-        for k in range(600):
-            rows = rows * x[k % 3] + path[:, k % 3]
-        return rows
-
-    check(many, batch(3) / 3, batch(70, 3, seed=1), derived_too=False, ulps=50)
-
-
-@pytest.mark.parametrize("reverse", [False, True])
-@pytest.mark.parametrize("unroll", [1, True])
+@pytest.mark.parametrize(("reverse", "unroll"), [(False, 1), (True, True)])
 def test_a_loop_over_a_known_mask_or_that_asks_for_it_is_written_out(reverse, unroll):
     def one(carry, row):
         x, k = carry
@@ -116,11 +105,6 @@ def test_derivatives(fn, kind):
     check(kind(fn, argnums=(0, 1)) if kind is jax.grad else kind(fn), batch(3), batch(7, 3, seed=1), ulps=500)
 
 
-def test_a_long_gradient_keeps_what_is_cheap_to_keep():
-    given = batch(3), batch(120, 3, seed=1)
-    check(jax.value_and_grad(lambda q, p: smooth(q, p[::-1])), *given, ulps=5000)
-
-
 @NEEDS_C
 def test_the_gradient_of_joined_rows_stays_a_loop():
     def fn(q, path):
@@ -133,41 +117,16 @@ def test_the_gradient_of_joined_rows_stays_a_loop():
     assert Program(jax.grad(fn), lane_avals((q, path))).operations < 300
 
 
-def test_what_the_innermost_of_three_loops_stacks():
-    """Read entry by entry, within the outermost loop."""
-
-    def fn(x):
-        inner = lambda c, _: (jnp.cos(1.3 * c) + 0.1 * c, c * c)  # noqa: E731
-        middle = lambda c, _: lax.scan(inner, c, None, length=3)  # noqa: E731
-        return lax.scan(lambda c, k: lax.scan(middle, c + 0.1 * k, None, length=2), x, jnp.arange(3.0))
-
-    check(fn, batch(), ulps=64)
-
-
 def test_moves_along_time():
     def fn(x, q):
         y = jnp.cumsum(jnp.sin(x), 0)
         back = lax.scan(lambda q, p: (q * 0.9 + p, q), q, y, reverse=True)[1]
         both = jnp.stack([y, back], 1)
-        found = [
-            y[::-1],
-            jnp.flip(y[:, 1]),
-            y[3:40:3],
-            jnp.pad(y, ((2, 1), (0, 0))),
-            both[:, 0] + both[:, 1],
-            y.T[1],
-            y[-1],
-            y[5, 1],
-        ]
-        found += [lax.cummax(x, 0), lax.cumsum(x, 0, reverse=True), jnp.roll(y, 3, 0), y @ A, jnp.max(y, 1)]
-        found += [
-            jnp.any(y > 3, 0),
-            jnp.all(y > -99),
-            jnp.min(back),
-            jnp.where(y[:, :1] > 0, y, q),
-            jnp.zeros((70, 2)) + q[0],
-        ]
-        return found, jnp.concatenate([y[1:], y[:1]]) - y, jnp.arange(70) * q[0], jnp.linspace(0, 1, 70) + x[:, 2]
+        parts = y[::-1], jnp.flip(y[:, 1]), y[3:40:3], jnp.pad(y, ((2, 1), (0, 0))), y.T[1], y[-1], y[5, 1]
+        whole = both[:, 0] + both[:, 1], lax.cummax(x, 0), lax.cumsum(x, 0, reverse=True), jnp.roll(y, 3, 0), y @ A
+        few = jnp.max(y, 1), jnp.any(y > 3, 0), jnp.all(y > -99), jnp.min(back), jnp.where(y[:, :1] > 0, y, q)
+        more = jnp.zeros((70, 2)) + q[0], jnp.concatenate([y[1:], y[:1]]) - y, jnp.linspace(0, 1, 70) + x[:, 2]
+        return parts, whole, few, more, jnp.arange(70) * q[0]
 
     check(fn, batch(70, 3), batch(3, seed=1), ulps=200)
 
@@ -182,18 +141,8 @@ def test_results_that_are_rounds_of_a_loop_are_stored_as_they_are_made(dtype):
 
         end, (xs, three, first, many, same) = lax.scan(one, x, jnp.arange(70))
         back = lax.scan(one, x, jnp.arange(70), reverse=True)[1][0]
-        return (
-            xs,
-            three[:69],
-            first,
-            many[3:60],
-            same,
-            jnp.append(xs[:69], end[None], 0),
-            back,
-            xs[-1],
-            back[0],
-            xs[::2],
-        )
+        parts = three[:69], first, many[3:60], same, jnp.append(xs[:69], end[None], 0)
+        return xs, back, xs[-1], back[0], xs[::2], parts
 
     x = np.abs(np.round(7 * batch(6))).astype(dtype)  # whole numbers: exact in any type
     with jax.enable_x64(dtype == "float64"):
@@ -309,13 +258,12 @@ def test_odd_arguments_and_results():
             "p": 2.0,
         }
 
-    case = {"x": batch(2, 2), "k": np.arange(SIZE, dtype=np.int64) - 3}
-    check(fn, case, batch(4) > 0)
+    check(fn, {"x": batch(2, 2), "k": np.arange(SIZE, dtype=np.int64) - 3}, batch(4) > 0)
     check(lambda x: (x, (x > 0, None)), batch(dtype="float32"))
 
 
 @NEEDS_C
-@pytest.mark.parametrize(("size", "cores"), [(1, 1), (2, 3), (15, 1), (17, 3), (130, 3)])
+@pytest.mark.parametrize(("size", "cores"), [(1, 1), (17, 3), (130, 3)])
 def test_any_number_of_lanes_on_any_number_of_cores(size, cores):
     rng = np.random.default_rng(size)
     given = rng.normal(size=(size, 3)), rng.normal(size=(size, 9, 3))
@@ -324,7 +272,7 @@ def test_any_number_of_lanes_on_any_number_of_cores(size, cores):
 
 
 def test_long_bodies_are_written_in_pieces(monkeypatch):
-    from cnclik.engine import source
+    """And rows that are results read scalars of any piece."""
 
     def fn(x, k):
         def body(x, i):
@@ -333,27 +281,12 @@ def test_long_bodies_are_written_in_pieces(monkeypatch):
                 x = lax.cond(x[0] > 5, lambda x: x * 0.5, lambda x: x, x)
             return x, x * i
 
-        return lax.scan(body, x, jnp.arange(6.0)), jnp.flip(x) * 2
-
-    given = batch(3), np.arange(SIZE, dtype=np.int32) % 3
-    monkeypatch.setattr(source, "LONG", 50)
-    monkeypatch.setattr(source, "PIECE", 20)
-    check(fn, *given, ulps=50)
-
-
-@NEEDS_C
-def test_rows_that_are_results_read_scalars_of_any_piece(monkeypatch):
-    from cnclik.engine import source
-
-    def fn(x):
-        rows = lax.scan(lambda c, i: (jnp.cos(c) + i, c[0] * i), x, jnp.arange(6.0))[1]
-        for _ in range(8):
-            x = jnp.sin(A @ x)
-        return rows[1:] - rows[:-1] > 0.1 * rows[:-1] + jnp.sqrt(x @ x)
+        end, rows = lax.scan(body, x, jnp.arange(6.0))
+        return end, rows, jnp.flip(x) * 2, rows[1:] - rows[:-1] > 0.1 * rows[:-1] + jnp.sqrt(x @ x)
 
     monkeypatch.setattr(source, "LONG", 50)
     monkeypatch.setattr(source, "PIECE", 20)
-    check(fn, batch(3))
+    check(fn, batch(3), np.arange(SIZE, dtype=np.int32) % 3, ulps=50)
 
 
 @NEEDS_C
@@ -390,32 +323,6 @@ def test_zeros_of_a_model_vanish_and_others_stay():
 def test_what_has_no_c_form_is_named(fn, name):
     with pytest.raises(UnsupportedError, match=name):
         in_c(fn, batch(4))
-
-
-def test_random_programs(seed=0):
-    """Some forty operations on arrays of three, put together at random, in a loop and out of it, and its derivative."""
-    rng = np.random.default_rng(seed)
-    one = [jnp.sin, jnp.cos, jnp.tanh, jnp.flip, jnp.cumsum, jnp.square, jnp.sort, jnp.abs, lambda x: x / (1 + x**2)]
-    two = [jnp.add, jnp.subtract, jnp.multiply, jnp.maximum, jnp.arctan2, lambda x, y: jnp.where(x > y, x, y * 0.5)]
-    two += [lambda x, y: lax.cond(x[0] > y[1], lambda: x + y, lambda: y), lambda x, y: jnp.outer(x, y)[1]]
-    two += [lambda x, y: x.at[1].set(y[2]), lambda x, y: jnp.concatenate([x[1:], y[:1]]), lambda x, y: A @ x + y @ A]
-    plan = [(int(rng.integers(len(one) + len(two))), rng.integers(0, 10**6, 2)) for _ in range(12)]
-
-    def body(x, y):
-        made = [x, y]
-        for k, at in plan:
-            a, b = (made[i % len(made)] for i in at)
-            made.append(one[k](a) if k < len(one) else two[k - len(one)](a, b))
-        return sum(jnp.tanh(m) for m in made[-4:]) / 4
-
-    def fn(x, y):
-        # From 1: XLA makes 0 of the cumulative sum of −0, which an angle tells from −0.
-        end, stack = lax.scan(lambda c, k: (body(c, y * k), c), x, jnp.arange(1.0, 6.0))
-        return end, stack[1:] - stack[:-1], body(stack[2], y)
-
-    given = batch(3, seed=seed), batch(3, seed=seed + 1)
-    check(fn, *given, ulps=1000)
-    check(jax.grad(lambda x, y: jnp.sum(jnp.sin(fn(x, y)[1])) + jnp.sum(fn(x, y)[0])), *given, ulps=5000)
 
 
 def text_of(fn, avals):
@@ -478,19 +385,3 @@ def test_what_a_loop_leaves_as_it_was_is_no_part_of_it():
     check(jax.grad(lambda x, y: sum(map(jnp.sum, fn(x, y))), (0, 1)), *given)
     text = text_of(fn, lane_avals(given))
     assert 0 < text.index("sincos_F64(t") < text.rindex("< 6; ++j")
-
-
-def test_metrics_are_no_longer_for_more_steps():
-    """The least singular value was taken posture by posture: 200 steps were 48,000 lines of C, and no compiler's."""
-    law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=5.0)
-    path, count = ck.circle([0.9, 0.9], 0.2, period=2.0), []
-    names = [name for name, metric in METRICS.items() if "rotation" not in name and not metric.needs]
-
-    def measured(q, N):
-        found = ck.measure.measure_run(ck.solve(law, path, q, 0.01, N, "EE"), law, path, names)
-        return [1.0 * found[name] for name in names]
-
-    for N in (30, 90):
-        traced = trace(lambda q, N=N: measured(q, N), [jax.ShapeDtypeStruct((2,), "float64")])
-        count.append(write(*read(traced.closed), traced.shapes)[1])
-    assert len(names) >= 30 and count[1] < 1.01 * count[0]

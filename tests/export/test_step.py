@@ -69,25 +69,6 @@ def test_the_exported_step_is_jaxs(inverse, limits, null, method, stage, dtype):
         assert off(wrong, method, stage, dtype, wanted, given) > 10 * near
 
 
-def test_a_path_takes_the_time():
-    reference, q, found = ck.circle([0.9, 1.2], 0.2, period=1.0), np.array([0.3, 0.5, -0.4]), []
-    law = a_law(ck.damped(0.1))
-    step = native(law, reference, method="RK4")
-    for k in range(8):
-        q = step(q, t=k * TS, Ts=TS).q
-        found.append(q)
-    wanted = ck.solve(law, reference, [0.3, 0.5, -0.4], TS, 8, "RK4")
-    np.testing.assert_allclose(found, wanted.q[1:], rtol=0, atol=1e-13)
-
-
-def test_nan_is_told():
-    law = ck.replace(a_law(ck.damped(0.1)), chain=ck.planar_arm([1.0, 0.8, 0.6]))
-    step, q = native(law, method="EE"), [0.3, 0.5, -0.4]
-    for given in (([np.nan, 0, 0], [0.9, 1.2]), (q, [np.nan, 0.0]), (q, [0.9, 1.2], [np.nan, 0.0])):
-        assert step(*given, Ts=TS).status & ck.Status.NON_FINITE
-    assert step(q, [0.9, 1.2], np.zeros(2)).status == 0
-
-
 @pytest.mark.parametrize(("dtype", "near"), [("float64", 1e-15), ("float32", 1e-6)])
 def test_kinematics_are_the_librarys(dtype, near):
     chain = ck.panda()

@@ -34,24 +34,6 @@ def by_steps(law, reference, q, Ts, N, method):
     return np.array(qs), np.array(es)
 
 
-# --- decay --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("method", "alpha"),
-    [("EXP-RK4", 2.0), ("EXP-EE", [2.0, 30.0])],
-    ids=["number", "axes"],
-)
-def test_decays_by_the_exact_factor(method, alpha):
-    law = ck.Law(SLIDERS, ck.position("xy"), alpha=np.array(alpha))
-    for Ts in (0.01, 0.5, 25.0):
-        e = by_steps(law, ck.hold([1.0, -2.0]), np.zeros(2), Ts, 3, method)[1]
-        close(e[2], np.exp(-2 * Ts * np.array(alpha)) * e[0], atol=1e-12)
-
-
-# --- order --------------------------------------------------------------------------------------------
-
-
 WRIST = ck.from_dh([0.0, 0.0, 0.0], [np.pi / 2, -np.pi / 2, 0.0], [0.1, 0.0, 0.3])
 TURNED = np.array([0.2, 0.7, -0.3])
 HOME = np.asarray(ck.forward(WRIST, TURNED).rotation)
@@ -88,9 +70,6 @@ def test_an_error_of_orientation_goes_along_with_the_targets_turn():
         assert coarse < most and np.log2(coarse / fine) > 2.2
 
 
-# --- what is known of the target ----------------------------------------------------------------------
-
-
 def test_a_causal_step_sees_the_targets_start_alone():
     """Two targets that agree in place and velocity at t are the same to it; a velocity told is all that is known."""
 
@@ -109,12 +88,3 @@ def test_a_causal_step_sees_the_targets_start_alone():
     velocity, e = np.array([0.5, 0.25]), np.array([0.1, 1.6]) - q
     known = ck.step(law, ck.causal(told(ck.path(bent), velocity)), q, 0.0, 0.1, "EXP-MIDPOINT")
     close(known.q, q + 0.1 * velocity - np.expm1(-0.2) * e, atol=1e-14)
-
-
-# --- the rest of the law ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["IE", "EXP-EE"])
-def test_what_has_no_exponential_form_says_so(method):
-    with pytest.raises(ck.ArgumentError, match=f"Argument `method` must be an explicit tableau .*, but is {method}"):
-        ck.exponential(method)

@@ -38,8 +38,8 @@ CASES = {
 }
 
 
-def arguments(**changes):
-    return {k: np.asarray(v, float) for k, v in (ORDINARY | changes).items()}
+def arguments(case):
+    return ravel_pytree({k: np.asarray(v, float) for k, v in (ORDINARY | CASES[case]).items()})
 
 
 def final(p, method, inverse):
@@ -58,19 +58,14 @@ def final(p, method, inverse):
 
 
 @functools.cache
-def programs(method, inverse, shapes):
-    """Compiled: a batch of values, and both Jacobians at once, as functions of the flat vector of arguments."""
-    unravel = ravel_pytree({k: np.zeros(s) for k, s in shapes})[1]
-
-    def flat(v):
-        return final(unravel(v), method, inverse)
-
-    return jax.jit(jax.vmap(flat)), both_ways(flat)
+def programs(method, inverse):
+    unravel = arguments("ordinary")[1]
+    return both_ways(lambda v: final(unravel(v), method, inverse))
 
 
 def both_ways(fn):
-    """Compiled: forward and reverse Jacobian."""
-    return jax.jit(lambda x: (jax.jacfwd(fn)(x), jax.jacrev(fn)(x)))
+    """Compiled: a batch of values, and both Jacobians at once, as functions of the flat vector of arguments."""
+    return jax.jit(jax.vmap(fn)), jax.jit(lambda x: (jax.jacfwd(fn)(x), jax.jacrev(fn)(x)))
 
 
 def agree(x, values, jacobians):
@@ -80,28 +75,19 @@ def agree(x, values, jacobians):
     close(reverse, forward, atol=1e-12 * size)
 
 
-def prepare(method, inverse, p):
-    x = np.asarray(ravel_pytree(p)[0])
-    return x, *programs(method, inverse, tuple((k, v.shape) for k, v in sorted(p.items())))
-
-
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("method", ["EE", "TRAPEZOID", "EXP-MIDPOINT"])  # each is two compilations
 def test_damped_loops(method, case):
-    x, values, jacobians = prepare(method, "damped", arguments(**CASES[case]))
-    agree(x, values, jacobians)
+    agree(np.asarray(arguments(case)[0]), *programs(method, "damped"))
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_loops_with_the_pseudoinverse(case):
     """Where J has full rank; at a singularity nothing is NaN."""
-    x, values, jacobians = prepare("EE", "pseudoinverse", arguments(**CASES[case]))
+    x, (values, jacobians) = np.asarray(arguments(case)[0]), programs("EE", "pseudoinverse")
     if case == "ordinary":
         agree(x, values, jacobians)
     assert all(np.all(np.isfinite(made)) for made in (values(x[None]), *jacobians(x)))
-
-
-# --- orientations in space ----------------------------------------------------------------------------
 
 
 def wrist(v):
@@ -112,18 +98,14 @@ def wrist(v):
     return jnp.concatenate([run.q[-1], run.e[-1], ck.forward(arm, run.q[-1]).position])
 
 
-WRIST = jax.jit(jax.vmap(wrist)), both_ways(wrist)
+WRIST = both_ways(wrist)
 AXES = np.eye(3)[[2, 1, 2]].ravel()  # z, y, z: singular where the middle joint is at 0
 AT = np.concatenate([np.linspace(-0.4, 0.5, 9), AXES, [0.1, 0.2, 0.9]])
 
 
 @pytest.mark.parametrize(
-    ("turn", "q0"),
-    [
-        pytest.param([0.9, 0.1, -0.3, 0.2], [0.3, 0.8, -0.4], id="ordinary"),
-        pytest.param([0.9, 0.1, -0.3, 0.2], [0.3, 0, 0.2], id="singular"),
-        pytest.param([1, 0, 0, 0], [0, 0, 0], id="singular, nothing to turn"),
-    ],
+    ("turn", "q0"),  # ordinary; singular; singular with nothing to turn
+    [([0.9, 0.1, -0.3, 0.2], [0.3, 0.8, -0.4]), ([0.9, 0.1, -0.3, 0.2], [0.3, 0, 0.2]), ([1, 0, 0, 0], [0, 0, 0])],
 )
 def test_orientation_loop(turn, q0):
     x = np.concatenate([AT, turn / np.linalg.norm(turn), q0, [3.0]])

@@ -1,6 +1,7 @@
 """solve and step: what comes back, under which transformations, and what is refused."""
 
 import functools
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from tests.oracles import clik, close, planar_law
+from tests.engine.compare import NEEDS_C
+from tests.oracles import close
+from tests.refusals import refusals
 
 LENGTHS = [0.7, 1.1, 0.4]
 ARM = ck.planar_arm(LENGTHS)
@@ -19,11 +22,8 @@ HOLD = ck.hold(TARGET)
 N = 6
 
 
-def run(q=Q, alpha=4.0, Ts=0.1, target=TARGET, method="CN", stage=ck.picard(3), law=LAW):
-    return ck.solve(ck.replace(law, alpha=alpha), ck.hold(target), q, Ts, N, method, stage)
-
-
-# --- what comes back ----------------------------------------------------------------------------------
+def run():
+    return ck.solve(LAW, HOLD, Q, 0.1, N, "CN", ck.picard(3))
 
 
 def test_trajectory():
@@ -78,24 +78,6 @@ def test_robots_with_a_constant_jacobian(inverse, dtype):
         close(made.q, wanted, atol=1e-6 if dtype == np.float32 else 1e-15)
 
 
-# --- transformations ----------------------------------------------------------------------------------
-
-
-def test_vmap_over_everything_at_once():
-    rng = np.random.default_rng(1)
-    q, alpha, Ts = Q + 0.1 * rng.normal(size=(3, 3)), np.array([2.0, 4, 6]), np.array([0.05, 0.1, 0.08])
-    target, lengths = np.array(TARGET) + 0.05 * rng.normal(size=(3, 2)), np.array(LENGTHS) + 0.1 * rng.random((3, 3))
-
-    def one(q, alpha, Ts, target, lengths):
-        return run(q, alpha, Ts, target, law=ck.replace(LAW, chain=ck.planar_arm(lengths)))
-
-    many = jax.jit(jax.vmap(one))(q, alpha, Ts, target, lengths)
-    for i in range(3):
-        f = planar_law(lengths[i], lambda t, i=i: target[i], lambda t: np.zeros(2), alpha[i])
-        close(many.q[i], clik("CN", f, q[i], Ts[i], N, M=3), atol=1e-12)
-        close(many.t[i], Ts[i] * np.arange(N + 1), atol=1e-15)
-
-
 def test_no_new_compilation_for_new_numbers():
     """A task's function is called while the loop is traced, and never again."""
     traced = []
@@ -122,10 +104,10 @@ def test_no_new_compilation_for_new_numbers():
     assert len(traced) > once
 
 
-# --- what is refused ----------------------------------------------------------------------------------
-
 solve = functools.partial(ck.solve, LAW, HOLD)
-BAD = [
+
+
+test_bad_input = refusals(
     (lambda: solve(Q[:2], 0.1, 3), r"`q0` must have 3 joint values, but has 2\."),
     (lambda: solve([0, np.nan, 0], 0.1, 3), r"`q0` must be finite, but is nan at index \(1,\)\."),
     (lambda: solve(["a", 0, 0], 0.1, 3), "`q0` must be an array of real numbers"),
@@ -139,18 +121,11 @@ BAD = [
     (lambda: solve(Q, 0.1, 3, t0=np.nan), "`t0` must be finite, but is nan"),
     (lambda: ck.solve(ARM, HOLD, Q, 0.1, 3), "`law` must be a Law, but is Chain"),
     (lambda: ck.solve(LAW, [1, 2], Q, 0.1, 3), r"`reference` must be a Reference such as hold\(...\), .* but is list"),
-    (lambda: ck.solve(LAW, ck.hold([1]), Q, 0.1, 3), "`reference` must give positions of 2 coordinates"),
+    (lambda: ck.solve(LAW, ck.hold([1]), Q, 0.1, 3), "`reference` must give 2 values"),
     (lambda: ck.step(LAW, HOLD, Q[:1], 0, 0.1), r"`q` must have 3 joint values, but has 1"),
     (lambda: ck.step(LAW, HOLD, Q, None, 0.1), "`t` must be a number, but is None"),
     (lambda: jax.jit(lambda q: solve(q, 0.1, 3).q)(Q[:2]), r"`q0` must have 3 joint values, but has 2\."),
-]
-
-
-@pytest.mark.parametrize(("call", "message"), BAD, ids=range(len(BAD)))
-def test_bad_input(call, message):
-    with pytest.raises(ck.ArgumentError, match=message) as caught:
-        call()
-    assert "\n" not in str(caught.value) and str(caught.value).startswith("Argument `")
+)
 
 
 @pytest.mark.parametrize("around", [jax.jit, jax.vmap, jax.grad], ids=lambda f: f.__name__)
@@ -166,3 +141,54 @@ def test_nothing_traced_is_kept(around):
     fresh = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), alpha=3.0)
     wanted = ck.solve(fresh, ck.hold(np.array([1.0, 0.5])), q0, 0.0625, 3).e
     np.testing.assert_array_equal(ck.solve(law, target, q0, 0.0625, 3).e, wanted)
+
+
+WAVE = ck.lissajous([0.6, 0.9], [0.2, 0.1], period=4.0)
+
+
+@NEEDS_C
+def test_a_step_is_that_of_a_program_of_ones_own_to_the_bit():
+    made = ck.step(LAW, WAVE, Q, 0.3, 0.1)
+    inside = jax.jit(lambda q: ck.step(LAW, WAVE, q, 0.3, 0.1))(Q)
+    for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(inside), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("engine", [None, "plain"])
+def test_arrays_are_those_of_the_joint_values(engine):
+    with ck.use_engine(engine):
+        for q, kind in ((Q, np.ndarray), ([0.3, 0.4, 0.5], np.ndarray), (jnp.asarray(Q), jax.Array)):
+            for made in (ck.step(LAW, WAVE, q, 0.0, 0.1), ck.solve(LAW, WAVE, q, 0.1, 3)):
+                assert all(isinstance(x, kind) for x in jax.tree.leaves(made))
+                assert kind is jax.Array or not any(x.flags.writeable for x in jax.tree.leaves(made))
+        assert isinstance(jax.jit(lambda a: ck.step(ck.replace(LAW, alpha=a), WAVE, Q, 0.0, 0.1).q)(2.0), jax.Array)
+
+
+def test_arrays_that_the_caller_writes_to_are_read_anew():
+    """A law that was taken apart and put together again holds the caller's own arrays."""
+    gain = np.array(4.0)
+    tree = jax.tree.structure(LAW)
+    law = tree.unflatten([gain if np.array_equal(x, 4.0) else x for x in jax.tree.leaves(LAW)])
+    assert law.alpha is gain
+    found = []
+    for gain[...] in (4.0, 1.0):
+        found.append(ck.step(law, WAVE, Q, 0.0, 0.1, "EE").q)
+    wanted = [ck.step(ck.replace(LAW, alpha=a), WAVE, Q, 0.0, 0.1, "EE").q for a in (4.0, 1.0)]
+    np.testing.assert_array_equal(found, wanted)
+
+
+def test_threads_do_not_share_numbers():
+    wanted = {a: ck.step(LAW, WAVE, Q + a, 0.0, 0.1).q for a in (0.0, 0.1, 0.2)}
+    wrong = []
+
+    def work(a):
+        for _ in range(300):
+            if not np.array_equal(ck.step(LAW, WAVE, Q + a, 0.0, 0.1).q, wanted[a]):
+                wrong.append(a)
+
+    threads = [threading.Thread(target=work, args=(a,)) for a in wanted]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong

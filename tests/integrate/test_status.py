@@ -1,6 +1,5 @@
 """Status bits: each one set where it should be, and nowhere else; require_ok."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -136,26 +135,11 @@ def test_growing_from_the_limit_of_stability_on(dtype):
     assert np.mean((status(5.0, WAVE, N=20) & S.GROWING) != 0) > 0.8
 
 
-def test_growing_with_a_users_function():
-    law = ck.Law(SLIDER, ck.position("x"), alpha=4.0)
-
-    @jax.custom_jvp
-    def host(t):
-        """Runs in Python, for one instant at a time: it can't be vmapped."""
-        return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), t.dtype), t)
-
-    host.defjvp(lambda primals, tangents: (host(*primals), tangents[0]))
-    assert not np.any(ck.solve(law, ck.path(lambda t: (host(t),)), [0.0], 0.1, 5, "EE").status)
-
-
 def test_a_task_of_more_rows_than_joints():
     """Least squares is a compromise: damped it runs and says so; exact it is refused, see tests/law."""
     law = ck.Law(arm(), ck.position("xyz"), alpha=2.0, inverse=ck.damped(0.1))
     target = ck.forward(arm(), Q).position + jnp.array([0.1, 0.1, 0.05])
     assert np.all(ck.solve(law, ck.hold(target), Q, 0.1, 3).status & S.TASK_TOO_LARGE)
-
-
-# --- require_ok ---------------------------------------------------------------------------------------
 
 
 def made_up(status, t=None):

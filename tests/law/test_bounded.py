@@ -15,6 +15,7 @@ from cnclik.law.bounded import LEAST, LEAST_SHARES
 from cnclik.law.inverse import through
 from cnclik.law.law import rows_at
 from cnclik.robot.model import modelled
+from tests.refusals import refusals
 from tests.robot.test_trees import ARMS, G1
 
 RATE, FASTEST = 8.0, 6.0  # [1/s, rad/s]; a rate that divides without rounding
@@ -217,17 +218,11 @@ def test_a_descent_that_is_cut_short_is_told(passes):
     assert np.any(status & ck.Status.AT_LIMIT)
 
 
-REFUSED = {
-    "`rate`": lambda: ck.bounded(rate=0.0),
-    "`passes`": lambda: ck.bounded(passes=2.5),
-    "`inverse` must be damped with": lambda: ck.Law(ck.panda(), ck.pose(), alpha=1.0, limits=ck.bounded()),
-}
-
-
-@pytest.mark.parametrize("said", REFUSED)
-def test_what_does_not_fit_is_refused(said):
-    with pytest.raises(ck.ArgumentError, match=said):
-        REFUSED[said]()
+test_what_does_not_fit_is_refused = refusals(
+    (lambda: ck.bounded(rate=0.0), "`rate`"),
+    (lambda: ck.bounded(passes=2.5), "`passes`"),
+    (lambda: ck.Law(ck.panda(), ck.pose(), alpha=1.0, limits=ck.bounded()), "`inverse` must be damped with"),
+)
 
 
 @pytest.mark.parametrize("damping", [(1e-3, 1e-2), (1e-6, 1e-5)])

@@ -57,19 +57,6 @@ def test_its_derivative_at_equal_values_is_the_mean_of_theirs():
     assert slope == pytest.approx(float(value) * 2 * np.trace(d) / 3, rel=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(3, 4), (4, 2)], ids=str)
-def test_its_derivatives_are_those_of_differences(shape):
-    a, d = np.random.default_rng(7).normal(size=(2, *shape))
-    step = 1e-5
-    numeric = (least_squared(a + step * d) - least_squared(a - step * d)) / (2 * step)
-    close(jax.jvp(least_squared, (a,), (d,))[1], numeric, rtol=1e-6)
-    for bad in (np.zeros(shape), np.ones(shape)):
-        assert np.all(np.isfinite(jax.grad(least_squared)(bad)))
-
-
-# --- Cholesky factors ---------------------------------------------------------------------------------
-
-
 def systems(m, count=20):
     rng = np.random.default_rng(m)
     j = rng.normal(size=(count, m, m + 2))

@@ -4,16 +4,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.spatial
 
 import cnclik as ck
+from cnclik.law.feedback import held_feedback, per_step
 from tests.bank import told
 from tests.oracles import (
     close,
     damped_inverse,
+    hat,
     planar_jacobian,
     planar_law,
     planar_position,
 )
+from tests.refusals import refusals
 
 LENGTHS = np.array([0.7, 1.1, 0.4])
 ARM = ck.planar_arm(LENGTHS.tolist())
@@ -53,9 +58,6 @@ def test_weights():
     close(qdot(one, q), damped_inverse(0.3)(j) @ (w * v), atol=1e-13)
 
 
-# --- dtypes -------------------------------------------------------------------------------------------
-
-
 def test_kinds_of_gain():
     for alpha in (5, np.float32(5), np.array(5), jnp.asarray(5.0)):
         found = qdot(ck.Law(ARM, ck.position("xy"), alpha=alpha, feedforward=1, near_singular=0))
@@ -79,46 +81,64 @@ def test_gains_at_the_edge_and_traced_ones_pass():
     ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
 
 
-# --- what is refused ----------------------------------------------------------------------------------
-
 XY = ck.position("xy")
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: ck.Law(3, XY, alpha=1.0), "`chain` must be a Chain, but is int"),
-        (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
-        (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must be a single number or have 2 numbers, but has 3"),
-        (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
-        (lambda: ck.Law(ARM, XY, alpha="5"), "`alpha` must"),
-        (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
-        (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
-        (lambda: ck.Law(ARM, XY, alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
-        (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
-        (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=-1.0), "`alpha` must not be negative"),
-        (
-            lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),
-            r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
-        ),
-        (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),
-        (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
-        (
-            lambda: ck.Law(ARM, XY, alpha=1, null_velocity=ck.posture([0, 1])),
-            "`rest` must have 3 joint values, but has",
-        ),
-        (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
-        (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
-        (
-            lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=np.ones(3)),
-            "`alpha` must be a single number or have 2 numbers",
-        ),
-        (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), r"`reference` must give positions of 2"),
-        (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "of 3 coordinates"),
-        (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
-    ],
+test_bad_input = refusals(
+    (lambda: ck.Law(3, XY, alpha=1.0), "`chain` must be a Chain, but is int"),
+    (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
+    (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must be a single number or have 2 numbers, but has 3"),
+    (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
+    (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
+    (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
+    (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
+    (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
+    (
+        lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),
+        r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
+    ),
+    (lambda: ck.Law(ARM, XY, alpha=1, inverse="damped"), "`inverse` must be pseudoinverse()"),
+    (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
+    (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=ck.posture([0, 1])), "`rest` must have 3 joint values, but has"),
+    (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
+    (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
+    (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), "`reference` must give 2 values"),
+    (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "`reference` must give 3 values"),
+    (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
 )
-def test_bad_input(build, message):
-    with pytest.raises(ck.ArgumentError, match=message) as caught:
-        build()
-    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_numbers_and_axes_with_their_derivatives(dtype):
+    Ts = dtype(0.05)
+    slope = jax.jit(jax.vmap(jax.value_and_grad(lambda a: per_step(a, Ts)), 0))
+    a = np.array([0.0, 1e-6, 0.1, 0.199, 0.201, 1.0, 20.0, 1e4])
+    value, derivative = slope(jnp.asarray(a, dtype))
+    z = a.astype(dtype).astype(float) * float(Ts)
+    eps = np.finfo(dtype).eps
+    close(value, -np.expm1(-z) / float(Ts), rtol=8 * eps)
+    close(derivative, np.exp(-z), atol=1e3 * eps)
+    close(per_step(jnp.asarray([0.0, 4.0], dtype), dtype(0.0)), [0.0, 4.0])
+    time = jax.grad(lambda Ts: per_step(jnp.asarray(4.0), Ts))
+    close([time(0.0), time(0.5)], [-8.0, (0.5 * 4 * np.exp(-2) + np.expm1(-2)) / 0.25], atol=1e-12)
+
+
+def rotation(v):
+    return scipy.linalg.expm(hat(np.asarray(v)))
+
+
+WRIST = ck.from_dh([0.0] * 3, [0.1] * 3, [0.1] * 3)
+
+
+@pytest.mark.parametrize("size", [1e-7, 0.3, 3.0])
+def test_turns_of_one_gain(size):
+    """Of a target at rest (1 − e^{−z}) e; of one that turns, that with the mean of the turn at both ends."""
+    law = ck.Law(WRIST, ck.orientation(), alpha=7.0)
+    e, Ts = size * np.array([0.6, -0.64, 0.48]), 0.2
+    find = jax.jit(lambda e, turn: held_feedback(law, e, (turn,), jnp.asarray(Ts)))
+    share = (1 - np.exp(-1.4)) / Ts
+    turn = rotation([0.1, 0.2, -0.15])
+    close(find(e, np.eye(3)), share * e, atol=1e-15 * size)
+    close(find(e, turn), share * (e + turn @ e) / 2, atol=1e-14 * size)
+    at_once = jax.jit(jax.jacfwd(lambda Ts: held_feedback(law, jnp.asarray(e), (jnp.eye(3),), Ts)))(0.0)
+    close(at_once, -0.5 * 49 * e, atol=1e-9)

@@ -15,15 +15,13 @@ from cnclik.law.bounded import Bounded
 from cnclik.law.walls import wall_distance
 from cnclik.record import record
 from tests.law.test_bounded import RATE, draws
-from tests.robot.test_trees import ARMS, G1
+from tests.refusals import refusals
+from tests.robot.test_trees import ARMS
 from tests.task.test_shapes import HUMANOID
 
 ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
 GANTRY = ck.from_screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
 ARM = ck.planar_arm([0.5, 0.4, 0.3])
-
-
-# --- the least ----------------------------------------------------------------------------------------
 
 
 @record
@@ -74,10 +72,9 @@ def made_of(damping, drawn, walls, floor):
     return map(np.asarray, each(damping, of))
 
 
-@pytest.mark.parametrize("damping", [0.05, 1e-3])
-def test_it_is_the_least_behind_walls(damping, count=100, k=4):
+def check_least(name, damping, count, k):
     daqp = pytest.importorskip("daqp")
-    drawn, walls, floor = problems("panda", count, seed=1, k=k)
+    drawn, walls, floor = problems(name, count, seed=1, k=k)
     qdot, room, _ = made_of(damping, drawn, walls, floor)
     assert np.all((qdot >= drawn.low) & (qdot <= drawn.high))
     off, missed = [], []
@@ -90,22 +87,13 @@ def test_it_is_the_least_behind_walls(damping, count=100, k=4):
             off.append(np.abs(qdot[i] - found).max() / max(np.abs(found).max(), 1e-3))
             missed.append(-room[i].min())
     assert len(off) > 0.9 * count and max(off) < 1e-6 and max(missed) < 1e-6
+    return room
+
+
+@pytest.mark.parametrize("damping", [0.05, 1e-3])
+def test_it_is_the_least_behind_walls(damping):
+    room = check_least("panda", damping, 100, 4)
     assert 0.1 < np.mean(np.abs(room) < 1e-9) < 0.9
-
-
-def test_walls_that_contradict_share_what_is_missing():
-    """Two that ask one coordinate for the opposite: each gets half, and the other joints do the task."""
-    rows = np.array([[1.0, 0, 0, 0], [-1.0, 0, 0, 0]])
-    jacobian, velocity = jnp.eye(4)[:2], jnp.array([0.3, 0.2])
-    far = jnp.full(4, 5.0)
-    of = (jacobian, velocity, -far, far, rows, jnp.array([1.0, 0.5]))
-    (qdot,), (room,), (limited,) = each(0.01, [v[None] for v in of])
-    np.testing.assert_allclose(qdot[:2], [0.25, 0.2], atol=1e-3)
-    np.testing.assert_allclose(room, [-0.75, -0.75], atol=1e-6)
-    assert limited
-
-
-# --- in a loop ----------------------------------------------------------------------------------------
 
 
 def inside(robot, q):
@@ -158,9 +146,6 @@ def test_contradicting_walls_are_told_in_the_status():
     np.testing.assert_allclose(run.x[-1], [0.2, 0.225, 0.0], atol=1e-3)
     with pytest.raises(StepError, match="WALLS_CONTRADICT: move apart the walls"):
         ck.require_ok(run, allow=ck.Status.AT_LIMIT)
-
-
-# --- together with everything -------------------------------------------------------------------------
 
 
 def test_a_wall_that_holds_has_the_derivatives_of_an_equation():
@@ -217,21 +202,16 @@ def test_hands_stay_apart():
     assert np.all(run.status == ck.Status.AT_LIMIT)
 
 
-@pytest.mark.parametrize(
-    ("call", "says"),
-    [
-        (lambda: ck.wall(ck.position("z")), "`above` must be given, or `below`"),
-        (lambda: ck.wall(ck.position("z"), above=0.0, below=1.0), "`above` must be given, or `below`"),
-        (lambda: ck.wall(ck.position(), above=0.0), "`normal` must be given for 3 coordinates"),
-        (lambda: ck.wall(ck.pose(), above=0.0), "`task` must be of positions"),
-        (lambda: ck.bounded(walls=ck.wall(ck.position("z"), above=0.0)), "`walls` must be a list"),
-        (lambda: ck.wall_margin(ck.Law(ARM, ck.position("xy"), alpha=1.0), None), "`law` must have limits"),
-        (lambda: ck.Law(
-            ck.load_urdf(G1, tips=ARMS), ck.position(tip=ARMS[0]), alpha=1.0, inverse=ck.damped(0.1),
-            limits=ck.bounded(walls=[ck.wall(ck.position("z", tip="elbow"), above=0.0)]),
-        ), "`tip` must"),
-    ],
-)  # fmt: skip
-def test_what_does_not_fit_is_refused(call, says):
-    with pytest.raises(ck.ArgumentError, match=says):
-        call()
+def limited(wall):
+    return ck.Law(GANTRY, ck.position(), alpha=1.0, inverse=ck.damped(0.1), limits=ck.bounded(walls=[wall]))
+
+
+test_what_does_not_fit_is_refused = refusals(
+    (lambda: ck.wall(ck.position("z")), "`above` must be given, or `below`"),
+    (lambda: ck.wall(ck.position("z"), above=0.0, below=1.0), "`above` must be given, or `below`"),
+    (lambda: ck.wall(ck.position(), above=0.0), "`normal` must be given for 3 coordinates"),
+    (lambda: ck.wall(ck.pose(), above=0.0), "`task` must be of positions"),
+    (lambda: ck.bounded(walls=ck.wall(ck.position("z"), above=0.0)), "`walls` must be a list"),
+    (lambda: ck.wall_margin(ck.Law(ARM, ck.position("xy"), alpha=1.0), None), "`law` must have limits"),
+    (lambda: limited(ck.wall(ck.position("z", tip="elbow"), above=0.0)), "`tip` must"),
+)

@@ -230,10 +230,13 @@ def ask(targets, task=TASK, **options):
         (ask(EYE, "pose"), "`tip` must be given for a robot with several"),
         (ask(EYE, ck.pose(tip="nose")), "`tip` must be one of left_gripper, right_gripper"),
         (ask(EYE, ck.pose(tip=LEFT) & ck.joints()), "`task` must be of positions and orientations of tips, but has"),
-        (ask(EYE, ck.position(tip=LEFT) & ck.pose(tip=RIGHT) & ck.orientation(tip=LEFT)), "in one place, but has left"),
+        (
+            ask(EYE, ck.position(tip=LEFT) & ck.pose(tip=RIGHT) & ck.orientation(tip=LEFT)),
+            "in one place, but has rx, ry",
+        ),
         (
             ask(EYE, ck.position(tip=LEFT) & ck.position("x", tip=LEFT)),
-            "have each axis of a tip once, but has x, y, z, x",
+            "have each axis of a tip once, in one place, but has x, y, z, x",
         ),
         (ask({"left": EYE, "right": EYE}, near=np.zeros(7)), "`near` must have 14 numbers or shape"),
         (lambda: ck.reach(3, EYE), "`chain` must be a Chain, but is int"),

@@ -116,16 +116,6 @@ def test_quaternion_slopes_where_entries_are_equally_large(w):
     close(found, np.vstack([-q[1:], q[0] * np.eye(3) - hat(q[1:])]) / 2, atol=1e-15)
 
 
-def test_a_fixed_turn_is_rodrigues():
-    for axis in UNIT:
-        for angle in (0.0, 0.4, -2.5, 9.0):
-            wanted = scipy.linalg.expm(hat(axis) * angle)
-            literal = fixed.turn(tuple(axis.tolist()), angle)
-            traced = fixed.turn(tuple(jnp.asarray(axis)), jnp.asarray(angle))
-            close(literal, wanted, atol=1e-13)
-            close(np.array(traced, float), wanted, atol=1e-13)
-
-
 def test_literals_fold():
     """Products with a literal 0 or 1 vanish: what compiled-in geometry is for."""
     x = jnp.asarray(2.0)

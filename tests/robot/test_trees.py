@@ -1,10 +1,15 @@
 """Robots with several tips: load_urdf and join against Pinocchio, all tips at once; what can't be is refused."""
 
+import math
+
 import jax
 import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.robot.posture import past_straight
+from tests.oracles import robot_file
+from tests.refusals import refusals
 from tests.robot.test_urdf import ROOT, Pinocchio, oracle
 
 ROBOTS = {
@@ -14,11 +19,8 @@ ROBOTS = {
     "baxter": "baxter_description/urdf/baxter.urdf",
     "pr2": "pr2_description/urdf/pr2.urdf",
     "tiago": "tiago_description/robots/tiago_dual.urdf",
-    "tiago_pro": "tiago_pro_description/robots/tiago_pro.urdf",
     "allegro": "allegro_hand_description/urdf/allegro_right_hand.urdf",
-    "romeo": "romeo_description/urdf/romeo.urdf",
     "anymal": "anymal_b_simple_description/robots/anymal-kinova.urdf",
-    "solo": "solo_description/robots/solo12.urdf",
 }
 G1 = ROOT / "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 ARMS = ["left_rubber_hand", "right_rubber_hand"]
@@ -109,32 +111,55 @@ def arms(tips=tuple(ARMS), **options):
     return ck.load_urdf(G1, tips=list(tips) if isinstance(tips, tuple) else tips, **options)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: arms(()), r"`tips` must hold different links, or be {name: link} .*but is \[\]"),
-        (lambda: arms((ARMS[0], ARMS[0])), "`tips` must hold different links"),
-        (lambda: arms("left_rubber_hand"), "`tips` must hold different links"),
-        (lambda: arms(("left_hand",)), "`tips` must be one of .* is 'left_hand'"),
-        (lambda: ck.load_urdf(G1, tip="left_rubber_hnd"), "`tip` .*did you mean 'left_rubber_hand'"),
-        (lambda: ck.load_urdf(G1, tip=3), "`tip` must be one of the"),
-        (lambda: arms(("pelvis",)), "`tips` must be moved by a joint, but is 'pelvis', fixed to"),
-        (lambda: arms(tip=ARMS[0]), "`tip` must be left out where `tips` are given"),
-        (lambda: arms({"a": (ARMS[0], [1, 2])}), r"`tips\['a'\]` must have shape"),
-        (lambda: arms({"a": (ARMS[0], [0, 0, np.nan])}), r"`tips\['a'\]\[2\]` must be finite"),
-        (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must be one of .*'waist_yaw' .did you mean"),
-        (lambda: arms(freeze={"waist_yaw_joint": 9}), r"`freeze\['waist_yaw_joint'\]` must be within"),
-        (lambda: arms(freeze={"waist_yaw_joint": np.nan}), "must be finite"),
-        (lambda: arms(freeze=["waist_yaw_joint"]), "`freeze` must be {name of a joint"),
-        (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
-        (lambda: ck.jacobian(ck.panda(), np.zeros(7), tip="hand"), "`tip` must be one of tip, but is 'hand'"),
-        (lambda: ck.Law(arms(), ck.position(), alpha=1.0), "`tip` must be given for a robot with several"),
-        (lambda: ck.reach(arms(), np.eye(4)), "`tip` must be given for a robot with several"),
-        (lambda: ck.join(ck.panda(), ck.panda()), "`prefix` must tell the names of both robots apart"),
-        (lambda: ck.join(ck.panda(), 3), "`other` must be a Chain"),
-    ],
+test_what_cannot_be_meant_is_refused = refusals(
+    (lambda: arms(()), r"`tips` must hold different links, or be {name: link} .*but is \[\]"),
+    (lambda: arms((ARMS[0], ARMS[0])), "`tips` must hold different links"),
+    (lambda: arms(("left_hand",)), "`tips` must be one of .* is 'left_hand'"),
+    (lambda: ck.load_urdf(G1, tip="left_rubber_hnd"), "`tip` .*did you mean 'left_rubber_hand'"),
+    (lambda: ck.load_urdf(G1, tip=3), "`tip` must be one of the"),
+    (lambda: arms(("pelvis",)), "`tips` must be moved by a joint, but is 'pelvis', fixed to"),
+    (lambda: arms(tip=ARMS[0]), "`tip` must be left out where `tips` are given"),
+    (lambda: arms({"a": (ARMS[0], [1, 2])}), r"`tips\['a'\]` must have shape"),
+    (lambda: arms({"a": (ARMS[0], [0, 0, np.nan])}), r"`tips\['a'\]\[2\]` must be finite"),
+    (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must be one of .*'waist_yaw' .did you mean"),
+    (lambda: arms(freeze={"waist_yaw_joint": 9}), r"`freeze\['waist_yaw_joint'\]` must be within"),
+    (lambda: arms(freeze=["waist_yaw_joint"]), "`freeze` must be {name of a joint"),
+    (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
+    (lambda: ck.jacobian(ck.panda(), np.zeros(7), tip="hand"), "`tip` must be one of tip, but is 'hand'"),
+    (lambda: ck.Law(arms(), ck.position(), alpha=1.0), "`tip` must be given for a robot with several"),
+    (lambda: ck.join(ck.panda(), ck.panda()), "`prefix` must tell the names of both robots apart"),
+    (lambda: ck.join(ck.panda(), 3), "`other` must be a Chain"),
 )
-def test_what_cannot_be_meant_is_refused(call, message):
-    with pytest.raises(ck.ArgumentError, match=message) as told:
-        call()
-    assert "\n" not in str(told.value)
+
+
+def test_elbows_that_bend_past_straight_are_found():
+    """A Panda's elbow by 23°, a G1's knees by 5°, where the limb is longest by its own kinematics."""
+    panda = ck.load_urdf(robot_file("panda"), tip="panda_hand")
+    ((name, straight, beyond),) = past_straight(panda)
+    assert name == "panda_joint4" and math.degrees(beyond) == pytest.approx(22.8, abs=0.1)
+    reach = []
+    for q4 in (straight - 0.02, straight, straight + 0.02):
+        q = np.array([0, 0, 0, q4, 0, 0, 0])
+        wrist = ck.load_urdf(robot_file("panda"), tip="panda_link5")
+        reach.append(np.linalg.norm(np.asarray(ck.forward(wrist, q[:5]).position) - [0, 0, 0.333]))
+    assert reach[1] > max(reach[0], reach[2])
+    legs = ck.load_urdf(robot_file("g1"), tips=["left_ankle_roll_link", "right_ankle_roll_link"])
+    assert [(n, round(math.degrees(b))) for n, _, b in past_straight(legs)] == [
+        ("left_knee_joint", 5), ("right_knee_joint", 5),
+    ]  # fmt: skip
+    assert past_straight(ck.ur5()) == [] and past_straight(ck.planar_arm([1.0, 1.0])) == []
+
+
+@pytest.mark.parametrize(("base", "freeze"), [("planar", {"base_x": 1.0, "base_yaw": 0.3}), ("free", {"base_z": 0.5})])
+def test_joints_of_a_base_may_be_frozen(base, freeze):
+    whole = ck.load_urdf(robot_file("panda"), tip="panda_hand", base=base)
+    frozen = ck.load_urdf(robot_file("panda"), tip="panda_hand", base=base, freeze=freeze)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-0.5, 0.5, frozen.n)
+    values = dict(zip(frozen.joint_names, q, strict=True)) | freeze
+    there = ck.forward(whole, np.array([values[name] for name in whole.joint_names]))
+    here = ck.forward(frozen, q)
+    np.testing.assert_allclose(here.position, there.position, atol=1e-6)
+    np.testing.assert_allclose(here.rotation, there.rotation, atol=1e-6)
+    with pytest.raises(ck.ArgumentError, match="with_base"):
+        ck.load_urdf(robot_file("panda"), tip="panda_hand", base="free", freeze={"base_rx": 0.1})
