@@ -67,7 +67,6 @@ class Verdict:
         return self.sentence
 
 
-@in_float64
 def verdict(
     law: Law,
     reference: Reference,
@@ -88,7 +87,12 @@ def verdict(
       noise: standard deviation of its measured error, a number or (m,).
     Raises: ArgumentError for a run of several lanes or of no step, or one of another law.
     """
-    dtype = np.asarray(errors.kind("run", run, Trajectory).e).dtype
+    dtype = errors.kind("run", run, Trajectory).e.dtype
+    return _verdict(law, reference, run, dtype, method, stage, drive, noise)
+
+
+@in_float64
+def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict:
     check_loop(law, reference)
     one_lane(run)
     check_run(run, law)
@@ -234,7 +238,7 @@ class _Case:
 
     def cause(self) -> str:
         """What holds the robot where it rests away from its target, in words; "" where the run does not show it."""
-        if not self.alpha.any():
+        if not self.alpha[self.counted][np.argmax(np.abs(self.e[-1, self.counted]))]:
             return "the gain is 0"
         acted, held = self.acted()
         held = held if acted[self.last].mean() >= OFTEN else ""
