@@ -7,8 +7,9 @@ import struct
 from docutils import nodes
 
 LONG, WIDE = 40, 1600  # letters of a cell; pixels of a figure, whose text would be too small in one column
-DRAWN = re.compile("^.*[│┃└├].*$", re.MULTILINE)  # lines of a table or a tree in a terminal
-FITS = 54  # letters of a line on a phone
+OPTION = 30  # letters of an option that does not break, which it would after a hyphen
+DRAWN = re.compile(r"^.*(?:[│┃└├]|\S {2,}\S+ {2,}\S).*$", re.MULTILINE)  # lines of a table or a tree in a terminal
+FITS, SENTENCE = 59, 110  # letters of a line on a phone; of a row whose last column is a sentence
 
 
 def width(file) -> int:
@@ -22,8 +23,11 @@ def mark(app, doctree):
         if cell.parent.index(cell) and len(cell.astext()) > LONG:
             cell["classes"].append("long")
     for block in doctree.findall(nodes.literal_block):
-        if any(len(line) > FITS for line in DRAWN.findall(block.astext())):
+        if any(FITS < len(line) < SENTENCE for line in DRAWN.findall(block.astext())):
             block["classes"].append("drawn")
+    for code in doctree.findall(nodes.literal):
+        if code.astext().startswith("-") and len(code.astext()) < OPTION:
+            code["classes"].append("option")
     for image in doctree.findall(nodes.image):
         if width(pathlib.Path(app.srcdir) / image["uri"]) > WIDE:
             image["classes"].append("wide")
