@@ -45,7 +45,7 @@ def _code(text: str):
                     if len(args) != 1 + (name in ("min", "max")):
                         return None
                 case ast.Constant(value=value) if type(value) in (int, float):
-                    node.value = value if node in powers else float(value)
+                    node.value = value if node in powers else float(value)  # type: ignore[arg-type]
                 case ast.BinOp(op=ast.Pow(), right=power):
                     powers.add(power)
                 case ast.Call() | ast.Constant():
