@@ -38,7 +38,7 @@ def hint(text: str) -> str:
 
 
 def units(unit: str) -> dict:
-    """{spelling: (factor, unit)} of what may stand behind a number whose own unit is one of `cnclik.problem.OPTIONS`.
+    """{spelling: (factor, unit)} of what may stand behind a number whose own unit is that of an option.
 
     "q" is rad or m, "x" the metres of a point, "samples" are also a time, which the sampling time makes samples.
     """

@@ -48,7 +48,7 @@ def run(
     if out is not None:
         with output_folder(pathlib.Path(out), overwrite=overwrite, files=["diagnose.png"]):
             pass  # it takes the figure
-    each = {} if step else _tasks(found, tasks, alpha)
+    each = {} if step else _tasks(found, tasks)
     with errors.called("signal", "LOG"):
         if step:
             fields, text, figure = _step(found, Ts, command)
@@ -71,7 +71,7 @@ def _diagnose(log, Ts, alpha) -> tuple:
     """(numbers, text, function that draws) of one loop."""
     from cnclik.diagnosis import diagnose
 
-    places = log.chosen or log.starting("e") or log.pairs()[1] or log.joints()
+    places = log.chosen or log.pairs()[1] or log.joints()
     signal, names = log.columns(places), [log.names[i] for i in places]
     found = diagnose(signal, Ts, alpha=alpha)
     sure = "" if found.confidence is None else f"\nConfidence: {found.confidence:.2g}."
@@ -113,12 +113,12 @@ def _step(log, Ts, command_kind) -> tuple:
     return fields, f"{fit.options}\n{fit}", drawn_by("diagnosis", "drive", Ts, command, motion, fit, moved)
 
 
-def _tasks(log, words, alpha) -> dict:
-    """{task: (indices of its columns, its gain or None)}, from --tasks or from the file of `cnclik solve --csv`."""
+def _tasks(log, words) -> dict:
+    """{task: (indices of its columns, its gain or None)}, from --tasks."""
     tasks: dict = {}
     for word in words:
         task, _, gain = word.partition("=")
-        named = re.compile(rf"(e_)?{re.escape(task)}[._/]")
+        named = re.compile(rf"{re.escape(task)}[._/]")
         places = [i for i, name in enumerate(log.names) if i not in log.left_out and named.match(name)]
         if task in tasks:
             raise errors.fail("tasks", "name each task once", f"names {task} twice")
@@ -129,12 +129,7 @@ def _tasks(log, words, alpha) -> dict:
             tasks[task] = places, float(errors.number("tasks", float(gain), positive=True)) if gain else None
         except ValueError:
             raise errors.fail("tasks", "give gains as positive numbers, such as hands=20", f"is {word!r}") from None
-    if not words and not log.chosen and alpha is None:
-        for i in log.starting("e"):
-            task, dot, _ = log.names[i][2:].partition(".")
-            if dot:
-                tasks.setdefault(task, ([], None))[0].append(i)
-    return tasks if words or len(tasks) > 1 else {}
+    return tasks
 
 
 def _fields(found) -> dict:

@@ -45,20 +45,16 @@ class Log:
             raise errors.fail("LOG", "hold a finite number in every row of its columns", found)
         return table
 
-    def starting(self, letter) -> list:
-        """Columns of the errors (e) or joints (q) in a file of `cnclik solve --csv`."""
-        return [i for i, name in enumerate(self.names) if name.startswith(f"{letter}_")]
-
-    def joints(self) -> list:
-        """The joints in a file of `cnclik solve --csv`; of other files all columns of motion."""
-        if found := self.starting("q") or self.motions():
-            return found
-        raise errors.fail("LOG", "have a column besides the times", "has none")
-
     def motions(self) -> list:
         """Columns that are no times, status, velocities or efforts."""
         each = enumerate(self.names)
         return [i for i, name in each if i not in self.left_out and not OTHER & {*words_of(name)}]
+
+    def joints(self) -> list:
+        """All columns of motion. Raises: ArgumentError where there are none."""
+        if found := self.motions():
+            return found
+        raise errors.fail("LOG", "have a column besides the times", "has none")
 
     def pairs(self) -> tuple[list, list]:
         """Indices of commands and of motions: joint_1_cmd belongs to joint_1_pos, or to joint_1; ([], []) for none."""

@@ -203,7 +203,8 @@ def _tell(made, summary, path) -> None:
             print("  " + ", ".join(f"{n} {v:.6f} {u}" for n, v, u in shown))
         missed = [aloud(float(made.position_error.flat[0]), "m")] * bool(made.task.lengths)
         missed += [aloud(float(made.orientation_error.flat[0]), "rad")] * bool(made.task.angles)
-        print(f"  error {' and '.join(missed)}")
+        if np.isfinite(made.position_error.flat[0]):
+            print(f"  error {' and '.join(missed)}")
     if path and np.isfinite(made.strays).any():
         print(f"  half-way between rows the tip strays by up to {aloud(float(np.nanmax(made.strays)), 'm')}")
 

@@ -23,7 +23,7 @@ from cnclik.law.paths import causal, hold_at
 from cnclik.law.reference import Reference, References, aims_of
 from cnclik.problem import names
 from cnclik.problem import reference as paths
-from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
+from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, check_values, in_own_units
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import quaternions
@@ -75,6 +75,8 @@ class Problem:
             "noise": None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,)),
             "seed": errors.seed(self.seed),
         }
+        if checked["noise"] is not None and errors.concrete(checked["noise"]):
+            check_values("noise", "noise", np.array(checked["noise"]))
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 

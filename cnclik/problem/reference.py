@@ -33,7 +33,7 @@ class Arm(NamedTuple):
 
 
 def reference_from(name, chain: Chain, task: Task, q0, *, horizon=10.0, **options) -> Reference:
-    """A desired path by name, with options as `cnclik.problem_from` has them; None is the default.
+    """A desired path by name, with options as `problem_from` has them; None is the default.
 
     A point has a position (in the task's coordinates or as x y z), if the task has one. If the task has an
     orientation, a unit quaternion w x y z follows; without it the orientation at q0 is kept.

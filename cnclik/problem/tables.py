@@ -66,6 +66,8 @@ def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
             must = f"have columns {' '.join(orders[-1])}, in this order or by name"
             raise errors.fail(argument, must, f"{file} has {len(names)}")
     columns = dict(zip(names, table.T, strict=True))
+    if len(columns) < len(names):
+        raise errors.fail(argument, "name each column once", f"{file} has {' '.join(names)}")
     if tip and any(column.startswith(f"{tip}.") for column in columns):
         columns = {key.removeprefix(f"{tip}."): v for key, v in columns.items() if key.startswith(f"{tip}.")}
     axes = () if not task.position else POSITION if set(POSITION) <= set(columns) else task.position

@@ -1,5 +1,6 @@
 """The arguments of a call of `reach`, shared by all its targets, and the status of a target without an answer."""
 
+import jax
 import numpy as np
 
 from cnclik import errors
@@ -122,6 +123,8 @@ def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
     if chain.balls:
         what = f"turns about any axis by {chain.joint_names[chain.balls[0][1]]}"
         raise errors.fail("chain", "have no free base and no ball joint, to be asked for joint values", what)
+    if not all(map(errors.concrete, jax.tree.leaves((chain.lower, chain.upper)))):
+        raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     if jump is not None:
         errors.number("jump", jump, positive=True)
     as_numbers("reach", ("tolerance", tolerance))

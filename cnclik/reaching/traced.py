@@ -29,6 +29,8 @@ def traced(asked: Asked, pose, near):
 
 def _answer(asked, starts, pose, near):
     chain, pose_, near_ = lax.stop_gradient((asked.chain, pose, near))
+    lower, upper = (tuple(np.array(limits, float).tolist()) for limits in (asked.chain.lower, asked.chain.upper))
+    chain = replace(chain, lower=lower, upper=upper)  # arrays would be tracers
     least = LEAST * float(jnp.finfo(pose.dtype).eps)
     of = replace(asked, chain=chain, tolerance=np.maximum(asked.tolerance, least * asked.scale))
     finite, far = of.finite(pose_, near_, jnp), of.too_far(pose_, jnp)

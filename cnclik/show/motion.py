@@ -26,7 +26,7 @@ class Motion(NamedTuple):
 
 
 def motion_of(data, chain: Chain) -> Motion:
-    """Return the motion of a run. Args: data: of `cnclik.to_dataset`, one lane."""
+    """Return the motion of a run. Args: data: of `cnclik.measure.to_dataset`, one lane."""
     q, e = data.q.values, data.e.values
     finite = np.isfinite(q).all(1) & np.isfinite(e).all(1) & (np.abs(q).max(1, initial=0.0) < FAR)
     count = len(q) if finite.all() else max(int(np.argmin(finite)), 1)

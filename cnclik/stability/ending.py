@@ -1,7 +1,6 @@
 """Ending: how a run ended, in a sentence, from its own steps and the scalar loop.
 
-Nothing is run again. A cause is named only where the run shows it: a wall or limit that acted, a singular value, a
-target that `reach` does not reach. The remedy follows from a formula, or there is none.
+Nothing is run again. A cause is named only where the run shows it. A remedy follows from a formula, or there is none.
 """
 
 from __future__ import annotations
@@ -67,7 +66,6 @@ class Verdict:
         return self.sentence
 
 
-@in_float64
 def verdict(
     law: Law,
     reference: Reference,
@@ -88,7 +86,12 @@ def verdict(
       noise: standard deviation of its measured error, a number or (m,).
     Raises: ArgumentError for a run of several lanes or of no step, or one of another law.
     """
-    dtype = np.asarray(errors.kind("run", run, Trajectory).e).dtype
+    dtype = errors.kind("run", run, Trajectory).e.dtype
+    return _verdict(law, reference, run, dtype, method, stage, drive, noise)
+
+
+@in_float64
+def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict:
     check_loop(law, reference)
     one_lane(run)
     check_run(run, law)
@@ -105,8 +108,6 @@ def verdict(
 
 
 class _Case:
-    """A run with what is asked of it."""
-
     def __init__(self, law, reference, run, Ts, advice, sigma, dtype):
         self.law, self.reference, self.Ts, self.advice, self.sigma = law, reference, Ts, advice, sigma
         self.e, self.q, self.x, self.qdot = (np.asarray(v, float) for v in (run.e, run.q, run.x, run.qdot))
@@ -128,9 +129,8 @@ class _Case:
         kind, words, (change, remedy) = self.judged()
         tasks = {name: self.of_task(at, kind) for name, at in self.law.task.each} if self.finite.all() else {}
         words = "; ".join([words, *(f"{name} {what}" for name, what in tasks.items())])
-        sentence = f"{kind}: {words}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else "")
-        error = float(self.error)
-        return Verdict(kind=kind, sentence=sentence, remedy=remedy, change=change, error=error, tasks=tasks)
+        said = f"{kind}: {words}." + (f" {remedy[0].upper()}{remedy[1:]}." if remedy else "")
+        return Verdict(kind=kind, sentence=said, remedy=remedy, change=change, error=float(self.error), tasks=tasks)
 
     def judged(self) -> tuple[Behaviour, str, tuple[dict, str]]:
         """The ending, what is said of it, and its remedy."""
@@ -152,16 +152,14 @@ class _Case:
         if swings:
             return Behaviour.SWINGING, said, self.lower_gain()
         if not self.still:
-            lag = self.lag() if self.error > self.floor else ""
-            return Behaviour.FOLLOWING, f"{said}{lag}", self.unstable()
+            return Behaviour.FOLLOWING, said + (self.lag() if self.error > self.floor else ""), self.unstable()
         if self.arrived():
             return Behaviour.SETTLED, said, self.unstable()
         if self.shrinks():
             left = self.error / self.size[self.before].max()
             return Behaviour.TOO_SHORT, f"{said}, {100 * left:.2g} % of that in the quarter before", NO_REMEDY
-        contradict = "its tasks share the joints and contradict each other there"
-        words = contradict if self.law.task.tasks else "the run does not show by what"
-        return Behaviour.HELD_BACK, f"{words}; {said} and stays", NO_REMEDY
+        why = "its tasks contradict each other there" if self.law.task.tasks else "the run does not show by what"
+        return Behaviour.HELD_BACK, f"{why}; {said} and stays", NO_REMEDY
 
     def arrived(self, some=None) -> bool:
         """Whether the last quarter's errors are a small part of the first one, rounding or noise."""
@@ -214,7 +212,7 @@ class _Case:
     def of_task(self, at, kind) -> str:
         """What a task of a stack did, in words; its error alone where the run shakes or is too short to tell."""
         state = "settled" if self.arrived(at) else "stays" if self.still else "following"
-        says = state == "settled" or kind in (Behaviour.SETTLED, Behaviour.FOLLOWING, Behaviour.HELD_BACK)
+        says = state == "settled" or kind in ("settled", "following", "held back")
         return f"{self.largest(some=at)}{f' ({state})' * says}"
 
     def held(self) -> str:
@@ -234,7 +232,7 @@ class _Case:
 
     def cause(self) -> str:
         """What holds the robot where it rests away from its target, in words; "" where the run does not show it."""
-        if not self.alpha.any():
+        if not self.alpha[self.counted][np.argmax(np.abs(self.e[-1, self.counted]))]:
             return "the gain is 0"
         acted, held = self.acted()
         held = held if acted[self.last].mean() >= OFTEN else ""
@@ -314,8 +312,8 @@ class _Case:
         if self.advice is None or not self.advice.unstable:
             return NO_REMEDY
         change, words = self.lower_gain()
-        high = ", ".join(self.advice.unstable)
-        return change, words and f"{words}; with {high} above the largest stable gain a disturbance may grow"
+        high = f"with {', '.join(self.advice.unstable)} above the largest stable gain a disturbance may grow"
+        return change, words and f"{words}; {high}"
 
 
 def _deviation(part):

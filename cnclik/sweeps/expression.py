@@ -3,9 +3,10 @@
 A text that is no expression is numbers with a unit, as on the command line: delay = "34ms", q0 = "0 -90 90 deg".
 """
 
+import ast
 import functools
 import math
-import re
+import warnings
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +17,8 @@ from cnclik.problem.options import OPTIONS
 LONGEST = 500  # characters of an expression: Python's parser takes seconds for some longer ones
 FUNCTIONS = {name: name for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "round")}
 FUNCTIONS |= {"min": "minimum", "max": "maximum"}  # names of NumPy and JAX
-_ARITHMETIC = re.compile(r"(?!.*__)(?!.*[^\W\d]\w*\s*\.)[\w\s.+*/(),-]+")  # no attribute, no name of Python's own
-# Whole numbers, but for those that end a power: powers of integers may take hours.
-_WHOLE = re.compile(r"(?<![\w.])(?<![eE][+-])(?:(?<!\*\*)\d+|\d+(?=\s*\*\*))(?![\w.])")
+_ALLOWED = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant)
+_ALLOWED += (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
 
 
 def _call(name, *arguments):
@@ -30,13 +30,31 @@ KNOWN = {name: functools.partial(_call, its) for name, its in FUNCTIONS.items()}
 
 @functools.cache
 def _code(text: str):
-    """Return an expression of numbers, names and functions, compiled; None for a text that is none."""
+    """Return an expression of numbers, names and functions, compiled; None for a text that is none.
+
+    Whole numbers become floats, but for those that end a power: powers of integers may take hours.
+    """
     try:
-        if len(text) <= LONGEST and _ARITHMETIC.fullmatch(text):
-            return compile(_WHOLE.sub(lambda number: f"{number[0]}.0", text.strip()), "spec", "eval")
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        pass
-    return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's own about texts such as 0in
+            tree = ast.parse(text.strip() if len(text) <= LONGEST else "", "spec", "eval")
+        powers = set()
+        for node in ast.walk(tree):
+            match node:
+                case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+                    if len(args) != 1 + (name in ("min", "max")):
+                        return None
+                case ast.Constant(value=value) if type(value) in (int, float):
+                    node.value = value if node in powers else float(value)  # type: ignore[arg-type]
+                case ast.BinOp(op=ast.Pow(), right=power):
+                    powers.add(power)
+                case ast.Call() | ast.Constant():
+                    return None
+            if not isinstance(node, _ALLOWED):
+                return None
+        return compile(tree, "spec", "eval")
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError):
+        return None
 
 
 def _unit(where: str) -> str:
@@ -95,7 +113,7 @@ def evaluate(where: str, value, look=None):
     try:
         if texts := [name for name, v in used.items() if isinstance(v, str)]:
             raise TypeError(f"{texts[0]} is a name, not a number")
-        used = {name: float(v) if type(v) is int else v for name, v in used.items()}
+        used = {name: float(v) if isinstance(v, int) else v for name, v in used.items()}
         with np.errstate(all="ignore"):  # users of the value report what is not finite
             result = eval(code, KNOWN | {"__builtins__": {}}, used)
         if callable(result) or np.iscomplexobj(result):

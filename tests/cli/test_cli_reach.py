@@ -68,6 +68,8 @@ def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
     assert shown.count("q1 ") == 2 and "rad" in shown and re.search(r"  error (zero|\S+ .?m)\n", shown)
     main(["reach", ARM, "--target", "0", "1.8", "--task", "xy", "--near", "0", "0"])
     assert re.search(r"1 target in \S+ s\n", capsys.readouterr().out)
+    main(["reach", ARM, "--target", "0", "1.8", "--task", "xy", "--near", "2", "2", "--jump", "0.1"])
+    assert "JUMP" in (shown := capsys.readouterr().out) and "nan" not in shown
 
 
 def test_a_path_with_a_jump(tmp_path, capsys):

@@ -162,6 +162,7 @@ def test_waypoints_with_a_speed_in_place_of_times(tmp_path):
         ("O.0,1,2,3\n1,1,2,3\n2,1,2,3", "row 1 of way.csv holds 'O.0'"),
         ("0,1,2,3\n1,1,2,x", "as many in every row"),
         ("0,1\n1,1", "have columns time x y z qw qx qy qz, in this order or by name, but way.csv has 2"),
+        ("time,x,y,z,x\n0,1,2,3,4\n1,1,2,3,5", "name each column once, but way.csv has time x y z x"),
         ("0,1,2,3\n0,1,2,3", "increase"),
         ("-inf,1,2,3\n-inf,1,2,3", "increase"),
         ("0,1,2,3\n1,1,2,nan", "finite"),

@@ -346,3 +346,5 @@ def test_what_cannot_be_asked_while_tracing():
     for name, value in (("solutions", 2), ("near", "previous")):
         with pytest.raises(ck.ArgumentError, match=f"`{name}` must be left out under jit"):
             jax.jit(lambda t, n=name, v=value: ck.reach(WRIST, t, **{n: v}).q)(np.eye(4))
+    with pytest.raises(ck.ArgumentError, match="`chain` must have limits that are numbers"):
+        jax.jit(lambda v: ck.reach(ck.replace(WRIST, lower=(v,) * 6), np.eye(4)).q)(-1.0)

@@ -64,6 +64,14 @@ def test_the_statuses_of_xla_and_of_a_trace_are_those_of_c(near):
         np.testing.assert_allclose(whole.position_error[gone], made.position_error[gone], rtol=0.02, atol=2e-3)
 
 
+def test_limits_may_be_an_array_within_a_program():
+    arm, target = ck.planar_arm([1.0, 0.7]), np.array([0.5, 0.6])
+    plain = ck.replace(arm, lower=(-1.9, -2.9), upper=(2.0, 2.9))
+    arrays = ck.replace(arm, lower=jnp.array([-1.9, -2.9]), upper=np.array([2.0, 2.9]))
+    q, expected = (jax.jit(lambda t, c=c: ck.reach(c, t, task=ck.position("xy")).q)(target) for c in (arrays, plain))
+    np.testing.assert_allclose(q, expected, atol=1e-5)
+
+
 def test_starts_of_a_bin_are_near_the_target():
     chain = ck.panda()
     starts = starts_of(chain, pose())

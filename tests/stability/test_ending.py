@@ -78,6 +78,16 @@ def test_following_names_a_lag_only_where_one_explains_the_error():
         assert said.kind == Behaviour.FOLLOWING
 
 
+def test_rounding_is_that_of_the_run_and_an_axis_without_gain_is_named():
+    arm, q0, target = ck.planar_arm([1.0, 1.0, 0.5]), np.array([0.3, -0.5, 0.4]), np.array([0.5, 1.8])
+    law = ck.Law(arm, XY, alpha=2.0)
+    with jax.enable_x64(False):  # 15 nm in float32
+        start = ck.hold(np.array(ck.forward(arm, q0).position)[:2])
+        assert judge(law, start, q0, 0.05, 400).kind == Behaviour.SETTLED
+    said = judge(ck.replace(law, alpha=[2.0, 0.0]), ck.hold(target), q0, 0.05, 400)
+    assert said.kind == Behaviour.HELD_BACK and "the gain is 0" in said.sentence
+
+
 def test_an_arm_at_the_end_of_its_reach():
     """Out of reach by the distance that `reach` finds; it swings with little damping, and the remedy calms it."""
     far, limits = ck.hold(P0 + 0.6 * P0 / np.linalg.norm(P0)), ck.bounded()
