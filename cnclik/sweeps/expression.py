@@ -44,8 +44,8 @@ def _code(text: str):
                 case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                     if len(args) != 1 + (name in ("min", "max")):
                         return None
-                case ast.Constant(value=value) if type(value) in (int, float):
-                    node.value = value if node in powers else float(value)  # type: ignore[arg-type]
+                case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                    node.value = value if node in powers else float(value)
                 case ast.BinOp(op=ast.Pow(), right=power):
                     powers.add(power)
                 case ast.Call() | ast.Constant():
