@@ -14,12 +14,13 @@ from cnclik import errors, quantities
 from cnclik.problem.options import INTEGER, NAME, NUMBER, OPTIONS, REQUIRED, SWITCH, arguments, numbers_of, source
 
 LOG = arguments(source("cli/log.py"), "read")
+FILTER = ("smoothing", "cutoff", "smoothed")
 GROUPS = {  # options that verbs share, by the titles of the help; a verb's TAKES names its groups
     "robot and task": ("robot", "tip", "task"),
     "path": ("reference", "target", "radius", "period", "speed", "begin"),
     "law": ("alpha", "damping", "limits", "feedforward"),
     "loop": ("q0", "Ts", "N", "method", "M"),
-    "drive": ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feedback", "cutoff", "smoothed"),
+    "drive": ("delay", "lag", "natural_frequency", "damping_ratio", "command", "feedback", *FILTER),
     "log": tuple(LOG),
 }
 PROBLEM = ("robot and task", "path", "law", "loop", "drive")

@@ -28,7 +28,6 @@ def run(
     tip: list[str] | None = None,
     target: list[Point] | None = None,
     random: int | None = None,
-    seed: int = 0,
     near: tuple[float, ...] | None = None,
     path: bool = False,
     jump: float | None = None,
@@ -51,7 +50,6 @@ def run(
       target: one target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z. Give it once for each
         tip.
       random: number of random reachable poses, in place of TARGETS.
-      seed: seed of the random numbers of --random.
       near: joint values from which the search starts [rad, m], such as the robot's present ones.
       path: treat the targets as a path: start each search from the previous answer.
       jump: largest distance of each joint from --near or from the previous answer [rad, m].
@@ -73,8 +71,8 @@ def run(
     if target is not None:
         wanted, line = _given(parts, target), f"Target {'; '.join(map(_point, target))}."
     elif random is not None:
-        line = f"Targets: {random:,} random reachable ones, seed {seed}."
-        wanted = _random(chain, parts, errors.integer("random", random, at_least=1, at_most=errors.MOST), seed)
+        line = f"Targets: {random:,} random reachable ones."
+        wanted = _random(chain, parts, errors.integer("random", random, at_least=1, at_most=errors.MOST))
     else:
         wanted, line = _of_file(parts, pathlib.Path(targets or "")), f"Targets: those of {targets}."
     begins = ", each from the answer before it" * path
@@ -140,7 +138,7 @@ def _of_file(task, file):
     return by_name(task, each)
 
 
-def _random(chain, task, count, seed):
+def _random(chain, task, count):
     """Poses of joint values drawn evenly within the limits."""
     import numpy as np
 
@@ -151,7 +149,7 @@ def _random(chain, task, count, seed):
     from cnclik.task.task import aims
 
     low, high = spans(chain)
-    at = At(modelled(chain), np.random.default_rng(errors.seed(seed)).uniform(low, high, (count, chain.n)))
+    at = At(modelled(chain), np.random.default_rng(0).uniform(low, high, (count, chain.n)))
     return by_name(task, [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to)) for aim in aims(task)])
 
 

@@ -19,7 +19,7 @@ from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import Law, check_loop
 from cnclik.law.reference import Reference
 from cnclik.measure.outcome import STALL_RATIO
-from cnclik.precision import in_float64
+from cnclik.precision import in_float64_if_known, of_numbers
 from cnclik.quantities import aloud
 from cnclik.record import ArrayLike, record, replace
 from cnclik.robot.posture import arm_length
@@ -66,6 +66,7 @@ class Verdict:
         return self.sentence
 
 
+@of_numbers
 def verdict(
     law: Law,
     reference: Reference,
@@ -81,8 +82,7 @@ def verdict(
     It reads the run's last quarter, its statuses and the gains of its drives, and asks `reach` at most once.
 
     Args:
-      law, reference, method, stage, drive: what was run, see `solve`.
-      run: its `Trajectory`, one lane.
+      law, reference, run, method, stage, drive: what was run, see `solve`, and its `Trajectory` of one lane.
       noise: standard deviation of its measured error, a number or (m,).
     Raises: ArgumentError for a run of several lanes or of no step, or one of another law.
     """
@@ -90,7 +90,7 @@ def verdict(
     return _verdict(law, reference, run, dtype, method, stage, drive, noise)
 
 
-@in_float64
+@in_float64_if_known
 def _verdict(law, reference, run, dtype, method, stage, drive, noise) -> Verdict:
     check_loop(law, reference)
     one_lane(run)

@@ -39,6 +39,7 @@ def rows_of(said):
         ("--natural-frequency 5Hz --damping-ratio 0.4 --command position",
          {"natural_frequency": 10 * np.pi, "damping_ratio": 0.4, "command": "position"}, {}),
         ("--delay 1 --cutoff 20Hz --smoothed command", {"delay": 1.0, "cutoff": 20.0, "smoothed": "command"}, {}),
+        ("--delay 1 --smoothing 0.5", {"delay": 1.0, "smoothing": 0.5}, {}),
     ],
 )  # fmt: skip
 def test_the_table_has_the_three_gains_and_those_of_explicit_euler(options, drive, loop, capsys):

@@ -86,7 +86,6 @@ MISTAKES = [
     ("reach planar:1,1 --target 1", "must hold 2 numbers, x y [m], or 3 numbers, x y z [m], but holds 1"),
     ("reach planar:1,1 --target 0.4 nan", "`--target` must be finite, but is nan"),
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
-    ("reach planar:1,1 --random 3 --seed -4", "`--seed` must be a whole number"),
     ("reach planar:1,1 --random 0", "`--random` must be at least 1"),
     ("reach planar:1,1 --random 3 --near 0", "`--near` must have 2"),
     ("reach planar:1,1 --random 3 --near 0 1m", "joint 'q2' is in rad, and m is given"),
