@@ -1,4 +1,4 @@
-"""Each file is whole or not there, and what others wrote stays; a file that is none to read is told in one line."""
+"""Each file is whole or not there, and what others wrote stays; what cannot be read is refused in one line."""
 
 import errno
 import os
@@ -174,7 +174,7 @@ def test_what_an_earlier_run_left_does_not_lie_beside_another_result(tmp_path):
 
 @pytest.fixture
 def odd(tmp_path):
-    """Names of what is no file, by what is told of them."""
+    """Names of what is no file, by what its refusal says."""
     os.mkfifo(tmp_path / "pipe")
     return {
         "is a folder": tmp_path,

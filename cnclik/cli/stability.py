@@ -94,7 +94,7 @@ def _answer(found, alpha, speed) -> None:
     from cnclik.stability.gain import in_words
     from cnclik.stability.linear import describe
 
-    euler = found if found.method.name == "EE" else found.by("EE")
+    euler = _by_euler(found)
     drives = drive_in_words(found.drive, found.Ts) + ", assumed" * found.assumed
     print(f"{describe(found.method, found.M)}, Ts {1e3 * found.Ts:g} ms, {drives}.")
     if found.assumed:
@@ -127,6 +127,7 @@ _MEASURE = (
 
 def _facts(found, alpha) -> dict:
     """The answer in numbers."""
+    euler = _by_euler(found)
     drives = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
     each = ((a, found.at(a) if a else None) for a in _each(alpha))
     return {
@@ -134,10 +135,15 @@ def _facts(found, alpha) -> dict:
         **{name: getattr(found, name) for name in GAINS},
         "reason": found.reason,
         "recommended_response": found.response,
-        "explicit_euler": {name: getattr(found.by("EE"), name) for name in GAINS},
+        "explicit_euler": {name: getattr(euler, name) for name in GAINS},
         "alpha": [{"alpha": a, "stable": not a or response is not None, "response": response} for a, response in each],
         "elsewhere": {where: setting._asdict() for where, setting in found.elsewhere.items()},
     }
+
+
+def _by_euler(found):
+    """The gains of the same loop by explicit Euler."""
+    return found if found.method.name == "EE" else found.by("EE")
 
 
 def _each(alpha) -> list:

@@ -1,4 +1,4 @@
-"""A command's end: by an output that cannot be printed (no reader, room or letter), or by a signal."""
+"""A command's end: by an output that cannot be printed (no reader, room or character), or by a signal."""
 
 import contextlib
 import io
@@ -15,7 +15,7 @@ def guarded(process: bool):
     """Context manager that guards a command's end.
 
     Where output fails the command exits with code 141 if the reader, such as `head`, has left, else with one line on
-    stderr and code 1; files that it has written stay. Letters that the terminal lacks become "?".
+    stderr and code 1; files already written stay. Characters that the terminal cannot show become "?".
 
     Args:
       process: whether this process only runs the command. Then SIGTERM and SIGINT end it at once, and an early end does

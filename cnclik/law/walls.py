@@ -101,16 +101,6 @@ def wall(
     return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
 
 
-def wall_distance(law: Any, q: Float[ArrayLike, "*lanes n"]) -> Float[np.ndarray, "*lanes k"]:
-    """Return the distance to each wall at given joint values, h (..., k) [m, rad]; negative behind it.
-
-    Args: law: as for `wall_margin`.
-    """
-    n = law.chain.n
-    q = errors.array("q", q, (n,), (None, n), (None, None, n), finite=False)
-    return np.asarray(_apart(_walls_of(law), law.chain, q))
-
-
 def support_polygon(
     corners: Float[ArrayLike, "k 2"],
     *,
@@ -158,27 +148,12 @@ def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
       law: with `bounded(walls=...)`.
       run: a `Trajectory` of it, one or many lanes, with equal steps.
     """
-    walls = _walls_of(law)
+    if not (walls := getattr(law.limits, "walls", ())):
+        raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
     bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))
     rates = np.array([wall.rate for wall in walls])
     Ts = np.diff(np.asarray(run.t), axis=-1)[..., None]
     return np.max(np.maximum(-np.asarray(bent) * Ts, 0.0), axis=-2) / (2 * rates)
-
-
-def _walls_of(law):
-    if walls := getattr(law.limits, "walls", ()):
-        return walls
-    raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
-
-
-@one_off
-def _apart(walls, chain, q):
-    """Return h (..., k)."""
-
-    def distances(q):
-        return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
-
-    return jnp.vectorize(distances, signature="(n)->(k)")(q)
 
 
 @one_off

@@ -1,4 +1,4 @@
-"""The paper's claims, judged by numbers: what `claims.json` holds, and its tables for the terminal and `claims.md`.
+"""The paper's claims, judged by numbers: what `claims.json` holds, and the tables of `claims.md`.
 
 (a) Case I: IE converges slowest, CN fastest.  (b) Case II: the tracking error is significantly lower with CN.
 (c) The fixed-point iteration converges in 4 to 5 iterations.
@@ -11,7 +11,7 @@ import numpy as np
 
 from cnclik.measure.files import markdown
 from cnclik.paper import readings as paper
-from cnclik.paper.readings import ARMS, DEFAULT
+from cnclik.paper.readings import ARMS
 
 CLAIM = {
     "reach": "(a) IE converges slowest and CN fastest: IE has the largest mean error, CN the smallest",
@@ -98,7 +98,7 @@ def _needed(worst, tolerance):
 
 
 def tables(judged, results) -> list:
-    """Return the tables of a run's claims, methods and passes: (title, header, rows of texts, columns set left)."""
+    """Return the tables of a run's claims, methods and passes: (header, rows of texts, columns set left)."""
     unsure = undetermined(results.trajectories)
     claims, passes, methods = [], [], []
     for row in filter(_own, judged["rows"]):
@@ -119,18 +119,9 @@ def tables(judged, results) -> list:
             passes.append([f"{ARMS[row['arm']]} {row['case']}", _short(row), after, *needed, _verdict(row)])
     tolerances = [f"{t:.0e}".replace("e-0", "e-") for t in _SHOWN]
     return [
-        (
-            f"Mean error ‖e‖ over k = 0 … {paper.N} [m], and what becomes of the claims",
-            *(["claim", "reading", *paper.PAPER, "holds"], claims, 2),
-        ),
-        (
-            f"All methods at Ts = {paper.TS:g} s under {DEFAULT}: errors ‖e‖ [m]",
-            *(["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"], methods, 1),
-        ),
-        (
-            f"Worst last change after {paper.M} passes [rad], and passes needed to a tolerance",
-            *(["(c)", "reading", f"after {paper.M}", *tolerances, "holds"], passes, 2),
-        ),
+        (["claim", "reading", *paper.PAPER, "holds"], claims, 2),
+        (["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"], methods, 1),
+        (["(c)", "reading", f"after {paper.M}", *tolerances, "holds"], passes, 2),
     ]
 
 
@@ -140,7 +131,7 @@ def page(judged, results, reading, captions) -> str:
     Args: reading: that of the figures. captions: {file: what it shows}.
     """
     text = pathlib.Path(__file__).with_name("claims.md.in").read_text(encoding="utf-8")
-    shown = [markdown(header, rows, left=left).strip() for _, header, rows, left in tables(judged, results)]
+    shown = [markdown(header, rows, left=left).strip() for header, rows, left in tables(judged, results)]
     figures = "\n".join(f"- `{name}`: {caption}" for name, caption in captions.items())
     named = dict(zip(("claim_table", "method_table", "picard_table"), shown, strict=True))
     return text.format(reading=reading, figures=figures, **named)

@@ -128,6 +128,11 @@ def _root(file, data):
     return root
 
 
+def _numbers(text) -> list:
+    """Return the numbers of a text; NaN for a word that is none."""
+    return [math.nan if (x := quantities.number(word)) is None else x for word in text.split()]
+
+
 def _edge(file, element) -> Edge:
     """Return a joint, checked."""
     name, kind = element.attrib["name"], element.get("type")
@@ -139,7 +144,7 @@ def _edge(file, element) -> Edge:
     def numbers(part, key, default, most=MOST):
         inside = element.find(part)
         text = default if inside is None else inside.get(key, default)
-        values = [math.nan if (x := quantities.number(word)) is None else x for word in text.split()]
+        values = _numbers(text)
         if len(values) != len(default.split()) or not all(abs(x) <= most for x in values):  # refuses NaN, too
             count = {1: "a number", 3: "three numbers"}[len(default.split())]
             raise bad(f"has {part} {key} {text!r}, not {count} within ±{MOST:g}")
@@ -198,7 +203,7 @@ def _inertials(file, root) -> dict:
         if mass is None:
             continue
         text = f"{mass.get('value')} {'0 0 0' if origin is None else origin.get('xyz', '0 0 0')}"
-        values = [math.nan if (x := quantities.number(word)) is None else x for word in text.split()]
+        values = _numbers(text)
         if len(values) != 4 or not all(abs(x) <= MOST for x in values) or values[0] < 0:
             what = f"Link {link.get('name')!r} of {file} has an inertial of {text!r}"
             errors.remark(f"{what}: the robot is taken as one without masses.")

@@ -169,12 +169,7 @@ class Loop(dict):
 
     def _value(self, name, written):
         value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
-        if (
-            isinstance(value, float)
-            and value.is_integer()
-            and name in OPTIONS
-            and OPTIONS[name].kind == options.INTEGER
-        ):
+        if name in WHOLE and isinstance(value, float) and value.is_integer():
             return int(value)
         return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
 

@@ -93,7 +93,7 @@ def test_how_far_the_tip_strays_half_way():
     ],
 )
 def test_a_log_on_the_command_line(tmp_path, monkeypatch, capsys, options, code, words):
-    """Commands are told from motion by their names; velocities are left out; the exit code says what it found."""
+    """Names distinguish commands from motion; velocities are left out; the exit code is 1 for a broken limit."""
     monkeypatch.chdir(tmp_path)
     command = 0.1 * (K >= 500)
     table = np.column_stack([1e-3 * K, command, np.roll(command, 20) * 0.99, 50.0 + 0 * K])

@@ -226,7 +226,7 @@ def coupled(gains, N=300, d=4):
     ],
 )
 def test_the_limit_of_one_task_binds_all(gains, known, change, tmp_path, capsys):
-    """The task that is too fast is told from one that swings along; units do not decide."""
+    """The task that is too fast is named, not one that swings along; units do not decide."""
     signals = coupled(gains)
     found = diagnose_tasks(signals, 0.005, alpha=dict(zip(signals, known, strict=True)))
     assert found.change == change and 0.04 / 0.005 < found.recommended_alpha < monotone(4) / 0.005

@@ -12,8 +12,9 @@ import pytest
 import cnclik as ck
 from cnclik.integrate.status import StepError
 from cnclik.law.bounded import Bounded
-from cnclik.law.walls import wall_distance
 from cnclik.record import record
+from cnclik.robot.model import modelled
+from cnclik.task.parts import At
 from tests.law.test_bounded import RATE, draws
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS
@@ -22,6 +23,16 @@ from tests.task.test_shapes import HUMANOID
 ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
 GANTRY = ck.from_screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
 ARM = ck.planar_arm([0.5, 0.4, 0.3])
+
+
+def wall_distance(law, q):
+    """The distance to each wall at joint values (..., n), h (..., k); negative behind it."""
+    chain, walls = modelled(law.chain), law.limits.walls
+
+    def distances(q):
+        return jnp.stack([wall.distance(At(chain, q)) for wall in walls])
+
+    return np.asarray(jax.jit(jnp.vectorize(distances, signature="(n)->(k)"))(q))
 
 
 @record

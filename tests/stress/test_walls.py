@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.law.walls import wall_distance
-from tests.law.test_walls import check_least
+from tests.law.test_walls import check_least, wall_distance
 from tests.robot.test_trees import ARMS, G1
 from tests.task.test_shapes import DOWN, FRANKA, G1_PAIRS, HUMANOID, PANDA, coal_distances
 
@@ -75,7 +74,7 @@ def test_no_run_of_the_panda_collides_by_coal():
 
 
 def test_no_arm_of_g1_collides_by_coal():
-    """Both hands are told to go into each other, and then into the chest: hands, forearms and torso stay apart."""
+    """Both hands are asked to go into each other, and then into the chest: hands, forearms and torso stay apart."""
     task = ck.stack(one=ck.position(tip=ARMS[0]), other=ck.position(tip=ARMS[1]), rest=ck.joints())
     walls = [ck.wall(ck.distance(*pair), above=0.01) for pair in G1_PAIRS.values()]
     inverse = ck.levels(["one", "other"], ["rest"], damping=(0.02, 0.5))
