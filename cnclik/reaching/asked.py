@@ -56,8 +56,9 @@ class Asked:
         return Terms(*(xp.asarray(v, float) for v in numbers))
 
     def finite(self, pose, near, xp=np):
-        """Return which targets (..., t) are finite, with the joint values in `near`."""
-        return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
+        """Return which targets (..., t) have squares of squares that are numbers, and finite joint values in `near`."""
+        most = float(np.finfo(pose.dtype).max) ** 0.25
+        return (xp.abs(pose) < most).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
     def too_far(self, pose, xp=np):
         """Return which targets (..., t) are farther from the first joint than the stretched arm is long."""
@@ -95,7 +96,8 @@ class Asked:
         rests = (row.steep <= STATIONARY**2) & ~self.within(row, CLEAR, xp) & (why == 0) & (self.seeds >= SURE)
         made = xp.where(rests | far, int(status.OUT_OF_REACH), int(status.OUT_OF_BUDGET))
         certain = (self.chain.n <= FEW) | (self.squares(row, xp) >= DOUBT**2)
-        held = (why == status.AT_LIMIT) & touching(self.chain, row.q).any(axis=-1) & certain
+        at_bound = touching(self.chain, row.q).any(axis=-1) | (self.jump is not None)
+        held = (why == status.AT_LIMIT) & at_bound & certain
         made = xp.where(((why == status.JUMP) | held) & ~self.within(row, MISSED, xp), why, made)
         made = xp.where(row.status == solved, solved, made)
         made = xp.where(finite, made, int(status.NON_FINITE))

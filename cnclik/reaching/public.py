@@ -14,6 +14,7 @@ from cnclik.reaching.asked import asked_of
 from cnclik.reaching.result import Reached, from_rows
 from cnclik.reaching.search import Targets, path, search_of
 from cnclik.reaching.several import AT_ONCE, MOST_DRAWN, several
+from cnclik.reaching.starts import turned
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
 from cnclik.record import ArrayLike, Float
@@ -95,7 +96,14 @@ def reach(
     elif previous:
         rows = path(search_of(asked), pose, progress)
     else:
-        rows, search, of, size = [], search_of(asked), Targets(pose, begin), POOL if progress is None else REPORTED
+        turns = begin is not None and any(chain.periodic)
+        inside = turned(begin, begin, np.array(chain.periodic), *asked.limited()) if turns else begin
+        rows, search, of, size = (
+            [],
+            search_of(asked),
+            Targets(pose, begin, inside),
+            POOL if progress is None else REPORTED,
+        )
         size = size if solutions == 1 else min(size, AT_ONCE // (MOST_DRAWN + solutions))
         for i in range(0, len(pose), size):
             part = of.some(slice(i, i + size))

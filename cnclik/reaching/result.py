@@ -22,7 +22,7 @@ class ReachStatus(enum.IntEnum):
     OUT_OF_REACH = 2  # farther than the stretched arm, or no answer found, without limits either; q is the nearest pose
     JUMP = 3  # there are answers, but none within `jump` of `near`; q is NaN
     OUT_OF_BUDGET = 4  # no answer found, and it is not known whether there is one; q is the best pose found
-    NON_FINITE = 5  # the target, or `near`, is not finite; q is NaN
+    NON_FINITE = 5  # the target, or `near`, is not finite, or beyond 1e77 m (1e9 in float32); q is NaN
     NO_OTHER = 6  # fewer different solutions were found than asked for; q is NaN
 
 

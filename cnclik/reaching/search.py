@@ -12,9 +12,9 @@ import numpy as np
 
 from cnclik.engine.plan import in_c
 from cnclik.reaching.asked import SURE, Asked
-from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts, starts_of
+from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts
 from cnclik.reaching.result import ReachStatus, blank, row_of, width
-from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins
+from cnclik.reaching.starts import BINNED, ISLANDS, beginnings, island_of, origins, starts_of
 from cnclik.record import AnyArray, Float, memoized, replace
 from cnclik.robot.posture import start_posture
 
@@ -98,18 +98,19 @@ def wanted(asked, stage: Stage, row, far, why, xp=np):
 def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> Found:
     """Return what was found, after tries k (W,) of a stage, and the careful ones that follow.
 
-    Args: near: whether there is one. tried: makes tries, see `Search.tried`. block: those already made.
+    Args:
+      near: (..., n) within the limits, or None. tried: makes tries, see `Search.tried`. block: those already made.
     """
     n, island, uphill = found.places.shape[-1], island_of(k), xp.logical_not(stage.downhill)
     if block is None:
-        number, given, away = origins(k, stage.downhill, found.places, found.costs, xp)
+        number, given, away = origins(k, stage.downhill, near, found.places, found.costs, xp)
         block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(uphill, PLAIN, DOWNHILL))
     row = row_of(block, n)
     none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & uphill
     better = xp.isfinite(row.cost) & ((k % 2 == 1) | (row.cost < found.costs[..., island]))
     again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(none & better, CAREFUL, 0))
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
-    rows, solved = winners(both, n, near, (k[0] == 0) & uphill, xp)
+    rows, solved = winners(both, n, near is not None, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
     nearest = of_each(both, xp.argmin(row.cost, axis=-1), xp)
     nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
@@ -126,10 +127,11 @@ class Targets(NamedTuple):
 
     pose: Float[np.ndarray, "B t"]
     near: Float[np.ndarray, "B n"] | None
+    inside: Float[np.ndarray, "B n"] | None  # as `near`, by whole turns within the limits
 
     def some(self, ids):
-        """Return some of them, or each several times."""
-        return Targets(self.pose[ids], None if self.near is None else self.near[ids])
+        """Return some of them."""
+        return Targets(*[v if v is None else v[ids] for v in self])
 
 
 class Search:
@@ -144,7 +146,7 @@ class Search:
 
     def rows(self, of: Targets) -> np.ndarray:
         """Return the rows (B, width) of targets."""
-        finite = self.asked.finite(*of)
+        finite = self.asked.finite(of.pose, of.near)
         if not finite.all():
             rows = self.asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), False, 0, False)
             if finite.any():
@@ -165,7 +167,7 @@ class Search:
         while len(ids) and (k := block.shape[1]) < count:
             one, part = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
             order = np.arange(k, k + 1 if one else count)
-            tries = self.tried(part, self.stages[0].terms, None, 0.0 * order, order, PLAIN)
+            tries = self.tried(part, self.stages[0].terms, *beginnings(order, part.inside), order, PLAIN)
             block = np.concatenate([block, tries], axis=1) if k else tries
             made, solved = winners(block if near else tries, n, near, first=True)
             if near and one:
@@ -178,7 +180,7 @@ class Search:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
         asked, n, K, tried = self.asked, self.n, len(of.pose), functools.partial(self.tried, of)
         far, why, order = asked.too_far(of.pose), np.zeros(K, int), np.arange(block.shape[1])
-        found = advanced(self.stages[0], nothing((K,), n), order, of.near is not None, tried, block)
+        found = advanced(self.stages[0], nothing((K,), n), order, of.inside, tried, block)
         for stage in self.stages[1:]:
             ids = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
             into = nothing((K,), n) if stage.status else found
@@ -193,8 +195,8 @@ class Search:
         while len(ids) and k < stage.last:
             count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
             for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
-                tried, before = functools.partial(self.tried, of.some(some)), Found(*(v[some] for v in found))
-                made = advanced(stage, before, k + np.arange(count), of.near is not None, tried)
+                part, before = of.some(some), Found(*(v[some] for v in found))
+                made = advanced(stage, before, k + np.arange(count), part.inside, functools.partial(self.tried, part))
                 for whole, part in zip(found, made, strict=True):
                     whole[some] = part
             ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
@@ -202,7 +204,7 @@ class Search:
     def tried(self, of: Targets, call, given, away, k, most) -> np.ndarray:
         """Return the rows (B, W, width) of tries k (W,), see `descent.attempt`; blank ones where `most` is 0."""
         shape, near = (len(of.pose), len(k)), self.nowhere if of.near is None else of.near
-        given = self.nowhere if given is None else given
+        given = self.nowhere if np.ndim(given) == 0 else given
         if shape[0] == 1 and np.ndim(most) == 0:  # as a control loop asks for one target: quicker
             near, given = near.reshape(self.n), given[0] if given.ndim > 2 else given
             return call((of.pose[0], near, given, away, k, most), len(k))[None]
@@ -228,9 +230,9 @@ def path(search: Search, pose, progress=None) -> np.ndarray:
     asked, n, B = search.asked, search.n, len(pose)
     free = search if asked.jump is None else Search(replace(asked, jump=None))
     along = ahead(asked.chain, asked.task).bound(*asked.terms())
-    rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
+    rows, q, k = np.empty((B, width(n))), np.asarray(start_posture(asked.chain, asked.task)), 0
     while k < B:
-        rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], np.asarray(q)[None]))[0]
+        rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], q[None], q[None]))[0]
         row, k = row_of(rows[k], n), k + 1
         q, count = row.q if row.status == ReachStatus.SOLVED else q, AHEAD
         while k < B and count == AHEAD:

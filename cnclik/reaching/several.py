@@ -5,7 +5,7 @@ import numpy as np
 from cnclik.reaching.descent import CAREFUL
 from cnclik.reaching.result import ReachStatus, blank, row_of
 from cnclik.reaching.search import Search, Targets
-from cnclik.reaching.starts import spans, turned
+from cnclik.reaching.starts import beginnings, spans, turned
 
 DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] answers differ by more in some joint; of a redundant arm
 DRAWN, MOST_DRAWN = 4, 64  # tries in the first round; each round has twice as many
@@ -41,7 +41,7 @@ def several(search: Search, of: Targets, solutions) -> np.ndarray:
 def _drawn(search, of: Targets, k, size):
     """Return the rows (B, size, width) of tries from number k on: free of all bounds, then from there within them."""
     asked, k, none = search.asked, np.arange(k, k + size), np.zeros(size)
-    row = row_of(search.tried(of, search.wide, None, none, k, CAREFUL), search.n)
+    row = row_of(search.tried(of, search.wide, *beginnings(k, of.near), k, CAREFUL), search.n)
     about = 0.0 if of.near is None else of.near[:, None]
     q = turned(row.q, about, np.array(asked.chain.periodic), *asked.limited())
     return search.tried(of, search.stages[0].terms, q, none, 0 * k - 1, (row.status == ReachStatus.SOLVED) * CAREFUL)

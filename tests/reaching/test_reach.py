@@ -182,19 +182,27 @@ def test_a_jump_is_reported_and_not_made():
 
 
 def test_near_beyond_the_limits_is_no_way_around_a_jump():
+    """And where all answers are beyond the limits `jump` does not hide that."""
     held = ck.replace(ARM, lower=(-1.0, -1.0), upper=(1.0, 1.0))
-    target = tips(ARM, np.array([[0.95, 0.5]]))[0, :3, 3]
-    for some in (target, np.stack([target] * 12)):
-        made = ck.reach(held, some, task=PLANE, near=[1.4, 0.5], jump=0.1)
-        assert np.all(made.status == ReachStatus.JUMP) and np.isnan(made.q).all()
+    for q, near, status in (
+        ([0.95, 0.5], [1.4, 0.5], ReachStatus.JUMP),
+        ([0.2, 2.5], [0.1, 0.1], ReachStatus.AT_LIMIT),
+    ):
+        target = tips(ARM, np.array([q]))[0, :3, 3]
+        for some in (target, np.stack([target] * 12)):
+            made = ck.reach(held, some, task=PLANE, near=near, jump=0.1)
+            assert np.all(made.status == status) and np.isnan(made.q).all() == (status == ReachStatus.JUMP)
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("far", [1e30, 1e200, -1e308])
+@pytest.mark.parametrize("far", [1e30, -1e70, 1e200, -1e308])
 def test_targets_beyond_all_squares_cost_their_own_lane_alone(far):
+    status = ReachStatus.OUT_OF_REACH if abs(far) < 1e77 else ReachStatus.NON_FINITE
     made = ck.reach(ARM, [[far, 0.1, 0.0], [0.9, 0.4, 0.0]], task=PLANE)
-    assert made.status.tolist() == [ReachStatus.OUT_OF_REACH, ReachStatus.SOLVED]
-    assert ck.reach(ARM, [far, 0.1, 0.0], task=PLANE, near=[0.1, 0.2]).status == ReachStatus.OUT_OF_REACH
+    assert made.status.tolist() == [status, ReachStatus.SOLVED]
+    alone = ck.reach(ARM, [far, 0.1, 0.0], task=PLANE, near=[0.1, 0.2])
+    assert alone.status == status and np.isfinite(alone.q).all() == (abs(far) < 1e77)
+    np.testing.assert_allclose(alone.position_error, abs(far) if abs(far) < 1e77 else np.nan)
 
 
 def test_a_path_has_no_jump_that_is_not_reported():

@@ -8,8 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching import public, search
-from cnclik.reaching.descent import starts_of
-from cnclik.reaching.starts import COUNT, start
+from cnclik.reaching.starts import COUNT, start, starts_of
 from cnclik.task.build import pose
 from tests.oracles import robots
 from tests.reaching.test_reach import WRIST, drawn, tips
@@ -85,7 +84,7 @@ def test_starts_of_a_bin_are_near_the_target():
     for k in (0, 5, 100):  # of the target's bin, and anywhere
 
         def began(target, k=k):
-            return start(chain, pose(), in_jax, target, none, none, 0.0, low, high, np.int32(k))
+            return start(chain, pose(), in_jax, target, none, 0.0, low, high, np.int32(k))
 
         q = jax.jit(jax.vmap(began))(flat)
         gaps.append(np.median(np.linalg.norm(tips(chain, q)[:, :3, 3] - targets[:, :3, 3], axis=1)))
