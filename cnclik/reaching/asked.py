@@ -16,8 +16,6 @@ from cnclik.task.task import WIDTH, Task, aims
 
 TASKS = {"pose": pose(), "position": position(), "orientation": orientation()}
 
-MOST_SEEDS = ((1 << 31) - 1) // 16  # the numbers of all tries must fit int32
-SURE = 256  # tries, at least, before it is said that there is no answer
 STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
 FEW, DOUBT = 3, 1e-2  # with more joints, a target missed by less than DOUBT [rad, units] may still have an answer
 MISSED = 3.0  # a larger error, in tolerances, can be attributed to limits or to `jump`
@@ -33,7 +31,6 @@ class Asked:
     task: Task
     tolerance: Float[AnyArray, " 2"]  # [m], chord of an angle [rad]
     jump: Number | None  # [rad, m]
-    seeds: int  # largest number of tries
     limits: bool
 
     @property
@@ -93,7 +90,7 @@ class Asked:
         Args: finite, far: results of the methods. why: the result of `meaning`.
         """
         row, status, solved = row_of(rows, self.chain.n), ReachStatus, int(ReachStatus.SOLVED)
-        rests = (row.steep <= STATIONARY**2) & ~self.within(row, CLEAR, xp) & (why == 0) & (self.seeds >= SURE)
+        rests = (row.steep <= STATIONARY**2) & ~self.within(row, CLEAR, xp) & (why == 0)
         made = xp.where(rests | far, int(status.OUT_OF_REACH), int(status.OUT_OF_BUDGET))
         certain = (self.chain.n <= FEW) | (self.squares(row, xp) >= DOUBT**2)
         at_bound = touching(self.chain, row.q).any(axis=-1) | (self.jump is not None)
@@ -113,7 +110,7 @@ def asked_of(chain, *rest) -> Asked:
     Args: the fields of `Asked`. Raises: ArgumentError for unusable values.
     """
     errors.kind("chain", chain, Chain)
-    key = rest, tuple(map(type, rest))  # types too: 1.0 equals 1 but is no valid number of seeds
+    key = rest, tuple(map(type, rest))  # types too: True equals 1 but is no valid jump
     try:
         hash(key)
     except TypeError:  # lists, arrays, what is traced
@@ -121,7 +118,7 @@ def asked_of(chain, *rest) -> Asked:
     return memoized(chain, "_asked", lambda _: LRU()).made(key, lambda _: _asked(chain, *rest))
 
 
-def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
+def _asked(chain, task, tolerance, jump, limits) -> Asked:
     if chain.balls:
         what = f"turns about any axis by {chain.joint_names[chain.balls[0][1]]}"
         raise errors.fail("chain", "have no free base and no ball joint, to be asked for joint values", what)
@@ -141,6 +138,5 @@ def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
         task=task,
         tolerance=np.array([pair[0], 2 * np.sin(min(pair[1], np.pi) / 2)], float),  # a chord
         jump=leaf(jump),
-        seeds=errors.integer("seeds", seeds, at_least=1, at_most=MOST_SEEDS),
         limits=errors.truth("limits", limits),
     )

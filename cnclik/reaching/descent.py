@@ -5,10 +5,9 @@ bound, and λ² = τ (0.03 ‖e‖² + λ₀²), a step is
 
   q ← clip(q + clip(Jᵀ (J Jᵀ + λ² I)⁻¹ e, ±1), low, high)
 
-(Levenberg 1944; damping by the square of the error after Sugihara 2011). Far from the pose steps are short, near it
-they are Newton's. Plain descents have τ = 1. Careful ones reject steps that raise the error, and raise τ (Marquardt
-1963): they converge at bounds and singularities, and to the nearest pose where there is no answer. The orientation's
-error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
+(Levenberg 1944; damping by the square of the error after Sugihara 2011). Plain descents have τ = 1. Careful ones reject
+steps that raise the error, and raise τ (Marquardt 1963): they converge at bounds and singularities, and to the nearest
+pose. The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
 """
 
 import functools
@@ -50,10 +49,7 @@ SMALLEST = 1e-5  # [m] shorter arms, such as a wrist alone, keep the metre
 
 
 def unit_of(chain) -> float:
-    """Return the length [m] that counts as much as a radian: of arms below 25 cm and above 4 m, their own.
-
-    A metre also where joints slide, or the geometry is traced.
-    """
+    """Return the length [m] that counts as much as a radian: a metre, but of arms of < 25 cm or > 4 m theirs."""
     length = arm_length(chain, least=0.0)
     odd = errors.concrete(length) and "m" not in chain.units and not 0.25 <= length <= 4.0
     return float(length) if odd and length > SMALLEST else 1.0

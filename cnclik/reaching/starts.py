@@ -135,10 +135,9 @@ def start(chain, task, starts: Starts, target, given, away, low, high, k):
     """Return the posture (n,) that try `k` (int32) of a target (t,) begins at.
 
     Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. Else the first BINNED
-    begin in the target's bin. Of a joint that would begin beyond its bounds, its place in the range of the starts
-    becomes its place between them: all that is between them is tried, and not their corners alone. An answer with
-    several joints at limits has few postures about it from which a descent arrives, and most of them have joints there,
-    too: so some starts are stretched about the middle.
+    begin in the target's bin. A joint beyond its bounds has its place in the range of the starts between them, so that
+    not their corners alone are tried. Some starts are stretched about the middle: from joints at limits an answer with
+    several joints there is found.
     """
     (least, most), own, base, where = spans(chain), owners(task, chain), 0, []
     number, there = k.astype(np.uint32), ~jnp.isnan(given[0])
@@ -176,9 +175,8 @@ def origins(k, downhill, near, places, costs, xp=np) -> tuple:
     """Return where tries k (W,) begin: their numbers (W,), `given` (..., W, n) and `away` (W,) of `start`.
 
     After the first BINNED every second one begins about the best posture of its island so far, of `places`
-    (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as tries from
-    anywhere. Of the rest every second is stretched. Downhill, to the nearest pose, the first begin at the best
-    postures, the others anywhere, every second stretched.
+    (..., ISLANDS, n): they find ten to a thousand times as many answers with joints at limits as tries from anywhere.
+    Downhill, to the nearest pose, the first begin at the best postures, the others anywhere, every second stretched.
     """
     island, (given, away) = island_of(k), beginnings(k, near, xp)
     by = xp.isfinite(costs[..., island]) & xp.where(downhill, k < ISLANDS, (k >= BINNED) & (k % 2 == 0))

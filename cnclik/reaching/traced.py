@@ -90,8 +90,7 @@ def _choose(which, one: Found, other: Found) -> Found:
 def refined(chain, task, target, q, held, found):
     """Return q with the derivative that the implicit function theorem gives it: dq = J# de of the joints that are free.
 
-    The value stays. Of what the target and the chain's geometry do to the error, J# of the joints that no limit holds
-    makes joint motion: the least, where the arm is redundant. Where there is no answer the derivative is 0.
+    Where there is no answer the derivative is 0.
     """
     q, held = lax.stop_gradient((q, held))
     held_chain, held_target = lax.stop_gradient((chain, target))
