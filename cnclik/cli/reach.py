@@ -10,7 +10,6 @@ import time
 from typing import TYPE_CHECKING
 
 from cnclik import errors
-from cnclik.cli import progress
 from cnclik.cli.common import prepare, print_json
 from cnclik.quantities import aloud
 from cnclik.writing import checked_file, output_folder
@@ -166,8 +165,7 @@ def _answers(chain, targets, task, options, out, overwrite) -> tuple:
     file = None if out is None else checked_file("out", out, *ENDINGS, overwrite=overwrite)
     with contextlib.nullcontext() if file is None else output_folder(file.parent) as folder:
         begun = time.perf_counter()
-        with progress.bar("targets", len(pose)) as report:
-            made = reach(chain, targets, task=task, **options, progress=report)
+        made = reach(chain, targets, task=task, **options)
         seconds = time.perf_counter() - begun
         if file is not None and folder is not None:
             folder.write(file.name, functools.partial(save, answers(made, transforms(pose))))
