@@ -74,7 +74,7 @@ def reach(
     """
     asked = asked_of(chain, task, tolerance, jump, seeds, limits)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
-    errors.progress(progress)
+    errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     pose, alone = read(targets, asked.task)
     known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
     previous, begin = isinstance(near, str), cast(Any, None)
