@@ -43,7 +43,7 @@ def run(
         raise errors.fail("tip", "come with ROBOT", "comes without")
     limits = limits or (robot if robot in PUBLISHED else None)
     if limits is not None and not Path(limits).suffix:
-        errors.one_of("limits", limits, PUBLISHED, ", or FILE.csv")
+        errors.one_of("limits", limits, (*PUBLISHED, "FILE.csv"))
     table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
     sent, moved = ([], []) if found.chosen else found.pairs()
     places = found.chosen or moved or found.joints()
@@ -70,5 +70,5 @@ def _table(file) -> dict:
 
     names, table = read_columns("limits", file)
     for name in names:
-        errors.one_of("limits", name, (*ORDERS, "joint"), ", as columns")
+        errors.one_of("limits", name, (*ORDERS, "joint"))
     return {name: table[:, i] for i, name in enumerate(names) if name in ORDERS}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from cnclik import errors
 from cnclik.cli.common import prepare, print_json
 from cnclik.quantities import aloud
-from cnclik.writing import checked_file, output_folder
+from cnclik.writing import output_folder
 
 if TYPE_CHECKING:
     from cnclik.problem.build import Point
@@ -162,8 +162,13 @@ def _answers(chain, targets, task, options, out, overwrite) -> tuple:
     from cnclik.reaching.targets import read, transforms
 
     pose, _ = read(targets, task)
-    file = None if out is None else checked_file("out", out, *ENDINGS, overwrite=overwrite)
-    with contextlib.nullcontext() if file is None else output_folder(file.parent) as folder:
+    file = None if out is None else errors.path("out", out)
+    if file is None:
+        where = contextlib.nullcontext()
+    else:
+        errors.ending("out", file, *ENDINGS)
+        where = output_folder(file.parent, overwrite=overwrite, files=[file.name])
+    with where as folder:
         begun = time.perf_counter()
         made = reach(chain, targets, task=task, **options)
         seconds = time.perf_counter() - begun

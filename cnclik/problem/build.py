@@ -73,7 +73,7 @@ class Problem:
             "stage": names.stage_from(self.stage),
             "drive": None if self.drive is None else check_drive(self.drive, law.chain),
             "noise": None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,)),
-            "seed": errors.seed(self.seed),
+            "seed": errors.number("seed", self.seed, at_least=0),
         }
         if checked["noise"] is not None and errors.concrete(checked["noise"]):
             check_values("noise", "noise", np.array(checked["noise"]))
@@ -119,7 +119,7 @@ class Problem:
         noise = self.noise
         if noise is not None:
             size = self.N, self.law.task.m
-            noise = noise * (np.random.default_rng(self.seed).standard_normal(size) if draws is None else draws)
+            noise = noise * (np.random.default_rng(int(self.seed)).standard_normal(size) if draws is None else draws)
         return solve(*self.loop, drive=self.drive, noise=noise)
 
 
