@@ -151,15 +151,3 @@ def check_units(name: str, values, chain) -> None:
             raise errors.fail(
                 name, "have the units of what it is for", f"joint {joint!r} is in {unit}, and {given} is given"
             )
-
-
-def units(law, task, width=None) -> dict:
-    """{option: unit} for a law's joints and a task.
-
-    Args:
-      width: number of values of a point; those after the position are a quaternion's, without unit.
-    """
-    point = ["m"] * bool(task.lengths) + ["1"] * (not task.lengths or bool(task.angles and (width or 0) > 3))
-    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "x": ", ".join(point)}
-    known["m, 1"] = "m" if task.lengths else "1"
-    return {name: known.get(one.unit, one.unit) for name, one in OPTIONS.items() if one.kind != NAME}
