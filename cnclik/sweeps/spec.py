@@ -43,7 +43,7 @@ from cnclik.sweeps.grid import UNITS, Grid
 LIMIT = "limit"
 KEYS: dict[str, Any] = {"question": "", "expectation": "", "tolerance": 1e-3, "lanes": 0, "metrics": [*DEFAULT]}
 KEYS |= {"fixed": {}, "axes": {}, "units": {}, "figure": []}  # of a spec, with their defaults
-WORDS = {str: "be a text", list: "be a list", dict: "be a table"}
+WORDS: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.OPTIONS
