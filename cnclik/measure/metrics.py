@@ -1,8 +1,8 @@
 """Metrics: the result of one loop in numbers.
 
 Each metric is a pure function of a run, its law and its reference. Norms have derivative 0 (not NaN) at 0, and counts
-have none. A value that is not finite counts as infinitely large, so that a diverged loop is never mistaken for a missing
-one. NaN means "not defined", and occurs only where a metric's description states it.
+have none. A value that is not finite counts as infinitely large, so that a diverged loop is never mistaken for a
+missing one. NaN means "not defined", and occurs only where a metric's description states it.
 """
 
 from __future__ import annotations
