@@ -12,7 +12,7 @@ from cnclik.writing import check_free, output_folder
 def run(
     spec: str,
     *,
-    set: list[str] | None = None,
+    set: tuple[str, ...] = (),
     out: str | None = None,
     check: bool = False,
     figures: bool = True,
@@ -24,7 +24,7 @@ def run(
 
     Args:
       spec: the spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md.
-      set: NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. May be repeated.
+      set: NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. It may be repeated.
       out: folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec.
       check: only check the spec, and print what it would run.
       figures: draw the figures at the end.
@@ -40,7 +40,7 @@ def run(
     from cnclik.sweeps import spec as specs
     from cnclik.sweeps import store, summary
 
-    study = specs.read(spec, set or ())
+    study = specs.read(spec, set)
     if figures:
         from cnclik.show import output, sweeps
 

@@ -25,7 +25,6 @@ class Option(NamedTuple):
     name: str
     kind: str  # NAME, NUMBER, INTEGER or SWITCH
     several: bool  # whether it takes any number of values
-    repeated: bool  # whether it may be given several times
     choices: tuple
     default: Any
     positional: bool
@@ -69,8 +68,7 @@ def arguments(text: str, name: str, shared=None) -> dict[str, Option]:
 
 def _option(name, text, annotation, default, positional):
     hint = ast.unparse(annotation).removesuffix(" | None")
-    inner = re.sub(r"^list\[(.*)\]$", r"\1", hint)
-    inner = re.sub(r"^tuple\[(.*), \.\.\.\]$", r"\1", inner)
+    inner = re.sub(r"^tuple\[(.*), \.\.\.\]$", r"\1", hint)
     kind = _KINDS.get(inner, NUMBER if "Array" in inner else NAME)
     unit = re.search(r"\[([^]]+)\]", text)
     own = unit[1].removeprefix("whole ") if unit and kind in (NUMBER, INTEGER) else "1"
@@ -78,7 +76,6 @@ def _option(name, text, annotation, default, positional):
         name,
         kind,
         several=re.search("Array|Point|tuple", hint) is not None,
-        repeated=hint.startswith("list["),
         choices=ast.literal_eval(f"({inner[8:-1]},)") if inner.startswith("Literal[") else (),
         default=REQUIRED if default is None else ast.literal_eval(default),
         positional=positional,
