@@ -182,13 +182,13 @@ def _of_robot(found, made, speed, of_file) -> None:
     """Print what needs a robot: joint speed at a tip speed, and the rates of its tasks, posture and limits."""
     import numpy as np
 
-    from cnclik.robot.posture import task_jacobians
+    from cnclik.robot.model import modelled
     from cnclik.stability.advice import advise
 
     law = made.law
     limit = np.asarray(law.chain.velocity_limit, float)
     if law.task.lengths and np.isfinite(limit).any():
-        inverse = np.linalg.pinv(task_jacobians(law.chain, law.task, np.asarray(made.q0, float)[None])[0])
+        inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
         share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
         joint = law.chain.joint_names[int(np.argmax(share))]
         most = f"{100 * share.max():.3g} % of joint {joint}'s velocity limit"

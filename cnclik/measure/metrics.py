@@ -8,6 +8,7 @@ occurs only where a metric's description states it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -283,7 +284,7 @@ def measure_run(
     return Metrics(values, {name: unit(METRICS[name].unit, law) for name in dict.fromkeys(names)})
 
 
-@one_off(static_argnames=("names",))
+@functools.partial(one_off, static_argnames="names")
 def _values(run, law, reference, tolerance, *, names):
     measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
     values = [jnp.asarray(METRICS[name].fn(measured)) for name in names]
