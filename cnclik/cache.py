@@ -73,7 +73,6 @@ def bounded_jit(fn=None, **options):
             _forget_traces()
         return result
 
-    call._cache_size = jitted._cache_size
     return call
 
 

@@ -199,10 +199,3 @@ def test_csv_fields_and_bytes_that_are_no_text(tmp_path):
     for name, told in (("long.csv", "field larger than field limit"), ("latin.csv", "is no text")):
         with pytest.raises(ck.ArgumentError, match=told):
             read_columns("reference", tmp_path / name)
-
-
-def test_numbers_too_wild_for_a_spline():
-    for times, places in (([0, 1e-320, 2], [[0.0], [1.0], [2.0]]), ([0, 1, 2], [[1e308], [-1e308], [1e308]])):
-        places = np.concatenate([places, np.zeros((3, 2))], axis=1)
-        with pytest.raises(ck.ArgumentError, match="`positions` must be such that a smooth path leads through them"):
-            ck.waypoints(times, places)

@@ -21,7 +21,6 @@ from matplotlib.figure import Figure
 from cnclik import errors
 from cnclik.show import style
 from cnclik.sweeps.axes import known_keys
-from cnclik.sweeps.labels import coordinates
 from cnclik.sweeps.summary import main_value, scalars, text
 
 LONGEST = 8  # a longer dimension gets no panels
@@ -39,7 +38,7 @@ def check(spec) -> None:
     of = spec.grid()
     dims = tuple(a.name for a in of.axes)
     values = {name: (dims, np.broadcast_to(0.0, of.shape)) for name in spec.metrics}
-    data = xarray.Dataset(values, coordinates(of, spec.all_units()))
+    data = xarray.Dataset(values, of.coordinates(spec.all_units()))
     for i, table in enumerate(spec.figures):
         with errors.called("", f"figure[{i}]"):
             arrange(data, table)

@@ -45,7 +45,6 @@ def stability_map(
     stage: Stage = picard(5),
     drive=Drive(),
     tolerance=1e-3,
-    scale=None,
     progress=None,
 ):
     """Return how simulated loops end over gains, sampling times and passes, and the linear limit. In float64.
@@ -55,7 +54,7 @@ def stability_map(
         largest entry is alpha.
       alpha: [1/s]. Ts: [s]. M: passes of an implicit method, or None: the stage's own. Each a number, or (k,) and then
         an axis of the map.
-      N, tolerance, scale: number of steps, and what counts as converged, see `outcome`.
+      N, tolerance: number of steps, and what counts as converged, see `outcome`.
       method, stage: as for `solve`.
       drive: what lies between command and motion; its dead time is in samples, all else in seconds.
       progress: called as progress(loops done, loops in all), or None.
@@ -100,7 +99,7 @@ def stability_map(
     def ended(factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
         own = inner if M is None else replace(inner, M=M)
-        through = dict(drive=drive, model=model, tolerance=tolerance, scale=scale)
+        through = dict(drive=drive, model=model, tolerance=tolerance)
         return outcome(scaled, reference, jnp.asarray(q0), Ts, N, method, own, **through)
 
     run, count, endings = lanes(ended, block=LOOPS_PER_CALL), len(factor), []
@@ -126,8 +125,7 @@ def stability_map(
             "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
             "N": N,
             "tolerance": tolerance,
-        }
-        | ({} if scale is None else {"scale": scale}),
+        },
     )
     of_limit = [made[name] for name in ("Ts", "M") if name in values]
     made = made.assign(limit=xr.apply_ufunc(limit, *of_limit, vectorize=True)).transpose(*axes)

@@ -20,8 +20,7 @@ from cnclik.cache import give_back
 from cnclik.engine.plan import as_here
 from cnclik.integrate.lanes import lanes
 from cnclik.measure.metrics import METRICS, Metrics
-from cnclik.sweeps.grid import Grid
-from cnclik.sweeps.labels import UNITS
+from cnclik.sweeps.grid import UNITS, Grid
 from cnclik.threads import cores, shares_threads, side_by_side
 
 MEMORY = 2**30  # bytes, at most, of one block while it runs
@@ -46,16 +45,17 @@ class StudyProgram(NamedTuple):
     alone: bool  # whether its blocks must run one after the other, see `shares_threads`
 
 
-def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
-    """Trace and compile the study once, for blocks of the grid."""
+def compile_program(study, of: Grid, number=0) -> StudyProgram:
+    """Trace and compile the study once, for blocks of one of the grid's programs."""
     outputs: tuple = ()
+    fixed = of.programs[number]
 
     def lane(values):
         nonlocal outputs
         result = study(**fixed, **values)
         if dataclasses.is_dataclass(result):
-            result = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
-        named = dict(result.items()) if isinstance(result, Mapping | Metrics) else {"value": result}
+            result = vars(result)
+        named = result if isinstance(result, Mapping) else {"value": result}
         named = {name: jnp.asarray(v) for name, v in named.items()}
         outputs = tuple(_output(name, v, result) for name, v in named.items())
         taken = {*named, *(dim for o in outputs for dim in o.dims)}
@@ -92,10 +92,10 @@ def _output(name, v, result) -> Output:
 
 def fit(study, of: Grid, memory=MEMORY):
     """Return the grid cut so that a block needs at most `memory` bytes, and its first program."""
-    program = compile_program(study, of.programs[0], of)
+    program = compile_program(study, of)
     while program.memory > memory and math.prod(of.block) > 1:
         of = dataclasses.replace(of, lanes=max(1, int(math.prod(of.block) * memory / program.memory)))
-        program = compile_program(study, of.programs[0], of)
+        program = compile_program(study, of)
     return of, program
 
 
@@ -107,7 +107,7 @@ def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
     """
 
     def compiled(number):
-        return first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
+        return first if first is not None and number == 0 else compile_program(study, of, number)
 
     def computed(block):
         results = program.run(of.lane_values(block))

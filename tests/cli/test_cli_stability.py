@@ -98,7 +98,12 @@ def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
     limits = (
         "joint limits: 10 1/s (z = 0.1), overshoots with one more sample of dead time: recommended up to 8.192 1/s."
     )
-    assert limits in shown(capsys, "ur5", *drive, *held)
+    said = shown(capsys, "ur5", *drive, *held)
+    assert limits in said
+    main(["stability", "ur5", *map(str, (*drive, *held)), "--json"])
+    facts = json.loads(capsys.readouterr().out)["robot"]
+    assert f"{100 * facts['share_of_its_velocity_limit']:.3g} % of joint {facts['joint']}'s" in said
+    assert [rate["answer"] in said for rate in facts["rates"]] == [True, True]
 
 
 # --- figures ------------------------------------------------------------------------------------------

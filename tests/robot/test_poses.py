@@ -105,7 +105,6 @@ def test_of_many_the_first_wrong_one_is_named():
     turns[2] *= 1.02
     for door in (
         lambda q: ck.waypoints([0, 1, 2, 3, 4], None, q),
-        lambda q: ck.resampled([0, 1, 2, 3, 4], rotations=q),
         lambda q: read(q, orientation()),
         lambda q: read((np.zeros((5, 3)), q), pose()),
     ):
