@@ -82,8 +82,8 @@ def run(
             folder.write(f"{kind}.nc", functools.partial(save_netcdf, data))
             about = {"Title": how.get("title", "stability regions")}
             drawn[f"{kind}.png"] = drawn_by("stability", kind.replace("map", "stability_map"), data, **how), about
-    written = folder.made + draw_figures(drawn, out, overwrite=overwrite)
-    print(f"Wrote {', '.join(sorted(written))} to {out}/.")
+    written = [*(f"{kind}.nc" for kind in draw), *draw_figures(drawn, out, overwrite=overwrite)]
+    print(f"Wrote {', '.join(sorted(set(written)))} to {out}/.")
 
 
 # --- the answer ---------------------------------------------------------------------------------------
