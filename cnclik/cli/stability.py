@@ -92,7 +92,8 @@ def run(
 def _facts(found, alpha) -> dict:
     """The answer in numbers."""
     euler = found if found.method.name == "EE" else found.by("EE")
-    each = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
+    yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
+    each = [(a, found.at(a) if a else None) for a in yours]
     drive = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
     return {
         **{"method": found.method.name, "M": found.M, "Ts": found.Ts, "drive": drive, "assumed": found.assumed},
@@ -100,9 +101,7 @@ def _facts(found, alpha) -> dict:
         "reason": found.reason,
         "recommended_response": found.response,
         "explicit_euler": {name: getattr(euler, name) for name in GAINS},
-        "alpha": [
-            {"alpha": a, "stable": a < found.largest_stable, "response": found.at(a) if a else None} for a in each
-        ],
+        "alpha": [{"alpha": a, "stable": not a or response is not None, "response": response} for a, response in each],
         "elsewhere": {where: setting._asdict() for where, setting in found.elsewhere.items()},
     }
 

@@ -80,13 +80,9 @@ class Spec:
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(of, lanes=min(lanes, size))
 
-    def first(self, last=False) -> dict:
-        """Return the first, or last, value of every numeric axis."""
-        return {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner}
-
-    def loop(self, values: dict) -> "Loop":
-        """Return the values of one loop. Args: values: of axes; those of numeric axes are their first by default."""
-        return Loop(self, self.first() | values)
+    def loop(self, values: dict, last=False) -> "Loop":
+        """Return the values of one loop. Args: values: of axes; of numeric ones the first, or last, by default."""
+        return Loop(self, {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner} | values)
 
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
@@ -163,8 +159,8 @@ class Spec:
         if math.prod(map(len, axes)) > MOST_LIMITS:
             return coords
         with jax.enable_x64(True):
-            for loop in (self.loop(first), self.loop(first | self.first(last=True))):
-                if "z" in self.first() and not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
+            for loop in (self.loop(first, last) for last in (False, True) if "z" in coords):
+                if not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
                     return coords
             points = itertools.product(*(a.values for a in axes))
             loops = (self.loop(first | dict(zip([a.name for a in axes], point, strict=True))) for point in points)
@@ -326,8 +322,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
         for last in (False, True):
-            problem = spec.loop(program | spec.first(last)).build()
-            check_metrics(spec.metrics, problem.law)
+            check_metrics(spec.metrics, spec.loop(program, last).build().law)
     return spec
 
 
