@@ -2,16 +2,18 @@
 
 import collections
 import contextlib
+import ctypes
 import functools
+import gc
 import hashlib
 import os
 import pathlib
 import platform
-import stat
 import sys
 import warnings
 
 import jax
+import jaxlib
 
 KEPT_PROGRAMS = 128  # of an `LRU`
 MOST_PROGRAMS = 32  # of one function of `bounded_jit`, at some 6 MiB and 200 mappings of memory each
@@ -23,11 +25,10 @@ class LRU(collections.OrderedDict):
 
     def get(self, key, default=None):
         """The value of a key, which thereby becomes the newest."""
-        try:
+        with contextlib.suppress(KeyError):  # there is none, or another thread has let it go
             self.move_to_end(key)
             return self[key]
-        except KeyError:  # there is none, or another thread has let it go
-            return default
+        return default
 
     def made(self, key, make):
         """The value of a key; where there is none, make(key)."""
@@ -72,32 +73,23 @@ def bounded_jit(fn=None, **options):
             _forget_traces()
         return result
 
-    call._cache_size = jitted._cache_size
     return call
 
 
 def _forget_traces():
-    """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs.
-
-    Not in the midst of tracing; and where this version of JAX has no way to do it, they stay until there are as many.
-    """
-    try:
+    """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs."""
+    with contextlib.suppress(ImportError, AttributeError):  # another version of JAX, which keeps them
         from jax._src import core, util
 
         if not core.trace_state_clean():
-            return  # the next call tries again
+            return  # in the midst of tracing: the next call tries again
         util.clear_all_caches()
-    except (ImportError, AttributeError):
-        pass
     _traced.clear()
     give_back()
 
 
 def give_back():
     """Hand memory that is free back to the system: C's library on Linux keeps it, in pieces that nothing else fits."""
-    import ctypes
-    import gc
-
     gc.collect()
     with contextlib.suppress(OSError, TypeError, AttributeError):  # another system, another library
         ctypes.CDLL(None).malloc_trim(0)
@@ -106,7 +98,6 @@ def give_back():
 # --- JAX's persistent compilation cache, and the engine's libraries, in a folder of the user's own -----
 # An entry is code that will be run: the folder is readable and writable by its owner alone. Homes are shared between
 # machines: each version of jaxlib and each kind of processor has a sub-folder.
-
 
 MOST_BYTES = 1 << 30  # of all programs kept; what was used longest ago goes first
 
@@ -149,17 +140,12 @@ def use_cache(folder: str | os.PathLike | None = None) -> pathlib.Path | None:
 
 def user_folder() -> pathlib.Path:
     """Where this user's programs keep what can be made again, cnclik's part of it."""
-    named = os.environ.get("XDG_CACHE_HOME")
-    if named and os.path.isabs(named):  # others are to be ignored, says the XDG specification
-        return pathlib.Path(named, "cnclik")
-    home = pathlib.Path.home()
-    return (home / "Library" / "Caches" if sys.platform == "darwin" else home / ".cache") / "cnclik"
+    usual = "Library/Caches" if sys.platform == "darwin" else ".cache"
+    return pathlib.Path.home() / (os.environ.get("XDG_CACHE_HOME") or usual) / "cnclik"
 
 
 def machine() -> str:
     """Name of the version of jaxlib and the kind of processor that a program is compiled for."""
-    import jaxlib
-
     kind = [platform.system(), platform.machine(), platform.processor()]
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as info:
         kind += sorted({row for row in info if row.startswith(("model name", "flags", "Features", "CPU part"))})
@@ -167,23 +153,17 @@ def machine() -> str:
 
 
 def cut(folder: pathlib.Path, most_bytes: int) -> None:
-    """Remove the programs in a folder that were used longest ago, until the rest fits, and what is no file where a
-    program's should be: a link may lead to a device without an end."""
-    found = []
+    """Remove the programs in a folder that were used longest ago, so that the rest fits."""
+    found, total = [], 0
     for path in (p for end in ("-cache", ".so") for p in folder.glob(f"jaxlib-*/*{end}")):
         with contextlib.suppress(OSError):  # another process may be at it, too
             about = path.lstat()
-            if stat.S_ISREG(about.st_mode):
-                found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
-            elif not stat.S_ISDIR(about.st_mode):
+            found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
+    for _, size, path in sorted(found, reverse=True):
+        total += size
+        if total > most_bytes:
+            with contextlib.suppress(OSError):
                 path.unlink()
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
-        if total <= most_bytes:
-            return
-        with contextlib.suppress(OSError):
-            path.unlink()
-            total -= size
 
 
 def _private(folder: pathlib.Path) -> pathlib.Path:

@@ -63,9 +63,6 @@ def test_a_file_of_others_among_ours_stays(tmp_path):
     (out / "README.md").symlink_to(tmp_path / "none")
     with pytest.raises(ArgumentError, match=r"README\.md there is not"):
         write("sixth")
-    with pytest.raises(ArgumentError, match=r"README\.md there is not cnclik's own"):
-        writing.checked_file("out", out / "README.md", ".md", overwrite=False)
-    assert writing.checked_file("out", out / "new.md", ".md", overwrite=False)
 
 
 def full(path):
@@ -155,23 +152,6 @@ def test_what_a_killed_process_left_is_removed(tmp_path):
     assert os.listdir(tmp_path) == [young.name]  # another process may be at it
 
 
-def test_what_an_earlier_run_left_does_not_lie_beside_another_result(tmp_path):
-    with output_folder(tmp_path, overwrite=False) as folder:
-        for file in ("data.nc", "data.csv", "changed.csv", "kept.csv"):
-            folder.write_text(file, f"first {file}")
-    (tmp_path / "changed.csv").write_text("changed by hand since")
-    (tmp_path / "theirs.csv").write_text("theirs")
-    asked = dict(overwrite=True, replaces=["data.csv", "changed.csv", "theirs.csv", "data.nc"])
-    with pytest.raises(KeyError), output_folder(tmp_path, **asked):
-        raise KeyError
-    assert (tmp_path / "data.csv").exists()
-    with output_folder(tmp_path, **asked) as folder:
-        folder.write_text("data.nc", "second")
-    left = {file.name: file.read_text() for file in tmp_path.iterdir() if not file.name.startswith(".")}
-    own = {"data.nc": "second", "kept.csv": "first kept.csv"}
-    assert left == own | {"changed.csv": "changed by hand since", "theirs.csv": "theirs"}
-
-
 @pytest.fixture
 def odd(tmp_path):
     """Names of what is no file, by what its refusal says."""
@@ -219,10 +199,3 @@ def test_csv_fields_and_bytes_that_are_no_text(tmp_path):
     for name, told in (("long.csv", "field larger than field limit"), ("latin.csv", "is no text")):
         with pytest.raises(ck.ArgumentError, match=told):
             read_columns("reference", tmp_path / name)
-
-
-def test_numbers_too_wild_for_a_spline():
-    for times, places in (([0, 1e-320, 2], [[0.0], [1.0], [2.0]]), ([0, 1, 2], [[1e308], [-1e308], [1e308]])):
-        places = np.concatenate([places, np.zeros((3, 2))], axis=1)
-        with pytest.raises(ck.ArgumentError, match="`positions` must be such that a smooth path leads through them"):
-            ck.waypoints(times, places)

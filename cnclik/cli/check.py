@@ -41,7 +41,7 @@ def run(
         raise errors.fail("tip", "come with ROBOT", "comes without")
     limits = limits or (robot if robot in PUBLISHED else None)
     if limits is not None and not Path(limits).suffix:
-        errors.one_of("limits", limits, PUBLISHED, ", or FILE.csv")
+        errors.one_of("limits", limits, (*PUBLISHED, "FILE.csv"))
     table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
     places, sent = recorded.moved(), [] if recorded.chosen else recorded.pairs()[0]
     whole = recorded.columns([*places, *sent])
@@ -67,5 +67,5 @@ def _table(file) -> dict:
 
     names, table = read_columns("limits", file)
     for name in names:
-        errors.one_of("limits", name, (*ORDERS, "joint"), ", as columns")
+        errors.one_of("limits", name, (*ORDERS, "joint"))
     return {name: table[:, i] for i, name in enumerate(names) if name in ORDERS}

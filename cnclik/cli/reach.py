@@ -9,10 +9,9 @@ import time
 from typing import TYPE_CHECKING
 
 from cnclik import errors
-from cnclik.cli import progress
 from cnclik.cli.common import prepare, print_json
 from cnclik.quantities import aloud
-from cnclik.writing import checked_file, output_folder
+from cnclik.writing import output_folder
 
 if TYPE_CHECKING:
     from cnclik.problem.build import Point
@@ -78,16 +77,19 @@ def run(
     begins = ", each from the answer before it" * path
     asked = [f"{robot_name(robot, arm.get('tip'))}, {str(task.on(chain))[6:]}", line]
     asked.append(f"Search {'within the' if limits else 'without'} joint limits{begins}, to 1 µm and 1 µrad.")
-    file = None if out is None else checked_file("out", out, ".csv", overwrite=overwrite)
+    where: contextlib.AbstractContextManager = contextlib.nullcontext()
+    if out is not None:
+        file = errors.path("out", out)
+        errors.ending("out", file, ".csv")
+        where = output_folder(file.parent, overwrite=overwrite, files=[file.name])
     with errors.called("targets", "target" if target else "targets"):
         pose, _ = read(wanted, task.on(chain))
-    with contextlib.nullcontext() if file is None else output_folder(file.parent) as folder:
+    with where as folder:
         begun = time.perf_counter()
-        with progress.bar("targets", len(pose)) as report:
-            options = dict(jump=jump, solutions=solutions, limits=limits, near="previous" if path else near)
-            made = reach(chain, wanted, task=task, **options, progress=report)
+        options = dict(jump=jump, solutions=solutions, limits=limits, near="previous" if path else near)
+        made = reach(chain, wanted, task=task, **options)
         seconds = time.perf_counter() - begun
-        if file is not None and folder is not None:
+        if folder is not None:
             folder.write(file.name, functools.partial(_save, made, transforms(pose)))
     summary = _summary(made, seconds)
     if json:

@@ -111,13 +111,13 @@ def _of_robot(found, made, speed, of_file) -> dict:
     and walls."""
     import numpy as np
 
-    from cnclik.robot.posture import task_jacobians
+    from cnclik.robot.model import modelled
     from cnclik.stability.advice import advise
 
     law, facts = made.law, {"name": made.name}
     limit = np.asarray(law.chain.velocity_limit, float)
     if law.task.lengths and np.isfinite(limit).any():
-        inverse = np.linalg.pinv(task_jacobians(law.chain, law.task, np.asarray(made.q0, float)[None])[0])
+        inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
         share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
         facts |= {"joint": law.chain.joint_names[int(np.argmax(share))], "share_of_its_velocity_limit": share.max()}
     drive = None if found.assumed else made.drive

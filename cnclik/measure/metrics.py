@@ -7,6 +7,7 @@ missing one. NaN means "not defined", and occurs only where a metric's descripti
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -234,7 +235,7 @@ def measure_run(
     return Metrics(values, {name: _unit(METRICS[name].unit, law) for name in names})
 
 
-@one_off(static_argnames=("names",))
+@functools.partial(one_off, static_argnames="names")
 def _values(run, law, reference, tolerance, *, names):
     measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
     values = [jnp.asarray(METRICS[name].fn(measured)) for name in names]

@@ -19,8 +19,8 @@ from cnclik.law.bounded import bounded
 from cnclik.law.inverse import damped, pseudoinverse, singular_damped
 from cnclik.law.law import Law, check_loop
 from cnclik.law.limits import velocity_scaling
-from cnclik.law.paths import causal, hold_at
-from cnclik.law.reference import Reference, References, aims_of
+from cnclik.law.paths import causal
+from cnclik.law.reference import Reference, References, aims_of, hold_at
 from cnclik.problem import names
 from cnclik.problem import reference as paths
 from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, check_values, in_own_units
@@ -68,7 +68,7 @@ class Problem:
         if noise is not None and errors.concrete(noise):
             check_values("noise", "noise", np.array(noise))
         checked = {
-            **{"q0": q0, "reference": reference, "noise": noise, "seed": errors.seed(self.seed)},
+            **{"q0": q0, "reference": reference, "noise": noise, "seed": errors.number("seed", self.seed, at_least=0)},
             "Ts": errors.number("Ts", self.Ts, positive=True),
             "N": errors.integer("N", self.N, at_least=1, at_most=errors.MOST),
             **{"method": named(self.method), "stage": names.stage_from(self.stage)},
@@ -114,7 +114,7 @@ class Problem:
         noise = self.noise
         if noise is not None:
             size = self.N, self.law.task.m
-            noise = noise * (np.random.default_rng(self.seed).standard_normal(size) if draws is None else draws)
+            noise = noise * (np.random.default_rng(int(self.seed)).standard_normal(size) if draws is None else draws)
         return solve(*self.loop, drive=self.drive, noise=noise)
 
 

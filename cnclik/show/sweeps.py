@@ -40,7 +40,7 @@ def check(spec) -> None:
     values = {name: (dims, np.broadcast_to(0.0, of.shape)) for name in spec.metrics}
     data = xarray.Dataset(values, of.coordinates(spec.all_units()))
     for i, table in enumerate(spec.figures):
-        with errors.within(f"figure[{i}]"):
+        with errors.called("", f"figure[{i}]"):
             arrange(data, table)
 
 
@@ -70,7 +70,7 @@ def figures(data, tables=None) -> dict:
 
 
 def _drawn(data, table, i):
-    with errors.within(f"figure[{i}]"):
+    with errors.called("", f"figure[{i}]"):
         layout = arrange(data, table)
     return KINDS[layout.kind](view(data, layout), layout)
 

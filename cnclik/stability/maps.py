@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,7 +68,7 @@ def stability_map(
     check_drive(drive, law.chain)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
-    errors.progress(progress)
+    errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     if M is not None and not method.implicit:
         raise errors.fail("method", "be implicit where M is given, such as CN", f"is {method}")
     given = {"M": M, "Ts": Ts, "alpha": alpha}

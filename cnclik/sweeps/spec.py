@@ -15,6 +15,7 @@ import json
 import math
 import os
 import pathlib
+import tomllib
 import zlib
 from typing import Any
 
@@ -32,7 +33,7 @@ from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
-from cnclik.reading import read_toml, toml
+from cnclik.reading import read_toml
 from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import axes as forms
@@ -269,7 +270,7 @@ def _change(written, change):
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
     value: Any = text  # a bare word, such as CN, or an expression
     with contextlib.suppress(ValueError, RecursionError):
-        value = toml(f"value = {text}")["value"]
+        value = tomllib.loads(f"value = {text}")["value"]
     fixed, axes = (_inner(written, table) for table in ("fixed", "axes"))
     *path, key = name.split(".")
     if not path and key not in KEYS:

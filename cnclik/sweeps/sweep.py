@@ -79,7 +79,7 @@ def run_spec(spec, out=None, *, set=(), progress=None) -> "xr.Dataset":
       linear theory; from a store, loaded on use.
     Raises: ArgumentError for what cannot be run, or a folder that holds something else.
     """
-    errors.progress(progress)
+    errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
     spec = spec if isinstance(spec, Spec) else read(spec, [set] if isinstance(set, str) else set)
     if out is not None:
