@@ -71,7 +71,7 @@ def run(
         _print(found, facts, speed)
     if not draw:
         return
-    drawn, files = {}, [f"{kind}.{end}" for kind in draw for end in ("nc", "png")]
+    drawn, files = {}, [f"{kind}.{end}" for kind in dict.fromkeys(draw) for end in ("nc", "png")]
     with output_folder(pathlib.Path(out), overwrite=overwrite, files=files) as folder:
         from cnclik.measure.dataset import as_json, provenance
         from cnclik.measure.files import save_netcdf
@@ -82,8 +82,8 @@ def run(
             folder.write(f"{kind}.nc", functools.partial(save_netcdf, data))
             about = {"Title": how.get("title", "stability regions")}
             drawn[f"{kind}.png"] = drawn_by("stability", kind.replace("map", "stability_map"), data, **how), about
-    written = folder.made + draw_figures(drawn, out, overwrite=overwrite)
-    print(f"Wrote {', '.join(sorted(written))} to {out}/.")
+    draw_figures(drawn, out, overwrite=overwrite)
+    print(f"Wrote {', '.join(sorted(files))} to {out}/.")
 
 
 # --- the answer ---------------------------------------------------------------------------------------

@@ -61,7 +61,7 @@ def run(
     data = store.read(folder)
     with output_folder(folder, overwrite=overwrite) as whole:
         summary.write(data, whole)
-    print(*(f"Wrote {folder / file}" for file in (store.DATA, *whole.made)), *summary.best(data), sep="\n")
+    print(*(f"Wrote {folder / file}" for file in (store.DATA, *summary.FILES)), *summary.best(data), sep="\n")
     if figures:  # last, as the same command draws them again
         about, each = {"Description": data.attrs.get("spec", "")}, sweeps.drawings(data, study.figures)
         made = {f"{name}.{format}": (make, {"Title": name} | about) for name, make in each.items()}

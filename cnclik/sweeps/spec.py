@@ -38,7 +38,7 @@ from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import axes as forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, is_drawn, known_keys
+from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
 from cnclik.sweeps.grid import UNITS, Grid
 
 LIMIT = "limit"
@@ -98,6 +98,11 @@ class Spec:
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
         size = problem.N, problem.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
+
+    @property
+    def drawn(self) -> list:
+        """The axes of samples: a value per joint of whichever robot."""
+        return [axis for axis, value in self.written.items() if isinstance(value, dict) and "samples" in value]
 
     def programs(self):
         """Yield the first combination of the outer axes, and those that differ from it along one axis."""
@@ -190,8 +195,7 @@ class Loop(dict):
         if name in self.begun:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*self.begun, name])}")
         if name not in self.given and name != LIMIT:
-            near = errors.nearest(name, (*self.given, LIMIT))
-            used = self.begun[-1]
+            near, used = errors.nearest(name, (*self.given, LIMIT)), self.begun[-1]
             option = "" if used in OPTIONS else f"be an option{errors.nearest(used, OPTIONS)}, or "
             raise errors.fail(used, f"{option}use names that have a value", f"uses {name!r}{near}")
         self.begun.append(name)
@@ -203,7 +207,7 @@ class Loop(dict):
         value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
         if name in WHOLE and isinstance(value, float) and value.is_integer():
             return int(value)
-        return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
+        return value[: self.joints()] if name in self.spec.drawn else value
 
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
@@ -359,7 +363,7 @@ def _axes(spec: Spec) -> tuple:
     for _ in range(2):  # the second time with the number of joints known
         plain = [forms.read(name, value, joints) for name, value in spec.written.items()]
         spec = dataclasses.replace(spec, axes=(*tables, *plain))
-        if not any(map(is_drawn, spec.written.values())):
+        if not spec.drawn:
             break
         joints = max(spec.loop(program).joints() for program in spec.programs())
     wanted = spec.needs(*COMPILED_IN, *NAMES)
