@@ -97,7 +97,7 @@ class Viewer:
         self.goals = {i: target for i, target in enumerate(motion.targets) if target is not None}
         self.balls = {i: scene.add_icosphere(f"/goal{i}", 0.8 * thick, rgb(style.BLACK)) for i in self.goals}
         self._draw_paths(np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)), thick)
-        self._look(self.places.reshape(-1, 3), thick)
+        self._look(thick)
         self.t, gui = motion.data.time.values.astype(float), server.gui
         begin, end = float(self.t[0]), max(float(self.t[-1]), float(self.t[0]) + 1e-9)
         self.caption = gui.add_html("")
@@ -119,18 +119,17 @@ class Viewer:
             if np.ptp(target, axis=0).max() > 0:
                 add(f"/wanted{i}", _segments(target[None, some])[0], rgb(style.GREY), thickness=0.12 * thick)
 
-    def _look(self, points, thick):
+    def _look(self, thick):
         """Look from above at a planar arm, from a corner otherwise, at all that moves; draw a floor below it."""
-        low, high, flat = points.min(0), points.max(0), is_planar(self.motion.chain)
+        low, high, flat = self.places.min((0, 1)), self.places.max((0, 1)), is_planar(self.motion.chain)
         span = 1.3 * max(np.linalg.norm(high - low), float(arm_length(self.motion.chain)))
-        away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.83, 0.48, 0.37])
-        right = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 0.87, 0.0])
-        middle = (low + high) / 2 + 0.2 * span * right  # the panel covers the right of the page
+        away, right = ((0, -1e-3, 1.0), (1.0, 0, 0)) if flat else ((0.83, 0.48, 0.37), (-0.5, 0.87, 0.0))
+        middle = (low + high) / 2 + 0.2 * span * np.array(right)  # the panel covers the right of the page
         cell = 10.0 ** np.floor(np.log10(span / 2)) / 2
         look = {"position": (*middle[:2], min(low[2], 0.0) - 2 * thick), "cell_thickness": 0.7}
         self.server.scene.add_grid("/floor", 4 * span, 4 * span, cell_size=cell, section_size=5 * cell, **look)
         camera = self.server.initial_camera
-        camera.position, camera.look_at = tuple(middle + span * away), tuple(middle)
+        camera.position, camera.look_at = tuple(middle + span * np.array(away)), tuple(middle)
         camera.up, camera.fov = (0, 1, 0) if flat else (0, 0, 1), np.radians(50)
 
     def show(self, t) -> None:
