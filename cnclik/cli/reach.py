@@ -68,7 +68,8 @@ def run(
     task = task_from(arm.get("task"), chain)
     check_units("near", near, chain)
     if target is not None:
-        wanted, line = errors.array("target", target)[None], f"Target {' '.join(f'{v:.5g}' for v in target)}."
+        wanted = errors.array("target", target)[None]
+        line = f"Target {' '.join(f'{v:.5g}' for v in wanted[0])}."
     elif random is not None:
         line = f"Targets: {random:,} random reachable ones."
         wanted = _random(chain, errors.integer("random", random, at_least=1, at_most=errors.MOST))
@@ -86,8 +87,8 @@ def run(
         pose, _ = read(wanted, task.on(chain))
     with where as folder:
         begun = time.perf_counter()
-        options = dict(jump=jump, solutions=solutions, limits=limits, near="previous" if path else near)
-        made = reach(chain, wanted, task=task, **options)
+        begin = "previous" if path else near
+        made = reach(chain, wanted, near=begin, task=task, jump=jump, solutions=solutions, limits=limits)
         seconds = time.perf_counter() - begun
         if folder is not None:
             folder.write(file.name, functools.partial(_save, made, transforms(pose)))

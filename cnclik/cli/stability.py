@@ -71,7 +71,7 @@ def run(
         _print(found, facts, speed)
     if not draw:
         return
-    drawn, files = {}, [f"{kind}.{end}" for kind in draw for end in ("nc", "png")]
+    drawn, files = {}, [f"{kind}.{end}" for kind in dict.fromkeys(draw) for end in ("nc", "png")]
     with output_folder(pathlib.Path(out), overwrite=overwrite, files=files) as folder:
         from cnclik.measure.dataset import as_json, provenance
         from cnclik.measure.files import save_netcdf
@@ -82,8 +82,8 @@ def run(
             folder.write(f"{kind}.nc", functools.partial(save_netcdf, data))
             about = {"Title": how.get("title", "stability regions")}
             drawn[f"{kind}.png"] = drawn_by("stability", kind.replace("map", "stability_map"), data, **how), about
-    written = [*(f"{kind}.nc" for kind in draw), *draw_figures(drawn, out, overwrite=overwrite)]
-    print(f"Wrote {', '.join(sorted(set(written)))} to {out}/.")
+    draw_figures(drawn, out, overwrite=overwrite)
+    print(f"Wrote {', '.join(sorted(files))} to {out}/.")
 
 
 # --- the answer ---------------------------------------------------------------------------------------
@@ -92,7 +92,8 @@ def run(
 def _facts(found, alpha) -> dict:
     """The answer in numbers."""
     euler = found if found.method.name == "EE" else found.by("EE")
-    each = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
+    yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
+    each = [(a, found.at(a) if a else None) for a in yours]
     drive = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
     return {
         **{"method": found.method.name, "M": found.M, "Ts": found.Ts, "drive": drive, "assumed": found.assumed},
@@ -100,9 +101,7 @@ def _facts(found, alpha) -> dict:
         "reason": found.reason,
         "recommended_response": found.response,
         "explicit_euler": {name: getattr(euler, name) for name in GAINS},
-        "alpha": [
-            {"alpha": a, "stable": a < found.largest_stable, "response": found.at(a) if a else None} for a in each
-        ],
+        "alpha": [{"alpha": a, "stable": not a or response is not None, "response": response} for a, response in each],
         "elsewhere": {where: setting._asdict() for where, setting in found.elsewhere.items()},
     }
 

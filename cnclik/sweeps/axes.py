@@ -37,11 +37,7 @@ class Axis(NamedTuple):
 
 
 def axis(name: str, values, where=None) -> Axis:
-    """Return an axis of Python values, as `sweep` takes them.
-
-    Args: where: its name in messages; default: `name`.
-    Raises: ArgumentError for other values, none, or values that are not finite.
-    """
+    """Return an axis of Python values, as `sweep` takes them. Args: where: its name in messages."""
     where = where or name
     if isinstance(values, Mapping):
         made = Axis(name, tuple(values.values()), tuple(values))
@@ -64,18 +60,15 @@ def axis(name: str, values, where=None) -> Axis:
 
 def _numbers(name, where, values):
     """Return the numbers or vectors of an axis as one array; None if they are something else."""
-    typed = isinstance(values, (range, np.ndarray, jax.Array))
-    if not typed and any(isinstance(v, (str, bool)) for v in values):
-        return None
     try:
         array = np.asarray(values)
     except ValueError:
         raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
-    if array.dtype.kind not in "fiub":
+    if array.dtype.kind not in "fiu" or any(isinstance(v, bool) for v in values):
         return None
     if name == "M" and np.all(array % 1 == 0):
         return array.astype(int)
-    return array if typed and array.dtype.kind != "f" else array.astype(float)
+    return array.astype(float) if isinstance(values, (list, tuple)) or array.dtype.kind == "f" else array
 
 
 def compiled_in(of: Axis, where: str) -> Axis:
@@ -88,9 +81,6 @@ def compiled_in(of: Axis, where: str) -> Axis:
     return Axis(of.name, numbers, numbers)
 
 
-# --- as a spec writes them ----------------------------------------------------------------------------
-
-
 def read(name: str, value, joints: int) -> Axis:
     """Return an axis from its entry in a spec. Args: joints: the number of values of each sample."""
     where = f"axes.{name}"
@@ -99,22 +89,16 @@ def read(name: str, value, joints: int) -> Axis:
         if any(isinstance(v, bool) or (name in NAMES and not isinstance(v, str)) for v in values):
             raise errors.fail(where, "hold names" if name in NAMES else "hold numbers", f"is {value!r}")
         if any(isinstance(v, str) for v in values):  # names, or expressions: one program each
-            values = list(map(str, values))
+            return axis(name, list(map(str, values)), where)
     else:
         with np.errstate(all="ignore"):  # huge ends give values that are not finite, which `axis` reports
             values = _generated(where, value, joints)
     made = axis(name, values, where)
-    if made.inner or not isinstance(made.values[0], str):
-        numbers = np.asarray(made.values)
-        if name == "M" and (numbers.ndim > 1 or numbers.dtype.kind == "f"):
-            raise errors.fail(where, "hold one whole number each", f"is {value!r}")
-        check_values(where, name, numbers)
+    numbers = np.asarray(made.values)
+    if name == "M" and (numbers.ndim > 1 or numbers.dtype.kind == "f"):
+        raise errors.fail(where, "hold one whole number each", f"is {value!r}")
+    check_values(where, name, numbers)
     return made
-
-
-def is_drawn(value) -> bool:
-    """Return whether an axis, as written, is of samples: a value per joint of whichever robot."""
-    return isinstance(value, dict) and "samples" in value
 
 
 def _number(name, value):
@@ -127,8 +111,8 @@ def _number(name, value):
 
 def _generated(where, value, joints):
     """Return the numbers of a table such as { geomspace = [1, 40, 20] }."""
-    kind = next((kind for kind in FORMS if isinstance(value, dict) and kind in value), None)
-    if kind is None:
+    kind = next((kind for kind in FORMS if isinstance(value, dict) and kind in value), "")
+    if not kind:
         must = f"be a list, labelled tables, or a table with one of {', '.join(FORMS)}"
         raise errors.fail(where, must, f"is {value!r}")
     known_keys(where, value, (kind, *("low", "high", "seed") * (kind == "samples")))

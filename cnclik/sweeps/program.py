@@ -32,8 +32,11 @@ class Output(NamedTuple):
     name: str
     shape: tuple
     dtype: np.dtype
-    dims: tuple
     about: dict  # attributes: units, and long_name if there is one
+
+    @property
+    def dims(self) -> tuple:
+        return tuple(f"{self.name}_{i}" for i in range(len(self.shape)))
 
 
 class StudyProgram(NamedTuple):
@@ -57,7 +60,10 @@ def compile_program(study, of: Grid, number=0) -> StudyProgram:
             result = vars(result)
         named = result if isinstance(result, Mapping) else {"value": result}
         named = {name: jnp.asarray(v) for name, v in named.items()}
-        outputs = tuple(_output(name, v, result) for name, v in named.items())
+        about = {name: {"units": UNITS.get(name, "")} for name in named}
+        if isinstance(result, Metrics):
+            about = {name: {"units": unit, "long_name": METRICS[name].label} for name, unit in result.units.items()}
+        outputs = tuple(Output(name, v.shape, np.dtype(v.dtype), about[name]) for name, v in named.items())
         taken = {*named, *(dim for o in outputs for dim in o.dims)}
         if both := [a.name for a in of.axes if a.name in taken]:
             raise errors.fail("axes", "have names of their own", f"{both[0]!r} is in the results too")
@@ -81,13 +87,6 @@ def compile_program(study, of: Grid, number=0) -> StudyProgram:
             return compiled({name: jnp.asarray(v) for name, v in values.items()})
 
     return StudyProgram(run, outputs, memory, shares_threads(traced.jaxpr))
-
-
-def _output(name, v, result) -> Output:
-    about = {"units": UNITS.get(name, "")}
-    if isinstance(result, Metrics):
-        about = {"units": result.units[name], "long_name": METRICS[name].label}
-    return Output(name, v.shape, np.dtype(v.dtype), tuple(f"{name}_{i}" for i in range(v.ndim)), about)
 
 
 def fit(study, of: Grid, memory=MEMORY):

@@ -38,7 +38,7 @@ from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import axes as forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, is_drawn, known_keys
+from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
 from cnclik.sweeps.grid import UNITS, Grid
 
 LIMIT = "limit"
@@ -81,13 +81,9 @@ class Spec:
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(of, lanes=min(lanes, size))
 
-    def first(self, last=False) -> dict:
-        """Return the first, or last, value of every numeric axis."""
-        return {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner}
-
-    def loop(self, values: dict) -> "Loop":
-        """Return the values of one loop. Args: values: of axes; those of numeric axes are their first by default."""
-        return Loop(self, self.first() | values)
+    def loop(self, values: dict, last=False) -> "Loop":
+        """Return the values of one loop. Args: values: of axes; of numeric ones the first, or last, by default."""
+        return Loop(self, {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner} | values)
 
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
@@ -102,6 +98,11 @@ class Spec:
         seeds, which = np.unique(lanes["seed"], return_inverse=True)
         size = problem.N, problem.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
+
+    @property
+    def drawn(self) -> list:
+        """The axes of samples: a value per joint of whichever robot."""
+        return [axis for axis, value in self.written.items() if isinstance(value, dict) and "samples" in value]
 
     def programs(self):
         """Yield the first combination of the outer axes, and those that differ from it along one axis."""
@@ -164,8 +165,8 @@ class Spec:
         if math.prod(map(len, axes)) > MOST_LIMITS:
             return coords
         with jax.enable_x64(True):
-            for loop in (self.loop(first), self.loop(first | self.first(last=True))):
-                if "z" in self.first() and not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
+            for loop in (self.loop(first, last) for last in (False, True) if "z" in coords):
+                if not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
                     return coords
             points = itertools.product(*(a.values for a in axes))
             loops = (self.loop(first | dict(zip([a.name for a in axes], point, strict=True))) for point in points)
@@ -194,8 +195,7 @@ class Loop(dict):
         if name in self.begun:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*self.begun, name])}")
         if name not in self.given and name != LIMIT:
-            near = errors.nearest(name, (*self.given, LIMIT))
-            used = self.begun[-1]
+            near, used = errors.nearest(name, (*self.given, LIMIT)), self.begun[-1]
             option = "" if used in OPTIONS else f"be an option{errors.nearest(used, OPTIONS)}, or "
             raise errors.fail(used, f"{option}use names that have a value", f"uses {name!r}{near}")
         self.begun.append(name)
@@ -207,7 +207,7 @@ class Loop(dict):
         value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
         if name in WHOLE and isinstance(value, float) and value.is_integer():
             return int(value)
-        return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
+        return value[: self.joints()] if name in self.spec.drawn else value
 
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
@@ -327,8 +327,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
         for last in (False, True):
-            problem = spec.loop(program | spec.first(last)).build()
-            check_metrics(spec.metrics, problem.law)
+            check_metrics(spec.metrics, spec.loop(program, last).build().law)
     return spec
 
 
@@ -364,7 +363,7 @@ def _axes(spec: Spec) -> tuple:
     for _ in range(2):  # the second time with the number of joints known
         plain = [forms.read(name, value, joints) for name, value in spec.written.items()]
         spec = dataclasses.replace(spec, axes=(*tables, *plain))
-        if not any(map(is_drawn, spec.written.values())):
+        if not spec.drawn:
             break
         joints = max(spec.loop(program).joints() for program in spec.programs())
     wanted = spec.needs(*COMPILED_IN, *NAMES)

@@ -24,7 +24,7 @@ from cnclik.sweeps import program
 from cnclik.sweeps.axes import Axis
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import OWN, hidden_folder, remove_abandoned
+from cnclik.writing import OWN, hidden_folder
 
 DATA = "data.zarr"
 
@@ -77,7 +77,7 @@ def _checksum(path, files) -> int:
 
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
-    """Create the empty store. It appears only once it is complete; one that another process made meanwhile stays."""
+    """Create the empty store. It appears only once it is complete."""
     import xarray
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
@@ -98,11 +98,7 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
         # Description and coordinates never change: with their checksum the store is complete.
         files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
         (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum(path, files)}))
-        try:
-            path.rename(folder / DATA)
-        except OSError:
-            if not os.path.exists(folder / DATA):
-                raise
+        path.rename(folder / DATA)
 
 
 def opened(spec: Spec, folder) -> Store | None:
@@ -113,21 +109,12 @@ def opened(spec: Spec, folder) -> Store | None:
     if not os.path.exists(folder / DATA):
         return None
     store = Store(folder, mode="r+")
-    there, here = (_flat(config) for config in (store.config, spec.fingerprint()))
-    for name in there | here:
-        if there.get(name) != here.get(name):
+    for table, here in spec.fingerprint().items():
+        there = store.config[table]
+        if differing := [name for name in there | here if there.get(name) != here.get(name)]:
             must = "hold results of this very spec (another --out keeps both)"
-            before, now = (f"{some.get(name, 'nothing')!s:.40}" for some in (there, here))
-            raise errors.fail("out", must, f"differs in {name}: {before} there, {now} here")
-    remove_abandoned(store.path.rglob("*.partial"))  # left by an interrupted write
+            raise errors.fail("out", must, f"differs in {', '.join(differing)}: see config of {store.path}")
     return store
-
-
-def _flat(config) -> dict:
-    """Return {name: value} of all that a store's numbers depend on, such as "fixed.alpha"."""
-    tables = config["data"] | {"environment": config["environment"]}
-    each = {key: value if isinstance(value, dict) else {"": value} for key, value in tables.items()}
-    return {f"{key}.{name}".strip("."): v for key, table in each.items() for name, v in table.items()}
 
 
 def run(spec: Spec, folder, *, progress=None) -> bool:

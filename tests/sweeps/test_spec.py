@@ -94,7 +94,7 @@ def test_an_axis_of_tables_and_samples_that_fit_every_arm():
     assert [a.labels for a in spec.grid().axes[:2]] == [("two", "three"), ("none", "damped")]
     turn = next(a.values for a in spec.axes if a.name == "turn")
     assert turn.shape == (5, 3) and np.abs(turn).max() <= 1 and len(np.unique(turn)) == 15
-    lane = spec.first() | {"turn": turn[2]}
+    lane = {"turn": turn[2]}
     np.testing.assert_allclose(build(spec, lane | {"case": "two", "law": "none", "method": "EE"}).q0, 0.1 * turn[2, :2])
     laws = [build(spec, lane | {"case": "three", "law": name, "method": "EE"}).law for name in law]
     assert not hasattr(laws[0].inverse, "threshold") and float(laws[1].inverse.damping) == 0.1
@@ -298,7 +298,7 @@ def test_numbers_have_units_as_on_the_command_line():
     assert float(made.law.alpha) == pytest.approx(50.0)  # of an expression of Ts
     np.testing.assert_allclose(made.q0, [0, -np.pi / 2])
     np.testing.assert_allclose(made.reference.curve.start, [1, 1])
-    np.testing.assert_array_equal(spec.first(last=True)["z"], 1.0)
+    np.testing.assert_array_equal(spec.loop({}, last=True)["z"], 1.0)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "sweeps").glob("*.toml")), ids=lambda path: path.stem)
