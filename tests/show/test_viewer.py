@@ -74,7 +74,7 @@ def test_each_tip_has_a_path_and_a_target():
     np.testing.assert_allclose(right[7], at.position + at.rotation @ place, atol=1e-5)
     parts = [(task, unit) for task, unit, _ in motion.error_parts(made.data)]
     assert parts == [("grip", "m"), ("grip", "rad"), ("box", "m"), ("rest", "rad")]
-    assert "error grip" in viewer.caption("g1", made.data, 3)
+    assert "error grip" in viewer.caption(made.data, 3)
 
 
 # --- meshes and shapes ----------------------------------------------------------------------------------
@@ -161,10 +161,10 @@ def test_a_run_is_played(problem, run):
 def test_what_cannot_be_shown_is_refused(problem, run):
     batch = jax.tree.map(lambda v: np.stack([v, v]), run)
     for arguments, words in (
-        ({"what": run}, "`law` must be a Law"),
-        ({"what": "solved"}, "`run` must be a Trajectory"),
-        ({"what": batch, "law": problem.law}, "lane"),
-        ({"what": run, "law": problem.law, "port": 100_000}, "`port` must be at most"),
+        ({"run": run, "law": None}, "`law` must be a Law"),
+        ({"run": "solved", "law": problem.law}, "`run` must be a Trajectory"),
+        ({"run": batch, "law": problem.law}, "lane"),
+        ({"run": run, "law": problem.law, "port": 100_000}, "`port` must be at most"),
     ):
         with pytest.raises(ck.ArgumentError, match=words):
             ck.show.view(**arguments)
