@@ -8,14 +8,9 @@ _BETWEEN_LINES = 10.0  # [s] between plain lines
 
 
 @contextlib.contextmanager
-def bar(unit: str, total=None, quiet=False):
-    """Yields report(done, total, note=""), the one form of progress that every function of the library takes.
-
-    Args:
-      unit: the name of what is counted.
-      total: their number, if it is known before the first report.
-      quiet: whether to show nothing.
-    """
+def bar(unit: str, quiet=False):
+    """Yields report(done, total, note=""), the one form of progress that every function of the library takes. Args:
+    unit: the name of what is counted."""
     last = time.perf_counter()
 
     def lines(done, total, note=""):
@@ -38,7 +33,7 @@ def bar(unit: str, total=None, quiet=False):
         progress.TimeRemainingColumn(elapsed_when_finished=True),
     )
     with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(words(unit, 0, total), total=total)
+        task = shown.add_task(words(unit, 0, None), total=None)
         yield lambda done, total, note="": shown.update(
             task, completed=done, total=total or None, description=words(unit, done, total, note)
         )

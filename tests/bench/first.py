@@ -59,7 +59,6 @@ COMMANDS = (  # arguments of `cnclik`, run in a folder with arm.urdf
     "solve arm.urdf --reference circle --method CN --damping 0.05 --limits bounded --N 400 --no-figures",
     "stability --delay 34ms",
     "stability arm.urdf --draw map",
-    "tune arm.urdf --reference circle --method EE",
     "reproduce",
 )
 _CALL = """

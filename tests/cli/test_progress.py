@@ -39,7 +39,7 @@ def test_quiet_is_silent(capsys, monkeypatch):
 def test_a_terminal_gets_a_bar(capsys, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress.bar("loops", total=3) as report:
+    with progress.bar("loops") as report:
         report(0, 3)
         report(2, 3, "[EE]")
     out, err = capsys.readouterr()

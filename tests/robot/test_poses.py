@@ -84,7 +84,6 @@ WRONG = {
     "a scaled Pose": (ck.Pose(position=P, rotation=2 * R), "must hold a rotation, .* but is off by 3"),
     "quaternion": ([*P, *(185 * W)], "must hold a unit quaternion w x y z, but has one of norm 185"),
     "no quaternion": ([*P, 0, 0, 0, 0], "must hold a unit quaternion w x y z, but has one of norm 0"),
-    "masked": (np.ma.array(T, mask=T[1, 1] == T), "must hold no masked entries, but has 1 of them"),
 }  # fmt: skip
 
 
