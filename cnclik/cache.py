@@ -46,13 +46,11 @@ class LRU(collections.OrderedDict):
 _traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten
 
 
-def bounded_jit(fn=None, **options):
-    """`jax.jit` that forgets its programs when there are more than MOST_PROGRAMS. Decorator, with jit's arguments.
+def bounded_jit(fn, **options):
+    """`jax.jit` that forgets its programs when there are more than MOST_PROGRAMS.
 
     Numbers of steps, literals and lambdas are parts of a program: a process meets new ones all day.
     """
-    if fn is None:
-        return functools.partial(bounded_jit, **options)
     made = []  # once for each program; within a gradient or a batch jit's own count knows nothing of them
 
     @functools.wraps(fn)
@@ -105,15 +103,11 @@ MOST_BYTES = 1 << 30  # of all programs kept; what was used longest ago goes fir
 def use_cache(folder: str | os.PathLike | None = None) -> pathlib.Path | None:
     """Keep compiled programs in a folder, and take them from there; the command line calls this.
 
-    The environment has the last word: JAX_ENABLE_COMPILATION_CACHE=0 switches it off, and where
-    JAX_COMPILATION_CACHE_DIR (or `jax.config`) names a folder and `folder` is None, that is used as it is, of any size.
-    All others are cut to 1 GiB here, by what was used longest ago. A folder that can't be written, or that others may
-    write, is no error: nothing is kept.
+    JAX_ENABLE_COMPILATION_CACHE=0 switches it off. Where JAX_COMPILATION_CACHE_DIR (or `jax.config`) names a folder and
+    `folder` is None, that is used as it is; all others are cut to 1 GiB, by what was used longest ago.
 
-    Args:
-      folder: by default `cnclik` in the user's cache folder (XDG_CACHE_HOME, ~/.cache; ~/Library/Caches on macOS).
-
-    Returns: where programs are kept, or None.
+    Args: folder: by default `cnclik` in the user's cache folder (XDG_CACHE_HOME, ~/.cache; ~/Library/Caches on macOS).
+    Returns: where programs are kept, or None: the folder can't be written, or others may write it.
     """
     if not jax.config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
         return None

@@ -12,7 +12,7 @@ import pathlib
 import re
 import sys
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jax import Array
@@ -138,11 +138,10 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
     """
     import numpy as np
 
-    jax = sys.modules.get("jax")
+    jax: Any = sys.modules.get("jax")
     try:
-        if isinstance(value, np.ndarray) or (jax is not None and isinstance(value, jax.Array)):
-            found = value
-        else:
+        found: Any = value
+        if not (isinstance(value, np.ndarray) or (jax is not None and isinstance(value, jax.Array))):
             traced = jax is not None and not all(map(concrete, jax.tree.leaves(value)))
             found = jax.numpy.asarray(value) if traced else np.asarray(value)
         if found.dtype.kind not in "iuf":  # NumPy would make numbers of "5", True and None

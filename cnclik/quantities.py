@@ -29,10 +29,7 @@ def number(text: str) -> float | None:
 
 def hint(text: str) -> str:
     """Why a text is no number, where that can be told, to stand behind it; else nothing."""
-    if re.search(r"\$[({]", text):
-        return ", an expression of xacro: run `xacro FILE -o robot.urdf` first"
     plain = text.replace(",", ".").replace("_", "")
-    plain = "".join(str(int(c)) if c.isdecimal() else c for c in plain)
     return f": write {plain}" if plain != text and number(plain) is not None else ""
 
 

@@ -1,5 +1,6 @@
 """Caches in memory are bounded: a process meets new numbers of steps, literals and lambdas all day."""
 
+import functools
 import gc
 import weakref
 
@@ -22,7 +23,7 @@ def test_programs_of_a_function_are_few_and_right(monkeypatch):
     monkeypatch.setattr(cache, "MOST_PROGRAMS", 3)
     traced = []
 
-    @cache.bounded_jit(static_argnames="power")
+    @functools.partial(cache.bounded_jit, static_argnames="power")
     def raised(x, *, power):
         traced.append(power)
         return x**power

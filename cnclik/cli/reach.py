@@ -90,8 +90,8 @@ def run(
         pose, _ = read(wanted, task.on(chain))
     with where as folder:
         begun = time.perf_counter()
-        options: dict = dict(jump=jump, solutions=solutions, limits=limits, near="previous" if path else near)
-        made = reach(chain, wanted, task=task, **options)
+        begin = "previous" if path else near
+        made = reach(chain, wanted, near=begin, task=task, jump=jump, solutions=solutions, limits=limits)
         seconds = time.perf_counter() - begun
         if folder is not None:
             folder.write(file.name, functools.partial(_save, made, transforms(pose)))
