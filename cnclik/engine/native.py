@@ -49,7 +49,7 @@ def native(fn: Callable) -> Callable:
         """(`Function` of flat arrays, arrays) of some arguments."""
         leaves, treedef = jax.tree.flatten((args, named))
         function = functions.made(treedef, lambda treedef: Function(of_leaves(fn, treedef)))
-        return function, list(map(errors.as_jax_takes, leaves))
+        return function, leaves
 
     @functools.wraps(fn)
     def call(*args, **named):

@@ -5,7 +5,7 @@ import ctypes
 import jax
 import numpy as np
 
-from cnclik import cache, errors
+from cnclik import cache
 from cnclik.cache import LRU
 from cnclik.engine.native import Function, compiled, of_leaves
 from cnclik.engine.plan import chosen
@@ -42,7 +42,7 @@ class Numbers:
     def _prepared(self, key, known, given, static):
         """Return the function of given leaves that computes the results; it is kept unless something is traced."""
         leaves, treedef = jax.tree.flatten(((known, given), {}))
-        every, count = list(map(errors.as_jax_takes, leaves)), len(leaves) - len(jax.tree.leaves(given))
+        every, count = leaves, len(leaves) - len(jax.tree.leaves(given))
         function, first, avals = self._function(treedef, static), every[:count], lane_avals(every, batched=False)
         numbers, lasting = not isinstance(given[0], jax.Array), not any(map(_is_writable, first))
         if any(isinstance(x, jax.core.Tracer) for x in every):

@@ -55,10 +55,8 @@ class Method:
         order = errors.integer("order", self.order, at_least=1)
         if abs(sum(b) - 1) > ROUNDING:
             raise errors.fail("b", "hold weights whose sum is 1", f"has a sum of {sum(b):g}")
-        most = len(b) + any(row[-1] != 0 for row in A)  # s stages have order s at most, implicit ones s + 1
-        for reached in range(1, min(order, most + 1)):
-            if max(map(abs, _residuals(A, np.array(b), np.array(c), reached + 1))) > ROUNDING:
-                raise errors.fail("order", f"be {reached}, that of the weights", f"is {order}")
+        if (reached := _reached(A, np.array(b), np.array(c), order)) < order:
+            raise errors.fail("order", f"be {reached}, that of the weights", f"is {order}")
         for name, value in (("A", A), ("b", b), ("c", c), ("order", order)):
             object.__setattr__(self, name, value)
         if self.exponential and self.implicit:
@@ -81,29 +79,21 @@ def _weights(name, values) -> tuple:
     return tuple(float(x) for x in errors.array(name, values, (None,)))
 
 
-def _residuals(A, b, c, order) -> list:
-    """Return the residuals of the conditions of one order: Σ bᵢ Φᵢ(t) − 1/γ(t) for every rooted tree t with as many
-    vertices (Hairer, Nørsett & Wanner 1993, II.2).
+def _reached(A, b, c, most) -> int:
+    """Return the largest order up to `most` whose conditions hold (Hairer, Nørsett & Wanner 1993, II.2, Table 2.2).
+
+    From 5 on the order is taken as it is given.
     """
     A = np.array([(*row, *(0.0,) * (len(b) - len(row))) for row in A])
-    return [b @ phi - 1 / gamma for phi, gamma in trees(A, order)] + [*(A.sum(1) - c)] * (order == 2)
-
-
-def trees(A, order) -> list:
-    """Return (Φ (s,), γ) of the rooted trees with `order` vertices, once for each order of their branches."""
-    below = [[(np.ones(len(A)), 1)]]  # of the branches at a root, by their number of vertices
-    trees: list = [[]]
-    for size in range(1, order + 1):
-        trees.append([(phi, size * gamma) for phi, gamma in below[-1]])
-        below.append(
-            [
-                (A @ phi * other, gamma * density)
-                for k in range(1, size + 1)
-                for phi, gamma in trees[k]
-                for other, density in below[size - k]
-            ]
-        )
-    return trees[order]
+    ac = A @ c
+    conditions = {
+        2: (b @ c - 1 / 2, *(A.sum(1) - c)),
+        3: (b @ c**2 - 1 / 3, b @ ac - 1 / 6),
+        4: (b @ c**3 - 1 / 4, (b * c) @ ac - 1 / 8, b @ A @ c**2 - 1 / 12, b @ A @ ac - 1 / 24),
+    }
+    return next(
+        (order - 1 for order, left in conditions.items() if order <= most and np.abs(left).max() > ROUNDING), most
+    )
 
 
 def _tableau(name, order, A, b, source) -> Method:

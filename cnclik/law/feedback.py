@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from cnclik.law.curves import Tangent
 from cnclik.law.law import Law, clamped, null_velocity
+from cnclik.law.paths import Tangent
 from cnclik.law.reference import aims_of, by_target
 from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3

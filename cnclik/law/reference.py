@@ -6,36 +6,19 @@ from `jax.jvp`, so that path and feed-forward agree, unless an explicit feed-for
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cnclik import errors
 from cnclik.engine.tracing import of_the_model, together
-from cnclik.law.curves import Hold, Path, Tangent
-from cnclik.record import brief, record, replace
+from cnclik.law.paths import A_REFERENCE, Hold, Path, Reference, Tangent
+from cnclik.record import ArrayLike, Float, record, replace
+from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.task.parts import spin
+from cnclik.task.parts import At, spin
 from cnclik.task.task import Task
-
-A_REFERENCE = "be a Reference such as hold(...), or references(name=...) for several"
-
-
-@record
-class Reference:
-    """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
-
-    curve: Callable  # t -> (position (d,) or None, rotation (3, 3) or None)
-    known: bool = True  # whether a step knows the path ahead, see `causal`
-
-    @property
-    def still(self) -> bool:
-        """Whether the target is constant."""
-        return isinstance(self.curve, Hold)
-
-    def __repr__(self):
-        return f"Reference: {brief(self.curve)}{'' if self.known else ', future unknown'}"
 
 
 @record
@@ -77,6 +60,38 @@ def references(**by_name: Reference | References) -> References:
     for name, one in by_name.items():
         errors.kind(name, one, REFERENCE, A_REFERENCE)
     return References(names=tuple(by_name), each=tuple(by_name.values()))
+
+
+def hold_at(
+    chain: Chain, task: Task, q: Float[ArrayLike, " n"], **others: Reference | References
+) -> Reference | References:
+    """Hold the pose at q (n,): a constant reference for each target of a task; other references are given by name.
+
+    `hold_at(robot, task, q0, hands=circle(...))` moves the hands only.
+
+    Returns: `Reference`, or `References` for a task with several targets.
+    """
+    q, task = errors.array("q", q, (chain.n,), of="joint values"), task.on(chain)
+    if all(map(errors.concrete, jax.tree.leaves((chain, q)))):
+        q = np.asarray(q, float)  # NumPy compiles nothing
+    robot = At(modelled(chain), q)
+
+    def held(_, parts):
+        target: dict = {"position": None, "rotation": None}
+        for part in parts.parts:
+            target["rotation" if part.turns else "position"] = part.here(robot)
+        return Reference(curve=Hold(**target))
+
+    paths = of_each(held, None, task)
+    if not others:
+        return paths
+    if isinstance(paths, Reference):
+        if not task.tasks:
+            raise errors.fail("others", "be left out for one task that is no stack", f"are {', '.join(others)}")
+        paths = references(**{task.tasks[0][0]: paths})
+    for name in others:
+        errors.one_of("others", name, paths.names)
+    return references(**(dict(zip(paths.names, paths.each, strict=True)) | others))
 
 
 def of_each(fn, reference, task: Task):

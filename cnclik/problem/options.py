@@ -25,7 +25,6 @@ class Option(NamedTuple):
     name: str
     kind: str  # NAME, NUMBER, INTEGER or SWITCH
     several: bool  # whether it takes any number of values
-    repeated: bool  # whether it may be given several times
     choices: tuple
     default: Any
     positional: bool
@@ -69,8 +68,7 @@ def arguments(text: str, name: str, shared=None) -> dict[str, Option]:
 
 def _option(name, text, annotation, default, positional):
     hint = ast.unparse(annotation).removesuffix(" | None")
-    inner = re.sub(r"^list\[(.*)\]$", r"\1", hint)
-    inner = re.sub(r"^tuple\[(.*), \.\.\.\]$", r"\1", inner)
+    inner = re.sub(r"^tuple\[(.*), \.\.\.\]$", r"\1", hint)
     kind = _KINDS.get(inner, NUMBER if "Array" in inner else NAME)
     unit = re.search(r"\[([^]]+)\]", text)
     own = unit[1].removeprefix("whole ") if unit and kind in (NUMBER, INTEGER) else "1"
@@ -78,7 +76,6 @@ def _option(name, text, annotation, default, positional):
         name,
         kind,
         several=re.search("Array|Point|tuple", hint) is not None,
-        repeated=hint.startswith("list["),
         choices=ast.literal_eval(f"({inner[8:-1]},)") if inner.startswith("Literal[") else (),
         default=REQUIRED if default is None else ast.literal_eval(default),
         positional=positional,
@@ -151,15 +148,3 @@ def check_units(name: str, values, chain) -> None:
             raise errors.fail(
                 name, "have the units of what it is for", f"joint {joint!r} is in {unit}, and {given} is given"
             )
-
-
-def units(law, task, width=None) -> dict:
-    """{option: unit} for a law's joints and a task.
-
-    Args:
-      width: number of values of a point; those after the position are a quaternion's, without unit.
-    """
-    point = ["m"] * bool(task.lengths) + ["1"] * (not task.lengths or bool(task.angles and (width or 0) > 3))
-    known = {"q": ", ".join(dict.fromkeys(law.chain.units)), "x": ", ".join(point)}
-    known["m, 1"] = "m" if task.lengths else "1"
-    return {name: known.get(one.unit, one.unit) for name, one in OPTIONS.items() if one.kind != NAME}

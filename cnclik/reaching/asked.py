@@ -16,8 +16,6 @@ from cnclik.task.task import WIDTH, Task, aims
 
 TASKS = {"pose": pose(), "position": position(), "orientation": orientation()}
 
-MOST_SEEDS = ((1 << 31) - 1) // 16  # the numbers of all tries must fit int32
-SURE = 256  # tries, at least, before it is said that there is no answer
 STATIONARY = 1e-3  # of ‖e‖ ‖J‖: a gradient smaller than that is none
 FEW, DOUBT = 3, 1e-2  # with more joints, a target missed by less than DOUBT [rad, units] may still have an answer
 MISSED = 3.0  # a larger error, in tolerances, can be attributed to limits or to `jump`
@@ -33,7 +31,6 @@ class Asked:
     task: Task
     tolerance: Float[AnyArray, " 2"]  # [m], chord of an angle [rad]
     jump: Number | None  # [rad, m]
-    seeds: int  # largest number of tries
     limits: bool
 
     @property
@@ -56,8 +53,9 @@ class Asked:
         return Terms(*(xp.asarray(v, float) for v in numbers))
 
     def finite(self, pose, near, xp=np):
-        """Return which targets (..., t) are finite, with the joint values in `near`."""
-        return xp.isfinite(pose).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
+        """Return which targets (..., t) have squares of squares that are numbers, and finite joint values in `near`."""
+        most = float(np.finfo(pose.dtype).max) ** 0.25
+        return (xp.abs(pose) < most).all(axis=-1) & (True if near is None else xp.isfinite(near).all(axis=-1))
 
     def too_far(self, pose, xp=np):
         """Return which targets (..., t) are farther from the first joint than the stretched arm is long."""
@@ -92,10 +90,11 @@ class Asked:
         Args: finite, far: results of the methods. why: the result of `meaning`.
         """
         row, status, solved = row_of(rows, self.chain.n), ReachStatus, int(ReachStatus.SOLVED)
-        rests = (row.steep <= STATIONARY**2) & ~self.within(row, CLEAR, xp) & (why == 0) & (self.seeds >= SURE)
+        rests = (row.steep <= STATIONARY**2) & ~self.within(row, CLEAR, xp) & (why == 0)
         made = xp.where(rests | far, int(status.OUT_OF_REACH), int(status.OUT_OF_BUDGET))
         certain = (self.chain.n <= FEW) | (self.squares(row, xp) >= DOUBT**2)
-        held = (why == status.AT_LIMIT) & touching(self.chain, row.q).any(axis=-1) & certain
+        at_bound = touching(self.chain, row.q).any(axis=-1) | (self.jump is not None)
+        held = (why == status.AT_LIMIT) & at_bound & certain
         made = xp.where(((why == status.JUMP) | held) & ~self.within(row, MISSED, xp), why, made)
         made = xp.where(row.status == solved, solved, made)
         made = xp.where(finite, made, int(status.NON_FINITE))
@@ -111,7 +110,7 @@ def asked_of(chain, *rest) -> Asked:
     Args: the fields of `Asked`. Raises: ArgumentError for unusable values.
     """
     errors.kind("chain", chain, Chain)
-    key = rest, tuple(map(type, rest))  # types too: 1.0 equals 1 but is no valid number of seeds
+    key = rest, tuple(map(type, rest))  # types too: True equals 1 but is no valid jump
     try:
         hash(key)
     except TypeError:  # lists, arrays, what is traced
@@ -119,7 +118,7 @@ def asked_of(chain, *rest) -> Asked:
     return memoized(chain, "_asked", lambda _: LRU()).made(key, lambda _: _asked(chain, *rest))
 
 
-def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
+def _asked(chain, task, tolerance, jump, limits) -> Asked:
     if chain.balls:
         what = f"turns about any axis by {chain.joint_names[chain.balls[0][1]]}"
         raise errors.fail("chain", "have no free base and no ball joint, to be asked for joint values", what)
@@ -127,7 +126,7 @@ def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     if jump is not None:
         errors.number("jump", jump, positive=True)
-    as_numbers("reach", ("tolerance", tolerance))
+    as_numbers("reach", "tolerance", tolerance)
     pair = np.asarray(errors.array("tolerance", tolerance, (2,), finite=False))
     if not (pair > 0).all():
         raise errors.fail("tolerance", "hold positive numbers", f"is {tolerance!r}")
@@ -139,6 +138,5 @@ def _asked(chain, task, tolerance, jump, seeds, limits) -> Asked:
         task=task,
         tolerance=np.array([pair[0], 2 * np.sin(min(pair[1], np.pi) / 2)], float),  # a chord
         jump=leaf(jump),
-        seeds=errors.integer("seeds", seeds, at_least=1, at_most=MOST_SEEDS),
         limits=errors.truth("limits", limits),
     )

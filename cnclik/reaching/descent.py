@@ -5,10 +5,9 @@ bound, and λ² = τ (0.03 ‖e‖² + λ₀²), a step is
 
   q ← clip(q + clip(Jᵀ (J Jᵀ + λ² I)⁻¹ e, ±1), low, high)
 
-(Levenberg 1944; damping by the square of the error after Sugihara 2011). Far from the pose steps are short, near it
-they are Newton's. Plain descents have τ = 1. Careful ones reject steps that raise the error, and raise τ (Marquardt
-1963): they converge at bounds and singularities, and to the nearest pose where there is no answer. The orientation's
-error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
+(Levenberg 1944; damping by the square of the error after Sugihara 2011). Plain descents have τ = 1. Careful ones reject
+steps that raise the error, and raise τ (Marquardt 1963): they converge at bounds and singularities, and to the nearest
+pose. The orientation's error is 2 sin(θ/2) times the axis: monotone up to half a turn, without an arctangent.
 """
 
 import functools
@@ -26,7 +25,7 @@ from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise
 from cnclik.reaching.result import ReachStatus
-from cnclik.reaching.starts import Starts, binned, empty, start, turned
+from cnclik.reaching.starts import Starts, start, starts_of, turned
 from cnclik.record import Array, Bool, Float, Int, cast, memoized
 from cnclik.robot.model import modelled
 from cnclik.robot.posture import arm_length
@@ -50,10 +49,7 @@ SMALLEST = 1e-5  # [m] shorter arms, such as a wrist alone, keep the metre
 
 
 def unit_of(chain) -> float:
-    """Return the length [m] that counts as much as a radian: of arms below 25 cm and above 4 m, their own.
-
-    A metre also where joints slide, or the geometry is traced.
-    """
+    """Return the length [m] that counts as much as a radian: a metre, but of arms of < 25 cm or > 4 m theirs."""
     length = arm_length(chain, least=0.0)
     odd = errors.concrete(length) and "m" not in chain.units and not 0.25 <= length <= 4.0
     return float(length) if odd and length > SMALLEST else 1.0
@@ -161,15 +157,8 @@ def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away
       k: int32, the number of the try. most: int32, looks.
     """
     low, high = terms.box(jnp.where(jnp.isnan(near), 0.0, near))
-    q = start(chain, task, starts, target, near, given, away, low, high, k)
+    q = start(chain, task, starts, target, given, away, low, high, k)
     return descend(chain, task, terms, q, target, near, most)
-
-
-def tips(chain, task, q):
-    """Return the poses (t,) of a task's aims, as targets have them."""
-    at = At(cast(modelled(chain), q.dtype), q)
-    each = [(at.position(a.tip, a.to), at.rotation(a.tip, a.to).reshape(9)) for a in aims(task)]
-    return jnp.concatenate([v for pair in each for v in pair])
 
 
 def along(chain, task, terms: Terms, target, near):
@@ -185,52 +174,36 @@ def along(chain, task, terms: Terms, target, near):
     return lax.scan(once, near, target)[1]
 
 
-# --- for batches of NumPy's numbers -----------------------------------------------------------------------
+# --- for batches of NumPy's numbers, made once for a chain, a task's aims and the engine that is chosen --------
 
 
 def attempts(chain, task) -> Batches:
-    """Return `attempt` for batches, made once for a chain, a task's aims and the engine that is chosen."""
+    """Return `attempt` for batches."""
 
     def flat(*args):
         return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
 
-    def make(chain):
-        starts = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in empty(chain, task)]
-        tried = [jax.ShapeDtypeStruct(*of) for of in (((chain.n,), float), ((), float), ((), np.int32), ((), np.int32))]
-        return Batches(flat, starts + _shared(chain, task) + tried)
-
-    return memoized(chain, f"_attempts_{_key(task)}", make)
+    q, number = np.zeros(chain.n), np.int32(0)
+    return _batches("attempts", flat, chain, task, starts_of(chain, task), [_target(task), q, q, 0.0, number, number])
 
 
 def ahead(chain, task) -> Batches:
-    """Return `along` for AHEAD targets, made once as `attempts` are."""
+    """Return `along` for AHEAD targets."""
 
     def flat(*args):
         return along(chain, task, Terms(*args[:5]), *args[5:])
 
-    def make(chain):
-        *terms, target, near = _shared(chain, task)
-        return Batches(flat, [*terms, jax.ShapeDtypeStruct((AHEAD, *target.shape), float), near], single=True)
-
-    return memoized(chain, f"_ahead_{_key(task)}", make)
+    targets = np.tile(_target(task), (AHEAD, 1))
+    return _batches("ahead", flat, chain, task, (), [targets, np.zeros(chain.n)], single=True)
 
 
-def _shared(chain, task):
-    n, shapes = chain.n, ((), (2,), (task.m,), (WIDTH * len(aims(task)),))
-    return [jax.ShapeDtypeStruct(shape, float) for shape in ((n,), (n,), *shapes, (n,))]
+def _target(task):
+    return np.zeros(WIDTH * len(aims(task)))
 
 
-def _key(task):
-    return f"{told_apart(task)}_{task.weights is None}_{in_c()}"
-
-
-def starts_of(chain, task) -> Starts:
-    """Return the starts of a chain, made once for it and a task's aims."""
-
-    def make(chain):
-        q = jax.ShapeDtypeStruct((chain.n,), float)
-        with jax.ensure_compile_time_eval():
-            call = Batches(functools.partial(tips, chain, task), [q]).bound()
-            return binned(chain, task, lambda q: call((q,), len(q)))
-
-    return memoized(chain, f"_starts_{told_apart(task)}", make)
+def _batches(name, fn, chain, task, starts, lanes, **options) -> Batches:
+    q = np.zeros(chain.n)
+    every = *starts, q, q, 0.0, np.zeros(2), np.zeros(task.m), *lanes
+    avals = [jax.ShapeDtypeStruct(np.shape(v), np.asarray(v).dtype) for v in every]
+    key = f"_{name}_{told_apart(task)}_{task.weights is None}_{in_c()}"
+    return memoized(chain, key, lambda _: Batches(fn, avals, **options))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, cast
 
 import jax
@@ -12,8 +12,8 @@ import numpy as np
 from cnclik import errors
 from cnclik.reaching.asked import asked_of
 from cnclik.reaching.result import Reached, from_rows
-from cnclik.reaching.search import Targets, path, search_of
-from cnclik.reaching.several import AT_ONCE, MOST_DRAWN, several
+from cnclik.reaching.search import AT_ONCE, MOST_DRAWN, Targets, path, search_of, several
+from cnclik.reaching.starts import turned
 from cnclik.reaching.targets import read
 from cnclik.reaching.traced import traced
 from cnclik.record import ArrayLike, Float
@@ -21,7 +21,7 @@ from cnclik.robot.chain import Chain
 from cnclik.robot.poses import PoseLike
 from cnclik.task.task import Task
 
-POOL, REPORTED = 1 << 17, 1 << 13  # targets of one search, as it needs memory, and with progress
+POOL = 1 << 17  # targets of one search, as it needs memory
 
 
 @np.errstate(over="ignore", invalid="ignore")  # by targets far beyond any robot, whose status reports it
@@ -34,47 +34,36 @@ def reach(
     near: Float[ArrayLike, "*B n"] | str | None = None,
     jump: float | None = None,
     solutions: int = 1,
-    seeds: int = 512,
     limits: bool = True,
-    progress: Callable[[int, int], object] | None = None,
 ) -> Reached:
     """Find joint values that put the tip, or several tips, at each of some targets, or the reason why there are none.
 
     Called with numbers it works in float64, whatever JAX's setting, on all cores, and returns NumPy arrays; the same
-    numbers give the same answers. With a C compiler the search is native code, which is built at the first call for a
-    chain, in about a second; otherwise JAX's programs do the same to rounding, several times more slowly. Under jit,
-    vmap and grad it is a pure function in JAX's dtype; in float32 the tolerance is at least 1e-5. Derivatives with
-    respect to targets and geometry are those of the implicit function theorem, dq = J# de, with joints at their limits
-    held constant.
+    numbers give the same answers. Under jit, vmap and grad it is a pure function in JAX's dtype; in float32 the
+    tolerance is at least 1e-5. Derivatives with respect to targets and geometry are dq = J# de, with joints at their
+    limits held constant.
 
     Args:
       chain: the robot.
       targets: one target, or several along a first axis: 4×4 transforms; position and quaternion [x, y, z, w, x, y, z];
-        positions (3,) for a position task, or the coordinates alone that it has, such as (2,) for xy; rotations (3, 3)
-        or quaternions (4,) for an orientation task; a `Pose`; or a pair (positions, rotations). [m] For several tips a
-        dict of such targets by the names of a stack's tasks, or of the tips. One target may be shared by a batch of
-        others.
+        positions (3,) for a position task, or its own coordinates, such as (2,) for xy; rotations (3, 3) or quaternions
+        (4,) for an orientation task; a `Pose`; or a pair (positions, rotations). [m] For several tips a dict of them by
+        the names of a stack's tasks, or of the tips.
       task: "pose", "position", "orientation" or a `Task` of tips; its weights define the nearest pose.
       tolerance: tolerance of position [m] and orientation [rad].
       near: joint values (n,) or (B, n) from which to search, such as the present ones, within the limits or not;
         "previous" for a path: each target from the answer before it, the first one from a default posture.
       jump: largest distance of any joint from `near` [rad, m]; where all answers are farther away the status is JUMP.
-      solutions: number of different answers wanted for each target. They differ by 0.1 rad or m in some joint, beyond
-        whole turns, or by 0.5 for a redundant arm. The arrays of the result get an axis for them; the answer nearest to
-        `near`, or to the middle of the limits, is first. Two take some 15 times as long as one; more than there are,
-        400 times.
-      seeds: largest number of start postures for each target. Few are needed where there is an answer. Where none is
-        found, at least 256 are tried before AT_LIMIT, OUT_OF_REACH or JUMP is reported; with fewer it is OUT_OF_BUDGET.
-      limits: whether to keep the chain's joint limits. A joint that can turn more than once is given in the turn that
-        is nearest to `near` or 0.
-      progress: called as progress(done, total).
+      solutions: number of different answers for each target, along an axis of the results, the nearest to `near`, or to
+        the middle of the limits, first. They differ by 0.1 rad or m in some joint, beyond whole turns, or by 0.5
+        for a redundant arm. Two take some 15 times as long as one; more than there are, 400 times.
+      limits: whether to keep the joint limits. A joint that can turn more than once is in the turn nearest to `near`.
 
     Returns: `Reached`.
     Raises: ArgumentError for shapes, types and concrete values that do not fit.
     """
-    asked = asked_of(chain, task, tolerance, jump, seeds, limits)
+    asked = asked_of(chain, task, tolerance, jump, limits)
     errors.integer("solutions", solutions, at_least=1, at_most=1000)
-    errors.progress(progress)
     pose, alone = read(targets, asked.task)
     known = isinstance(pose, np.ndarray) and all(map(errors.concrete, jax.tree.leaves((chain, near, jump))))
     previous, begin = isinstance(near, str), cast(Any, None)
@@ -93,14 +82,13 @@ def reach(
     if not known:
         rows = traced(asked, pose, begin)
     elif previous:
-        rows = path(search_of(asked), pose, progress)
+        rows = path(search_of(asked), pose)
     else:
-        rows, search, of, size = [], search_of(asked), Targets(pose, begin), POOL if progress is None else REPORTED
-        size = size if solutions == 1 else min(size, AT_ONCE // (MOST_DRAWN + solutions))
-        for i in range(0, len(pose), size):
-            part = of.some(slice(i, i + size))
-            rows.append(several(search, part, solutions) if solutions > 1 else search.rows(part))
-            if progress is not None:
-                progress(min(i + size, len(pose)), len(pose))
-        rows = rows[0] if len(rows) == 1 else np.concatenate(rows)
+        turns = begin is not None and any(chain.periodic)
+        inside = turned(begin, begin, np.array(chain.periodic), *asked.limited()) if turns else begin
+        search, of = search_of(asked), Targets(pose, begin, inside)
+        size = POOL if solutions == 1 else min(POOL, AT_ONCE // (MOST_DRAWN + solutions))
+        parts = (of.some(slice(i, i + size)) for i in range(0, len(pose), size))
+        each = [search.rows(part) if solutions == 1 else several(search, part, solutions) for part in parts]
+        rows = each[0] if len(each) == 1 else np.concatenate(each)
     return from_rows(chain, asked.task, rows[0] if alone else rows)

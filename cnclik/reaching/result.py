@@ -22,7 +22,7 @@ class ReachStatus(enum.IntEnum):
     OUT_OF_REACH = 2  # farther than the stretched arm, or no answer found, without limits either; q is the nearest pose
     JUMP = 3  # there are answers, but none within `jump` of `near`; q is NaN
     OUT_OF_BUDGET = 4  # no answer found, and it is not known whether there is one; q is the best pose found
-    NON_FINITE = 5  # the target, or `near`, is not finite; q is NaN
+    NON_FINITE = 5  # the target, or `near`, is not finite, or beyond 1e77 m (1e9 in float32); q is NaN
     NO_OTHER = 6  # fewer different solutions were found than asked for; q is NaN
 
 
@@ -30,11 +30,8 @@ class ReachStatus(enum.IntEnum):
 class Reached:
     """Answers for B targets; one target has no axis B, and k `solutions` have an axis k after it.
 
-    Errors are of the tip that misses most. The orientation error is 2 asin ‖v‖, v the coordinates that the task has of
-    the vector part of the quaternion of the rotation that is left. Of all three axes that is the angle of this
-    rotation. Of "xy" it is the tilt alone, by which the rotation turns the z axis: the base's, or the tip's own where
-    the axes are. The turn about z is left out.
-
+    Errors are of the tip that misses most. The orientation error is 2 asin ‖v‖, v the task's coordinates of the vector
+    part of the quaternion of the rotation that is left: of three axes its angle, of "xy" the tilt of the z axis.
     NumPy arrays in float64; under jit, vmap and grad JAX's, in its dtype.
     """
 
@@ -58,10 +55,9 @@ class Reached:
 
     @property
     def strays(self) -> Float[np.ndarray, " B-1"]:
-        """(B − 1,) by how much a tip leaves the straight line half-way between each row and the next [m].
+        """(B − 1,) how far a tip, the one that strays most, leaves the straight line half-way between rows [m].
 
-        While all joints move evenly from one answer to the next; NaN where one of both is missing. Of several tips the
-        one that strays most.
+        While all joints move evenly from one answer to the next; NaN where one of both is missing.
         """
         q, chain = np.where(self.solved[:, None], self.q, np.nan), modelled(self.chain)
         tips = dict.fromkeys((aim.tip, aim.to) for aim in aims(self.task))
@@ -83,9 +79,6 @@ def count(status) -> dict:
 def touching(chain: Chain, q):
     """Return which joints (..., n) are at a limit."""
     return (q <= np.array(chain.lower) + TOUCHING) | (q >= np.array(chain.upper) - TOUCHING)
-
-
-# --- rows -------------------------------------------------------------------------------------------------
 
 
 class Row(NamedTuple):

@@ -1,4 +1,4 @@
-"""Search: tries for the targets that are still open, in rounds, around one compiled program.
+"""Search: tries for the targets that are still open, in rounds, around one compiled program; several answers; paths.
 
 The first sixteen tries begin at postures whose tips are near the target. The first that arrives is the answer; with
 `near` it is the one nearest to that. Later rounds hold tries of three kinds, see `starts.origins`; the best of a round
@@ -11,17 +11,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cnclik.engine.plan import in_c
-from cnclik.reaching.asked import SURE, Asked
-from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts, starts_of
+from cnclik.reaching.asked import Asked
+from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts
 from cnclik.reaching.result import ReachStatus, blank, row_of, width
-from cnclik.reaching.starts import BINNED, ISLANDS, island_of, origins
+from cnclik.reaching.starts import BINNED, ISLANDS, beginnings, island_of, origins, spans, starts_of, turned
 from cnclik.record import AnyArray, Float, memoized, replace
 from cnclik.robot.posture import start_posture
 
 ROUND, WIDEST = BINNED, 256  # tries of the first rounds, and of later ones at most
 MANY = 512  # tries at once, at least, if there are as many
 AT_ONCE = 1 << 15  # tries at once, at most
-CLOSER, LONGER = (0.3, 2e-2), (4, 16)  # [rad, units] a target missed by less gets so many times the tries
+DIFFERENT, DIFFERENT_REDUNDANT = 0.1, 0.5  # [rad, m] answers differ by more in some joint; of a redundant arm
+DRAWN, MOST_DRAWN = 4, 64  # tries in the first round; each round has twice as many
+PATIENCE = 64  # the search ends after so many tries without a new answer, plus twice the tries before the last one
+TRIES = 512  # for each target
+CLOSER = 0.3, 2e-2  # [rad, units] a target missed by less gets 4 times as many, and 16 times
 FREELY, NEAREST = 128, 64  # tries without limits, and descents to the nearest pose
 
 
@@ -38,17 +42,12 @@ class Stage(NamedTuple):
 
 def stages(asked: Asked, xp=np) -> list:
     """Return the stages of a search, in order."""
-    seeds, own, begun = asked.seeds, asked.terms(xp=xp), asked.seeds
-    nearest = Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, downhill=True)
-    made = [Stage(own, 0, min(ROUND, seeds)), Stage(own, ROUND, seeds), nearest]
-    if seeds < SURE:
-        return made
-    for less, times in zip(CLOSER, LONGER, strict=True):
-        made.append(Stage(own, begun, times * seeds, less))
-        begun = times * seeds
+    own, nearest = asked.terms(xp=xp), Stage(asked.terms(weights=True, xp=xp), 0, NEAREST, downhill=True)
+    made = [Stage(own, 0, ROUND), Stage(own, ROUND, TRIES), nearest]
+    made += [Stage(own, TRIES, 4 * TRIES, CLOSER[0]), Stage(own, 4 * TRIES, 16 * TRIES, CLOSER[1])]
     made.append(nearest._replace(last=ISLANDS, less=CLOSER[0]))
     if asked.jump is not None:
-        made.append(Stage(asked.terms(jump=False, xp=xp), 0, seeds, status=int(ReachStatus.JUMP)))
+        made.append(Stage(asked.terms(jump=False, xp=xp), 0, TRIES, status=int(ReachStatus.JUMP)))
     if np.isfinite(asked.limited()).any():
         made.append(Stage(asked.terms(limits=False, xp=xp), 0, FREELY, status=int(ReachStatus.AT_LIMIT)))
     return made
@@ -98,18 +97,19 @@ def wanted(asked, stage: Stage, row, far, why, xp=np):
 def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> Found:
     """Return what was found, after tries k (W,) of a stage, and the careful ones that follow.
 
-    Args: near: whether there is one. tried: makes tries, see `Search.tried`. block: those already made.
+    Args:
+      near: (..., n) within the limits, or None. tried: makes tries, see `Search.tried`. block: those already made.
     """
     n, island, uphill = found.places.shape[-1], island_of(k), xp.logical_not(stage.downhill)
     if block is None:
-        number, given, away = origins(k, stage.downhill, found.places, found.costs, xp)
+        number, given, away = origins(k, stage.downhill, near, found.places, found.costs, xp)
         block = tried(stage.terms, given, away, number, (k < stage.last) * xp.where(uphill, PLAIN, DOWNHILL))
     row = row_of(block, n)
     none = ~(row.status == ReachStatus.SOLVED).any(axis=-1, keepdims=True) & uphill
     better = xp.isfinite(row.cost) & ((k % 2 == 1) | (row.cost < found.costs[..., island]))
     again = tried(stage.terms, row.q, 0.0 * k, 0 * k - 1, xp.where(none & better, CAREFUL, 0))
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
-    rows, solved = winners(both, n, near, (k[0] == 0) & uphill, xp)
+    rows, solved = winners(both, n, near is not None, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
     nearest = of_each(both, xp.argmin(row.cost, axis=-1), xp)
     nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
@@ -126,10 +126,11 @@ class Targets(NamedTuple):
 
     pose: Float[np.ndarray, "B t"]
     near: Float[np.ndarray, "B n"] | None
+    inside: Float[np.ndarray, "B n"] | None  # as `near`, by whole turns within the limits
 
     def some(self, ids):
-        """Return some of them, or each several times."""
-        return Targets(self.pose[ids], None if self.near is None else self.near[ids])
+        """Return some of them."""
+        return Targets(*[v if v is None else v[ids] for v in self])
 
 
 class Search:
@@ -144,7 +145,7 @@ class Search:
 
     def rows(self, of: Targets) -> np.ndarray:
         """Return the rows (B, width) of targets."""
-        finite = self.asked.finite(*of)
+        finite = self.asked.finite(of.pose, of.near)
         if not finite.all():
             rows = self.asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), False, 0, False)
             if finite.any():
@@ -160,12 +161,12 @@ class Search:
 
         Returns: rows (B, width); the tries (K, W, width) of targets that have no answer; the indices of these.
         """
-        n, count, near, ids = self.n, min(ROUND, self.asked.seeds), of.near is not None, np.arange(len(of.pose))
+        n, near, ids = self.n, of.near is not None, np.arange(len(of.pose))
         rows, block = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n)))
-        while len(ids) and (k := block.shape[1]) < count:
-            one, part = len(ids) * (count - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
-            order = np.arange(k, k + 1 if one else count)
-            tries = self.tried(part, self.stages[0].terms, None, 0.0 * order, order, PLAIN)
+        while len(ids) and (k := block.shape[1]) < ROUND:
+            one, part = len(ids) * (ROUND - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
+            order = np.arange(k, k + 1 if one else ROUND)
+            tries = self.tried(part, self.stages[0].terms, *beginnings(order, part.inside), order, PLAIN)
             block = np.concatenate([block, tries], axis=1) if k else tries
             made, solved = winners(block if near else tries, n, near, first=True)
             if near and one:
@@ -178,7 +179,7 @@ class Search:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
         asked, n, K, tried = self.asked, self.n, len(of.pose), functools.partial(self.tried, of)
         far, why, order = asked.too_far(of.pose), np.zeros(K, int), np.arange(block.shape[1])
-        found = advanced(self.stages[0], nothing((K,), n), order, of.near is not None, tried, block)
+        found = advanced(self.stages[0], nothing((K,), n), order, of.inside, tried, block)
         for stage in self.stages[1:]:
             ids = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
             into = nothing((K,), n) if stage.status else found
@@ -193,8 +194,8 @@ class Search:
         while len(ids) and k < stage.last:
             count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
             for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
-                tried, before = functools.partial(self.tried, of.some(some)), Found(*(v[some] for v in found))
-                made = advanced(stage, before, k + np.arange(count), of.near is not None, tried)
+                part, before = of.some(some), Found(*(v[some] for v in found))
+                made = advanced(stage, before, k + np.arange(count), part.inside, functools.partial(self.tried, part))
                 for whole, part in zip(found, made, strict=True):
                     whole[some] = part
             ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
@@ -202,7 +203,7 @@ class Search:
     def tried(self, of: Targets, call, given, away, k, most) -> np.ndarray:
         """Return the rows (B, W, width) of tries k (W,), see `descent.attempt`; blank ones where `most` is 0."""
         shape, near = (len(of.pose), len(k)), self.nowhere if of.near is None else of.near
-        given = self.nowhere if given is None else given
+        given = self.nowhere if np.ndim(given) == 0 else given
         if shape[0] == 1 and np.ndim(most) == 0:  # as a control loop asks for one target: quicker
             near, given = near.reshape(self.n), given[0] if given.ndim > 2 else given
             return call((of.pose[0], near, given, away, k, most), len(k))[None]
@@ -220,7 +221,7 @@ class Search:
         return rows
 
 
-def path(search: Search, pose, progress=None) -> np.ndarray:
+def path(search: Search, pose) -> np.ndarray:
     """Return rows (B, width) of targets (B, t), each from the answer before it; the first one is free to jump.
 
     One program goes along the targets, until there is none CLOSE to the answer before it; that one is searched for.
@@ -228,9 +229,9 @@ def path(search: Search, pose, progress=None) -> np.ndarray:
     asked, n, B = search.asked, search.n, len(pose)
     free = search if asked.jump is None else Search(replace(asked, jump=None))
     along = ahead(asked.chain, asked.task).bound(*asked.terms())
-    rows, q, k = np.empty((B, width(n))), start_posture(asked.chain, asked.task), 0
+    rows, q, k = np.empty((B, width(n))), np.asarray(start_posture(asked.chain, asked.task)), 0
     while k < B:
-        rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], np.asarray(q)[None]))[0]
+        rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], q[None], q[None]))[0]
         row, k = row_of(rows[k], n), k + 1
         q, count = row.q if row.status == ReachStatus.SOLVED else q, AHEAD
         while k < B and count == AHEAD:
@@ -240,11 +241,64 @@ def path(search: Search, pose, progress=None) -> np.ndarray:
             count = len(made) if close.all() else int(np.argmin(close))
             rows[k : k + count] = made[:count]
             q, k = made[count - 1, :n] if count else q, k + count
-        if progress is not None:
-            progress(k, B)
     return rows
 
 
 def search_of(asked: Asked) -> Search:
     """Return the search, made once for what is asked and for the engine that is chosen."""
     return memoized(asked, f"_search_{in_c()}", Search)
+
+
+# --- several different answers for each target: the nearest ones that many tries find -----------------------
+
+
+def several(search: Search, of: Targets, solutions) -> np.ndarray:
+    """Return rows (B, solutions, width) of targets: the nearest ones first; NO_OTHER where there are fewer.
+
+    Tries go on until each target has as many answers as are wanted, or none has been new for long.
+    """
+    first = search.rows(of)
+    n, B = search.n, len(first)
+    no_other = blank(n) + np.where(np.arange(len(blank(n))) < n + 3, np.nan, 0.0)
+    no_other[n] = int(ReachStatus.NO_OTHER)
+    found = np.concatenate([first[:, None], np.tile(no_other, (B, solutions - 1, 1))], axis=1)
+    count = (row_of(first, n).status == ReachStatus.SOLVED).astype(int)
+    newest, done, size, left = np.zeros(B, int), 0, DRAWN, np.flatnonzero(count)
+    while len(left):
+        own = of.some(left)
+        every = np.concatenate([found[left], _drawn(search, own, done, size)], axis=1)
+        best, there = _nearest(search.asked, every, own.near)
+        found[left] = np.where((np.arange(solutions) < there[:, None])[..., None], best[:, :solutions], no_other)
+        there = np.minimum(there, solutions)
+        done, size = done + size, min(2 * size, MOST_DRAWN)
+        newest[left] = np.where(there > count[left], done, newest[left])
+        count[left] = there
+        left = left[(there < solutions) & (done < PATIENCE + 2 * newest[left])]
+    return found
+
+
+def _drawn(search, of: Targets, k, size):
+    """Return the rows (B, size, width) of tries from number k on: free of all bounds, then from there within them."""
+    asked, k, none = search.asked, np.arange(k, k + size), np.zeros(size)
+    row = row_of(search.tried(of, search.wide, *beginnings(k, of.near), k, CAREFUL), search.n)
+    about = 0.0 if of.near is None else of.near[:, None]
+    q = turned(row.q, about, np.array(asked.chain.periodic), *asked.limited())
+    return search.tried(of, search.stages[0].terms, q, none, 0 * k - 1, (row.status == ReachStatus.SOLVED) * CAREFUL)
+
+
+def _nearest(asked, rows, near):
+    """Return rows (B, K, width) with those of different answers first, the nearest first, and how many these are."""
+    row = row_of(rows, asked.chain.n)
+    around = sum(spans(asked.chain)) / 2 if near is None else near[:, None]
+    usable = row.status == ReachStatus.SOLVED
+    away = np.max(np.abs(row.q - around), axis=2, where=usable[..., None], initial=0.0)
+    order = np.argsort(np.where(usable, away, np.inf), axis=1, kind="stable")
+    q, taken = np.take_along_axis(row.q, order[..., None], axis=1), np.take_along_axis(usable, order, axis=1)
+    turns = 2 * np.pi * np.array(asked.chain.periodic)
+    least = DIFFERENT if asked.chain.n <= asked.task.m else DIFFERENT_REDUNDANT
+    for k in range(1, q.shape[1]):
+        gap = np.abs(q[:, k : k + 1] - q[:, :k])
+        gap = np.abs(gap - turns * np.round(gap / (2 * np.pi)))
+        taken[:, k] &= ~((np.max(gap, axis=2) < least) & taken[:, :k]).any(axis=1)
+    first = np.take_along_axis(order, np.argsort(~taken, axis=1, kind="stable"), axis=1)
+    return np.take_along_axis(rows, first[..., None], axis=1), taken.sum(axis=1)

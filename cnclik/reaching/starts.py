@@ -4,16 +4,21 @@ A start near the target helps most: of a Panda's first tries from the bins of 13
 postures 20 %. Of several tips each joint starts where it has that tip near which it moves, see `targets.owners`.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cnclik.record import memoized
 from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
 from cnclik.robot.posture import evenly
 from cnclik.robot.rotations import products_of_quaternion
-from cnclik.task.task import WIDTH, aims, owners
+from cnclik.task.parts import At
+from cnclik.task.task import WIDTH, aims, owners, told_apart
 
 COUNT = 1 << 17  # postures
 PER_BIN, TURNS = 5, 3  # about so many of them in a bin; bins along a coordinate of a turn
@@ -60,13 +65,26 @@ def empty(chain, task) -> Starts:
     return Starts(postures, np.zeros(bins, np.int32), np.zeros((len(aims(task)), 2, 3)))
 
 
-def binned(chain, task, tips) -> Starts:
-    """Return the starts of a chain. Args: tips: of postures (K, n) the poses (K, t) of the task's aims."""
+def starts_of(chain, task) -> Starts:
+    """Return the starts of a chain, made once for it and a task's aims."""
+    return memoized(chain, f"_starts_{told_apart(task)}", functools.partial(_binned, task=task))
+
+
+def _binned(chain, task) -> Starts:
     postures, _, lines = empty(chain, task)
-    poses, own, first, ordered = tips(postures.astype(float)), owners(task, chain), [], np.empty_like(postures)
+    own, first, ordered = owners(task, chain), [], np.empty_like(postures)
     few = COUNT // 500
-    for k, aim in enumerate(aims(task)):
-        pose, axes = poses[:, WIDTH * k : WIDTH * (k + 1)], list(aim.linear)
+
+    def poses(q):
+        at = At(modelled(chain), q)
+        each = [(at.position(aim.tip, aim.to), at.rotation(aim.tip, aim.to).reshape(9)) for aim in aims(task)]
+        return [jnp.concatenate(pose) for pose in each]
+
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+        parts = map(jax.jit(jax.vmap(poses)), np.split(postures.astype(float), 32))  # at once they need a gigabyte
+        each = [np.concatenate(pose) for pose in zip(*parts, strict=True)]
+    for k, (aim, pose) in enumerate(zip(aims(task), each, strict=True)):
+        axes = list(aim.linear)
         ends = np.partition(pose[:, axes], [few, COUNT - few], axis=0)[[few, COUNT - few]]
         lines[k, :, : len(axes)] = ends[0], _shape(aim)[: len(axes)] / np.maximum(ends[1] - ends[0], 1e-12)
         bins = _bin(aim, pose, lines[k], np)
@@ -113,21 +131,16 @@ def _bin(aim, pose, lines, xp=jnp):
     return number
 
 
-def start(chain, task, starts: Starts, target, near, given, away, low, high, k):
+def start(chain, task, starts: Starts, target, given, away, low, high, k):
     """Return the posture (n,) that try `k` (int32) of a target (t,) begins at.
 
-    Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. The first ABOUT tries
-    begin about `near` (n,) where that is not NaN, each one farther off than the one before; others of the first BINNED
-    in the target's bin. Else of a joint that would begin beyond its bounds, its place in the range of the starts
-    becomes its place between them: all that is between them is tried, and not their corners alone. An answer with
-    several joints at limits has few postures about it from which a descent arrives, and most of them have joints there,
-    too: so some starts are stretched about the middle.
+    Where `given` (n,) is not NaN, it is there, and `away` of the joints' ranges farther off. Else the first BINNED
+    begin in the target's bin. A joint beyond its bounds has its place in the range of the starts between them, so that
+    not their corners alone are tried. Some starts are stretched about the middle: from joints at limits an answer with
+    several joints there is found.
     """
     (least, most), own, base, where = spans(chain), owners(task, chain), 0, []
-    number, about = k.astype(np.uint32), jnp.isnan(given[0]) & (k < ABOUT)
-    inside = turned(near, near, np.array(chain.periodic), low, high, jnp)
-    given, away = jnp.where(about, inside, given), jnp.where(about, k / ABOUT, away).astype(target.dtype)
-    there = ~jnp.isnan(given[0])
+    number, there = k.astype(np.uint32), ~jnp.isnan(given[0])
     anywhere = number * np.uint32(2654435761) >> 15  # even (Knuth)
     for a, aim in enumerate(aims(task)):
         first = starts.first[base + _bin(aim, target[WIDTH * a : WIDTH * (a + 1)], starts.lines[a])]
@@ -149,15 +162,24 @@ def island_of(k):
     return (k // ISLANDS + k) % ISLANDS
 
 
-def origins(k, downhill, places, costs, xp=np) -> tuple:
+def beginnings(k, near, xp=np) -> tuple:
+    """Return where the first tries k (W,) begin: `given` (..., W, n) and `away` (W,) of `start`.
+
+    The first ABOUT begin about `near` (..., n), if any, each one farther off than the one before.
+    """
+    given = xp.nan if near is None else xp.where((k < ABOUT)[:, None], near[..., None, :], xp.nan)
+    return given, k / ABOUT
+
+
+def origins(k, downhill, near, places, costs, xp=np) -> tuple:
     """Return where tries k (W,) begin: their numbers (W,), `given` (..., W, n) and `away` (W,) of `start`.
 
     After the first BINNED every second one begins about the best posture of its island so far, of `places`
-    (..., ISLANDS, n): of answers with joints at their limits they find ten to a thousand times as many as tries from
-    anywhere. Of the rest every second is stretched. Downhill, to the nearest pose, the first begin at the best
-    postures, the others anywhere, every second stretched.
+    (..., ISLANDS, n): they find ten to a thousand times as many answers with joints at limits as tries from anywhere.
+    Downhill, to the nearest pose, the first begin at the best postures, the others anywhere, every second stretched.
     """
-    island = island_of(k)
+    island, (given, away) = island_of(k), beginnings(k, near, xp)
     by = xp.isfinite(costs[..., island]) & xp.where(downhill, k < ISLANDS, (k >= BINNED) & (k % 2 == 0))
-    given, away = xp.where(by[..., None], places[..., island, :], xp.nan), xp.where(downhill, 0.0 * k, SCATTERED)
+    given = xp.where(by[..., None], places[..., island, :], xp.where(downhill, xp.nan, given))
+    away = xp.where(downhill, 0.0 * k, xp.where(k < ABOUT, away, SCATTERED))
     return xp.where(downhill, BINNED + k // 2 * 4 + k % 2 * 3, k), given, away

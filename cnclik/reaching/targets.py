@@ -35,7 +35,7 @@ def read(targets, task: Task):
 
 
 def transforms(pose) -> np.ndarray:
-    """Transforms (B, 4, 4) from positions and rows of rotations (B, 12); (B, k, 4, 4) from those of k tips in a row."""
+    """Transforms (B, 4, 4) from positions and rows of rotations (B, 12), or (B, k, 4, 4) from those of k tips."""
     rows = np.asarray(pose).reshape(len(pose), -1, WIDTH)
     out = np.tile(np.eye(4), (*rows.shape[:2], 1, 1))
     out[..., :3, 3], out[..., :3, :3] = rows[..., :3], rows[..., 3:].reshape(*rows.shape[:2], 3, 3)

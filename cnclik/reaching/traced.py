@@ -10,10 +10,10 @@ from cnclik.engine.native import native
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import Asked
-from cnclik.reaching.descent import attempt, look, starts_of
+from cnclik.reaching.descent import attempt, look
 from cnclik.reaching.result import ReachStatus, row_of, touching
 from cnclik.reaching.search import ROUND, Found, Stage, advanced, nothing, stages, wanted
-from cnclik.reaching.starts import Starts, empty
+from cnclik.reaching.starts import Starts, empty, starts_of, turned
 from cnclik.record import replace
 
 LEAST = 64  # smallest tolerance, in roundings
@@ -49,6 +49,7 @@ def _searched(asked, starts, pose, near, finite, far):
     table = jax.tree.map(lambda *v: jnp.stack([jnp.asarray(x) for x in v]), *every)
     table = jax.tree.map(lambda v: v.astype({"f": dtype, "i": np.int32, "b": bool}[v.dtype.kind]), table)
     there = jnp.full(n, jnp.nan, dtype) if near is None else near
+    inside = near if near is None else turned(near, near, np.array(chain.periodic), *asked.limited(), jnp)
     starts, none = Starts(*map(jnp.asarray, starts)), nothing((), n, jnp, dtype)
 
     def tried(terms, given, away, k, most):
@@ -66,7 +67,7 @@ def _searched(asked, starts, pose, near, finite, far):
         want = wanted(asked, stage, row_of(kept, n), far, why, jnp)
         stage = stage._replace(last=jnp.where(want, stage.last, 0))  # nothing is tried then
         order = k + jnp.arange(ROUND, dtype=jnp.int32)
-        found = _choose(want, advanced(stage, found, order, near is not None, tried, xp=jnp), found)
+        found = _choose(want, advanced(stage, found, order, inside, tried, xp=jnp), found)
         over = (row_of(found.rows, n).status == ReachStatus.SOLVED) | (k + ROUND >= stage.last)
         meaning = asked.meaning(stage.status, found.rows, found.costs.min(), jnp)
         why = jnp.where(aside & over & want, meaning, why).astype(np.int32)
@@ -89,8 +90,7 @@ def _choose(which, one: Found, other: Found) -> Found:
 def refined(chain, task, target, q, held, found):
     """Return q with the derivative that the implicit function theorem gives it: dq = J# de of the joints that are free.
 
-    The value stays. Of what the target and the chain's geometry do to the error, J# of the joints that no limit holds
-    makes joint motion: the least, where the arm is redundant. Where there is no answer the derivative is 0.
+    Where there is no answer the derivative is 0.
     """
     q, held = lax.stop_gradient((q, held))
     held_chain, held_target = lax.stop_gradient((chain, target))

@@ -179,11 +179,8 @@ def from_dh(
     """
     a = _scalars("a", a)
     n = len(a)
-    alpha, d, theta = (
-        _scalars("alpha", alpha, n),
-        _scalars("d", d, n),
-        _scalars("theta", (0.0,) * n if theta is None else theta, n),
-    )
+    alpha, d = _scalars("alpha", alpha, n), _scalars("d", d, n)
+    theta = _scalars("theta", (0.0,) * n if theta is None else theta, n)
     modified = errors.one_of("convention", convention, ("standard", "modified")) == "modified"
     joints, before = [], Offset()
     for i, kind in enumerate(_kinds(kinds, n)):

@@ -110,6 +110,8 @@ def _from_matrices(name, value):
         must = f"hold {'rotations' if value.size > 9 else 'a rotation'}, with rows of length 1 at right angles"
         off = np.ravel(gap)
         _refuse(name, wrong, must, lambda k: "is mirrored" if off[k] <= _ROUGH else f"is off by {off[k]:.3g}")
+        if (gap <= _EXACT).all():
+            return value
         exact = value
         for _ in range(3):  # to the nearest rotation: an error of _ROUGH becomes its eighth power
             exact = exact @ (1.5 * np.eye(3) - 0.5 * exact.mT @ exact)

@@ -266,9 +266,7 @@ class Joints(Vector):
         if wanted is None:  # all joints but floating ones
             bodies = {names[i][:-2] + names[i][-1] for i in turned}  # base_x of base_rx
             wanted = tuple(name for i, name in enumerate(names) if i not in turned and name not in bodies)
-        which = tuple(
-            names.index(errors.one_of("joints", name, names, ", the joints that move a tip")) for name in wanted
-        )
+        which = tuple(names.index(errors.one_of("joints", name, names)) for name in wanted)
         if bad := [names[i] for i in which if i in turned]:
             must = "leave out rotations, which ck.orientation(tip=...) of the link that turns is for"
             raise errors.fail("joints", must, f"name {bad[0]}")

@@ -223,7 +223,7 @@ def tune(
     """
     references = reference if isinstance(reference, (list, tuple)) else [reference]
     check_loop(law, *references)
-    errors.progress(progress)
+    errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     steps = errors.integer("steps", steps, at_least=3)
     loop: dict[str, Any] = {"Ts": Ts, "method": named(method), "drive": drive}
     allowed = gains(**loop | {"M": stage})

@@ -81,26 +81,6 @@ def two_arms(name):
     return Row(name, one, inputs, STEPS)
 
 
-def humanoid(name, limits):
-    """A row of 10 steps of G1 on its free base, 14 frames in two levels: 84 rows, 35 coordinates (bench of bodies)."""
-    from tests.bench import bodies
-
-    law, n = bodies.law(limits), bodies.G1.n
-
-    def inputs(batch, dtype):
-        draw = np.random.default_rng(0)
-        low, high = (np.nan_to_num(v, posinf=1.0, neginf=-1.0) for v in (bodies.G1.lower, bodies.G1.upper))
-        q0, moved = (draw.uniform(-size, size, (1024, n)) for size in (0.3, 0.05))
-        q0 = np.clip(q0, low, high)
-        seen = np.asarray(bodies.poses(np.clip(q0 + moved, low, high)))
-        return {key: np.resize(v, (batch, *v.shape[1:])).astype(dtype) for key, v in (("q0", q0), ("seen", seen))}
-
-    def one(q0, seen):
-        return bodies.followed(law, q0, seen, 10)
-
-    return Row(name, one, inputs, 10)
-
-
 def gradient(name, fn):
     return Row(name, fn, functools.partial(cases.inputs, case()), OF_GRADIENT)
 
@@ -123,8 +103,7 @@ def rows() -> list[Row]:
         gradient("value and gradient, forward", forward),
         gradient("value and gradient, reverse", jax.value_and_grad(value)),
         *(end(f"EE, {count:,} lanes", batch=count) for count in MANY),
-        *(end(f"CN, {count:,} lanes", "CN", batch=count) for count in (1_000_000,)),
-        *(humanoid(f"EE, G1, 84 rows of 35 coordinates{', limits' * limits}", limits) for limits in (False, True)),
+        end("CN, 1,000,000 lanes", "CN", batch=1_000_000),
     ]
 
 
@@ -167,7 +146,6 @@ def main():
     """Print the table; --json FILE keeps it."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.gpu", description=__doc__.splitlines()[0])
     parser.add_argument("row", nargs="*", help="words in the names of the rows that are measured; by default all")
-    parser.add_argument("--ways", nargs="*", default=WAYS, choices=WAYS)
     parser.add_argument("--json", type=pathlib.Path, help="file for the records")
     parser.add_argument("--there", type=pathlib.Path, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -181,7 +159,7 @@ def main():
         file = pathlib.Path(folder) / "there.json"
         command = [sys.executable, "-m", "tests.bench.gpu", *args.row, "--there", str(file)]
         with subprocess.Popen(command, env={**os.environ, "JAX_PLATFORMS": "cpu"}):
-            for way, row in itertools.product(args.ways, chosen):
+            for way, row in itertools.product(WAYS, chosen):
                 with jax.enable_x64(row.dtype == "float64"):
                     try:
                         records[row.name][way] = one = measured(row, way)
@@ -192,14 +170,14 @@ def main():
                 print(f"{way}, {row.name}: {rate:,.0f} M/s, first call {first:.1f} s", flush=True)
         there = json.loads(file.read_text())
     for name, record in records.items():
-        for way in set(args.ways) & set(record):
+        for way in set(WAYS) & set(record):
             record[way]["difference"] = far(record[way].pop("values"), there[name])
     if args.json:
         args.json.write_text(json.dumps(list(records.values()), indent=1))
-    print(f"| loops | {' | '.join(f'{way} [M/s]' for way in args.ways)} | first call [s] | largest difference |")
-    print(f"| --- | {'---: | ' * len(args.ways)}---: | ---: |")
+    print(f"| loops | {' | '.join(f'{way} [M/s]' for way in WAYS)} | first call [s] | largest difference |")
+    print(f"| --- | {'---: | ' * len(WAYS)}---: | ---: |")
     for name, record in records.items():
-        found = [record.get(way, {}) for way in args.ways]
+        found = [record.get(way, {}) for way in WAYS]
         rates = " | ".join(f"{r['per_s'] / 1e6:,.0f}" if r else "" for r in found)
         first, far_off = (max(r.get(key, 0.0) for r in found) for key in ("first_s", "difference"))
         print(f"| {name} | {rates} | {first:.1f} | {far_off:.1e} |")

@@ -118,4 +118,4 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, names)
 
 def test_an_emergency_stop_is_no_error(tmp_path):
     log = read(write(tmp_path / "log.csv", ["t", "e_stop", "q1"], *np.arange(60.0).reshape(3, 20)))
-    assert log.joints() == [1, 2]
+    assert log.moved() == [1, 2]

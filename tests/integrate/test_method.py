@@ -1,5 +1,6 @@
 """Methods: amplification by the library's own `step`, orders, and whole loops against loops written by hand."""
 
+import dataclasses
 import functools
 
 import jax
@@ -97,11 +98,15 @@ def test_tableau(method):
     assert repr(method) == method.name and ck.METHODS[method.name] is method and method.source
 
 
+KUTTA = dict(
+    name="KUTTA3", A=[[], [0.5], [-1, 2]], b=[1 / 6, 2 / 3, 1 / 6], c=[0, 0.5, 1], order=3, source="Kutta 1901"
+)
+
+
 def test_an_explicit_tableau_may_leave_out_its_diagonal():
     """Rows as they are printed for explicit methods, of integers too."""
-    kutta = dict(b=[1 / 6, 2 / 3, 1 / 6], c=[0, 0.5, 1], order=3, source="Kutta (1901)")
-    short = ck.Method(name="KUTTA3", A=[[], [0.5], [-1, 2]], **kutta)
-    whole = ck.Method(name="KUTTA3", A=((0.0,), (0.5, 0.0), (-1.0, 2.0, 0.0)), **kutta)
+    short = ck.Method(**KUTTA)
+    whole = ck.Method(**KUTTA | dict(A=((0.0,), (0.5, 0.0), (-1.0, 2.0, 0.0))))
     assert short == whole and hash(short) == hash(whole) and not short.implicit
     run = ck.solve(SLIDE, ck.hold([1.0]), np.zeros(1), 0.5, 2, short)
     close(1 - run.q[1:, 0], [1 - 0.5 + 0.125 - 0.125 / 6, (1 - 0.5 + 0.125 - 0.125 / 6) ** 2], atol=1e-14)
@@ -124,36 +129,6 @@ test_tableaus_that_are_none = refusals(
     (lambda: own(c=(0.0,)), "`c` must have shape"),
     (lambda: own(A=((0.5,), (0.5, 0.0)), c=(0.5, 0.5), exponential=True), "`exponential` must be False"),
     (lambda: own(order=0), "`order` must be at least 1"),
+    (lambda: ck.Method(**KUTTA | dict(order=4)), "`order` must be 3, that of the weights, but is 4"),
+    (lambda: dataclasses.replace(ck.METHODS["RK4"], b=[0.25] * 4), "`order` must be 2, that of the weights, but is 4"),
 )
-
-
-def _tableau(name):
-    """(A, b, c, order) of SciPy's own: Dormand & Prince of order 5 and its embedded one of order 4, and of order 8."""
-    from scipy.integrate import RK45
-    from scipy.integrate._ivp import dop853_coefficients as eighth
-
-    if name == "DOP853":
-        return eighth.A[:12, :12], eighth.B, eighth.C[:12], 8
-    if name == "RK45":
-        return RK45.A, RK45.B, RK45.C, 5
-    A = np.zeros((7, 7))
-    A[:6, :5], A[6, :6] = RK45.A, RK45.B
-    return A, np.append(RK45.B, 0.0) - RK45.E, np.append(RK45.C, 1.0), 4
-
-
-@pytest.mark.parametrize("name", ["RK45", "RK45 embedded", "DOP853"])
-def test_an_order_above_four_is_checked_too(name):
-    A, b, c, order = _tableau(name)
-    rows = tuple(tuple(float(x) for x in row[:i]) for i, row in enumerate(np.pad(A, ((0, 0), (0, 1)))))
-    own = dict(name="OWN", A=rows, b=tuple(map(float, b)), c=tuple(map(float, c)), source="SciPy")
-    assert ck.Method(**own, order=order).order == order
-    with pytest.raises(ck.ArgumentError, match=f"`order` must be {order}, that of the weights, but is {order + 1}"):
-        ck.Method(**own, order=order + 1)
-
-
-def test_as_many_order_conditions_as_there_are_rooted_trees():
-    from cnclik.integrate.method import trees
-
-    A = np.random.default_rng(0).uniform(size=(9, 9))
-    different = [{(float(f"{phi[0]:.9g}"), gamma) for phi, gamma in trees(A, order)} for order in range(1, 9)]
-    assert [*map(len, different)] == [1, 1, 2, 4, 9, 20, 48, 115]  # OEIS A000081

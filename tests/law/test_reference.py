@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
-from cnclik.law.curves import interval
+from cnclik.law.paths import interval
 from cnclik.law.reference import motion, sample
 from tests.oracles import close
 from tests.refusals import refusals
@@ -225,34 +225,6 @@ def test_closed_orientation_through_a_full_turn():
     assert at(reference, 1e-9, "pose")[2][5] == pytest.approx(2 * np.pi / 5, rel=0.1)
 
 
-ARRIVALS = np.arange(0, 1.0, 1 / 30)
-STREAM = np.stack([np.cos(2 * ARRIVALS), ARRIVALS**2], axis=1)
-
-
-def test_a_stream_is_smoothed_and_never_known_before_it_comes():
-    gap, t = 1 / 30, np.arange(0, 1.3, 0.001) + 1e-6
-    changed = STREAM.copy()
-    changed[20:] += 1.0
-    streams = ck.resampled(ARRIVALS, STREAM), ck.resampled(ARRIVALS, changed)
-    path, other = (np.asarray(jax.vmap(lambda t, s=s: s.curve(t)[0])(t)) for s in streams)
-    # The mean of straight lines over a period.
-    fine = np.linspace(-gap / 2, gap / 2, 401)
-    smooth = [np.interp(t[:, None] - 1.5 * gap + fine, ARRIVALS, x).mean(axis=1) for x in STREAM.T]
-    close(path, np.stack(smooth, axis=1), atol=1e-4)
-    close(other[t < ARRIVALS[20]], path[t < ARRIVALS[20]], atol=0)
-    assert np.abs(other - path).max() > 0.5 and not streams[0].known
-
-
-def test_a_stream_of_rotations_and_uneven_times():
-    turns = np.linspace(0, 1.0, 8)
-    rotations = np.stack([np.cos(turns / 2), 0 * turns, 0 * turns, np.sin(turns / 2)], axis=1)
-    stream = ck.resampled(np.cumsum([0, 0.03, 0.05, 0.03, 0.04, 0.03, 0.05, 0.03]), None, rotations)
-    at = jax.vmap(lambda t: stream.curve(t)[1])(np.linspace(0, 0.5, 101))
-    angle = np.arctan2(at[:, 1, 0], at[:, 0, 0])
-    close(angle[[0, -1]], [0.0, 1.0], atol=1e-9)
-    assert (np.diff(angle) >= -1e-12).all() and np.abs(np.diff(angle, 2)).max() < 0.02
-
-
 TURN = np.eye(3)
 
 
@@ -283,7 +255,6 @@ test_bad_input = refusals(
     (lambda: ck.waypoints([0, 1], [[1, 1]] * 2, closed=None), "`closed` must be True or False, but is None"),
     (lambda: ck.causal(5), "`reference` must be a Reference such as"),
     (lambda: jax.jit(lambda t: ck.waypoints(t, POINTS).curve(0.0))(TIMES), "`times` must be known numbers"),
-    (lambda: ck.resampled([0, 1], rotations=np.zeros((2, 4))), "`rotations` must hold unit quaternions .* norm 0"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),
     (lambda: ck.path(lambda t: (np.zeros(3), np.eye(3))).curve(0.0), "`fn` must give a position, or a pose as ck.Pose"),
 )
