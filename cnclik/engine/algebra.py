@@ -48,10 +48,6 @@ def folded(name, values, dtype, params):
         return None if fold is None else fold(*values)
 
 
-def _is(node, value):
-    return node.known and node.value == value
-
-
 def _power_of_two(value) -> bool:
     return bool(np.isfinite(value)) and value != 0 and np.frexp(abs(value))[0] == 0.5
 
@@ -60,9 +56,9 @@ def _add(g, args, params, dtype):
     a, b = args
     if dtype.kind == "b":
         return None
-    if _is(a, 0):
+    if a.zero:
         return b
-    if _is(b, 0):
+    if b.zero:
         return a
     if b.op == "neg":
         return g.op("sub", a, b.args[0])
@@ -73,9 +69,9 @@ def _add(g, args, params, dtype):
 
 def _sub(g, args, params, dtype):
     a, b = args
-    if _is(b, 0):
+    if b.zero:
         return a
-    if _is(a, 0) and (a.exact or dtype.kind != "f" or np.signbit(a.value)):  # 0 − 0 is 0
+    if a.zero and (a.exact or dtype.kind != "f" or np.signbit(a.value)):  # 0 − 0 is 0
         return g.op("neg", b)
     return g.op("add", a, b.args[0]) if b.op == "neg" else None
 
@@ -111,7 +107,7 @@ def _div(g, args, params, dtype):
     a, b = args
     if b.known and dtype.kind == "f" and _power_of_two(b.value) and np.isfinite(1 / b.value):
         return g.op("mul", g.const(1 / b.value, dtype), a)
-    return a if _is(b, 1) else None
+    return a if b.known and b.value == 1 else None
 
 
 def _neg(g, args, params, dtype):
@@ -135,7 +131,7 @@ def _logic(absorbing):
         for x, y in (args, args[::-1]):
             if x.known and dtype.kind == "b":
                 return x if bool(x.value) is absorbing else y
-            if _is(x, 0) and dtype.kind in "iu":
+            if x.zero and dtype.kind in "iu":
                 return x if absorbing is False else y
         return args[0] if args[0] is args[1] else None
 

@@ -17,6 +17,7 @@ import tempfile
 import weakref
 
 from cnclik import errors
+from cnclik.engine.graph import SlowError, UnsupportedError
 
 # As measured: -O3 gains nothing. Scheduling before register allocation gains 6 to 16 % up to
 # some 2,000 operations without a branch; beyond, it loses up to 30 % with 16 registers. Contraction gains 7 % and is as
@@ -35,14 +36,6 @@ UNSAFE = (
 )
 LONG = 20_000  # lines
 MOST_SECONDS = 120  # [s] time limit of the compiler: XLA can run the function instead
-
-
-class CompilerError(Exception):
-    """The compiler refused, or took too long."""
-
-
-class SlowCompilerError(CompilerError):
-    """It took too long."""
 
 
 def _command() -> list | None:
@@ -93,7 +86,7 @@ def build_text(text, folder, *, include=(), scheduled=True) -> tuple:
     CFLAGS are respected, except those that would break NaN and infinity.
 
     Args: scheduled: whether the compiler may reorder the operations of a small program, which takes longer.
-    Raises: CompilerError.
+    Raises: UnsupportedError where the compiler refuses, SlowError where it takes too long.
     """
     straight = max(part.count("\n") for part in re.split(r"[{}]\n", text))
     order = [SCHEDULED] * (scheduled and straight <= MOST_SCHEDULED)
@@ -116,7 +109,8 @@ def _compiled(line, source, folder, name):
     try:
         code, said = _run([*line, "-o", str(part), str(source), "-lm"], MOST_SECONDS)
         if code or not os.path.isfile(part):
-            raise CompilerError(next((w for w in said.splitlines() if "error" in w), said.strip()[:80] or "nothing"))
+            reason = next((w for w in said.splitlines() if "error" in w), said.strip()[:80] or "nothing")
+            raise UnsupportedError(f"the C compiler failed: {reason}")
         library = folder / f"{name}-{_digest(part)}.so"
         part.replace(library)
     finally:
@@ -142,7 +136,7 @@ def _run(line, limit):
             try:
                 process.wait(limit)
             except subprocess.TimeoutExpired:
-                raise SlowCompilerError(f"nothing within {limit:g} s") from None
+                raise SlowError(f"the C compiler failed: nothing within {limit:g} s") from None
             finally:  # also after an interrupt
                 if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)

@@ -31,16 +31,9 @@ class Node:
     zero: times anything it is 0.
     """
 
-    __slots__ = ("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value")
-
-    def __init__(self, op, args, params, shape, dtype, value, block, number, exact=False):
-        self.op, self.args, self.params, self.shape, self.dtype = op, args, params, shape, np.dtype(dtype)
-        self.value, self.block, self.number, self.exact = value, block, number, exact
-        self.known, self.nothing = op == "const", bool(exact and value == 0)
-
-    def __repr__(self):
-        about = repr(self.value) if self.known else f"({', '.join(f'#{a.number}' for a in self.args)})"
-        return f"#{self.number} {self.op} {about} {self.dtype}{list(self.shape) if self.shape else ''}"
+    __slots__ = (
+        *("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value", "zero"),
+    )
 
 
 class Block:
@@ -72,11 +65,6 @@ class Scan(Region):
         self.first, self.carries, self.then = [], [], []
         self.xs, self.rows, self.ys, self.stacks, self.outs = [], [], [], [], []
 
-    @property
-    def used(self) -> list:
-        """The nodes that its block starts from, takes or ends with."""
-        return [*self.first, *self.xs, *self.then, *self.ys]
-
     def needs(self, what, i) -> list:
         """The nodes that one of its nodes depends on."""
         if what in ("carry", "end"):
@@ -94,11 +82,6 @@ class While(Region):
         self.blocks = [self.asking, self.block]
         self.first, self.carries, self.then, self.outs, self.begins = [], [], [], [], None
 
-    @property
-    def used(self) -> list:
-        """The nodes that its blocks start from or end with."""
-        return [*self.first, *self.then, self.begins]
-
     def needs(self, what, i) -> list:
         """The nodes that one of its nodes depends on: all carries, as they decide the number of rounds."""
         return [*self.first, *self.then, *self.carries, self.begins]
@@ -109,11 +92,6 @@ class Cond(Region):
 
     def __init__(self, which):
         self.which, self.blocks, self.results, self.outs = which, [], [], []
-
-    @property
-    def used(self) -> list:
-        """The nodes that its blocks end with, and the one that chooses."""
-        return [self.which, *(n for results in self.results for n in results)]
 
     def needs(self, what, i) -> list:
         """The nodes that one of its results depends on."""
@@ -135,7 +113,13 @@ class Graph:
         self.count += 1
         if self.count > self.most:
             raise SlowError(f"a program of more than {self.most} operations takes long to build")
-        return Node(op, args, params, shape, dtype, value, block, self.count, exact)
+        node = Node()
+        node.op, node.args, node.params, node.shape, node.dtype = op, args, params, shape, np.dtype(dtype)
+        node.value, node.block, node.number, node.exact = value, block, self.count, exact
+        node.known = op == "const"
+        node.zero = node.known and bool(value == 0)
+        node.nothing = exact and node.zero
+        return node
 
     def const(self, value, dtype, *, exact=False) -> Node:
         dtype = np.dtype(dtype)
@@ -159,19 +143,14 @@ class Graph:
             if (found := block.table.get(key)) is not None:
                 return found
             block = block.parent
-        home = self._home(args)
+        home, deepest = self.block, 0
+        for a in args:
+            deepest = max(deepest, a.block.depth)
+        while home.depth > deepest and not home.branch:  # the outermost block for a node of these arguments
+            home = home.parent
         node = home.table[key] = self.new(op, args, params, shape, dtype, None, home)
         home.items.append(node)
         return node
-
-    def _home(self, args):
-        """The outermost block for a node of these arguments."""
-        deepest, block = 0, self.block
-        for a in args:
-            deepest = max(deepest, a.block.depth)
-        while block.depth > deepest and not block.branch:
-            block = block.parent
-        return block
 
     def apply(self, name, args, dtype, params=None) -> Node:
         """An elementwise operation on scalars, or on rows of them, simplified.
@@ -203,17 +182,18 @@ class Graph:
         return [self.new(what, (), None, s, d, (region, what, i), block) for i, (s, d) in enumerate(shapes)]
 
 
-def live(outputs) -> set:
-    """Numbers of all nodes and regions that the outputs need."""
-    needed, queue = set(), list(outputs)
+def live(outputs) -> tuple:
+    """(all nodes that the outputs need, numbers of them and of their regions)"""
+    nodes, needed, queue = [], set(), list(outputs)
     while queue:
         node = queue.pop()
         if node.number in needed:
             continue
         needed.add(node.number)
+        nodes.append(node)
         queue += node.args
         if isinstance(node.value, tuple) and isinstance(node.value[0], Region):
             region, what, i = node.value
             needed.add(region.number)
             queue += region.needs(what, i)
-    return needed
+    return nodes, needed

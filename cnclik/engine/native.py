@@ -73,12 +73,12 @@ def of_leaves(fn, treedef):
 class Function:
     """A function of flat arrays with its forms and the functions of its derivatives.
 
-    `linear` counts the last arguments in which it is linear. For a derivative, `of` is (the function, the arguments it
-    is differentiated by, which of its results are real).
+    For a derivative, `of` is (the function, the arguments it is differentiated by, which of its results are real). It
+    is linear in its last arguments, the tangents of these.
     """
 
-    def __init__(self, fn, linear=0, of=None):
-        self.fn, self.linear, self.of = fn, linear, of
+    def __init__(self, fn, of=None):
+        self.fn, self.of = fn, of
         self.traces, self.forms, self.derivatives = LRU(), LRU(), {}
 
     def __call__(self, *leaves):
@@ -124,9 +124,8 @@ class Function:
 
         Args: real: which results have tangents.
         """
-        return self._derived(
-            (by, real), lambda: Function(functools.partial(_pushed, self.flat, by, real), len(by), (self, by, real))
-        )
+        fn = functools.partial(_pushed, self.flat, by, real)
+        return self._derived((by, real), lambda: Function(fn, (self, by, real)))
 
     def transposed(self):
         """Return the cotangents of the last, linear arguments, as a function of the others and of the results'."""
@@ -283,7 +282,7 @@ def _jvp(primals, tangents, *, function, batched):
 
 
 def _transpose(cotangents, *args, function, batched):
-    first = len(args) - function.linear
+    first = len(args) - len(function.of[1])
     avals = [x.aval if ad.is_undefined_primal(x) else jax.typeof(x) for x in args]
     known, size = args[:first], _lanes(avals, batched)[1]
     function = function.only(tuple(not isinstance(c, ad.Zero) for c in cotangents))

@@ -44,7 +44,8 @@ class Numbers:
         leaves, treedef = jax.tree.flatten(((known, given), {}))
         every, count = leaves, len(leaves) - len(jax.tree.leaves(given))
         function, first, avals = self._function(treedef, static), every[:count], lane_avals(every, batched=False)
-        numbers, lasting = not isinstance(given[0], jax.Array), not any(map(_is_writable, first))
+        numbers = not isinstance(given[0], jax.Array)
+        lasting = not any(isinstance(x, np.ndarray) and x.flags.writeable for x in first)
         if any(isinstance(x, jax.core.Tracer) for x in every):
             return lambda leaves: function(*first, *leaves)
         form, traced = chosen(function, avals, batch=False), function.trace(avals)
@@ -73,10 +74,6 @@ class Numbers:
             return self.fn(*known, *given, **static)
 
         return self.functions.made((treedef, *static.values()), lambda _: Function(of_leaves(fn, treedef)))
-
-
-def _is_writable(x) -> bool:
-    return isinstance(x, np.ndarray) and x.flags.writeable
 
 
 def _in_c(program, first, known):

@@ -1,5 +1,7 @@
 """Over rows: rules of primitives on stacked rows, with rows as results; reducing over the rounds is a loop."""
 
+import functools
+
 import numpy as np
 
 from cnclik.engine import arrays
@@ -80,16 +82,12 @@ def _split(g, eqn, x):
 
 
 def _concatenate(g, eqn, *inputs):
-    out = eqn.outvars[0].aval
-    if eqn.params["dimension"] != 0:
-        rows = [as_rows(g, x, out.shape[0]) for x in inputs]
-        if None in rows:
-            return None
-        return [Rows(np.concatenate([r.cells for r in rows], eqn.params["dimension"] - 1), out.shape[0])]
-    rows = [as_rows(g, x, v.aval.shape[0]) for x, v in zip(inputs, eqn.invars, strict=True)]
+    axis, out, lengths = eqn.params["dimension"], eqn.outvars[0].aval, [v.aval.shape[0] for v in eqn.invars]
+    rows = list(map(functools.partial(as_rows, g), inputs, lengths))
     if None in rows:
         return None
-    lengths = [v.aval.shape[0] for v in eqn.invars]
+    if axis:
+        return [Rows(np.concatenate([r.cells for r in rows], axis - 1), out.shape[0])]
     flat = zip(*(r.cells.flat for r in rows), strict=True)
     return [Rows(array_of([_joined(g, c, lengths, out.dtype) for c in flat], out.shape[1:]), out.shape[0])]
 
@@ -133,29 +131,19 @@ def reduced(g, x, axes, name, dtype):
     cells = arrays.reduced(g, x.cells, inner, name, dtype) if inner else x.cells
     if 0 not in axes:
         return Rows(cells, x.length)
-    moving = [c for c in cells.flat if c.shape]
-    ends = iter(_loop(g, moving, x.length, name).outs if moving else ())
-
-    def still(node):  # constant over the rounds
-        if name == "add":
-            return g.op("mul", g.const(x.length, dtype), node)
-        if name == "mul":
-            return g.apply("integer_pow", (node,), dtype, x.length)
-        return node
-
-    return array_of([next(ends) if c.shape else still(c) for c in cells.flat], cells.shape)
+    return array_of(_loop(g, list(cells.flat), x.length, name).outs, cells.shape)
 
 
-def _loop(g, rows, length, name, *, reverse=False) -> Scan:
-    """A loop that reduces the entries of rows."""
-    r, shapes = Scan(g.block, length, reverse), [((), c.dtype) for c in rows]
+def _loop(g, cells, length, name, *, reverse=False) -> Scan:
+    """A loop that reduces the entries of rows, and as often what is the same in all rounds."""
+    r, shapes = Scan(g.block, length, reverse), [((), c.dtype) for c in cells]
     start = length - 1 if reverse else 0
-    r.first = [entry(g, c, start) if name in ("max", "min") else neutral(g, name, c.dtype) for c in rows]
-    r.xs = list(rows)
+    r.first = [entry(g, c, start) if name in ("max", "min") else neutral(g, name, c.dtype) for c in cells]
+    r.xs = [c for c in cells if c.shape]
     r.carries = g.nodes(r, "carry", shapes, r.block)
-    r.rows = g.nodes(r, "row", shapes, r.block)
-    outside, g.block = g.block, r.block
-    r.then = [g.op(name, a, b) for a, b in zip(r.carries, r.rows, strict=True)]
+    r.rows = g.nodes(r, "row", [((), c.dtype) for c in r.xs], r.block)
+    outside, g.block, rows = g.block, r.block, iter(r.rows)
+    r.then = [g.op(name, a, next(rows) if c.shape else c) for a, c in zip(r.carries, cells, strict=True)]
     g.block = outside
     outside.items.append(r)
     r.outs = g.nodes(r, "end", shapes, outside)
@@ -166,8 +154,7 @@ def running(g, eqn, x, name):
     """A running reduction, such as cumsum, over axis 0 of rows; None over another axis."""
     if eqn.params["axis"] != 0:
         return None
-    moving = [c if c.shape else g.shared("list", (c,) * x.length, None, (x.length,), c.dtype) for c in x.cells.flat]
-    r = _loop(g, moving, x.length, name, reverse=eqn.params["reverse"])
+    r = _loop(g, list(x.cells.flat), x.length, name, reverse=eqn.params["reverse"])
     r.ys = list(r.then)
     return [Rows(array_of([stacked_node(g, r, i) for i in range(len(r.ys))], x.cells.shape), x.length)]
 

@@ -11,7 +11,7 @@ from array import array
 import jax
 import numpy as np
 
-from cnclik.engine.compiler import CompilerError, SlowCompilerError, build_text, can_build, opened
+from cnclik.engine.compiler import build_text, can_build, opened
 from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.reader import Trace, read, trace
 from cnclik.engine.source import write
@@ -113,9 +113,8 @@ def _built(text, *, scheduled):
             library.width.restype = library.work_bytes.restype = ctypes.c_int64
             library.run.restype = None
             library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
-    except (CompilerError, OSError, AttributeError) as error:  # AttributeError: what it built has no such functions
-        slow = isinstance(error, SlowCompilerError)
-        raise (SlowError if slow else UnsupportedError)(f"the C compiler failed: {error}") from None
+    except (OSError, AttributeError) as error:  # AttributeError: what it built has no such functions
+        raise UnsupportedError(f"the C compiler failed: {error}") from None
     if kept:  # logged as JAX logs its own cache
         jax.monitoring.record_event("/jax/compilation_cache/cache_hits")
     jax.monitoring.record_event_time_span("/jax/core/compile/backend_compile_duration", begun, time.time())

@@ -117,7 +117,6 @@ class RowTexts:
 
     def materialise(self, n):
         k, array = self.new("k"), self.room(n.dtype, 1, n.shape[0])
-        self.dtypes.add(n.dtype)
         self.line(f"for (int64_t {k} = 0; {k} < {n.shape[0]}; ++{k}) {{")
         self.scopes.append([])
         self.line(f"{array}[{k}] = {self.row(n, k, {})};")
@@ -177,7 +176,6 @@ class RowTexts:
 
     def table(self, values, k) -> str:
         N = scalar(values.dtype)
-        self.dtypes.add(values.dtype)
         if values.dtype.kind in "iu" and len(values) > 1:
             gap = int(values[1]) - int(values[0])
             if all(int(v) == int(values[0]) + gap * i for i, v in enumerate(values)):

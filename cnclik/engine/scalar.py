@@ -73,20 +73,16 @@ class ScalarWriter(Writer):
 
     def choice(self, r: Cond):
         alive = [i for i, o in enumerate(r.outs) if o.number in self.needed]
-        names, which, two = {}, self.of(r.which), r.which.dtype.kind == "b"
-        cases = list(enumerate(zip(r.blocks, r.results, strict=True)))
-        nothing = two and not any(map(self.is_needed, r.blocks[0].items))
-        for i in alive:
-            name = names[i] = self.new("t")
-            at_first = f" = {self.of(r.results[0][i])}" if nothing else ""
-            self.line(f"{self.type(r.outs[i])} {name}{at_first};")
-        for k, (block, results) in cases[nothing:] if nothing else cases[::-1] if two else cases:
-            asked = which if two else f"{which} == {k}"
-            first, last = (k == 1, k == 0) if two else (k == 0, k == len(cases) - 1)
-            self.line(f"{'' if first else '} else '}{'' if last else f'if ({asked}) '}{{")
+        names, which, two = {i: self.new("t") for i in alive}, self.of(r.which), r.which.dtype.kind == "b"
+        cases = list(enumerate(zip(r.blocks, r.results, strict=True)))[:: -1 if two else 1]
+        for i, name in names.items():
+            self.line(f"{self.type(r.outs[i])} {name};")
+        for place, (k, (block, results)) in enumerate(cases):
+            asked = "" if place == len(cases) - 1 else f"if ({which}) " if two else f"if ({which} == {k}) "
+            self.line(f"{'} else ' * (place > 0)}{asked}{{")
             self.block(block)
-            for i in alive:
-                self.line(f"{names[i]} = {self.of(results[i])};")
+            for i, name in names.items():
+                self.line(f"{name} = {self.of(results[i])};")
             self.leave()
         self.line("}")
         self.names |= {r.outs[i].number: name for i, name in names.items()}

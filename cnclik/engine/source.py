@@ -33,8 +33,7 @@ def write(graph, given, outs, shapes) -> tuple:
     writer.statements()
     text = [f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)]
     text += [f"#define WORK ((int64_t){writer.work} / 64 * BYTES)", *writer.tables, f"static void tile({_TILE})"]
-    text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes)]
-    text += [header("numbers_call.h"), header("handler.h")]
+    text += ["{", *writer.lines, "}", *_call(given, shapes), header("calls.h"), header("handler.h")]
     return "\n".join(text) + "\n", writer.operations
 
 
@@ -61,7 +60,7 @@ def entry(dtype, data, size):
 
 
 def _types(writer, main):
-    used = {dtype.name for dtype in writer.dtypes if dtype.kind != "b"} | {main.name}
+    used = ({n.dtype.name for n in writer.used} | {main.name}) - {"bool"}
     for name in TYPES:
         if name not in used:
             continue

@@ -46,11 +46,11 @@ class Writer(RowTexts):
         self.graph, self.given, self.outs, self.main = graph, given, outs, main
         self.reads, self.writes = reads, writes
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
-        self.tables, self.functions, self.dtypes = [], set(), set()
+        self.tables, self.functions = [], set()
         self.where, self.counted, self.operations = {}, 0, 0
         self.work = 0  # bytes of the work memory
         ends = [node for out in outs for node in cells_of(out)]
-        self.needed = live(ends)
+        self.used, self.needed = live(ends)
         self.direct = whole_results(outs)
         others = [node for k, out in enumerate(outs) if k not in self.direct for node in cells_of(out)]
         self.stored = needed_rows(graph, self.needed, others)
@@ -67,12 +67,10 @@ class Writer(RowTexts):
         return f"{letter}{self.counted}"
 
     def type(self, node) -> str:
-        self.dtypes.add(node.dtype)
         return vector(node.dtype)
 
     def of(self, node, plain=False) -> str:
         """A node in an expression; a plain constant as a number."""
-        self.dtypes.add(node.dtype)
         if node.known:
             words = number(node.value, node.dtype)
             return f"({words})" if plain else self.splat(node.dtype, words)
@@ -108,8 +106,6 @@ class Writer(RowTexts):
 
     def applied(self, node, of) -> str:
         """An operation; the C library functions it uses are noted."""
-        for a in (*node.args, node):
-            self.dtypes.add(a.dtype)
         if node.op in ("sin", "cos"):
             return self.sincos(node, of)
         self.functions.add((node.op, vector(node.args[0].dtype), getattr(node, "params", None)))
@@ -169,7 +165,6 @@ class Writer(RowTexts):
             self.names[n.number] = self.row(whole, str(n.params[0]), {})
 
     def load(self, node, at) -> str:
-        self.dtypes.add(node.dtype)
         return self.reads[self.given.index(node)](at)
 
     def pick(self, n):
@@ -237,7 +232,6 @@ class Writer(RowTexts):
         stores, groups = [], {}
         for y, node in stacked:
             if len(node.shape) == 2 and node.number in self.stored:  # an inner loop stores into it
-                self.dtypes.add(node.dtype)
                 array = self.room(node.dtype, node.shape[1], node.shape[0])
                 self.where[node.number] = lambda o, i, a=array, s=node.shape[1]: f"{a}[({o}) * {s} + ({i})]"
                 self.where[y.number] = lambda i, node=node: self.where[node.number](k, i)

@@ -1,7 +1,7 @@
 """To JAX: a graph as a JAX function of one lane, with one operation on scalars per node.
 
-`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and stacked outputs are arrays. A light branch
-becomes a select; a heavy one becomes a loop that runs once if some lane needs it.
+`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and stacked outputs are arrays. All branches
+are computed, and a select takes one.
 """
 
 import functools
@@ -18,17 +18,12 @@ from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation
 from cnclik.engine.reader import Trace, read, trace
 from cnclik.engine.row_texts import all_items, cells_of
-from cnclik.engine.sines import sincos
 from cnclik.engine.stacks import Rows
-from cnclik.engine.to_c import HEAVY, weight
 
-LONGEST, BACK, WORTH = 40, 8, 4  # measured; the speed hardly depends on them
+LONGEST, WORTH = 40, 4  # measured; the speed hardly depends on them
 FEWEST = 3  # operations, at least, of a stage
 
 _OTHER_NAMES = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
-
-
-_sincos = jax.jit(sincos, inline=False)
 
 
 class Derived:
@@ -51,7 +46,7 @@ class _Writer:
         self.graph, self.outs, self.fenced, self.active = graph, outs, fenced, None
         self.values = {n.number: x for n, x in zip(given, leaves, strict=True)}
         ends = [n for out in outs for n in cells_of(out)]
-        self.needed = live(ends)
+        self.needed = live(ends)[1]
         self.users, self.stages = _users(graph, self.needed, ends), {}
 
     def results(self, dtypes) -> list:
@@ -95,25 +90,6 @@ class _Writer:
             for n in nodes:
                 self.values[n.number] = self.applied(n, self.of)
             return
-        rest = []
-        for k, n in enumerate(nodes):
-            if n.op not in ("sin", "cos"):
-                rest.append(n)
-            elif n.number not in self.values:
-                self.stages_of(rest)
-                angles = [(m, m.args[0]) for m in nodes[k:] if m.op in ("sin", "cos")]
-                self.sines([m for m, angle in angles if angle.known or angle.number in self.values])
-                rest = []
-        self.stages_of(rest)
-
-    def sines(self, nodes):
-        """Sines and cosines of angles that have values, in one stage."""
-        angles = {n.args[0].number: n.args[0] for n in nodes}
-        with set_xla_metadata(inlineable="false"):
-            found = dict(zip(angles, zip(*_sincos([self.whole(a) for a in angles.values()]), strict=True), strict=True))
-        self.values |= {n.number: found[n.args[0].number][n.op == "cos"] for n in nodes}
-
-    def stages_of(self, nodes):
         for stage, outs in _stages(nodes, self.users):
             self.stage(stage, outs)
 
@@ -163,8 +139,9 @@ class _Writer:
         """A node other than an operation on scalars."""
         if is_operation(n):
             return self.applied(n, self.of)
-        if n.op in _PLACES:
-            return _at(self.of(n.args[0]), _PLACES[n.op](n.params))
+        if n.op in ("index", "column", "within"):
+            at = n.params if n.op == "index" else (slice(None), *np.atleast_1d(n.params).tolist())
+            return jnp.asarray(self.of(n.args[0]))[at]
         return getattr(self, f"_{n.op}")(n, *n.args)
 
     def _slid(self, n, x):
@@ -240,51 +217,11 @@ class _Writer:
         for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
             results = [results[i] for i in alive]
             here = (~which, which)[k] if which.dtype == bool else which == k
-            made = (self.where_needed if weight(block, self.needed) >= HEAVY else self.always)(block, results, here)
+            inner = self.within((), (), here)
+            inner.block(block)
+            made = list(map(inner.whole, results))
             found = made if found is None else [lax.select(here, x, y) for x, y in zip(made, found, strict=True)]
         self.ended([r.outs[i] for i in alive], found)
-
-    def always(self, block, results, here):
-        """Results of a branch, computed for all lanes."""
-        inner = self.within((), (), here)
-        inner.block(block)
-        return list(map(inner.whole, results))
-
-    def where_needed(self, block, results, here):
-        """Results of a branch, by a loop that runs once if some lane takes it; undefined for other lanes.
-
-        Its inputs pass an optimization barrier, as XLA would otherwise move invariants out of the loop.
-        """
-        reals = [n for n in _needs(block, results) if n.number in self.values and n.dtype.kind == "f"]
-        values = list(map(self.whole, reals))
-
-        def body(state):
-            goes, seen = lax.optimization_barrier((state[0], values))
-            inner = self.within(reals, seen, goes)
-            inner.block(block)
-            return jnp.zeros_like(here), list(map(inner.whole, results))
-
-        empty = [jnp.zeros(n.shape, n.dtype) for n in results]
-        return lax.while_loop(lambda state: state[0], body, (here, empty))[1]
-
-
-_PLACES = {"index": tuple, "column": lambda places: (None, *places), "within": lambda place: (None, place)}
-
-
-def _at(x, places):
-    """The part of an array at known indices of its first axes; None: the whole axis."""
-    sizes = [x.shape[k] if p is None else 1 for k, p in enumerate(places)] + list(x.shape[len(places) :])
-    starts = [p or 0 for p in places] + [0] * (x.ndim - len(places))
-    part = lax.slice(x, starts, [a + b for a, b in zip(starts, sizes, strict=True)])
-    return lax.squeeze(part, [k for k, p in enumerate(places) if p is not None])
-
-
-def _needs(block, results) -> list:
-    """Nodes that a block and its results read, in order."""
-    found = {n.number: n for n in results}
-    for item in all_items(block):
-        found |= {n.number: n for n in (item.args if isinstance(item, Node) else item.used)}
-    return list(found.values())
 
 
 def _users(graph, needed, ends) -> dict:
@@ -296,7 +233,7 @@ def _users(graph, needed, ends) -> dict:
             for a in item.args if item.number in needed else ():
                 found.setdefault(a.number, set()).add(by)
         elif item.number in needed:
-            for n in item.used:
+            for n in (n for out in item.outs for n in item.needs(*out.value[1:])):
                 found.setdefault(n.number, set()).add(-1)
     for n in ends:
         found.setdefault(n.number, set()).add(-1)
@@ -314,7 +251,6 @@ def _stages(nodes, users):
     for root in cones:
         before = (a.number for k in cones[root] for a in by_number[k].args)
         at = max((stage_of[a] + 1 for a in before if a in stage_of), default=0)
-        at = max(at, len(stages) - BACK)
         while at < len(stages) and len(stages[at][0]) > LONGEST:
             at += 1
         if at == len(stages):

@@ -1,3 +1,14 @@
+/* Lanes first … last of `all`, in tiles of W. Lane i of argument a is at in[a] + i · stride[a]; an argument with a
+   stride of 0 is shared by all lanes. */
+int64_t width(void) { return W; }
+int64_t work_bytes(void) { return WORK + 256; }
+
+void run(int64_t first, int64_t last, const void *const *in, const int64_t *stride, void *const *out, void *memory)
+{
+  char *work = (char *)(((uintptr_t)memory + 255) & ~(uintptr_t)255);
+  for (; first < last; first += W) tile(first, last - first < W ? last - first : W, in, stride, out, work);
+}
+
 /* The entry for one lane. The first `count` arguments are in `known`, one after the other; the others are in `block`,
    and the results follow them. Each begins at a multiple of 8 bytes. Returns 0, or 1 if there is no memory. */
 int of_numbers(int64_t count, const char *known, char *block)
