@@ -62,8 +62,9 @@ class Literals:
         return self._hash
 
     def __eq__(self, other):
-        same = self._hash == other._hash and self.treedef == other.treedef
-        return self is other or (same and self.values == other.values)
+        if self is other:
+            return True
+        return self._hash == other._hash and self.treedef == other.treedef and self.values == other.values
 
 
 HOLE = object()  # marks, among the literals, the place of an array
