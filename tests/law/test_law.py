@@ -74,13 +74,6 @@ def test_single_precision_loop_in_a_double_precision_session():
     assert {v.dtype for v in (made.q, made.e, made.qdot, made.residual)} == {jnp.dtype(jnp.float32)}
 
 
-def test_gains_at_the_edge_and_traced_ones_pass():
-    for alpha in (0, [0.0, 1.0], np.ones(2, np.float32)):
-        ck.Law(ARM, ck.position("xy"), alpha=alpha)
-    jax.jit(lambda a: ck.Law(ARM, ck.position("xy"), alpha=a).alpha)(-1.0)
-    ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
-
-
 XY = ck.position("xy")
 
 

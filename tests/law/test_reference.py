@@ -88,14 +88,6 @@ def test_velocity_is_the_derivative_of_the_path(name):
         close(xdot, wanted, atol=2e-8)
 
 
-def test_hold():
-    for task, target in (("xy", [1, 2]), ("xyz", np.array([1, 2, 3])), ("xy", jnp.array([1, 2, 3]))):
-        position, rotation, xdot = at(ck.hold(target), 7.0, task)
-        close(position, np.asarray(target)[: len(xdot)])
-        close(xdot, 0)
-        assert rotation is None and xdot.dtype == float
-
-
 def test_motion_bounds_what_the_target_moves():
     """From above: positions exactly, turns by their chord, π/2 too large at most."""
     t = jnp.linspace(0.0, 4.0, 9)

@@ -53,12 +53,6 @@ def test_error_and_jacobian(name):
     close(made, np.asarray(ck.jacobian(ARM, Q))[picked], atol=1e-14)
 
 
-def test_names_and_units():
-    task = ck.pose("xy", "z")
-    assert (task.m, task.names, task.units) == (3, ("x", "y", "rz"), ("m", "m", "rad"))
-    assert ck.position().names == ("x", "y", "z") and ck.orientation("xy").units == ("rad", "rad")
-
-
 def test_task_coordinates_are_position_and_rotation_vector():
     law = ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # six coordinates of four joints
     run = ck.solve(law, ck.hold(ck.forward(ARM, Q)), Q, 0.1, 1)
