@@ -13,8 +13,8 @@ from cnclik.integrate.method import Method
 from cnclik.integrate.solve import one_step
 from cnclik.integrate.stage import Stage
 from cnclik.law.law import Law
-from cnclik.law.paths import Tangent
-from cnclik.law.reference import Reference, References, of_each
+from cnclik.law.paths import Reference, Tangent
+from cnclik.law.reference import References, of_each
 from cnclik.record import cast
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, jacobian_rows, modelled

@@ -26,7 +26,8 @@ from cnclik.integrate.status import flags, growing, task_flags
 from cnclik.integrate.trajectory import Trajectory, steps_of
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
-from cnclik.law.reference import Reference, References, check, tangent
+from cnclik.law.paths import Reference
+from cnclik.law.reference import References, check, tangent
 from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out

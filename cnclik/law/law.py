@@ -22,6 +22,7 @@ from cnclik.law import reference as ref
 from cnclik.law.bounded import LEAST_SHARES, Bounded
 from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
 from cnclik.law.limits import Evaluation, Scaled, slowed
+from cnclik.law.paths import A_REFERENCE
 from cnclik.precision import precise
 from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record
 from cnclik.robot import chart
@@ -135,7 +136,7 @@ def check_loop(law, *references) -> None:
     """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
     errors.kind("law", law, Law)
     for reference in references:
-        ref.check(errors.kind("reference", reference, ref.REFERENCE, ref.A_REFERENCE), law.task)
+        ref.check(errors.kind("reference", reference, ref.REFERENCE, A_REFERENCE), law.task)
 
 
 def evaluate(law: Law, reference, t, q, offset=None) -> Evaluation:

@@ -125,5 +125,5 @@ def test_joints_of_a_base_may_be_frozen(base, freeze):
     here = ck.forward(frozen, q)
     np.testing.assert_allclose(here.position, there.position, atol=1e-6)
     np.testing.assert_allclose(here.rotation, there.rotation, atol=1e-6)
-    with pytest.raises(ck.ArgumentError, match="`freeze` must be one of .*base_x"):
+    with pytest.raises(ck.ArgumentError, match=r"`freeze` must be one of .*base_x"):
         ck.load_urdf(robot_file("panda"), tip="panda_hand", base="free", freeze={"base_rx": 0.1})
