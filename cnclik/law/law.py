@@ -118,6 +118,12 @@ class Law:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
+    def __repr__(self):
+        names = ("inverse", "limits", "null_velocity", "error_clamp")
+        said = [f"{name} {brief(getattr(self, name))}" for name in names if getattr(self, name) is not None]
+        whole = f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"
+        return "\n  ".join([whole, brief(self.task), brief(self.chain), f"alpha {brief(self.alpha)} 1/s", *said])
+
 
 def _gains(task: Task, alpha):
     """Return the checked gain, () or (m,), from a number, one per coordinate, or {name of a stack's task: gain}."""

@@ -82,10 +82,8 @@ test_bad_input = refusals(
     (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
     (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must be a single number or have 2 numbers, but has 3"),
     (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
-    (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
     (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
     (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
-    (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
     (
         lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),
         r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
@@ -94,9 +92,7 @@ test_bad_input = refusals(
     (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
     (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=ck.posture([0, 1])), "`rest` must have 3 joint values, but has"),
     (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
-    (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
     (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), "`reference` must give 2 values"),
-    (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "`reference` must give 3 values"),
     (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
 )
 
