@@ -67,7 +67,8 @@ def parse(verb, argv, *, prog, description) -> dict:
         raise SystemExit(0)
     places, named = _sorted(verb, groups)
     flags = named | {f"--no-{flag[2:]}": one for flag, one in named.items() if one.kind == SWITCH}
-    made, words = {}, {}  # values; {option: its words}
+    made: dict = {}
+    words: dict = {}  # {option: its words}
     free = list(places)
     while queue:
         token = queue.pop(0)

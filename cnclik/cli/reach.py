@@ -61,7 +61,9 @@ def run(
     prepare()
     from cnclik.problem.names import load, robot_name, task_from
     from cnclik.problem.options import check_units
+    from cnclik.problem.tables import read_points
     from cnclik.reaching.public import reach
+    from cnclik.reaching.result import ReachStatus, count
     from cnclik.reaching.targets import read, transforms
 
     chain = load(robot, arm.get("tip"))
@@ -74,7 +76,8 @@ def run(
         line = f"Targets: {random:,} random reachable ones."
         wanted = _random(chain, errors.integer("random", random, at_least=1, at_most=errors.MOST))
     else:
-        wanted, line = _of_file(task, pathlib.Path(targets or "")), f"Targets: those of {targets}."
+        errors.ending("TARGETS", pathlib.Path(targets or ""), ".csv")
+        wanted, line = read_points("TARGETS", targets, task)[1], f"Targets: those of {targets}."
     begins = ", each from the answer before it" * path
     asked = [f"{robot_name(robot, arm.get('tip'))}, {str(task.on(chain))[6:]}", line]
     asked.append(f"Search {'within the' if limits else 'without'} joint limits{begins}, to 1 µm and 1 µrad.")
@@ -92,7 +95,9 @@ def run(
         seconds = time.perf_counter() - begun
         if folder is not None:
             folder.write(file.name, functools.partial(_save, made, transforms(pose)))
-    summary = _summary(made, seconds)
+    first = made.status[..., 0] if made.status.ndim == 2 else made.status  # of several solutions
+    solved = float((first == ReachStatus.SOLVED).mean())
+    summary = {"targets": len(first), "solve_rate": solved, "status": count(first), "seconds": seconds}
     if json:
         print_json({"asked": asked} | summary)
         return
@@ -100,14 +105,6 @@ def run(
     _tell(made, summary, path)
     if out is not None:
         print(f"Wrote {out}.")
-
-
-def _of_file(task, file):
-    """Targets of a CSV file."""
-    from cnclik.problem.tables import read_points
-
-    errors.ending("TARGETS", file, ".csv")
-    return read_points("TARGETS", file, task)[1]
 
 
 def _random(chain, count):
@@ -140,18 +137,6 @@ def _save(made, transforms, path) -> None:
     columns |= {f"t{k // 4}{k % 4}": column for k, column in enumerate(targets.T)}
     plain = [(v + 0.0).tolist() if np.asarray(v).dtype.kind == "f" else v for v in columns.values()]  # no −0
     save_csv([list(columns), *zip(*plain, strict=True)], path)
-
-
-def _summary(made, seconds) -> dict:
-    from cnclik.reaching.result import ReachStatus, count
-
-    first_of_each = made.status[..., 0] if made.status.ndim == 2 else made.status
-    return {
-        "targets": len(first_of_each),
-        "solve_rate": float((first_of_each == ReachStatus.SOLVED).mean()),
-        "status": count(first_of_each),
-        "seconds": seconds,
-    }
 
 
 def _tell(made, summary, path) -> None:

@@ -1,8 +1,5 @@
-"""Outcome: how a whole nonlinear loop ended within a given number of steps.
-
-A loop is judged by its last quarter, not by its last instant: a nonlinear loop can stay bounded and wrong, and pass
-close to the target on the way.
-"""
+"""Outcome: how a whole nonlinear loop ended within a given number of steps, by the last quarter of them: it can stay
+bounded and wrong, and pass close to the target on the way."""
 
 from __future__ import annotations
 

@@ -29,13 +29,6 @@ def test_lines_without_a_terminal(capsys, monkeypatch):
     assert capsys.readouterr().err.splitlines() == ["100 of 400 loops, EE", "300 of 400 loops"]
 
 
-def test_quiet_is_silent(capsys, monkeypatch):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress.bar("loops", quiet=True) as report:
-        report(1, 2)
-    assert capsys.readouterr().err == ""
-
-
 def test_a_terminal_gets_a_bar(capsys, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
