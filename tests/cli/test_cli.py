@@ -70,7 +70,6 @@ def verb(tmp_path_factory):
         ("--steps x", "Argument `steps` must be an integer, but is 'x'."),
         ("--steps 1.5", "Argument `steps` must be an integer, but is '1.5'."),
         ("--Ts=ab", "Argument `Ts` must be a number, but is 'ab'."),
-        ("--Ts -1", "Argument `Ts` must be positive, but is -1."),
         ("--kind three", "Argument `kind` must be one of one, two, but is 'three'."),
         ("--pair 1 k", "Argument `pair` must be integers, but is '1 k'."),
         ("--pair", "Argument `pair` must be given integers, but has no value."),
