@@ -1,7 +1,7 @@
 """Options: one vocabulary for the command line, sweeps and Python.
 
 An option is an argument of a function or a field of a record. Its kind and default are those of the signature; its
-help, unit and condition those of the docstring. Sources are read, not imported: help needs no JAX.
+help and unit those of the docstring. Sources are read, not imported: help needs no JAX.
 """
 
 import ast
