@@ -1,8 +1,7 @@
-"""Files that a user names: read whole, if they are files of a sensible size. Loads neither JAX nor NumPy."""
+"""Files that a user names: read whole, if they are of a sensible size. Loads neither JAX nor NumPy."""
 
 import os
 import pathlib
-import stat
 import tomllib
 
 from cnclik import errors
@@ -14,20 +13,15 @@ def read_bytes(argument: str, path, what: str) -> bytes:
     """What a file holds.
 
     Args: argument: what the user calls it, and `what` it must name, such as "a URDF file".
-    Raises: ArgumentError, one line, for what is not there, no regular file, too large, or can't be read.
+    Raises: ArgumentError, one line, for what is not there, too large, or can't be read.
     """
     name = os.fsdecode(errors.kind(argument, path, (str, bytes, os.PathLike), f"name {what}"))
-    shown, text, mode = pathlib.Path(name).name[:80] or name[:80], b"", 0
+    shown = pathlib.Path(name).name[:80] or name[:80]
     try:
-        mode = os.stat(name).st_mode
-        if stat.S_ISREG(mode):
-            with open(name, "rb") as file:
-                text = file.read(MOST_BYTES + 1)
+        with open(name, "rb") as file:
+            text = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         raise errors.fail(argument, f"name {what} that can be read", f"{shown}: {errors.reason(error)}") from None
-    if not stat.S_ISREG(mode):
-        other = "folder" if stat.S_ISDIR(mode) else "device, pipe or socket"
-        raise errors.fail(argument, f"name {what}", f"{shown!r} is a {other}")
     if len(text) > MOST_BYTES:
         raise errors.fail(argument, f"name {what} of at most {MOST_BYTES >> 20} MiB", f"{shown!r} is larger")
     return text

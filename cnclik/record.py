@@ -172,13 +172,9 @@ def _same(a, b) -> bool:
 
 
 def _hashed(self):
-    return memoized(self, "_hash", _hash_of)
-
-
-def _hash_of(self):
     """Of the literals and the arrays' shapes: the arrays may be on another device."""
     leaves, treedef = jax.tree.flatten(self)
-    return hash((treedef, *map(np.shape, leaves)))
+    return memoized(self, "_hash", lambda _: hash((treedef, *map(np.shape, leaves))))
 
 
 def _own(array):

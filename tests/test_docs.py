@@ -25,8 +25,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 
 # Less of the same, by verb.
-FEWER = {"solve": ["--N", "5", "--no-figures"], "stability": ["--N", "8"], "view": ["--N", "5"]}
-SMALLER = {"reach": {"--random": ["--random", "12"]}}
+FEWER = {"solve": {"--N": ["5"], "--no-figures": []}, "stability": {"--N": ["8"]}, "view": {"--N": ["5"]}}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
 ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py", "check": "tests/diagnosis/test_check.py"}
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
@@ -84,8 +83,11 @@ def fewer(argv):
         rest = [SMALL if word in ("panda", "panda.urdf", "ur5", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:
             del rest[rest.index("--tip") : rest.index("--tip") + 2]
-    rest += [word for option, few in SMALLER.get(verb, {}).items() if option in rest for word in few]
-    return [verb, *rest, *FEWER.get(verb, [])]
+    for option, few in FEWER.get(verb, {"--random": ["12"]} if "--random" in rest else {}).items():
+        if option in rest:
+            del rest[(at := rest.index(option)) : at + 1 + len(few)]
+        rest += [option, *few]
+    return [verb, *rest]
 
 
 def prepare(folder, less):

@@ -7,6 +7,7 @@ from typing import Literal
 from cnclik import errors
 from cnclik.cli.common import print_json
 from cnclik.cli.log import read, sampled
+from cnclik.quantities import number
 from cnclik.show.output import draw, drawn_by
 from cnclik.writing import output_folder
 
@@ -17,6 +18,7 @@ def run(
     log: str,
     *,
     alpha: float | None = None,
+    tasks: tuple[str, ...] = (),
     step: bool = False,
     command: Literal["position", "velocity"] = "position",
     out: str | None = None,
@@ -29,19 +31,25 @@ def run(
     Args:
       alpha: gain of the loop [1/s], positive. With it the answer is surer; without it the gain that stops it comes with
         a factor.
+      tasks: for a stack, NAME or NAME=ALPHA: the tasks whose errors are in columns NAME.x, NAME.y, ..., with their
+        gains where known.
       step: fit a drive to recorded commands and motion: to joint_1_cmd and joint_1_pos, or to the two columns.
       command: with --step: what the commands are.
       out: folder for the figure diagnose.png.
     """
-    if step and alpha is not None:
-        raise errors.fail("alpha", "be left out with --step", "is given")
+    for name, given in {"alpha": alpha is not None, "step": step}.items():
+        if given and (tasks or (step and name == "alpha")):
+            raise errors.fail(name, f"be left out with --{'tasks' if tasks else 'step'}", "is given")
     recorded = read(log, **columns)
     Ts = sampled(recorded)
     if out is not None:
         with output_folder(pathlib.Path(out), overwrite=overwrite, files=["diagnose.png"]):
             pass  # it takes the figure
     with errors.called("signal", "LOG"), errors.called("command", "LOG"):
-        fields, text, figure = _step(recorded, Ts, command) if step else _diagnose(recorded, Ts, alpha)
+        if step:
+            fields, text, figure = _step(recorded, Ts, command)
+        else:
+            fields, text, figure = _stack(recorded, Ts, tasks) if tasks else _diagnose(recorded, Ts, alpha)
     if json:
         print_json(fields | {"Ts": Ts, "Ts_from": recorded.stamps})
     else:
@@ -62,10 +70,35 @@ def _diagnose(log, Ts, alpha) -> tuple:
     signal, names = log.columns(places), [log.names[i] for i in places]
     found = diagnose(signal, Ts, alpha=alpha)
     sure = "" if found.confidence is None else f"\nConfidence: {found.confidence:.2g}."
+    return _fields(found), f"{found}{sure}", drawn_by("diagnosis", "oscillation", signal, found, names)
+
+
+def _stack(log, Ts, words) -> tuple:
+    """(numbers, text, function that draws) of the tasks of a stack."""
+    from cnclik.diagnosis import diagnose_tasks
+
+    gains = dict(word.partition("=")[::2] for word in words)
+    places = {task: [i for i in log.motion if log.names[i].startswith((f"{task}.", f"{task}/"))] for task in gains}
+    for task, some in places.items():
+        if not some:
+            found = f"is {task!r}, and LOG has {', '.join(log.names)}"
+            raise errors.fail("tasks", f"have columns such as {task}.x in LOG", found)
+    log.columns([i for some in places.values() for i in some])  # whose rows are all finite, or named
+    signals = {task: log.columns(some) for task, some in places.items()}
+    with errors.called("alpha", "tasks"):
+        found = diagnose_tasks(signals, Ts, alpha={task: number(gain) or gain for task, gain in gains.items() if gain})
+    task = found.change[0] if found.change else next(iter(gains))
+    fields = {"change": found.change, "recommended_alpha": found.recommended_alpha}
+    names = [log.names[i] for i in places[task]]
+    figure = drawn_by("diagnosis", "oscillation", signals[task], found.tasks[task], names)
+    return fields | {"tasks": {name: _fields(each) for name, each in found.tasks.items()}}, str(found), figure
+
+
+def _fields(found) -> dict:
+    """The numbers of a diagnosis, without its curves."""
     fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
-    fields = {name: value for name, value in fields.items() if name not in ("fitted", "Ts")}
     fields |= {"rings": found.rings, "drive": None if found.drive is None else _drive(found.drive)}
-    return fields, f"{found}{sure}", drawn_by("diagnosis", "oscillation", signal, found, names)
+    return {name: value for name, value in fields.items() if name not in ("fitted", "Ts")}
 
 
 def _step(log, Ts, command_kind) -> tuple:

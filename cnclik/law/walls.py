@@ -56,6 +56,8 @@ class Wall:
 
 def rows_at(walls, chain, q) -> Rows:
     """Return the rows of all walls at q."""
+    if not walls:
+        return Rows(jnp.zeros((0, len(q)), q.dtype), jnp.zeros(0, q.dtype))
     robot = At(modelled(chain), q)
     floor = jnp.stack([-wall.rate * wall.distance(robot) for wall in walls])
     return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)

@@ -6,7 +6,6 @@ starts are summed up by their median, and what is left is shown at its middle.
 
 import functools
 import itertools
-import json
 import math
 import pathlib
 import textwrap
@@ -44,20 +43,15 @@ def check(spec) -> None:
             arrange(data, table)
 
 
-def drawings(data, tables=None) -> dict:
-    """Return {name: function of no arguments that draws it}, of the data's spec, or good ones if it asks for none.
+def drawings(data, tables=()) -> dict:
+    """Return {name: function of no arguments that draws it}. A table that can't be laid out raises there, alone.
 
-    A table that can't be laid out is a function that raises: it costs the others nothing.
-
-    Args: data: dataset of a sweep. tables: as [[figure]] in a spec, in place of the data's.
+    Args: data: dataset of a sweep. tables: as [[figure]] in a spec; without any, good ones.
     """
-    if tables is None:
-        tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
     out: dict = {}
     for i, table in enumerate(tables or defaults(data)):
         name = table.get("name") or "_".join((table.get("kind", "figure"), table.get("value", main_value(data))))
-        numbered = (name if k == 1 else f"{name}_{k}" for k in range(1, len(out) + 2))
-        out[next(n for n in numbered if n not in out)] = functools.partial(_drawn, data, table, i)
+        out[f"{name}_{i + 1}" if name in out else name] = functools.partial(_drawn, data, table, i)
     return out
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cnclik.cli import main
 from cnclik.diagnosis import diagnose, diagnose_tasks
 from cnclik.errors import ArgumentError
 from tests.diagnosis import logs
@@ -222,7 +223,7 @@ def coupled(gains, N=300, d=4):
         ((62.0, 10.0), (62.0, 30.0), ("hands", "feet")),  # too large as well, hidden behind the first
     ],
 )
-def test_the_limit_of_one_task_binds_all(gains, known, change):
+def test_the_limit_of_one_task_binds_all(gains, known, change, tmp_path, capsys):
     """The task that is too fast is named, not one that swings along; units do not decide."""
     signals = coupled(gains)
     found = diagnose_tasks(signals, 0.005, alpha=dict(zip(signals, known, strict=True)))
@@ -230,3 +231,8 @@ def test_the_limit_of_one_task_binds_all(gains, known, change):
     degrees = signals | {"feet": np.rad2deg(signals["feet"])}
     assert diagnose_tasks(degrees, 0.005, alpha=dict(zip(signals, known, strict=True))).change == change
     assert change[0] in diagnose_tasks(signals, 0.005).change  # also where no gain is known
+    head = ",".join(f"{name}.{axis}" for name in signals for axis in "xyz")
+    np.savetxt(tmp_path / "log.csv", np.hstack([*signals.values()]), delimiter=",", header=head, comments="")
+    words = [f"{name}={gain}" for name, gain in zip(signals, known, strict=True)]
+    main(["diagnose", str(tmp_path / "log.csv"), "--Ts", "5ms", "--tasks", *words])
+    assert f"No task may have an alpha above {found.recommended_alpha:.4g} 1/s: {change[0]}" in capsys.readouterr().out

@@ -53,7 +53,7 @@ def folders(tmp_path_factory):
         "spline": dict(method="EE", reference=ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])),
         "single": dict(method="EXP-MIDPOINT", dtype="float32"),
         "slides": dict(law=a_law(ck.position("xz"), chain=SLIDES), method="EE"),
-        "panda": dict(law=ck.panda(), name="step", dtype="float32"),
+        "panda": dict(law=ck.panda(), name="int32_t", dtype="float32"),
         "odd": dict(law=ODD, name="main"),
         "walled": dict(law=a_law(limits=ck.bounded(walls=[ck.wall(ck.position("y"), above=-1.0)])), method="EE"),
     }  # fmt: skip
@@ -81,7 +81,7 @@ def builds(folder, compiler="gcc"):
 def test_it_compiles_without_a_warning_and_its_example_agrees(compiler, folders):
     if not shutil.which(COMPILERS[compiler].split()[0]):
         pytest.skip(f"no {compiler}")
-    for folder in folders:
+    for folder in folders if compiler == "gcc" else folders[::3]:
         builds(folder, compiler)
 
 
@@ -112,7 +112,7 @@ def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
         kinds = {path.name for path in folder.iterdir()}
         assert {"example.c", "README.md"} < kinds
         told = (folder / "README.md").read_text(encoding="utf-8")
-        assert ck.__version__ in told and "cc -std=c99" in told and "[rad]" in told
+        assert ck.__version__ in told and "cc -std=c99" in told and "rad]" in told
         assert ("stops short of its target" in told) == (folder.name == "single")
 
 

@@ -231,7 +231,7 @@ def until_traced():
             raise Reached
 
     jax.monitoring.register_scalar_listener(begun)
-    names = ("cnclik.show.output.draw", "cnclik.show.viewer._server", "cnclik.sweeps.program.fit")
+    names = ("cnclik.show.output.draw", "cnclik.show.viewer.has_viser", "cnclik.sweeps.program.fit")
     try:
         with contextlib.ExitStack() as stack:
             for name in names:
