@@ -20,7 +20,8 @@ from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
-from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
+from cnclik.law.paths import A_REFERENCE, Reference
+from cnclik.law.reference import REFERENCE, References, check
 from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
 

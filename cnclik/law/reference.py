@@ -180,11 +180,14 @@ def tangent(reference, task: Task, t):
 
 
 def motion(reference, task: Task, t):
-    """Return an upper bound (N,) of the target's motion between the instants t (N + 1,)."""
+    """Return an upper bound (N,) of the target's motion between the instants t (N + 1,).
+
+    That of a rotation is by its chord ‖R₂ − R₁‖ (Frobenius): the angle is at most π/√8 times it.
+    """
 
     def chart(t):
-        aims = aims_of(reference, task, t)
-        return jnp.concatenate([part.chart(a) for part, a in zip(task.parts, aims, strict=True)]).astype(t.dtype)
+        each = zip(task.parts, aims_of(reference, task, t), strict=True)
+        return jnp.concatenate([1.111 * aim.ravel() if part.turns else aim for part, aim in each]).astype(t.dtype)
 
     # A user's path may allow no vmap.
     users = any(isinstance(path.curve, Path) for path, _ in by_target(reference, task))
