@@ -31,9 +31,27 @@ class Node:
     zero: times anything it is 0.
     """
 
-    __slots__ = (
-        *("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value", "zero"),
-    )
+    __slots__ = [
+        "args",
+        "block",
+        "dtype",
+        "exact",
+        "known",
+        "nothing",
+        "number",
+        "op",
+        "params",
+        "shape",
+        "value",
+        "zero",
+    ]
+
+    def __init__(self, op, args, params, shape, dtype, value, block, number, exact):
+        self.op, self.args, self.params, self.shape, self.dtype = op, args, params, shape, np.dtype(dtype)
+        self.value, self.block, self.number, self.exact = value, block, number, exact
+        self.known = op == "const"
+        self.zero = self.known and bool(value == 0)
+        self.nothing = exact and self.zero
 
 
 class Block:
@@ -113,13 +131,7 @@ class Graph:
         self.count += 1
         if self.count > self.most:
             raise SlowError(f"a program of more than {self.most} operations takes long to build")
-        node = Node()
-        node.op, node.args, node.params, node.shape, node.dtype = op, args, params, shape, np.dtype(dtype)
-        node.value, node.block, node.number, node.exact = value, block, self.count, exact
-        node.known = op == "const"
-        node.zero = node.known and bool(value == 0)
-        node.nothing = exact and node.zero
-        return node
+        return Node(op, args, params, shape, dtype, value, block, self.count, exact)
 
     def const(self, value, dtype, *, exact=False) -> Node:
         dtype = np.dtype(dtype)
