@@ -31,20 +31,9 @@ class Node:
     zero: times anything it is 0.
     """
 
-    __slots__ = [
-        "args",
-        "block",
-        "dtype",
-        "exact",
-        "known",
-        "nothing",
-        "number",
-        "op",
-        "params",
-        "shape",
-        "value",
-        "zero",
-    ]
+    __slots__ = (
+        *("args", "block", "dtype", "exact", "known", "nothing", "number", "op", "params", "shape", "value", "zero"),
+    )
 
     def __init__(self, op, args, params, shape, dtype, value, block, number, exact):
         self.op, self.args, self.params, self.shape, self.dtype = op, args, params, shape, np.dtype(dtype)
