@@ -25,13 +25,11 @@ from .law.inverse import (
 from .law.law import Law as Law, posture as posture
 from .law.limits import velocity_scaling as velocity_scaling
 from .law.paths import (
-    causal as causal, circle as circle, hold as hold, hold_at as hold_at, line as line,
-    lissajous as lissajous, path as path, resampled as resampled, waypoints as waypoints,
+    causal as causal, circle as circle, hold as hold, line as line,
+    lissajous as lissajous, path as path, waypoints as waypoints,
 )
-from .law.reference import references as references
-from .law.walls import (
-    support_polygon as support_polygon, wall as wall, wall_margin as wall_margin,
-)
+from .law.reference import hold_at as hold_at, references as references
+from .law.walls import support_polygon as support_polygon, wall as wall
 from .problem.names import load as load
 from .reaching.public import reach as reach
 from .reaching.result import ReachStatus as ReachStatus

@@ -2,16 +2,18 @@
 
 import collections
 import contextlib
+import ctypes
 import functools
+import gc
 import hashlib
 import os
 import pathlib
 import platform
-import stat
 import sys
 import warnings
 
 import jax
+import jaxlib
 
 KEPT_PROGRAMS = 128  # of an `LRU`
 MOST_PROGRAMS = 32  # of one function of `bounded_jit`, at some 6 MiB and 200 mappings of memory each
@@ -23,11 +25,10 @@ class LRU(collections.OrderedDict):
 
     def get(self, key, default=None):
         """The value of a key, which thereby becomes the newest."""
-        try:
+        with contextlib.suppress(KeyError):  # there is none, or another thread has let it go
             self.move_to_end(key)
             return self[key]
-        except KeyError:  # there is none, or another thread has let it go
-            return default
+        return default
 
     def made(self, key, make):
         """The value of a key; where there is none, make(key)."""
@@ -45,13 +46,11 @@ class LRU(collections.OrderedDict):
 _traced = []  # once for each program of all functions, since what JAX keeps of them was last forgotten
 
 
-def bounded_jit(fn=None, **options):
-    """`jax.jit` that forgets its programs when there are more than MOST_PROGRAMS. Decorator, with jit's arguments.
+def bounded_jit(fn, **options):
+    """`jax.jit` that forgets its programs when there are more than MOST_PROGRAMS.
 
     Numbers of steps, literals and lambdas are parts of a program: a process meets new ones all day.
     """
-    if fn is None:
-        return functools.partial(bounded_jit, **options)
     made = []  # once for each program; within a gradient or a batch jit's own count knows nothing of them
 
     @functools.wraps(fn)
@@ -72,32 +71,23 @@ def bounded_jit(fn=None, **options):
             _forget_traces()
         return result
 
-    call._cache_size = jitted._cache_size
     return call
 
 
 def _forget_traces():
-    """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs.
-
-    Not in the midst of tracing; and where this version of JAX has no way to do it, they stay until there are as many.
-    """
-    try:
+    """Drop what JAX keeps of tracing, up to 2,048 pieces of each of many kinds. What is compiled stays, and runs."""
+    with contextlib.suppress(ImportError, AttributeError):  # another version of JAX, which keeps them
         from jax._src import core, util
 
         if not core.trace_state_clean():
-            return  # the next call tries again
+            return  # in the midst of tracing: the next call tries again
         util.clear_all_caches()
-    except (ImportError, AttributeError):
-        pass
     _traced.clear()
     give_back()
 
 
 def give_back():
     """Hand memory that is free back to the system: C's library on Linux keeps it, in pieces that nothing else fits."""
-    import ctypes
-    import gc
-
     gc.collect()
     with contextlib.suppress(OSError, TypeError, AttributeError):  # another system, another library
         ctypes.CDLL(None).malloc_trim(0)
@@ -107,22 +97,17 @@ def give_back():
 # An entry is code that will be run: the folder is readable and writable by its owner alone. Homes are shared between
 # machines: each version of jaxlib and each kind of processor has a sub-folder.
 
-
 MOST_BYTES = 1 << 30  # of all programs kept; what was used longest ago goes first
 
 
 def use_cache(folder: str | os.PathLike | None = None) -> pathlib.Path | None:
     """Keep compiled programs in a folder, and take them from there; the command line calls this.
 
-    The environment has the last word: JAX_ENABLE_COMPILATION_CACHE=0 switches it off, and where
-    JAX_COMPILATION_CACHE_DIR (or `jax.config`) names a folder and `folder` is None, that is used as it is, of any size.
-    All others are cut to 1 GiB here, by what was used longest ago. A folder that can't be written, or that others may
-    write, is no error: nothing is kept.
+    JAX_ENABLE_COMPILATION_CACHE=0 switches it off. Where JAX_COMPILATION_CACHE_DIR (or `jax.config`) names a folder and
+    `folder` is None, that is used as it is; all others are cut to 1 GiB, by what was used longest ago.
 
-    Args:
-      folder: by default `cnclik` in the user's cache folder (XDG_CACHE_HOME, ~/.cache; ~/Library/Caches on macOS).
-
-    Returns: where programs are kept, or None.
+    Args: folder: by default `cnclik` in the user's cache folder (XDG_CACHE_HOME, ~/.cache; ~/Library/Caches on macOS).
+    Returns: where programs are kept, or None: the folder can't be written, or others may write it.
     """
     if not jax.config.jax_enable_compilation_cache:  # type: ignore[attr-defined]
         return None
@@ -149,17 +134,12 @@ def use_cache(folder: str | os.PathLike | None = None) -> pathlib.Path | None:
 
 def user_folder() -> pathlib.Path:
     """Where this user's programs keep what can be made again, cnclik's part of it."""
-    named = os.environ.get("XDG_CACHE_HOME")
-    if named and os.path.isabs(named):  # others are to be ignored, says the XDG specification
-        return pathlib.Path(named, "cnclik")
-    home = pathlib.Path.home()
-    return (home / "Library" / "Caches" if sys.platform == "darwin" else home / ".cache") / "cnclik"
+    usual = "Library/Caches" if sys.platform == "darwin" else ".cache"
+    return pathlib.Path.home() / (os.environ.get("XDG_CACHE_HOME") or usual) / "cnclik"
 
 
 def machine() -> str:
     """Name of the version of jaxlib and the kind of processor that a program is compiled for."""
-    import jaxlib
-
     kind = [platform.system(), platform.machine(), platform.processor()]
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as info:
         kind += sorted({row for row in info if row.startswith(("model name", "flags", "Features", "CPU part"))})
@@ -167,23 +147,17 @@ def machine() -> str:
 
 
 def cut(folder: pathlib.Path, most_bytes: int) -> None:
-    """Remove the programs in a folder that were used longest ago, until the rest fits, and what is no file where a
-    program's should be: a link may lead to a device without an end."""
-    found = []
+    """Remove the programs in a folder that were used longest ago, so that the rest fits."""
+    found, total = [], 0
     for path in (p for end in ("-cache", ".so") for p in folder.glob(f"jaxlib-*/*{end}")):
         with contextlib.suppress(OSError):  # another process may be at it, too
             about = path.lstat()
-            if stat.S_ISREG(about.st_mode):
-                found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
-            elif not stat.S_ISDIR(about.st_mode):
+            found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
+    for _, size, path in sorted(found, reverse=True):
+        total += size
+        if total > most_bytes:
+            with contextlib.suppress(OSError):
                 path.unlink()
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
-        if total <= most_bytes:
-            return
-        with contextlib.suppress(OSError):
-            path.unlink()
-            total -= size
 
 
 def _private(folder: pathlib.Path) -> pathlib.Path:

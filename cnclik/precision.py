@@ -19,17 +19,17 @@ def of_numbers(fn):
 
     @functools.wraps(fn)
     def known(*args, **kwargs):
-        as_numbers(fn.__name__, *zip(names, args, strict=False), *kwargs.items())
+        for name, value in (*zip(names, args, strict=False), *kwargs.items()):
+            as_numbers(fn.__name__, name, value)
         return fn(*args, **kwargs)
 
     return known
 
 
-def as_numbers(door, *named) -> None:
-    """Refuse what is traced among (name, value), arguments that `door` decides by."""
-    for name, value in named:
-        if not _known(value):
-            raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
+def as_numbers(door, name, value) -> None:
+    """Refuse a traced argument that `door` decides by."""
+    if not _known(value):
+        raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
 
 
 def in_float64(fn):
@@ -47,7 +47,7 @@ def in_float64_if_known(fn):
         if not _known(leaves) or (jax.config.jax_enable_x64 and not narrow):
             return fn(*args, **kwargs)
         with jax.enable_x64(True):
-            args, kwargs = jax.tree.map(_widened, (args, kwargs), is_leaf=_is_dict)
+            args, kwargs = jax.tree.map(_widened, (args, kwargs))
             return fn(*args, **kwargs)
 
     return wide
@@ -65,14 +65,7 @@ def precise(fn):
 
 
 def _known(tree) -> bool:
-    """Whether nothing in it is traced."""
-    leaves = jax.tree.leaves(tree, is_leaf=_is_dict)
-    return all(_known(list(v.values())) if _is_dict(v) else errors.concrete(v) for v in leaves)
-
-
-def _is_dict(value) -> bool:
-    """Whether it is one whose keys JAX would sort."""
-    return type(value) is dict
+    return all(map(errors.concrete, jax.tree.leaves(tree)))
 
 
 def _floating(leaf):
@@ -81,6 +74,4 @@ def _floating(leaf):
 
 def _widened(leaf):
     """A floating array in float64, as a copy: JAX remembers some constants by identity; anything else as it is."""
-    if _is_dict(leaf):
-        return {key: jax.tree.map(_widened, value, is_leaf=_is_dict) for key, value in leaf.items()}
     return np.array(leaf, np.float64) if _floating(leaf) else leaf

@@ -15,7 +15,6 @@ _FACTORS = {
     "Hz": {"Hz": 1.0, "kHz": 1e3},
 }
 SAMPLES = "samples"
-ANY = "s, q, q/s"  # the unit of what may be in any
 
 
 def number(text: str) -> float | None:
@@ -30,10 +29,7 @@ def number(text: str) -> float | None:
 
 def hint(text: str) -> str:
     """Why a text is no number, where that can be told, to stand behind it; else nothing."""
-    if re.search(r"\$[({]", text):
-        return ", an expression of xacro: run `xacro FILE -o robot.urdf` first"
     plain = text.replace(",", ".").replace("_", "")
-    plain = "".join(str(int(c)) if c.isdecimal() else c for c in plain)
     return f": write {plain}" if plain != text and number(plain) is not None else ""
 
 
@@ -46,10 +42,9 @@ def units(unit: str) -> dict:
         return units("s") | {word: (1.0, SAMPLES) for word in ("sample", SAMPLES)}
     found = {}
     for part in unit.split(", "):
-        base, slash, _ = part.partition("/")
-        bases = (part,) if part in _FACTORS else {"q": ("m", "rad"), "x": ("m",)}.get(base, (base,))
-        per = "/s" * bool(slash and part not in _FACTORS)
-        for one in bases:
+        base, slash, _ = (part, "", "") if part in _FACTORS else part.partition("/")
+        for one in {"q": ("m", "rad"), "x": ("m",)}.get(base, (base,)):
+            per = "/s" * bool(slash)
             found |= {f"{text}{per}": (factor, f"{one}{per}") for text, factor in _FACTORS.get(one, {}).items()}
     return found | ({"Hz": (2 * math.pi, unit)} if unit == "rad/s" else {})
 
@@ -105,20 +100,6 @@ def read_each(values, unit: str, Ts: float | None = None, *, marked=True) -> Qua
     """The numbers of a list of texts, each with its unit, as for `read`, and of numbers in the option's own unit."""
     each = [read(v, unit, Ts, marked=marked) if isinstance(v, str) else Quantities([v], [None]) for v in values]
     return Quantities([v for one in each for v in one], [w for one in each for w in one.written])
-
-
-def in_python(text: str, own: str = ANY) -> str:
-    """How a text with a unit is written in Python, to stand behind it, such as ": write 0.02" for 20ms; else nothing.
-
-    Args: own: the unit of what it is for, as for `units`; any where it isn't known.
-    """
-    try:
-        found = read(text, own, Ts=1.0, marked=True)
-    except (AttributeError, TypeError, ValueError):  # no text, no numbers, or no unit
-        return ""
-    in_samples = [own == SAMPLES and mark == "s" for mark in found.written]
-    numbers = ", ".join(f"{v:.9g}{'/Ts' * late}" for v, late in zip(found, in_samples, strict=True))
-    return f": write {numbers}" if len(found) == 1 else f": write [{numbers}]"
 
 
 # --- in words -----------------------------------------------------------------------------------------

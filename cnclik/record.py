@@ -13,7 +13,6 @@ JAX loads when a record first meets it: methods, drives and gains are records th
 import dataclasses
 import functools
 import importlib
-import operator
 import sys
 from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 from typing import Annotated as Bool
@@ -44,35 +43,11 @@ AnyArray = Array | np.ndarray  # JAX's or NumPy's
 Number = float | np.floating | np.integer | Float[AnyArray, ""]  # compiled in as a float, a parameter as an array
 T = TypeVar("T")
 
-_LITERAL = (float, int, bool, type(None))
-_is_none = functools.partial(operator.is_, None)
-
 
 def is_literal(value) -> bool:
     """True for what is compiled in: exactly a Python number, a string, None, or a plain function."""
-    written = type(value) in _LITERAL or isinstance(value, str)
+    written = type(value) in (float, int, bool, type(None)) or isinstance(value, str)
     return written or (callable(value) and not dataclasses.is_dataclass(value))
-
-
-class Literals:
-    """The literal part of a flattened tree, hashed once: it is a key of JAX's compilation caches."""
-
-    __slots__ = ("_hash", "all_arrays", "flat", "treedef", "values")
-
-    def __init__(self, treedef, values):
-        self.treedef, self.values = treedef, values
-        # A tuple of arrays and literals, or of arrays alone: what most results are, put together without ceremony.
-        self.flat = treedef == jax.tree.structure((0,) * len(values))
-        self.all_arrays = self.flat and values.count(HOLE) == len(values)
-        self._hash = hash((treedef, values))
-
-    def __hash__(self):
-        return self._hash
-
-    def __eq__(self, other):
-        return self is other or (
-            self._hash == other._hash and self.treedef == other.treedef and self.values == other.values
-        )
 
 
 HOLE = object()  # marks, among the literals, the place of an array
@@ -80,16 +55,15 @@ HOLE = object()  # marks, among the literals, the place of an array
 
 def partition(tree):
     """Split any tree into its arrays (a list) and its literals (hashable)."""
-    leaves, treedef = jax.tree.flatten(tree, is_leaf=_is_none)
-    values = tuple([v if type(v) in _LITERAL or is_literal(v) else HOLE for v in leaves])
-    return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], Literals(treedef, values)
+    leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
+    values = tuple([v if is_literal(v) else HOLE for v in leaves])
+    return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], (treedef, values)
 
 
-def combine(arrays, literals: Literals):
-    """Inverse of `partition`; a tuple that holds no other tree comes back as a list."""
-    arrays = iter(arrays)
-    leaves = [next(arrays) if v is HOLE else v for v in literals.values]
-    return leaves if literals.flat else jax.tree.unflatten(literals.treedef, leaves)
+def combine(arrays, literals):
+    """Inverse of `partition`."""
+    arrays, (treedef, values) = iter(arrays), literals
+    return jax.tree.unflatten(treedef, [next(arrays) if v is HOLE else v for v in values])
 
 
 _waiting: list = []  # registrations of classes that were made before JAX was loaded
@@ -97,10 +71,9 @@ _waiting: list = []  # registrations of classes that were made before JAX was lo
 
 def with_jax(register) -> None:
     """Call register(jax) now, or, if JAX is not loaded, when a room of the package that needs it is."""
+    _waiting.append(register)
     if "jax" in sys.modules:
-        register(importlib.import_module("jax"))
-    else:
-        _waiting.append(register)
+        register_waiting()
 
 
 def register_waiting() -> None:
@@ -121,17 +94,21 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
         if _waiting and "jax" in sys.modules:
             register_waiting()
         for name, value in self.__dict__.items():
-            if type(value) is np.ndarray:
-                taken = errors.as_jax_takes(value)
-                if taken is not value or value.flags.writeable:
-                    object.__setattr__(self, name, _own(taken))  # the caller may write to theirs
+            if type(value) is np.ndarray and value.flags.writeable:
+                object.__setattr__(self, name, _own(value))  # the caller may write to theirs
 
     cls.__post_init__ = frozen
     if cls.__repr__ is object.__repr__:
         cls.__repr__ = _in_short
     cls = dataclasses.dataclass(frozen=True, kw_only=kw_only, eq=False, repr=False)(cls)
-    names = tuple(f.name for f in dataclasses.fields(cls))
-    cls.__init__ = _helpful(cls, names)
+    names, init = tuple(f.name for f in dataclasses.fields(cls)), cls.__init__
+
+    @functools.wraps(init)
+    def helpful(self, *args, **given):
+        if unknown := next((name for name in given if name not in names), None):
+            near = errors.nearest(unknown, names) or f" (it has {', '.join(names)})"
+            raise errors.ArgumentError(f"{cls.__name__} has no argument `{unknown}`{near}.")
+        init(self, *args, **given)
 
     def flatten(self):
         # A record never changes, so it is taken apart once for each precision; repeated jit calls find the answer here.
@@ -146,72 +123,42 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
 
     def unflatten(literals, arrays):
         self = object.__new__(cls)  # no __init__: leaves may be tracers, None, or any object
-        fields = self.__dict__
-        if not literals.all_arrays:
-            fields.update(zip(names, combine(arrays, literals), strict=True))
-            return self
-        fields.update(zip(names, arrays, strict=True))
-        if all(isinstance(v, jax.Array) for v in arrays):
-            fields["_flat"] = fields["_flat32"] = list(arrays), literals
+        self.__dict__.update(zip(names, combine(arrays, literals), strict=True))
         return self
 
-    def fields_alone(self):  # what is remembered marks holes by identity, and hashes change between processes
+    def state(self):  # what is remembered marks holes by identity, and hashes change between processes
         return {n: getattr(self, n) for n in names}
 
-    def read_only(self, state):
-        for name, value in state.items():
-            if type(value) is np.ndarray and value.flags.writeable:
-                value = value.view()
-                value.flags.writeable = False
-            self.__dict__[name] = value
+    def set_state(self, state):
+        self.__dict__.update({n: _own(v) if type(v) is np.ndarray else v for n, v in state.items()})
 
-    cls.__getstate__, cls.__setstate__ = fields_alone, read_only  # type: ignore[assignment]
+    cls.__init__, cls.__getstate__, cls.__setstate__ = helpful, state, set_state  # type: ignore[assignment]
     cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
     with_jax(lambda jax: jax.tree_util.register_pytree_node(cls, flatten, unflatten))
     return cls
 
 
-def _helpful(cls, names):
-    """The constructor of a record, which answers an unknown argument with the nearest name."""
-    init = cls.__init__
-
-    @functools.wraps(init)
-    def helpful(self, *args, **given):
-        try:
-            init(self, *args, **given)
-        except TypeError:
-            if unknown := next((name for name in given if name not in names), None):
-                near = errors.nearest(unknown, names) or f" (it has {', '.join(names)})"
-                raise errors.ArgumentError(f"{cls.__name__} has no argument `{unknown}`{near}.") from None
-            raise
-
-    return helpful
-
-
 def _equal(self, other):
     """Whether two records of one kind have the same literals, and arrays of the same values, shapes and dtypes."""
-    if self is other or type(self) is not type(other):
-        return True if self is other else NotImplemented
+    if type(self) is not type(other):
+        return NotImplemented
+    if self is other:
+        return True
     (own, treedef), (others, other_treedef) = jax.tree.flatten(self), jax.tree.flatten(other)
     return treedef == other_treedef and all(map(_same, own, others))
 
 
 def _same(a, b) -> bool:
-    if a is b or isinstance(a, jax.core.Tracer) or isinstance(b, jax.core.Tracer):
+    if a is b or not (errors.concrete(a) and errors.concrete(b)):
         return a is b
-    if not (hasattr(a, "dtype") and hasattr(b, "dtype")):
-        return bool(type(a) is type(b) and a == b)
+    a, b = np.asarray(a), np.asarray(b)
     return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
 
 
 def _hashed(self):
-    return memoized(self, "_hash", _hash_of)
-
-
-def _hash_of(self):
     """Of the literals and the arrays' shapes: the arrays may be on another device."""
     leaves, treedef = jax.tree.flatten(self)
-    return hash((treedef, *(getattr(v, "shape", None) for v in leaves)))
+    return memoized(self, "_hash", lambda _: hash((treedef, *map(np.shape, leaves))))
 
 
 def _own(array):
@@ -229,17 +176,15 @@ def in_words(value) -> str:
 
 def brief(value) -> str:
     """A value in a few words: small arrays by their numbers, large ones and traced ones by dtype and shape."""
-    if hasattr(value, "shape") and hasattr(value, "dtype"):
-        known = isinstance(value, (np.ndarray, np.generic, jax.Array)) and not isinstance(value, jax.core.Tracer)
+    if hasattr(value, "dtype"):
+        known = errors.concrete(value) and not isinstance(value, jax.ShapeDtypeStruct)
         if known and value.size <= 9 and value.dtype.kind in "biuf":
             return in_words(value)
         return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
     if isinstance(value, (tuple, list)):
         shown = [brief(v) for v in value[:3]] + ([f"… {len(value)} in all"] if len(value) > 3 else [])
         return f"({', '.join(shown)})"
-    if callable(value) and not dataclasses.is_dataclass(value):
-        return getattr(value, "__name__", type(value).__name__)
-    return repr(value)
+    return getattr(value, "__name__", None) or repr(value)
 
 
 def _in_short(self) -> str:

@@ -12,7 +12,6 @@ from cnclik import errors
 OWN = ".cnclik"  # a file in each store of a sweep
 LIST = ".cnclik-files"  # in a folder of results: when cnclik wrote each file there, its size and name
 _PARTIAL = ".partial-"
-_ROOM = 1 << 16  # bytes that a folder must have room for before anything is computed
 _begun: list[pathlib.Path] = []  # hidden folders that this process writes into
 
 
@@ -46,21 +45,11 @@ def check_free(name: str, folder, files, *, overwrite=False) -> None:
             raise Refused(f"Argument `{name}` must be a folder that takes all files, but {file} {there}.")
 
 
-def checked_file(name: str, file, *endings, overwrite=True) -> pathlib.Path:
-    """The path of a file to write; raises ArgumentError unless it has one of the endings, in a folder that is there."""
-    file = errors.path(name, file)
-    errors.ending(name, file, *endings)
-    if os.path.isdir(file) or not os.path.isdir(file.parent):
-        raise errors.fail(name, "name a file in a folder that is there", f"is {str(file)!r}")
-    check_free(name, file.parent, [file.name], overwrite=overwrite)
-    return file
-
-
 class Folder:
     """A folder that takes files one by one: each is written into a hidden folder beside its place, and moved there."""
 
     def __init__(self, path: pathlib.Path, name: str, overwrite: bool):
-        self.path, self.name, self.overwrite, self.made = path, name, overwrite, []
+        self.path, self.name, self.overwrite = path, name, overwrite
 
     def write(self, file: str, make) -> None:
         """Write a file by make(path). Raises: Refused where the folder doesn't take it; files before it are there."""
@@ -79,7 +68,6 @@ class Folder:
         except OSError as error:
             found = f"{str(self.path)[-80:]!r} does not: {errors.reason(error)} ({file}; files before it are kept)"
             raise Refused(f"Argument `{self.name}` must be a folder that takes all files, but {found}.") from error
-        self.made.append(file)
 
     def write_text(self, file: str, text: str) -> None:
         """Write a text. Raises: as `write`."""
@@ -87,16 +75,13 @@ class Folder:
 
 
 @contextlib.contextmanager
-def output_folder(path, *, name="out", overwrite=True, files=(), replaces=()):
+def output_folder(path, *, name="out", overwrite=True, files=()):
     """A `Folder` that writes into `path`, which is created if need be, and found unwritable before any work is done.
 
     Args:
-      path: where the results shall be.
-      name: what the user calls it, for the message.
+      path: where the results shall be. name: what the user calls it, for the message.
       overwrite: whether files that cnclik did not write may be written over.
       files: names of what is going to be written there, now or later: one in the way is refused at once.
-      replaces: names that the same command may have written before: cnclik's own ones that it doesn't write this time
-        are removed when the block ends well, so that the folder holds one result.
 
     Raises: ArgumentError if `path` is not, and cannot become, a folder that can be written into.
     """
@@ -106,20 +91,15 @@ def output_folder(path, *, name="out", overwrite=True, files=(), replaces=()):
     try:
         try:
             path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path) as room:
-                room.write(bytes(_ROOM))
+            tempfile.TemporaryFile(dir=path).close()
             remove_abandoned(path.glob(f"{_PARTIAL}*"))
         except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
             found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
-        folder = Folder(path, name, overwrite)
-        yield folder
-        for target in (path / file for file in replaces if file not in folder.made):
-            if os.path.isfile(target) and is_own(target):
-                target.unlink()
+        yield Folder(path, name, overwrite)
     finally:
         if new:
-            with contextlib.suppress(OSError):  # it holds something
+            with contextlib.suppress(OSError, ValueError):  # it holds something, or never was
                 path.rmdir()
 
 

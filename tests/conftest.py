@@ -35,26 +35,14 @@ from cnclik.cache import give_back
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
-LONGEST = (
-    "test_docs.py",
-    "test_reach.py",
-    "test_store.py",
-    "test_walls.py",
-    "test_stack.py",
-    "test_tasks.py",
-    "test_loops.py",
-    "test_tune.py",
-    "test_diagnose.py",
-    "test_bases.py",
-    "test_bounded.py",
-    "test_fit.py",
-)
+LONGEST = ["docs", "reach", "store", "walls", "stack", "tasks", "loops", "tune", "diagnose", "bases", "bounded", "fit"]
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """The longest files first: no worker waits for one alone."""
-    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+    places = {f"test_{name}.py": i for i, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(places)))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -1,15 +1,12 @@
 """`python tests/lint.py`: what ruff and mypy don't know of this house. pre-commit and `.ci/run` call it, without JAX.
 
 Imports run one way and touch no private name; helpers that must agree stand once; who takes any exception says why;
-fields say what they are; pages, docstrings and messages are short sentences in the field's words. Exit code 1 with a
-line for each fault. Long files and functions are hints: printed with --hints, no fault.
+fields say what they are; pages, docstrings and messages are short sentences. Exit code 1 with a line for each fault.
 """
 
 import ast
-import collections
 import functools
 import graphlib
-import itertools
 import pathlib
 import re
 import sys
@@ -20,7 +17,7 @@ GROUND = ("errors", "record", "cache", "precision", "threads", "reading", "writi
 BASE = ("engine", "robot", "task", "law", "integrate", "reaching")  # reached through the names of the package alone
 ROOMS = (*(*BASE, "problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show", "paper"),)
 ORDER = {name: 0 for name in GROUND} | {name: i for i, name in enumerate((*ROOMS, "cli"), 1)}
-LONG_FILE, LONG_FUNCTION, LONG_PAGE, LONG_SENTENCE = 400, 60, 280, 40  # lines, lines, lines, words
+LONG_SENTENCE = 40  # words
 ONCE = {  # what may stand in one place only, and where
     r"cpu_count\(": "threads.py",
     r"\.to_netcdf\(": "measure/files.py",
@@ -29,21 +26,6 @@ ONCE = {  # what may stand in one place only, and where
     r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/rotations.py",
     r"np\.array2string\(": "record.py",
     r"\"\| ---|\| --- \|": "measure/files.py",
-}
-PRIVATE = {  # words with a meaning of their own in earlier texts, and the field's word for each
-    r"bears?": "tolerates",
-    r"(takes?|taken|took) back": "removes",
-    r"(is|are|was|were) told": "knows, is given, reports",
-    r"tells": "shows, reports",
-    r"fore(tells?|told)": "predicts",
-    r"unless (said|told)": "unless stated otherwise, by default",
-    r"it is said": "cnclik reports",
-    r"says": "shows, states",
-    r"(comes?|is|are|samples?) late": "is delayed by",
-    r"late error": "delayed error",
-    r"by nothing": "zero",
-    r"one's": "your",
-    r"were the \w+ (a|one) sample": "even with one more sample",
 }
 
 
@@ -189,17 +171,11 @@ def broad():
                 yield path, node.lineno, "takes any exception without a reason"
 
 
-def lines():
-    """What a pattern finds."""
+def long_names():
     for path in files():
         for number, line in enumerate(text(path).splitlines(), 1):
             if re.search(r"\.(exists|is_file|is_dir)\(\)", line):
                 yield path, number, "pathlib raises where a name is too long: os.path answers False"
-            if "noqa: E731" in line:
-                yield path, number, "switches a rule off by hand"
-        for node in nodes(path):
-            if isinstance(node, ast.AnnAssign) and "object" in ast.unparse(node.annotation).split():
-                yield path, node.lineno, "a field is just an object"
 
 
 # --- words --------------------------------------------------------------------------------------------
@@ -224,14 +200,11 @@ def sentences(page):
         yield from re.split(r"(?<=[.!?:;])(?:\*\*)?\s+(?=[A-ZÀ-Ž0-9*`J\[(])", re.sub(r"`[^`]*`", "CODE", part))
 
 
-def faults(page, *, lengths=True, words=True):
-    """What is wrong with a text."""
+def faults(page):
+    """Sentences of a text that are too long."""
     for sentence in sentences(page):
-        if lengths and len(re.findall(r"[^\W\d_]{2,}", sentence)) > LONG_SENTENCE:
+        if len(re.findall(r"[^\W\d_]{2,}", sentence)) > LONG_SENTENCE:
             yield f"more than {LONG_SENTENCE} words: {sentence.strip()[:100]}"
-        for word, plain in PRIVATE.items() if words else ():
-            if re.search(rf"\b{word}\b", sentence):
-                yield f"{plain}, not {word}: {sentence.strip()[:100]}"
 
 
 def pages():
@@ -240,8 +213,7 @@ def pages():
     outside = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "sweeps/README.md")]
     docs = [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.relative_to(ROOT / "docs").parts[0] not in made]
     for path in (*outside, *docs, *sorted((ROOT / "results").rglob("*.md"))):
-        for fault in faults(text(path), words=not path.is_relative_to(ROOT / "results")):
-            yield path, 1, fault
+        yield from ((path, 1, fault) for fault in faults(text(path)))
 
 
 def strings():
@@ -255,39 +227,21 @@ def strings():
             else:
                 continue
             listed = isinstance(node, ast.Constant) and (node.lineno == 1 or "{" in value)
-            yield from ((path, node.lineno, fault) for fault in faults(value, lengths=not listed))
+            yield from ((path, node.lineno, fault) for fault in faults(value) if not listed)
 
 
-def hints():
-    """Long files, functions and pages: to be looked at, not to be cut for a number."""
-    for path in files():
-        if (count := text(path).count("\n")) > LONG_FILE:
-            yield path, 1, f"{count} lines"
-        for node in nodes(path):
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                first = node.body[0]
-                told = first.end_lineno - first.lineno + 1 if ast.get_docstring(node, clean=False) is not None else 0
-                if (count := node.end_lineno - node.lineno + 1 - told) > LONG_FUNCTION:
-                    yield path, node.lineno, f"{node.name} has {count} lines"
-    for path in (ROOT / "docs").glob("*.md"):
-        if (count := text(path).count("\n")) > LONG_PAGE:
-            yield path, 1, f"{count} lines"
-
-
-CHECKS = (order, circles, private, homes, inside, once, broad, lines, pages, strings)
+CHECKS = (order, circles, private, homes, inside, once, broad, long_names, pages, strings)
 
 
 def main():
-    """Print every fault, and how many of each check."""
-    found = collections.Counter()
-    for check, shown in itertools.chain(((c, True) for c in CHECKS), [(hints, "--hints" in sys.argv)]):
+    """Print every fault."""
+    count = 0
+    for check in CHECKS:
         for path, line, what in check():
-            found[check.__name__] += 1
-            if shown:
-                print(f"{path.relative_to(ROOT)}:{line}: {what} ({check.__name__})")
-    long = found.pop("hints", 0)
-    print(f"{found.total()} faults; {long} long files, functions and pages (--hints lists them).")
-    sys.exit(found.total() > 0)
+            print(f"{path.relative_to(ROOT)}:{line}: {what} ({check.__name__})")
+            count += 1
+    print(f"{count} faults.")
+    sys.exit(count > 0)
 
 
 if __name__ == "__main__":

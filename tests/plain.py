@@ -11,7 +11,7 @@ def norms(rows):
 
 def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
     """All scalar metrics; `tangent` holds the path's unit tangent at every instant (0 at rest)."""
-    t, q, e, qdot = (np.asarray(getattr(run, n)) for n in ("t", "q", "e", "qdot"))
+    q, e, qdot = (np.asarray(getattr(run, n)) for n in ("q", "e", "qdot"))
     residual, status = np.asarray(run.residual), np.asarray(run.status)
     position, rotation = e[:, : len(law.task.position)], e[:, len(law.task.position) :]
     parts = {"error": e, "position_error": position, "rotation_error": rotation}
@@ -24,17 +24,10 @@ def metrics(run, law, tangent, tolerance, velocity_limit, lower, upper):
         out[f"rms_{name}"] = np.sqrt(np.mean(size**2))
     size, steps = norms(e), len(qdot)
     inside = [k for k in range(len(size)) if size[k] <= tolerance]
-    outside = [k for k in range(len(size)) if size[k] > tolerance]
     out["steps_to_tolerance"] = inside[0] if inside else np.inf
     out["evaluations_to_tolerance"] = out["steps_to_tolerance"] * float(run.evaluations) / steps
-    settled = outside[-1] + 1 if outside else 0
-    out["settling_time"] = t[settled] - t[0] if settled < len(size) else np.inf
     out["converged"] = float(size[-1] <= tolerance)
-    last = inside[0] if inside else steps
-    out["rate"] = np.nan if size[0] <= tolerance else (size[last] / size[0]) ** (1 / last)
     out["max_qdot"] = np.abs(qdot).max()
-    out["rms_qddot"] = np.sqrt(np.mean(norms(np.diff(qdot, axis=0) / (t[1] - t[0])) ** 2))
-    out["path_length"] = norms(np.diff(q, axis=0)).sum()
     out["velocity_ratio"] = (np.abs(qdot) / velocity_limit).max()
     out["past_limit"] = max(0.0, *(q - upper).ravel(), *(lower - q).ravel())
     late = qdot[steps // 2 :]

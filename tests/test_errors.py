@@ -1,13 +1,10 @@
 """One grammar for every message, and that values are looked at only where they are known."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import cnclik as ck
 from cnclik import errors
 from cnclik.errors import ArgumentError
 
@@ -26,10 +23,6 @@ from cnclik.errors import ArgumentError
         (lambda: errors.array("x", np.ones((2, 3)), (), (2, 2)), "have shape () or (2, 2), but has shape (2, 3)."),
         (lambda: errors.array("x", [0, np.nan]), "be finite, but is nan at index (1,)."),
         (lambda: errors.one_of("x", "RK5", ["EE", "RK4"]), "be one of EE, RK4, but is 'RK5' (did you mean 'RK4'?)."),
-        *(
-            (lambda bad=bad: errors.seed(bad), f"be a whole number from 0 to 1,073,741,823, but is {bad}.")
-            for bad in (1 << 30, -1, 0.5)
-        ),
     ],
 )
 def test_messages(call, said):
@@ -44,16 +37,12 @@ def test_what_is_no_real_number():
             errors.array("q", bad)
 
 
-@pytest.mark.parametrize("dtype", [">f8", ">f4", np.longdouble])
+@pytest.mark.parametrize("dtype", [">f8", ">f4", np.longdouble, "i2"])
 def test_numbers_of_any_byte_order_and_size_are_what_jax_takes(dtype):
-    found = errors.array("q", np.array([0.5, 2.0], dtype))
-    assert jnp.asarray(found).tolist() == [0.5, 2.0]
-    assert found.dtype == (np.float32 if dtype == ">f4" else np.float64)
-    assert ck.lanes(jnp.sin)(np.array([0.5, 2.0], dtype)).shape == ck.native(jnp.sin)(np.array([0.5, 2.0], dtype)).shape
-    robot = ck.planar_arm(np.ones(2))
-    law = ck.Law(robot, ck.position("xy"), alpha=5.0)
-    law = dataclasses.replace(law, alpha=np.array(5.0, dtype))
-    assert np.isfinite(ck.solve(law, ck.hold([1.0, 0.5]), [0.3, 0.4], 0.01, 2, "EE").e).all()
+    found = errors.array("q", np.array([1.0, 2.0], dtype))
+    assert jnp.asarray(found).tolist() == [1.0, 2.0] and found.dtype == np.float64
+    gaps = np.ma.array([1.0, 2.0], mask=[False, True])
+    np.testing.assert_array_equal(errors.array("q", gaps, finite=False), [1.0, np.nan])
 
 
 def test_traced_values_are_checked_by_shape_alone():
@@ -72,12 +61,6 @@ def test_a_message_is_one_short_line_whatever_it_speaks_of():
     for error in (errors.fail("n" * 10**6, "be", "is\n\x1b[31m"), ArgumentError("a\nb \x1b[2J" + "c" * 10**6)):
         said = str(error)
         assert len(said) <= 800 and said.isprintable() and "\\x1b" in said
-
-
-@pytest.mark.parametrize("path", ["a\0b", "\ud800"])
-def test_what_no_file_system_can_name_is_one_line(path):
-    with pytest.raises(errors.ArgumentError, match=r"Argument `out` must be a path, but is '"):
-        errors.path("out", path)
 
 
 EVERY = ["EE", "HEUN", "RK4", "MIDPOINT", "EXP-MIDPOINT"]

@@ -60,7 +60,6 @@ def test_public_functions_say_what_they_take_and_return():
     assert not wrong
 
 
-def test_the_linter_finds_what_it_looks_for():
-    text = "It bears 2 samples more.\n\n```\nbears\n```\n\n| a | it tells |\n| --- | --- |\n| " + "word " * 41 + "| |\n"
-    said = [fault.partition(":")[0] for fault in lint.faults(text)]
-    assert said == ["tolerates, not bears?", "shows, reports, not tells", "more than 40 words"]
+def test_the_linter_finds_a_long_sentence():
+    text = "Short.\n\n```\n" + "code " * 41 + "\n```\n\n| a | b |\n| --- | --- |\n| " + "word " * 41 + "| |\n"
+    assert [fault.partition(":")[0] for fault in lint.faults(text)] == ["more than 40 words"]

@@ -47,8 +47,3 @@ def test_what_decides_by_numbers_names_what_is_traced(door, name):
     told = f"`{name}` must hold numbers, but is traced by JAX: call {door} outside of jit, vmap and grad"
     with pytest.raises(ck.ArgumentError, match=told):
         jax.eval_shape(DOORS[door, name], Q)
-
-
-def test_tables_of_any_keys_are_looked_into():
-    with pytest.raises(ck.ArgumentError, match="`config` must be what JSON can write"):
-        ck.measure.to_dataset(run(Q), LAW, config={1: "one", "two": 2})

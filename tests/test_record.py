@@ -11,7 +11,6 @@ import pytest
 
 import cnclik as ck
 from cnclik.record import combine, is_literal, partition, record, replace, stack
-from cnclik.stability.ending import Verdict
 
 
 @record
@@ -103,42 +102,28 @@ def test_stack_keeps_what_agrees_literal():
 
 
 def test_records_print_in_short():
-    assert repr(outer(extra=np.zeros((40, 40)))) == (
-        "Outer(inner=Inner(value=2.0, label='a'), numbers=(1, 2.5, 3), extra=float64[40, 40])"
-    )
-    assert repr(Inner(value=tuple(range(9)))) == "Inner(value=(0, 1, 2, … 9 in all), label='a')"
+    shown = "Outer(inner=Inner(value=(0, 1, 2, … 9 in all), label='a'), numbers=(1, 2.5, 3), extra=float64[40, 40])"
+    assert repr(outer(inner=Inner(value=tuple(range(9))), extra=np.zeros((40, 40)))) == shown
     assert repr(Inner(value=print)) == "Inner(value=print, label='a')"
     seen = []
     jax.jit(lambda r: seen.append(repr(r)) or r.value)(Inner(value=np.ones(3)))
     assert seen == ["Inner(value=float64[3], label='a')"]
 
 
-@pytest.fixture(scope="module")
-def loop():
+def test_what_a_newcomer_prints_is_a_few_lines_and_looks_at_no_traced_value():
     arm = ck.planar_arm(np.ones(2), joint_names=["shoulder", "elbow"])
     law = ck.Law(arm, ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1), error_clamp=(0.1, 0.2))
-    return law, ck.solve(law, ck.hold([1.0, 0.5]), [0.3, 0.9], 0.1, 4)
-
-
-def test_what_a_newcomer_prints_is_a_few_lines(loop):
-    law, run = loop
+    run = ck.solve(law, ck.hold([1.0, 0.5]), [0.3, 0.9], 0.1, 4)
     lines = str(run).split("\n")
     assert lines[0] == "Trajectory: 4 steps, 2 joints, 2 task coordinates, float64"
     assert "0 to 0.4 s" in lines[1] and f"{np.linalg.norm(run.e[-1]):.4g} at last" in lines[2]
     assert lines[-1].startswith("  status") and len(lines) < 8
     for part in ("x, y [m]", "alpha 5 1/s", "Damped(damping=0.1)", "error_clamp [0.1, 0.2]"):
         assert part in str(law)
-    assert str(law.chain).split("\n")[1:] == [
-        "  shoulder: -inf to inf rad, up to inf rad/s",
-        "  elbow: -inf to inf rad, up to inf rad/s",
-    ]
+    assert str(law.chain).split("\n")[2:] == ["  elbow: -inf to inf rad, up to inf rad/s"]
     assert repr(ck.pose("xy", "z", weights=[1, 1, 2])) == "Task: x, y [m], rz [rad], weights [1, 1, 2]"
     assert repr(ck.hold([1.0, 2.0])) == "Reference: Hold(position=[1, 2], rotation=None)"
     assert repr(ck.causal(ck.hold([1.0]))).endswith("future unknown")
-
-
-def test_printing_looks_at_no_traced_value(loop):
-    law, run = loop
     batch = jax.tree.map(lambda v: jnp.stack([v] * 3), run)
     assert str(batch).startswith("Trajectory: 3 lanes, each of 4 steps, 2 joints")
     seen = []
@@ -153,10 +138,7 @@ def test_records_of_the_same_content_are_equal():
     pairs = [
         lambda lag=0.05: ck.Drive(delay=3, lag=np.full(2, lag)),
         lambda alpha=5.0: ck.Law(ck.planar_arm([1.0, 0.8]), ck.position("xy"), alpha=alpha, inverse=ck.damped(0.1)),
-        lambda x=0.3: ck.hold(jnp.array([x, 0.2])),
-        lambda gain=1.0: Verdict(
-            kind="settled", sentence="", remedy="", change={"alpha": [gain, 2.0]}, error=0.1, tasks={}
-        ),
+        lambda gain=1.0: outer(extra={"alpha": [gain, 2.0]}),
     ]
     for made in pairs:
         one, same, other = made(), made(), made(0.25)

@@ -23,25 +23,11 @@ ROOT = pathlib.Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 MADE = ("results", "gallery-pages")  # by a build
 PAGES = sorted(p for p in DOCS.rglob("*.md") if p.relative_to(DOCS).parts[0] not in MADE)
-LINKED = [
-    *PAGES,
-    ROOT / "README.md",
-    ROOT / "CHANGELOG.md",
-    ROOT / "CONTRIBUTING.md",
-    ROOT / "sweeps/README.md",
-    *sorted(ROOT.glob("results/**/*.md")),
-]
+OUTSIDE = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "sweeps/README.md")]
+LINKED = [*PAGES, *OUTSIDE, *sorted(ROOT.glob("results/**/*.md"))]
 SCRIPTS = sorted((DOCS / "gallery").glob("*.py"))
-ROOMS = (
-    "problem",
-    "measure",
-    "stability",
-    "diagnosis",
-    "sweeps",
-    "tuning",
-    "export",
-    "show",
-)
+TUTORIALS = [p for p in sorted((DOCS / "tutorials").glob("*.md")) if p.stem != "index"]
+ROOMS = ("problem", "measure", "stability", "diagnosis", "sweeps", "tuning", "export", "show")
 
 
 def named(page) -> list:
@@ -59,9 +45,14 @@ NAMED = [name for page in sorted((DOCS / "api").glob("*.md")) for name in named(
 
 
 def test_the_api_has_every_public_name():
+    """Those of a room by the room's own name, or by the package's where it is the same thing; none twice."""
     rooms = {name for name in ck.__all__ if isinstance(getattr(ck, name), types.ModuleType)}
+    assert set(ROOMS) == rooms and len(set(NAMED)) == len(NAMED)
     assert not {f"cnclik.{name}" for name in ck.__all__ if name not in rooms} - set(NAMED)
-    assert set(ROOMS) == rooms
+    for room in ROOMS:
+        for name in getattr(ck, room).__all__:
+            short = {f"cnclik.{name}"} if name in ck.__all__ else set()
+            assert set(NAMED) & (short | {f"cnclik.{room}.{name}", f"cnclik.{room}.{name}.{name}"}), name
 
 
 def described(kind, name, obj):
@@ -82,14 +73,13 @@ EVERY = {n: getattr(importlib.import_module(n.rpartition(".")[0]), n.rpartition(
 RECORDS = {name: thing for name, thing in EVERY.items() if isinstance(thing, type) and dataclasses.is_dataclass(thing)}
 
 
-@pytest.mark.parametrize("name", RECORDS)
-def test_the_api_explains_every_field_and_no_property_has_a_sentence_for_a_type(name):
-    cls = RECORDS[name]
-    text = described("class", name, cls)
-    assert not [f.name for f in dataclasses.fields(cls) if not re.search(rf"\b{f.name}\b", text)]
-    for key, value in vars(cls).items():
-        if isinstance(value, property) and value.__doc__ and not key.startswith("_"):
-            assert ":type:" not in described("property", f"{name}.{key}", value)
+def test_the_api_explains_every_field_and_no_property_has_a_sentence_for_a_type():
+    for name, cls in RECORDS.items():
+        text = described("class", name, cls)
+        assert not [f.name for f in dataclasses.fields(cls) if not re.search(rf"\b{f.name}\b", text)], name
+        for key, value in vars(cls).items():
+            if isinstance(value, property) and value.__doc__ and not key.startswith("_"):
+                assert ":type:" not in described("property", f"{name}.{key}", value)
 
 
 def test_the_api_has_a_line_for_every_argument():
@@ -98,21 +88,6 @@ def test_the_api_has_a_line_for_every_argument():
     assert ":param Ts: sampling time [s]." in text and ":param stage: as for `solve`." in text
     assert ":param drive: as for `gains`.\n" in text
     assert ":param q0: (n,) start [rad, m], or (B, n)." in described("function", "cnclik.tune", ck.tune)
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_api_has_every_name_of_a_room(room):
-    """In the room's own name, or in the package's where it is the same thing."""
-    missing = []
-    for name in getattr(ck, room).__all__:
-        short = name in ck.__all__ and f"cnclik.{name}" in NAMED
-        if not short and f"cnclik.{room}.{name}" not in NAMED and f"cnclik.{room}.{name}.{name}" not in NAMED:
-            missing.append(name)
-    assert not missing
-
-
-def test_the_api_names_nothing_twice():
-    assert len(set(NAMED)) == len(NAMED)
 
 
 def entries(page) -> list:
@@ -154,40 +129,28 @@ def anchors(path) -> set:
     return found
 
 
-@pytest.mark.parametrize("page", LINKED, ids=lambda p: str(p.relative_to(ROOT)))
-def test_no_link_is_dead(page):
+def test_no_link_is_dead():
     wrong = []
-    for address in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
-        if re.match(r"[a-z]+:", address):
-            continue
-        where, _, place = address.partition("#")
-        to = (page.parent / where).resolve() if where else page
-        if not to.exists() or (place and to.suffix == ".md" and place not in anchors(to)):
-            wrong.append(address)
+    for page in LINKED:
+        for address in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+            if re.match(r"[a-z]+:", address):
+                continue
+            where, _, place = address.partition("#")
+            to = (page.parent / where).resolve() if where else page
+            if not to.exists() or (place and to.suffix == ".md" and place not in anchors(to)):
+                wrong.append(f"{page.relative_to(ROOT)}: {address}")
     assert not wrong
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.stem)
-def test_a_script_of_the_gallery_asks_a_question(script):
-    title, rule, *_ = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))).splitlines()
-    assert title.endswith("?") and set(rule) == {"="} and len(rule) >= len(title)
-
-
-TUTORIALS = [p for p in sorted((DOCS / "tutorials").glob("*.md")) if p.stem != "index"]
-
-
-def test_twelve_scripts_and_tutorials_show_it_all():
-    assert len(SCRIPTS) == 8 and len(TUTORIALS) == 4
-
-
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda p: p.stem)
-def test_a_tutorial_is_a_notebook_with_a_picture(page):
-    text = page.read_text(encoding="utf-8")
-    assert "file_format: mystnb" in text and ("plt." in text or "ck.plot" in text or "figures(" in text)
-    cells = re.findall(r"^```\{code-cell\}\n(.*?)^```", text, re.M | re.S)
-    assert cells
-    for cell in cells:
-        ast.parse(cell)
+def test_scripts_ask_a_question_and_tutorials_are_notebooks_with_a_picture():
+    for script in SCRIPTS:
+        title, rule, *_ = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))).splitlines()
+        assert title.endswith("?") and set(rule) == {"="} and len(rule) >= len(title), script
+    for page in TUTORIALS:
+        text = page.read_text(encoding="utf-8")
+        assert "file_format: mystnb" in text and ("plt." in text or "ck.plot" in text or "figures(" in text), page
+        cells = re.findall(r"^```\{code-cell\}\n(.*?)^```", text, re.M | re.S)
+        assert cells and all(map(ast.parse, cells))
 
 
 @pytest.mark.slow

@@ -5,15 +5,7 @@ import time
 
 import pytest
 
-from cnclik.threads import cores, side_by_side
-
-
-def test_what_is_asked_for_runs_to_its_end_side_by_side():
-    meet = threading.Barrier(2)  # passed only by two at once
-    with side_by_side(2) as pool:
-        found = [pool.submit(meet.wait, 10) for _ in range(2)]
-    assert all(one.done() and one.exception() is None for one in found)
-    assert cores() >= 1
+from cnclik.threads import side_by_side
 
 
 @pytest.mark.parametrize("left", [KeyboardInterrupt, ValueError])

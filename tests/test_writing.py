@@ -11,7 +11,6 @@ import xarray
 
 import cnclik as ck
 from cnclik import reading, writing
-from cnclik.cli import main
 from cnclik.errors import ArgumentError
 from cnclik.measure.files import save_netcdf
 from cnclik.problem.tables import read_columns
@@ -63,9 +62,6 @@ def test_a_file_of_others_among_ours_stays(tmp_path):
     (out / "README.md").symlink_to(tmp_path / "none")
     with pytest.raises(ArgumentError, match=r"README\.md there is not"):
         write("sixth")
-    with pytest.raises(ArgumentError, match=r"README\.md there is not cnclik's own"):
-        writing.checked_file("out", out / "README.md", ".md", overwrite=False)
-    assert writing.checked_file("out", out / "new.md", ".md", overwrite=False)
 
 
 def full(path):
@@ -73,7 +69,7 @@ def full(path):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("problem", [RuntimeError, KeyboardInterrupt, SystemExit, ArgumentError])
+@pytest.mark.parametrize("problem", [KeyboardInterrupt, ArgumentError])
 def test_failure_leaves_what_was(tmp_path, problem):
     old = tmp_path / "old"
     old.mkdir()
@@ -106,26 +102,16 @@ def test_what_does_not_take_a_file_is_one_line_and_costs_no_file_before_it(tmp_p
     assert files(tmp_path / "out") == ["one.txt", "one.txt/theirs", "sub", "sub/one.txt"]
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_permission(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(ArgumentError, match="Permission denied"), output_folder(tmp_path / "out"):
-        pass
-    tmp_path.chmod(0o700)
-
-
 def test_what_stands_in_the_way_is_known_before_any_work(tmp_path, monkeypatch):
     """A file of another in a folder of ours; a folder in its place; a full disk."""
-    with output_folder(tmp_path, overwrite=False) as folder:
-        folder.write_text("first.txt", "ours")
     (tmp_path / "numbers.csv").write_text("theirs")
     (tmp_path / "there.png").mkdir()
     for file, why in (("numbers.csv", "is not cnclik's own"), ("there.png", "is a folder there")):
-        asked = output_folder(tmp_path, overwrite=False, files=["first.txt", file])
-        with pytest.raises(ArgumentError, match=why), asked:
+        with (
+            pytest.raises(ArgumentError, match=why),
+            output_folder(tmp_path, overwrite=False, files=["first.txt", file]),
+        ):
             raise AssertionError("work has begun")
-    with output_folder(tmp_path, files=["numbers.csv"], overwrite=True) as folder:
-        folder.write_text("numbers.csv", "ours, as was asked")
 
     def no_room(**where):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -155,38 +141,10 @@ def test_what_a_killed_process_left_is_removed(tmp_path):
     assert os.listdir(tmp_path) == [young.name]  # another process may be at it
 
 
-def test_what_an_earlier_run_left_does_not_lie_beside_another_result(tmp_path):
-    with output_folder(tmp_path, overwrite=False) as folder:
-        for file in ("data.nc", "data.csv", "changed.csv", "kept.csv"):
-            folder.write_text(file, f"first {file}")
-    (tmp_path / "changed.csv").write_text("changed by hand since")
-    (tmp_path / "theirs.csv").write_text("theirs")
-    asked = dict(overwrite=True, replaces=["data.csv", "changed.csv", "theirs.csv", "data.nc"])
-    with pytest.raises(KeyError), output_folder(tmp_path, **asked):
-        raise KeyError
-    assert (tmp_path / "data.csv").exists()
-    with output_folder(tmp_path, **asked) as folder:
-        folder.write_text("data.nc", "second")
-    left = {file.name: file.read_text() for file in tmp_path.iterdir() if not file.name.startswith(".")}
-    own = {"data.nc": "second", "kept.csv": "first kept.csv"}
-    assert left == own | {"changed.csv": "changed by hand since", "theirs.csv": "theirs"}
-
-
-@pytest.fixture
-def odd(tmp_path):
-    """Names of what is no file, by what its refusal says."""
-    os.mkfifo(tmp_path / "pipe")
-    return {
-        "is a folder": tmp_path,
-        "is a device, pipe or socket": tmp_path / "pipe",
-        "File name too long": tmp_path / ("a" * 5000),
-        "No such file": tmp_path / "none",
-        "null": "with\0null",
-    }
-
-
-def test_what_is_no_file_is_told_in_one_line(odd):
-    for told, path in {**odd, "is a device": "/dev/zero"}.items():
+def test_what_is_no_file_is_told_in_one_line(tmp_path):
+    odd = {"Is a directory": tmp_path, "is larger": "/dev/zero", "null": "with\0null"}
+    odd |= {"File name too long": tmp_path / ("a" * 5000), "No such file": tmp_path / "none"}
+    for told, path in odd.items():
         with pytest.raises(ck.ArgumentError, match=told) as error:
             reading.read_bytes("path", path, "a URDF file")
         assert str(error.value).startswith("Argument `path` must name a URDF file") and "\n" not in str(error.value)
@@ -201,28 +159,9 @@ def test_what_is_too_large_is_not_read(tmp_path, monkeypatch):
         reading.read_bytes("path", tmp_path / "large", "a URDF file")
 
 
-def test_every_verb_refuses_them(odd, capsys, tmp_path):
-    pipe = str(odd["is a device, pipe or socket"])
-    commands = (["robots", pipe], ["sweep", pipe], ["reach", "planar:1,1", pipe + ".csv"], ["solve", pipe + ".urdf"])
-    os.mkfifo(pipe + ".csv")
-    os.mkfifo(pipe + ".urdf")
-    for argv in commands:
-        with pytest.raises(SystemExit) as leaving:
-            main(argv)
-        said = capsys.readouterr().err
-        assert leaving.value.code == 2 and "pipe" in said and said.count("\n") == 1, argv
-
-
 def test_csv_fields_and_bytes_that_are_no_text(tmp_path):
     (tmp_path / "long.csv").write_text("0," + "1" * 200_000 + "\n")
     (tmp_path / "latin.csv").write_bytes(b"0,\xff\n")
     for name, told in (("long.csv", "field larger than field limit"), ("latin.csv", "is no text")):
         with pytest.raises(ck.ArgumentError, match=told):
             read_columns("reference", tmp_path / name)
-
-
-def test_numbers_too_wild_for_a_spline():
-    for times, places in (([0, 1e-320, 2], [[0.0], [1.0], [2.0]]), ([0, 1, 2], [[1e308], [-1e308], [1e308]])):
-        places = np.concatenate([places, np.zeros((3, 2))], axis=1)
-        with pytest.raises(ck.ArgumentError, match="`positions` must be such that a smooth path leads through them"):
-            ck.waypoints(times, places)

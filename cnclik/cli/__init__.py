@@ -60,16 +60,13 @@ def _run(verb, *options) -> None:
     from cnclik.cli import arguments, common  # not at the top: `cnclik --help` answers at once
     from cnclik.show.output import FigureError
 
-    module, code = None, 2
     try:
-        errors.one_of("verb", verb, VERBS)
-        module = importlib.import_module(f"cnclik.cli.{verb}")
-        given = arguments.parse(module, options, prog=f"cnclik {verb}", description=VERBS[verb])
+        module = importlib.import_module(f"cnclik.cli.{errors.one_of('verb', verb, VERBS)}")
         with common.remarks(module):
-            module.run(**given)
+            module.run(**arguments.parse(module, options, prog=f"cnclik {verb}", description=VERBS[verb]))
         return
     except errors.ArgumentError as error:
-        said = str(error) if module is None else arguments.of_options(module, error)
+        said, code = arguments.of_options(module, error) if verb in VERBS else str(error), 2
     except FigureError as error:
         said, code = str(error), 1
     except ImportError as error:  # of a plotting package; results are already written

@@ -68,7 +68,8 @@ def parse(verb, argv, *, prog, description) -> dict:
     places, named = _sorted(verb, groups)
     flags = named | {f"--no-{flag[2:]}": one for flag, one in named.items() if one.kind == SWITCH}
     made: dict = {}
-    given, free = [], list(places)
+    words: dict = {}  # {option: its words}
+    free = list(places)
     while queue:
         token = queue.pop(0)
         if not _is_option(token):
@@ -84,15 +85,16 @@ def parse(verb, argv, *, prog, description) -> dict:
         if one.kind == SWITCH:
             made[one.name] = typed in named
             continue
-        words = [value] if equals else _words(one, queue)
-        del queue[: 0 if equals else len(words)]
-        if not words:
+        several = [value] if equals else _words(one, queue)
+        del queue[: 0 if equals else len(several)]
+        if not several:
             raise errors.fail(one.name, f"be given {one.values}", "has no value")
-        given.append((one, words))
+        if one in words and not (one.several and one.kind == NAME):
+            raise errors.fail(one.name, "be given once", "is given twice")
+        words[one] = [*words.get(one, []), *several]
     Ts = next((one.default for one in named.values() if one.name == "Ts"), None)
-    for one, words in sorted(given, key=lambda g: g[0].unit == quantities.SAMPLES):  # samples last: they need Ts
-        value = _value(one, words, Ts)
-        made[one.name] = [*made.get(one.name, []), value] if one.repeated else value
+    for one in sorted(words, key=lambda one: one.unit == quantities.SAMPLES):  # samples last: they need Ts
+        made[one.name] = value = _value(one, words[one], Ts)
         Ts = value[0] if one.name == "Ts" and isinstance(value, list) else Ts
     for one in (*free, *named.values()):
         if one.name not in made and one.default is REQUIRED:

@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from typing import Any
 
 from cnclik import errors
 from cnclik.cli.common import print_json
@@ -33,8 +32,7 @@ def run(
     """
     from cnclik.diagnosis.check import PUBLISHED, check_log
 
-    found = read(log, **columns)
-    chain = None
+    recorded, chain = read(log, **columns), None
     if robot is not None:
         from cnclik.problem.names import load
 
@@ -43,22 +41,21 @@ def run(
         raise errors.fail("tip", "come with ROBOT", "comes without")
     limits = limits or (robot if robot in PUBLISHED else None)
     if limits is not None and not Path(limits).suffix:
-        errors.one_of("limits", limits, PUBLISHED, ", or FILE.csv")
+        errors.one_of("limits", limits, (*PUBLISHED, "FILE.csv"))
     table = _table(Path(limits)) if limits is not None and limits not in PUBLISHED else limits
-    sent, moved = ([], []) if found.chosen else found.pairs()
-    places = found.chosen or moved or found.joints()
-    whole = found.columns([*places, *sent])
+    places, sent = recorded.moved(), [] if recorded.chosen else recorded.pairs()[0]
+    whole = recorded.columns([*places, *sent])
     q, command = whole[:, : len(places)], whole[:, len(places) :] if sent else None
-    t, names = None if found.t is None else found.t[: len(q)], [found.names[i] for i in (*places, *sent)]
-    asked: dict[str, Any] = dict(limits=table, chain=chain, command=command, resolution=resolution, names=names)
+    t, names = None if recorded.t is None else recorded.t[: len(q)], [recorded.names[i] for i in (*places, *sent)]
     with errors.called("q", "LOG"):
-        answer = check_log(t, q, Ts=found.Ts, **asked)
+        answer = check_log(
+            t, q, Ts=recorded.Ts, limits=table, chain=chain, command=command, resolution=resolution, names=names
+        )
     if json:
-        found_in = {"findings": answer.findings, "broken": len(answer.broken)}
-        print_json(found_in | {"Ts": answer.Ts, "rows": answer.rows})
+        findings = {"findings": answer.findings, "broken": len(answer.broken)}
+        print_json(findings | {"Ts": answer.Ts, "rows": answer.rows})
     else:
-        print(answer)
-        print(f"{answer.rows} rows, Ts = {1e3 * answer.Ts:.4g} ms ({found.stamps}).")
+        print(f"{answer}\n{answer.rows} rows, Ts = {1e3 * answer.Ts:.4g} ms ({recorded.stamps}).")
     if answer.broken:
         sys.exit(1)
 
@@ -70,5 +67,5 @@ def _table(file) -> dict:
 
     names, table = read_columns("limits", file)
     for name in names:
-        errors.one_of("limits", name, (*ORDERS, "joint"), ", as columns")
+        errors.one_of("limits", name, (*ORDERS, "joint"))
     return {name: table[:, i] for i, name in enumerate(names) if name in ORDERS}

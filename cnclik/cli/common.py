@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import sys
 import warnings
 
@@ -14,10 +13,7 @@ _said = []  # remarks of the running command
 
 
 def prepare() -> None:
-    """Load JAX and set float64 and the cache of compiled programs, which JAX_ENABLE_COMPILATION_CACHE=0 switches off.
-
-    Raises: ArgumentError where JAX finds no device to run on.
-    """
+    """Load JAX in float64, with the cache of compiled programs (off with JAX_ENABLE_COMPILATION_CACHE=0)."""
     import jax
 
     from cnclik.cache import use_cache
@@ -25,9 +21,8 @@ def prepare() -> None:
     jax.config.update("jax_enable_x64", True)
     try:
         jax.devices()
-    except (RuntimeError, AssertionError):
-        named = repr(os.environ.get("JAX_PLATFORMS") or "not set")
-        raise errors.fail("JAX_PLATFORMS", "name a platform that is there", f"is {named}") from None
+    except (RuntimeError, AssertionError) as error:
+        raise errors.fail("JAX_PLATFORMS", "name a platform that is there", str(error)) from None
     use_cache()
 
 

@@ -13,12 +13,12 @@ OTHER = {"velocity", "velocities", "vel", "effort", "efforts", "torque", "torque
 STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequence", "counter", "index", "enabled"}
 STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
 TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock"}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}  # [s]
-LONG = {"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
-LONG |= dict.fromkeys(("nsec", "nanosec", "nanos", "nsecs", "nanosecs", "nanoseconds"), "ns")
-EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # size of present-day stamps since 1970
-APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
+UNITS = {"s": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "sec": "s", "secs": "s", "seconds": "s"}
+UNITS |= {"msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
+UNITS |= dict.fromkeys(("nsec", "nanosec", "nanos", "nsecs", "nanosecs", "nanoseconds"), "ns")
 STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
+APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 
 
 @dataclasses.dataclass
@@ -30,7 +30,7 @@ class Log:
     t: Any
     Ts: float | None  # as given
     stamps: str
-    left_out: set
+    motion: list  # indices of the columns that are no times, status, velocities or efforts
     chosen: list  # indices of the columns that were named
 
     def columns(self, places):
@@ -45,20 +45,15 @@ class Log:
             raise errors.fail("LOG", "hold a finite number in every row of its columns", found)
         return table
 
-    def motions(self) -> list:
-        """Columns that are no times, status, velocities or efforts."""
-        each = enumerate(self.names)
-        return [i for i, name in each if i not in self.left_out and not OTHER & {*words_of(name)}]
-
-    def joints(self) -> list:
-        """All columns of motion. Raises: ArgumentError where there are none."""
-        if found := self.motions():
+    def moved(self) -> list:
+        """Indices of the columns that were named, else of the motion of joints with commands, else of all motion."""
+        if found := self.chosen or self.pairs()[1] or self.motion:
             return found
         raise errors.fail("LOG", "have a column besides the times", "has none")
 
     def pairs(self) -> tuple[list, list]:
         """Indices of commands and of motions: joint_1_cmd belongs to joint_1_pos, or to joint_1; ([], []) for none."""
-        words = {i: words_of(self.names[i]) for i in self.motions()}
+        words = {i: words_of(self.names[i]) for i in self.motion}
         of = {i: tuple(word for word in some if word not in SENT | MOVED) for i, some in words.items()}
         sent = {of[i]: i for i, some in words.items() if SENT & {*some}}
         rest = [i for i in words if i not in sent.values()]
@@ -90,7 +85,9 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
     stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"
     chosen = [names.index(errors.one_of("columns", column, names)) for column in columns or ()]
-    return Log(list(names), table, t, Ts, stamps, {*times, *no_motion(names, table)}, chosen)
+    left_out = {*times, *no_motion(names, table)}
+    motion = [i for i, name in enumerate(names) if i not in left_out and not OTHER & {*words_of(name)}]
+    return Log(list(names), table, t, Ts, stamps, motion, chosen)
 
 
 def sampled(log: Log) -> float:
@@ -114,17 +111,6 @@ def words_of(name) -> list:
     return re.findall("[a-zµ]+|[0-9]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
 
 
-def _clock_of(name) -> tuple | None:
-    """(unit or None, the other words, whether it may be one of a pair sec and nanosec) of a name of times, or None."""
-    words = words_of(name)
-    unit = next((LONG.get(w, w) for w in words[::-1] if w in SECONDS or w in LONG), None)
-    rest = [w for w in words if w not in SECONDS and w not in LONG]
-    long = bool(words) and words[-1] in LONG
-    if rest == ["t"] or (rest[-1:] and rest[-1] in TIMES) or (long and (not rest or TIMES & {*rest})):
-        return unit, tuple(rest), long
-    return None
-
-
 def clock(names, table):
     """(times [s] (N,) or None; indices of all columns of times; the unit they were read in, or None).
 
@@ -132,29 +118,31 @@ def clock(names, table):
     """
     import numpy as np
 
-    named = {i: meaning for i, name in enumerate(names) if (meaning := _clock_of(name)) is not None}
-    parts: dict = {}
-    for i, (unit, rest, long) in named.items():
-        if long:
-            parts.setdefault(rest, {})[unit] = table[:, i]
+    units, parts = {}, {}  # of each column of times; {other words: {unit: column}} of pairs
+    for i, words in enumerate(map(words_of, names)):
+        unit = next((UNITS[w] for w in words[::-1] if w in UNITS), None)
+        rest = tuple(w for w in words if w not in UNITS)
+        long = bool(words) and words[-1] in UNITS and len(words[-1]) > 2
+        if rest == ("t",) or TIMES & {*rest[-1:]} or (long and (not rest or TIMES & {*rest})):
+            units[i] = unit
+            if long:
+                parts.setdefault(rest, {})[unit] = table[:, i]
     for pair in parts.values():
         if {"s", "ns"} <= set(pair):
-            return pair["s"] - pair["s"][0] + 1e-9 * (pair["ns"] - pair["ns"][0]), [*named], "s"
-    for i, (unit, _, _) in named.items():
-        if not np.isnan(table[:, i]).all():
-            unit = unit or _unit_of(table[:, i])
-            return (table[:, i] - table[0, i]) * SECONDS[unit], [*named], unit
-    return None, [*named], None
+            return pair["s"] - pair["s"][0] + 1e-9 * (pair["ns"] - pair["ns"][0]), [*units], "s"
+    for i, unit in units.items():
+        if not np.isnan(t := table[:, i]).all():
+            unit = unit or _unit_of(t)
+            return (t - t[0]) * SECONDS[unit], [*units], unit
+    return None, [*units], None
 
 
 def _unit_of(t) -> str:
-    """The unit of stamps, from their size since 1970 or their steps: a loop takes 0.1 ms to 0.5 s."""
+    """The unit of stamps, from their steps: a loop takes 0.5 ms to 0.5 s."""
     import numpy as np
 
-    with np.errstate(invalid="ignore"):
-        size, step = np.nanmax(np.abs(t)), np.abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
-    since = [unit for least, unit in EPOCHS if least <= size < 4 * least and 1e-5 <= step * SECONDS[unit] <= 1.0]
-    return next(iter(since), None) or next((unit for least, unit in STEPS if step >= least), "s")
+    step = abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
+    return next((unit for least, unit in STEPS if step >= least), "s")
 
 
 def no_motion(names, table) -> list:

@@ -8,14 +8,8 @@ _BETWEEN_LINES = 10.0  # [s] between plain lines
 
 
 @contextlib.contextmanager
-def bar(unit: str, total=None, quiet=False):
-    """Yields report(done, total, note=""), the one form of progress that every function of the library takes.
-
-    Args:
-      unit: the name of what is counted.
-      total: their number, if it is known before the first report.
-      quiet: whether to show nothing.
-    """
+def bar(unit: str, quiet=False):
+    """Yields report(done, total, note=""), the one form of progress in the library. Args: unit: what is counted."""
     last = time.perf_counter()
 
     def lines(done, total, note=""):
@@ -27,20 +21,14 @@ def bar(unit: str, total=None, quiet=False):
     if quiet or not sys.stderr.isatty():
         yield lines
         return
-    from rich import progress
     from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress
 
-    columns = (
-        progress.SpinnerColumn(),
-        progress.BarColumn(),
-        progress.TextColumn("{task.description}", markup=False),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(words(unit, 0, total), total=total)
+    with Progress(console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task(words(unit, 0, None), total=None)
         yield lambda done, total, note="": shown.update(
-            task, completed=done, total=total or None, description=words(unit, done, total, note)
+            task, completed=done, total=total or None, description=escape(words(unit, done, total, note))
         )
 
 

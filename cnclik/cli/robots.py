@@ -1,6 +1,5 @@
 """`cnclik robots`: the tree of a robot file, its joints, limits and the links that can be a tip."""
 
-import contextlib
 import math
 
 from cnclik.cli.common import print_table
@@ -21,10 +20,6 @@ def run(robot: str) -> None:
 
         print(f"{robot}, built in, tip {(ROBOTS | PLANAR)[kind]}\n{load(robot)}")
         return
-    from cnclik import errors
-    from cnclik.robot.posture import past_straight
-    from cnclik.robot.urdf import chain
-
     tree = read_robot(file_of(robot) or robot)
     print(_plain(f"{tree.name}, base {tree.root}"))
     rows = ("link", "joint", "type", "lower", "upper", "velocity"), (tree.root, *[""] * 5), *_branches(tree)
@@ -32,11 +27,6 @@ def run(robot: str) -> None:
     moving = sum(edge.type != "fixed" for edge in tree.edges)
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     print(f"{len(tree.links)} link{'s' * (len(tree.links) != 1)}, {moving} moving joints, {mimic} of them mimic.")
-    with contextlib.suppress(errors.ArgumentError):  # a tree that is no robot yet, such as one with two movable bases
-        for name, straight, beyond in past_straight(chain(tree, tips=list(tree.tips()))):
-            at, more = math.degrees(straight), math.degrees(beyond)
-            remedy = "start it bent the usual way, and give `near` to reach"
-            print(f"Joint {_plain(name)} is straight at {at:.1f}° and bends {more:.0f}° beyond: {remedy}.")
     print(f"Tips (leaf links that a joint moves; any link may be one): {_plain(', '.join(tree.tips())) or 'none'}.")
 
 

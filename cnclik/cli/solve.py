@@ -34,8 +34,7 @@ def run(
     made = problem(robot, loop)
     load_ahead("h5netcdf", *["xarray", "cnclik.show.style"] * figures)
     pictures = [f"{kind}.png" for kind in _FIGURES]
-    names = dict(files=["trajectory.nc", *pictures * figures], replaces=pictures)
-    with output_folder(Path(out), overwrite=overwrite, **names) as folder:
+    with output_folder(Path(out), overwrite=overwrite, files=["trajectory.nc", *pictures * figures]) as folder:
         with progress.bar("steps"):
             trajectory = made.run()
         from cnclik.measure.dataset import labelled
@@ -49,7 +48,7 @@ def run(
     about = {"Title": made.name, "Comment": data.attrs["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}
     with progress.bar("figures") as report:
-        written = folder.made + draw(drawn if figures else {}, out, progress=report, overwrite=overwrite)
+        written = ["trajectory.nc", *draw(drawn if figures else {}, out, progress=report, overwrite=overwrite)]
     if not json:
         print(f"Wrote {', '.join(sorted(written))} to {out}/.")
 

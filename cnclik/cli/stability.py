@@ -62,15 +62,16 @@ def run(
     else:
         made = problem(robot, loop)
         found = gains(Ts=made.Ts, method=made.method, M=made.stage, drive=made.drive)
+    facts = _facts(found, given.get("alpha", ()))
+    if made is not None:
+        facts["robot"] = _of_robot(found, made, speed, str(robot).endswith(".py"))
     if json:
-        print_json(_facts(found, given.get("alpha", ())))
+        print_json(facts)
     elif draw != ("plane",):
-        _answer(found, given.get("alpha", ()), speed)
-        if made is not None:
-            _of_robot(found, made, speed, str(robot).endswith(".py"))
+        _print(found, facts, speed)
     if not draw:
         return
-    drawn, files = {}, [f"{kind}.{end}" for kind in draw for end in ("nc", "png")]
+    drawn, files = {}, [f"{kind}.{end}" for kind in dict.fromkeys(draw) for end in ("nc", "png")]
     with output_folder(pathlib.Path(out), overwrite=overwrite, files=files) as folder:
         from cnclik.measure.dataset import as_json, provenance
         from cnclik.measure.files import save_netcdf
@@ -81,57 +82,21 @@ def run(
             folder.write(f"{kind}.nc", functools.partial(save_netcdf, data))
             about = {"Title": how.get("title", "stability regions")}
             drawn[f"{kind}.png"] = drawn_by("stability", kind.replace("map", "stability_map"), data, **how), about
-    written = folder.made + draw_figures(drawn, out, overwrite=overwrite)
-    print(f"Wrote {', '.join(sorted(written))} to {out}/.")
+    draw_figures(drawn, out, overwrite=overwrite)
+    print(f"Wrote {', '.join(sorted(files))} to {out}/.")
 
 
 # --- the answer ---------------------------------------------------------------------------------------
 
 
-def _answer(found, alpha, speed) -> None:
-    """Print the gains, what the recommended one and the given one do, and the same loop elsewhere."""
-    from cnclik.integrate.drive import drive_in_words
-    from cnclik.stability.gain import in_words
-    from cnclik.stability.linear import describe
-
-    euler = _by_euler(found)
-    drives = drive_in_words(found.drive, found.Ts) + ", assumed" * found.assumed
-    print(f"{describe(found.method, found.M)}, Ts {1e3 * found.Ts:g} ms, {drives}.")
-    if found.assumed:
-        print(_MEASURE)
-    rows: list[tuple[str, ...]] = [("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")]
-    for name in GAINS:
-        most = getattr(found, name)
-        each = (most, most * found.Ts, getattr(euler, name))
-        rows.append((name.replace("_", " "), *map(in_words, each)))
-    rows += [("yours", f"{a:.4g}", f"{a * found.Ts:.4g}", "") for a in _each(alpha)]
-    print_table(*(row[: 3 if euler is found else 4] for row in rows))
-    print(f"Recommended: {found.reason}.")
-    print("These gains hold for any robot, posture, task and stack, each task's alpha and the rate of a posture alike.")
-    if found.response:
-        _costs(found, found.response, speed)
-    for yours in _each(alpha):
-        response = found.at(yours) if yours else None
-        unstable = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
-        judged = f"is stable: a step {_in_words(response, found.Ts)}" if response else unstable
-        print(f"Your gain (alpha = {yours:g} 1/s) {judged if yours else 'asks for no motion'}.")
-    print("The same loop elsewhere, by explicit Euler:")
-    print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
-
-
-_MEASURE = (
-    "Measure yours: command a step of all joints at once, record commands and positions, and run `cnclik diagnose "
-    "LOG.csv --step`; it prints the options to give here. For a purely kinematic simulation give --delay 0."
-)
-
-
 def _facts(found, alpha) -> dict:
     """The answer in numbers."""
-    euler = _by_euler(found)
-    drives = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
-    each = ((a, found.at(a) if a else None) for a in _each(alpha))
+    euler = found if found.method.name == "EE" else found.by("EE")
+    yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
+    each = [(a, found.at(a) if a else None) for a in yours]
+    drive = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
     return {
-        **{"method": found.method.name, "M": found.M, "Ts": found.Ts, "drive": drives, "assumed": found.assumed},
+        **{"method": found.method.name, "M": found.M, "Ts": found.Ts, "drive": drive, "assumed": found.assumed},
         **{name: getattr(found, name) for name in GAINS},
         "reason": found.reason,
         "recommended_response": found.response,
@@ -141,14 +106,70 @@ def _facts(found, alpha) -> dict:
     }
 
 
-def _by_euler(found):
-    """The gains of the same loop by explicit Euler."""
-    return found if found.method.name == "EE" else found.by("EE")
+def _of_robot(found, made, speed, of_file) -> dict:
+    """What a tip speed asks of the joints at the start; of several rates, or of a file, those of tasks, posture, limits
+    and walls."""
+    import numpy as np
+
+    from cnclik.robot.model import modelled
+    from cnclik.stability.advice import advise
+
+    law, facts = made.law, {"name": made.name}
+    limit = np.asarray(law.chain.velocity_limit, float)
+    if law.task.lengths and np.isfinite(limit).any():
+        inverse = np.linalg.pinv(law.task.rows_at(modelled(law.chain), np.asarray(made.q0, float)))
+        share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
+        facts |= {"joint": law.chain.joint_names[int(np.argmax(share))], "share_of_its_velocity_limit": share.max()}
+    drive = None if found.assumed else made.drive
+    rates = advise(law, Ts=made.Ts, method=made.method, stage=made.stage, drive=drive).rates
+    each = [{n: getattr(rate, n) for n in ("name", "kind", "rate", "stable", "within")} for rate in rates]
+    answers = [facts | {"answer": f"{rate}."} for facts, rate in zip(each, rates, strict=True)]
+    return facts | {"rates": answers if of_file or len(rates) > 1 else []}
 
 
-def _each(alpha) -> list:
-    """The gains given, each once."""
-    return sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
+def _print(found, facts, speed) -> None:
+    """Print the gains, what the recommended one and the given ones do, the same loop elsewhere, and the robot."""
+    from cnclik.integrate.drive import drive_in_words
+    from cnclik.stability.gain import in_words
+    from cnclik.stability.linear import describe
+
+    drives = drive_in_words(found.drive, found.Ts) + ", assumed" * found.assumed
+    print(f"{describe(found.method, found.M)}, Ts {1e3 * found.Ts:g} ms, {drives}.")
+    if found.assumed:
+        print(_MEASURE)
+    rows: list[tuple[str, ...]] = [("gain", "alpha [1/s]", "alpha·Ts", "by explicit Euler")]
+    for name in GAINS:
+        each = (facts[name], facts[name] * found.Ts, facts["explicit_euler"][name])
+        rows.append((name.replace("_", " "), *map(in_words, each)))
+    rows += [("yours", f"{yours['alpha']:.4g}", f"{yours['alpha'] * found.Ts:.4g}", "") for yours in facts["alpha"]]
+    print_table(*(row[: 3 if found.method.name == "EE" else 4] for row in rows))
+    print(f"Recommended: {found.reason}.")
+    print("These gains hold for any robot, posture, task and stack, each task's alpha and the rate of a posture alike.")
+    if found.response:
+        _costs(found, found.response, speed)
+    for yours in facts["alpha"]:
+        judged = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
+        if yours["stable"]:
+            judged = (
+                f"is stable: a step {_in_words(yours['response'], found.Ts)}"
+                if yours["alpha"]
+                else "asks for no motion"
+            )
+        print(f"Your gain (alpha = {yours['alpha']:g} 1/s) {judged}.")
+    print("The same loop elsewhere, by explicit Euler:")
+    print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)
+    robot = facts.get("robot", {})
+    if "joint" in robot:
+        most = f"{100 * robot['share_of_its_velocity_limit']:.3g} % of joint {robot['joint']}'s velocity limit"
+        print(f"{robot['name']} at its start: {speed:g} m/s in the worst direction needs {most}.")
+    for rate in robot.get("rates", ()):
+        print(rate["answer"])
+
+
+_MEASURE = (
+    "Measure yours: command a step of all joints at once, record commands and positions, and run `cnclik diagnose "
+    "LOG.csv --step`; it prints the options to give here. For a purely kinematic simulation give --delay 0."
+)
 
 
 def _in_words(response, Ts) -> str:
@@ -176,27 +197,6 @@ def _costs(found, response, speed) -> None:
         f"At {speed:g} m/s the tip lags by {behind} without feed-forward. With feed-forward the lag is {fed} after a "
         f"transient of at most {start}."
     )
-
-
-def _of_robot(found, made, speed, of_file) -> None:
-    """Print what needs a robot: joint speed at a tip speed, and the rates of its tasks, posture and limits."""
-    import numpy as np
-
-    from cnclik.robot.posture import task_jacobians
-    from cnclik.stability.advice import advise
-
-    law = made.law
-    limit = np.asarray(law.chain.velocity_limit, float)
-    if law.task.lengths and np.isfinite(limit).any():
-        inverse = np.linalg.pinv(task_jacobians(law.chain, law.task, np.asarray(made.q0, float)[None])[0])
-        share = np.linalg.norm(inverse[:, list(law.task.lengths)], axis=1) * speed / limit
-        joint = law.chain.joint_names[int(np.argmax(share))]
-        most = f"{100 * share.max():.3g} % of joint {joint}'s velocity limit"
-        print(f"{made.name} at its start: {speed:g} m/s in the worst direction needs {most}.")
-    drive = None if found.assumed else made.drive
-    rates = advise(law, Ts=made.Ts, method=made.method, stage=made.stage, drive=drive).rates
-    for rate in rates if of_file or len(rates) > 1 else ():
-        print(f"{rate}.")
 
 
 # --- figures: each function returns data and how to draw them -------------------------------------------

@@ -12,7 +12,7 @@ from cnclik.writing import check_free, output_folder
 def run(
     spec: str,
     *,
-    set: list[str] | None = None,
+    set: tuple[str, ...] = (),
     out: str | None = None,
     check: bool = False,
     figures: bool = True,
@@ -24,7 +24,7 @@ def run(
 
     Args:
       spec: the spec of the study, a TOML file; examples are in sweeps/, the format is explained in docs/sweeps.md.
-      set: NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. May be repeated.
+      set: NAME=VALUE replaces a value of the spec, as in --set alpha=5 --set axes.M=[1,5]. It may be repeated.
       out: folder for data.zarr, figures and summary; default: sweep-NAME, with the name in the spec.
       check: only check the spec, and print what it would run.
       figures: draw the figures at the end.
@@ -32,12 +32,15 @@ def run(
       distributed: share the work with other processes: HOST:PORT:PROCESSES:PROCESS of process 0, of how many, and of
         this one (from 0); or auto, where SLURM or MPI knows them.
     """
-    place = {"process": 0, "processes": 1, "meet": None} if distributed is None else _join(distributed)
+    if distributed is not None:
+        _join(distributed)
     prepare()
+    import jax
+
     from cnclik.sweeps import spec as specs
     from cnclik.sweeps import store, summary
 
-    study = specs.read(spec, set or ())
+    study = specs.read(spec, set)
     if figures:
         from cnclik.show import output, sweeps
 
@@ -50,15 +53,15 @@ def run(
     if check:
         return
     check_free("out", folder, summary.FILES, overwrite=overwrite)
-    with progress.bar("loops", quiet=place["process"] != 0) as report:
-        done = store.run(study, folder, progress=report, **place)
+    with progress.bar("loops", quiet=jax.process_index() != 0) as report:
+        done = store.run(study, folder, progress=report)
     if not done:
         print(f"This process is done; {store.blocks_missing(folder)} blocks are with others or for a rerun.")
         return
     data = store.read(folder)
     with output_folder(folder, overwrite=overwrite) as whole:
         summary.write(data, whole)
-    print(*(f"Wrote {folder / file}" for file in (store.DATA, *whole.made)), *summary.best(data), sep="\n")
+    print(*(f"Wrote {folder / file}" for file in (store.DATA, *summary.FILES)), *summary.best(data), sep="\n")
     if figures:  # last, as the same command draws them again
         about, each = {"Description": data.attrs.get("spec", "")}, sweeps.drawings(data, study.figures)
         made = {f"{name}.{format}": (make, {"Title": name} | about) for name, make in each.items()}
@@ -67,27 +70,13 @@ def run(
             print(f"Wrote {folder / file}")
 
 
-def _join(place) -> dict:
+def _join(place) -> None:
     """Join the other processes."""
     import jax
 
     try:
-        if place == "auto":
-            jax.distributed.initialize()
-        else:
-            host, count, number = place.rsplit(":", 2)
-            jax.distributed.initialize(host, int(count), int(number))
+        host, count, number = (None, None, None) if place == "auto" else place.rsplit(":", 2)
+        jax.distributed.initialize(host, count and int(count), number and int(number))
     except (ValueError, TypeError, RuntimeError) as error:
         found = f"is {place!r}: {str(error).strip().splitlines()[0]}"
         raise errors.fail("distributed", "be auto or HOST:PORT:PROCESSES:PROCESS", found) from None
-
-    def meet(well, last):
-        from jax.experimental import multihost_utils
-
-        well = bool(multihost_utils.process_allgather(well).all())
-        if last or not well:
-            # No process waits for another from here on: one that fails or ends must not stop the others.
-            jax.distributed.shutdown()
-        return well
-
-    return {"process": jax.process_index(), "processes": jax.process_count(), "meet": meet}

@@ -16,7 +16,7 @@ def run(robot: str, **loop) -> None:
     made = problem(robot, loop)
     from cnclik.show.viewer import view
 
-    viewer = view(made)
+    viewer = view(made.run(), made.law, robot=made.robot if isinstance(made.robot, str) else None)
     print(f"{viewer.url} (Ctrl-C ends)", flush=True)
     if signal.getsignal(signal.SIGINT) is terminal.end:
         signal.signal(signal.SIGINT, signal.default_int_handler)  # Ctrl-C ends the viewer

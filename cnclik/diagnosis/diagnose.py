@@ -252,7 +252,7 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     largest = max(known.values()) if len(known) == len(signals) else None  # no mode is faster
     tasks: dict = {}
     for name, signal in signals.items():
-        with errors.within(name):
+        with errors.called("", name):
             tasks[name] = diagnose(signal, Ts, alpha=largest)
     swing = [found for found in tasks.values() if found.rings]
     if not swing:

@@ -6,8 +6,7 @@ import numpy as np
 from cnclik.export.source import GROUPS, has_status
 from cnclik.export.trace import place, targets
 from cnclik.law.law import Law
-from cnclik.law.paths import hold_at
-from cnclik.law.reference import by_target
+from cnclik.law.reference import by_target, hold_at
 from cnclik.measure.files import markdown
 from cnclik.robot.posture import start_posture
 from cnclik.version import __version__

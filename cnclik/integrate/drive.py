@@ -71,8 +71,7 @@ class Drive:
 
     def __post_init__(self):
         if isinstance(self.delay, str):
-            found = f"is {self.delay!r}{quantities.in_python(self.delay, quantities.SAMPLES)}"
-            raise errors.fail("delay", "be a number of samples", found)
+            raise errors.fail("delay", "be a number of samples", f"is {self.delay!r}")
         if not errors.concrete(self.delay):
             raise errors.fail("delay", "be a known number of samples", "is traced: there is a program for each")
         errors.number("delay", self.delay, at_least=0)

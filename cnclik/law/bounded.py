@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from jax import lax
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import ROUNDED, by_shift, positive, scaled, through
-from cnclik.law.limits import Limited, bounds
+from cnclik.law.limits import Evaluation, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
 from cnclik.record import Array, Bool, Float, Int, Number, record, replace
 
@@ -42,10 +42,10 @@ class Problem(NamedTuple):
     rest: Float[Array, " n"]
     low: Float[Array, " n"]
     high: Float[Array, " n"]
-    shift: Float[Array, ""] | float = 1.0
-    walls: Rows | None = None
-    soft: Float[Array, " k"] | None = None  # softness of the walls
-    raised: Float[Array, " k"] | None = None  # added to the floor of the walls
+    shift: Float[Array, ""]
+    walls: Rows
+    soft: Float[Array, " k"]  # softness of the walls
+    raised: Float[Array, " k"]  # added to their floor
 
     def hessian(self):
         """Return half the Hessian, BᵀB + shift I."""
@@ -64,60 +64,24 @@ class Problem(NamedTuple):
         out = ((qdot >= self.high) & (slope > 0)) | ((qdot <= self.low) & (slope < 0))
         return out | (self.low >= self.high)
 
-    def behind(self, walls: Rows, step: Newton, push=0.0) -> tuple[Problem, Array]:
-        """Return (the problem with walls and their multipliers, G H⁻¹ Gᵀ over the unlocked joints)
-
-        A wall's softness is √eps·gᵀ H⁻¹ g. With √eps, its violation and the rounding where walls contradict each other
-        have the same size. If all joints that move a wall are locked, its softness is as by each joint alone.
-        """
-        across, squares = step.between(walls.rows, walls.rows), walls.rows * walls.rows
-        alone = squares @ (1.0 / (jnp.sum(self.b * self.b, axis=0) + self.shift)) + _LEVER**2 / self.shift
-        soft = float(jnp.finfo(squares.dtype).eps) ** 0.5 * jnp.maximum(jnp.diagonal(across), alone)
-        return self._replace(walls=walls, soft=soft, raised=soft * push), across
-
     def missing(self, qdot):
-        """Return the violations (k,) of the raised floor; None without walls."""
-        return None if self.walls is None else self.walls.floor + self.raised - self.walls.rows @ qdot
+        """Return the violations (k,) of the raised floor."""
+        return self.walls.floor + self.raised - self.walls.rows @ qdot
 
     def pushes(self, qdot):
         """Return the force (k,) of each wall: its violation, above rounding, over its softness."""
-        if self.walls is None:
-            return None
         missing, rounding = self.missing(qdot), 16 * jnp.finfo(qdot.dtype).eps * self.walls.size(qdot)
         return jnp.where(missing > rounding, missing / self.soft, 0.0)
 
-    def crossed(self, missing, step):
-        """Return half the increase of the cost of wall violations by a step."""
-        after = missing - self.walls.rows @ step
-        return 0.5 * jnp.sum((jnp.maximum(after, 0.0) ** 2 - jnp.maximum(missing, 0.0) ** 2) / self.soft)
-
-    def newton(self, step, push, across=None):
-        """Return Newton's step of the unlocked joints, with the walls that push, whose G H⁻¹ Gᵀ may be known.
-
-        A function of the slope without wall forces and of the violations; it also returns the walls' new forces. In
-        each further round the forces of the one before are multipliers.
-        """
-        if push is None:
-            return lambda slope, missing, rounds=1: (step(slope), None)
-        on = push > 0
-        rows = jnp.where(on[:, None], self.walls.rows, 0.0)
-        across = step.between(rows, rows) if across is None else jnp.where(on[:, None] & on, across, 0.0)
-        rounding = 8 * jnp.finfo(rows.dtype).eps * jnp.diagonal(across)
-        matrix = dense.shifted(across, self.soft + rounding)
-        factor = dense.cholesky(matrix)
-
-        def behind(slope, missing, rounds=1):
-            left, push = jnp.where(on, missing, 0.0) - step.between(rows, slope), 0.0
-            for _ in range(rounds):
-                push = dense.factored_solve(factor, lambda x: matrix @ x, left + self.soft * push)
-            return step(slope + push @ rows), push
-
-        return behind
+    def pushed(self, slope, push):
+        """Return minus half the gradient, with the forces of the walls."""
+        return slope + push @ self.walls.rows if len(push) else slope
 
 
-class Newton(NamedTuple):
-    """Newton's step of the free joints, for a slope."""
+class Face(NamedTuple):
+    """A face of the box: the joints that are not locked, and the walls that push."""
 
+    of: Problem
     hessian: Float[Array, "n n"]  # H, large for locked joints; the last joints first: a tree then causes no fill-in
     factor: Float[Array, "n n"]  # L Lᵀ = H
     shut: Bool[Array, " n"]
@@ -126,21 +90,53 @@ class Newton(NamedTuple):
         """Return slopes, 0 for locked joints, the last joints first."""
         return jnp.where(self.shut, 0.0, slopes)[..., ::-1]
 
-    def __call__(self, slope):
+    def half(self, rows):
+        """Return L⁻¹ Gᵀ of rows (k, n), or of one: H⁻¹ between two of them is a product."""
+        return dense.triangular(self.factor, self.free(rows).T)
+
+    def alone(self, slope):
+        """Return Newton's step without walls."""
         step = dense.factored_solve(self.factor, lambda x: self.hessian @ x, self.free(slope))
         return jnp.where(self.shut, 0.0, step[::-1])
 
-    def between(self, a, b):
-        """Return A H⁻¹ Bᵀ of slopes (k, n), or of one."""
-        return dense.triangular(self.factor, self.free(a).T).T @ dense.triangular(self.factor, self.free(b).T)
+    def softened(self, push=0.0) -> Face:
+        """Return the face with the walls' softness on it, and their floors raised by multipliers.
+
+        A wall's softness is √eps·gᵀ H⁻¹ g. With √eps, its violation and the rounding where walls contradict each other
+        have the same size. If all joints that move a wall are locked, its softness is as by each joint alone.
+        """
+        of = self.of
+        rows, joints = of.walls.rows, 1.0 / (jnp.sum(of.b * of.b, axis=0) + of.shift)
+        least = (rows * rows) @ joints + _LEVER**2 / of.shift
+        soft = float(jnp.finfo(rows.dtype).eps) ** 0.5 * jnp.maximum(jnp.sum(self.half(rows) ** 2, axis=0), least)
+        return self._replace(of=of._replace(soft=soft, raised=soft * push))
+
+    def step(self, slope, missing, push, rounds=1):
+        """Return Newton's step with the walls that push, and their new forces.
+
+        In each further round the forces of the one before are multipliers. Args: slope: without the walls' forces.
+        """
+        if not len(push):
+            return self.alone(slope), push
+        on = push > 0
+        rows = jnp.where(on[:, None], self.of.walls.rows, 0.0)
+        half = self.half(rows)
+        across = half.T @ half
+        rounding = 8 * jnp.finfo(rows.dtype).eps * jnp.diagonal(across)
+        matrix = dense.shifted(across, self.of.soft + rounding)
+        factor, left = dense.cholesky(matrix), jnp.where(on, missing, 0.0) - half.T @ self.half(slope)
+        push = 0.0
+        for _ in range(rounds):
+            push = dense.factored_solve(factor, lambda x: matrix @ x, left + self.of.soft * push)
+        return self.alone(slope + push @ rows), push
 
 
-def newton(hessian, shut) -> Newton:
-    """Factor H; a joint with a tiny pivot is locked."""
+def face(of: Problem, hessian, shut) -> Face:
+    """Factor H of a face; a joint with a tiny pivot is locked."""
     size = lax.stop_gradient(jnp.diagonal(hessian))
     lock = jnp.where(shut, size / jnp.finfo(size.dtype).eps ** 2, 0.0)
     hessian = dense.shifted(hessian, lock)[::-1, ::-1]
-    return Newton(hessian, dense.cholesky(hessian), shut)
+    return Face(of, hessian, dense.cholesky(hessian), shut)
 
 
 def nearest(slope, curvature, most, missing, goes, soft):
@@ -157,12 +153,7 @@ def nearest(slope, curvature, most, missing, goes, soft):
     return low + (high - low) * before / (before - after)
 
 
-def pushed(slope, push, walls):
-    """Return minus half the gradient with the forces of the walls."""
-    return slope if push is None else slope + push @ walls.rows
-
-
-class _Pass(NamedTuple):
+class Pass(NamedTuple):
     """The state between passes of the descent."""
 
     qdot: Float[Array, " n"]  # within the bounds
@@ -170,7 +161,7 @@ class _Pass(NamedTuple):
     held: Bool[Array, ""]  # whether joints at a bound must stay locked
     settled: Bool[Array, ""]
     passes: Int[Array, ""]
-    push: Any  # (k,) forces of walls, or None
+    push: Float[Array, " k"]  # forces of the walls
 
 
 def swept(of: Problem, hessian, qdot, slope):
@@ -186,7 +177,7 @@ def swept(of: Problem, hessian, qdot, slope):
     return lax.scan(moved, (qdot, slope), joints)[0]
 
 
-def descent(of: Problem, start, passes) -> _Pass:
+def descent(of: Problem, start, passes) -> Pass:
     """Find the minimum within bounds, by at most `passes` passes from a start; the cost falls in each.
 
     A pass locks the joints that would leave the bounds and makes a Newton step of the others, clipped to the bounds. If
@@ -194,87 +185,79 @@ def descent(of: Problem, start, passes) -> _Pass:
     whole step, or a clipped one that is enough: otherwise some would unlock and lock for ever. Without walls, sweeps
     over the joints first find most that are at a bound in the end.
     """
-    hessian, eps = of.hessian(), jnp.finfo(start.dtype).eps
+    hessian, eps, walled = of.hessian(), jnp.finfo(start.dtype).eps, len(of.walls.floor) > 0
     per_size, tolerance = 1.0 / jnp.diagonal(hessian), 1e-10 if eps < 1e-10 else 2e-5
 
     def reached(qdot, slope, held, passes, push):
-        goes = jnp.abs(of.clip(qdot + pushed(slope, push, of.walls) * per_size) - qdot)
-        if push is not None:  # large forces of walls and task may cancel to rounding
+        goes = jnp.abs(of.clip(qdot + of.pushed(slope, push) * per_size) - qdot)
+        if walled:  # large forces of walls and task may cancel to rounding
             pulls = jnp.abs(pull) + jnp.abs(hessian) @ jnp.abs(qdot) + jnp.abs(push) @ jnp.abs(of.walls.rows)
             goes = goes - 64 * eps * per_size * pulls
         settled = jnp.max(goes) <= tolerance * (jnp.max(jnp.abs(qdot)) + eps * eps)
-        return _Pass(qdot, slope, held, settled, passes, push)
+        return Pass(qdot, slope, held, settled, passes, push)
 
-    def one(at: _Pass) -> _Pass:
+    def one(at: Pass) -> Pass:
         above, below = at.qdot >= of.high, at.qdot <= of.low
-        slope, missing = pushed(at.slope, at.push, of.walls), of.missing(at.qdot)
+        slope, missing = of.pushed(at.slope, at.push), of.missing(at.qdot)
         shut = of.shut(at.qdot, slope) | (at.held & (above | below))
-        whole, push = of.newton(newton(hessian, shut), at.push)(at.slope, missing)
+        whole, push = face(of, hessian, shut).step(at.slope, missing, at.push)
         clipped = of.clip(at.qdot + whole)
         step, over = clipped - at.qdot, clipped != at.qdot + whole
         along = jnp.where(step == 0, 0.0, whole)  # without joints at a bound that would leave it
         bent = hessian @ step
         gain = (at.slope - 0.5 * bent) @ step
         fits = ~jnp.any(over)
-        if push is not None:  # and the same walls push before and after
-            gain -= of.crossed(missing, step)
+        if walled:  # and the same walls push before and after
+            after = jnp.maximum(missing - of.walls.rows @ step, 0.0)
+            gain -= 0.5 * jnp.sum((after**2 - jnp.maximum(missing, 0.0) ** 2) / of.soft)
             fits &= jnp.all((push > 0) == (at.push > 0)) & jnp.all((at.push > 0) | (of.pushes(clipped) == 0))
 
         def first():
             toward, crosses = hessian @ along, over & (step != 0)
             share = jnp.where(crosses, step, 2.0) / jnp.where(crosses, along, 1.0)
+            most = jnp.clip(jnp.min(share), 0.0, 1.0)
             slope, curvature = at.slope @ along, toward @ along
-            least = slope / jnp.where(curvature > 0, curvature, 1.0)
-            taken = jnp.clip(jnp.minimum(jnp.min(share), least), 0.0, 1.0)
-            if missing is not None:
-                goes, most = of.walls.rows @ along, jnp.clip(jnp.min(share), 0.0, 1.0)
-                taken = nearest(slope, curvature, most, missing, goes, of.soft)
+            taken = jnp.clip(jnp.minimum(most, slope / jnp.where(curvature > 0, curvature, 1.0)), 0.0, 1.0)
+            if walled:
+                taken = nearest(slope, curvature, most, missing, of.walls.rows @ along, of.soft)
             return jnp.where(share <= taken, clipped, of.clip(at.qdot + taken * along)), taken * toward
 
         enough = fits | (gain > _ENOUGH * (slope @ step))
         qdot, bent = lax.cond(enough, lambda: (clipped, bent), first)
-        push = None if push is None else jnp.where(fits, push, of.pushes(qdot))
+        push = jnp.where(fits, push, of.pushes(qdot))
         return reached(qdot, at.slope - bent, ~enough, at.passes + 1, push)
 
     qdot, pull = of.clip(start), of.w @ of.b + of.shift * of.rest
     slope = pull - hessian @ qdot
-    if of.walls is None:
+    if not walled:
         qdot, slope = lax.fori_loop(0, _SWEEPS, lambda _, at: swept(of, hessian, *at), (qdot, slope))
     first = reached(qdot, slope, jnp.bool_(False), jnp.int32(0), of.pushes(qdot))
     return lax.while_loop(lambda at: ~at.settled & (at.passes < passes), one, first)
 
 
 @functools.partial(jax.jit, static_argnames="passes", inline=True)  # laws of one shape read it once
-def kept(of: Problem, walls: Rows, start, passes) -> _Pass:
+def kept(of: Problem, start, passes) -> Pass:
     """Find the minimum behind walls: a descent, and more while walls are violated by more than their softness.
 
     Each further descent uses the multipliers of the one before, and the softness on the face where it ended. The first
     has no multipliers, and the softness within the bounds.
     """
-    if walls is None:
+    if not len(of.walls.floor):
         return descent(of, start, passes)
 
     def again(at):
-        found, rounds = at
-        shut = of.shut(found.qdot, pushed(found.slope, found.push, walls))
-        more, _ = of.behind(walls, newton(of.hessian(), shut), found.push)
-        return descent(more, found.qdot, passes), rounds + 1
+        end, rounds = at
+        shut = of.shut(end.qdot, of.pushed(end.slope, end.push))
+        return descent(face(of, of.hessian(), shut).softened(end.push).of, end.qdot, passes), rounds + 1
 
     def missed(at):
-        found, rounds = at
-        more = (rounds == 0) | (found.settled & jnp.any(walls.missed(found.qdot)))
+        end, rounds = at
+        more = (rounds == 0) | (end.settled & jnp.any(of.walls.missed(end.qdot)))
         return (rounds < _ROUNDS) & more  # exports need a bound of the rounds
 
-    still, none = jnp.zeros_like(start), jnp.zeros_like(walls.floor)
-    first = _Pass(start, still, jnp.bool_(False), jnp.bool_(False), jnp.int32(0), none)
+    no = jnp.bool_(False)
+    first = Pass(start, jnp.zeros_like(start), no, no, jnp.int32(0), jnp.zeros_like(of.walls.floor))
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
-
-
-def on_face(of: Problem, walls: Rows | None, shut, push):
-    """Return (violations, as a function of q̇; Newton's step) with these joints locked, behind the walls that push."""
-    step = newton(of.hessian(), shut)
-    face, across = (of, None) if walls is None else of.behind(walls, step)
-    return face.missing, face.newton(step, push, across)
 
 
 @record
@@ -289,58 +272,51 @@ class Bounded:
         """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
-    def __call__(self, shift, chain, q, rows, velocity, null) -> Limited:
+    def __call__(self, shift, chain, q, rows, velocity, null) -> Evaluation:
         """Return J# v + (I − J# J) q̇₀ within the bounds, of an inverse with damping λ², one or one per row."""
         size = lax.stop_gradient(jnp.sum(scaled(rows, shift) ** 2))
-        shift = shift * jnp.maximum(1.0, LEAST * size / jnp.min(jnp.asarray(shift)))
-        factored = by_shift(rows, shift)
+        factored = by_shift(rows, shift * jnp.maximum(1.0, LEAST * size / jnp.min(jnp.asarray(shift))))
         unlimited = through(factored.apply, rows, velocity, null)
         if not (chain.bounded or chain.slowed or self.walls):
-            return Limited(unlimited, factored)
+            return Evaluation(unlimited, factored)
         low, high = bounds(self.rate, chain, q)
-        walls = rows_at(self.walls, chain, q) if self.walls else None
-        still = None if walls is None else jnp.zeros_like(walls.floor)
-
-        shift = factored.shift  # what rounding needs, too
+        walls, shift = rows_at(self.walls, chain, q), factored.shift  # a shift that rounding needs, too
+        still = jnp.zeros_like(walls.floor)
 
         def problem():  # most steps, which are within bounds, need none
             rest = jnp.zeros_like(unlimited) if null is None else null
-            return Problem(*(scaled(v, shift) for v in (rows, velocity)), rest, low, high, jnp.min(shift))
+            b, w = scaled(rows, shift), scaled(velocity, shift)
+            return Problem(b, w, rest, low, high, jnp.min(shift), walls, still, still)
 
         def least():
             whole = problem()
-            constant, constant_walls, start = lax.stop_gradient((whole, walls, unlimited))
-            end = kept(constant, constant_walls, start, self.passes)
-            shut = constant.shut(end.qdot, pushed(end.slope, end.push, constant_walls))
+            constant, start = lax.stop_gradient((whole, unlimited))
+            end = kept(constant, start, self.passes)
+            shut = constant.shut(end.qdot, constant.pushed(end.slope, end.push))
             # One more step on the face has all derivatives of the minimum there, and removes rounding and violations of
             # walls. Multipliers of walls that contradict grow in each round, so it makes its own, with derivatives.
             # After a descent that was cut short only its derivatives are used.
             qdot = jnp.where(shut, jnp.where(end.qdot >= high, high, low), end.qdot)
-            missing, solve = on_face(whole, walls, shut, end.push)
-            step, _ = solve(whole.slope(qdot), missing(qdot), _ROUNDS)
+            on = face(whole, whole.hessian(), shut).softened()
+            step, _ = on.step(whole.slope(qdot), on.of.missing(qdot), end.push, _ROUNDS)
             step = jnp.where(end.settled, step, step - lax.stop_gradient(step))
             return whole.clip(qdot + step), shut.astype(unlimited.dtype), ~end.settled, end.push
 
         def locked(t):
-            """Apply J# of the joints that are not shut, along the walls that push, once refined."""
-            whole, t = problem(), scaled(t, shift)
-            _, step = on_face(whole, walls, shut > 0, push)
-            first, _ = step(t @ whole.b, still)
-            missing = None if walls is None else -walls.rows @ first
-            return first + step((t - whole.b @ first) @ whole.b - whole.shift * first, missing)[0]
+            """Apply J# of the joints that are not shut, along the walls that push."""
+            whole = problem()
+            on = face(whole, whole.hessian(), shut > 0).softened()
+            return on.step(scaled(t, shift) @ whole.b, still, push)[0]
 
-        fits = jnp.all((low <= unlimited) & (unlimited <= high))
-        if walls is not None:
-            fits &= jnp.all(walls.rows @ unlimited >= walls.floor)
+        fits = jnp.all((low <= unlimited) & (unlimited <= high)) & jnp.all(walls.rows @ unlimited >= walls.floor)
         free = unlimited, jnp.zeros_like(unlimited), jnp.bool_(False), still
         qdot, shut, cut, push = lax.cond(fits, lambda: free, least)
-        limited = jnp.any((shut > 0) & (low < high))
-        return Limited(
+        return Evaluation(
             qdot=qdot,
             factored=factored._replace(apply=lambda t: lax.cond(fits, factored.apply, locked, t)),
-            limited=limited if push is None else limited | jnp.any(push > 0),
+            limited=jnp.any((shut > 0) & (low < high)) | jnp.any(push > 0),
             cut=cut,
-            walls=None if walls is None else walls.rows @ qdot - walls.floor,
+            walls=walls.rows @ qdot - walls.floor if self.walls else None,
         )
 
 
@@ -357,14 +333,12 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
 
     It needs an inverse with damping, best a constant one, or levels: `singular_damped` has none where joints at their
     bounds leave the others singular, and joints may then jump between bounds. λ² is at least 1e-10 of the trace of
-    J Jᵀ (of `levels`, with the rows scaled to the damping of the first one).
-
-    A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut short.
+    J Jᵀ. A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut
+    short.
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
-      passes: largest number of Newton steps. Three are usual; of 60,000 postures of an arm and a humanoid none took
-        more than 13, at levels none of 8,000 more than 19. With too few the velocities are still within bounds.
+      passes: largest number of Newton steps; three are usual, and none of 60,000 postures took more than 19.
       walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
         which are active, and by how much contradicting ones are missed.
     """

@@ -1,7 +1,12 @@
-"""Paths: the references that cnclik builds."""
+"""Paths: the references that cnclik builds, of curves.
+
+A curve is a record, so that points, periods and durations are parameters. It gives the target at a time: a position
+(d,), a rotation (3, 3), or None for one of them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import jax
@@ -10,17 +15,158 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.law.curves import Circle, Hold, Line, Lissajous, Path, Rotation, Spline, cubic, hermite, timed
-from cnclik.law.reference import A_REFERENCE, Reference, References, of_each, references
-from cnclik.record import Array, ArrayLike, Float, Number, leaf, replace
+from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record, replace
 from cnclik.robot import poses
-from cnclik.robot.chain import Chain
-from cnclik.robot.model import modelled
-from cnclik.robot.rotations import log_so3
-from cnclik.task.parts import At
-from cnclik.task.task import Task
+from cnclik.robot.model import Pose
+from cnclik.robot.rotations import exp_so3, log_so3, quaternion_from_rotation, rotation_from_quaternion
 
+A_REFERENCE = "be a Reference such as hold(...), or references(name=...) for several"
 Target = poses.PoseLike | None  # see `hold`
+Rotation = Float[Array, "3 3"] | None
+
+
+@record
+class Reference:
+    """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
+
+    curve: Callable  # t -> (position (d,) or None, rotation (3, 3) or None)
+    known: bool = True  # whether a step knows the path ahead, see `causal`
+
+    @property
+    def still(self) -> bool:
+        """Whether the target is constant."""
+        return isinstance(self.curve, Hold)
+
+    def __repr__(self):
+        return f"Reference: {brief(self.curve)}{'' if self.known else ', future unknown'}"
+
+
+# --- curves -------------------------------------------------------------------------------------------
+
+
+@record
+class Hold:
+    position: Float[Array, " d"] | None
+    rotation: Rotation
+
+    def __call__(self, t):
+        return self.position, self.rotation
+
+
+@record
+class Line:
+    start: Float[Array, " d"] | None
+    end: Float[Array, " d"] | None
+    rotation: Rotation
+    turn: Float[Array, " 3"] | None  # rotation vector from the first to the last orientation, in the base frame
+    duration: Float[Array, ""]
+
+    def __call__(self, t):
+        # Constant beyond the end; it still moves there, up to rounding of k·Ts.
+        s = jnp.where(t > self.duration * (1 + 1e-6), 1.0, t / self.duration)
+        position = None if self.start is None else self.start + s * (self.end - self.start)
+        return position, self.rotation if self.turn is None else exp_so3(s * self.turn) @ self.rotation
+
+
+@record
+class Circle:
+    center: Float[Array, " d"]
+    first: Float[Array, " d"]  # radius vector at t = 0
+    second: Float[Array, " d"]  # and a quarter period later
+    rotation: Rotation
+    period: Float[Array, ""]
+
+    def __call__(self, t):
+        angle = 2 * math.pi / self.period * t
+        return self.center + jnp.cos(angle) * self.first + jnp.sin(angle) * self.second, self.rotation
+
+
+@record
+class Lissajous:
+    center: Float[Array, " d"]
+    amplitude: Float[Array, " d"]
+    frequency: Float[Array, " d"]
+    phase: Float[Array, " d"]
+    rotation: Rotation
+    period: Float[Array, ""]
+
+    def __call__(self, t):
+        omega = 2 * math.pi / self.period
+        return self.center + self.amplitude * jnp.sin(self.frequency * omega * t + self.phase), self.rotation
+
+
+@record
+class Spline:
+    times: Float[Array, " K"]
+    position: Float[Array, "K-1 4 d"] | None  # coefficients of the powers of t − t_k, a row for each knot
+    quaternion: Float[Array, "K-1 4 4"] | None  # and of unnormalised quaternions
+    closed: bool
+
+    def __call__(self, t):
+        if self.closed:
+            t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
+        times, k = jnp.asarray(self.times), interval(self.times, t)  # NumPy arrays take no traced index
+        inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
+        # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
+        dt = jnp.where(inside, t, jnp.clip(jax.lax.stop_gradient(t), self.times[0], self.times[-1])) - times[k]
+
+        def at(c):
+            a, b, c, d = jnp.asarray(c)[k]
+            return a + dt * (b + dt * (c + dt * d))
+
+        rotation = None
+        if self.quaternion is not None:
+            q = at(self.quaternion)
+            rotation = jnp.array(rotation_from_quaternion(q / jnp.sqrt(q @ q)))
+        return (None if self.position is None else at(self.position)), rotation
+
+
+@record
+class Path:
+    fn: Callable
+
+    def __call__(self, t):
+        target, dtype = self.fn(t), jnp.result_type(t)
+        if isinstance(target, Pose):
+            return jnp.asarray(target.position, dtype), jnp.asarray(target.rotation, dtype)
+        if isinstance(target, (tuple, list)):
+            if any(map(jnp.ndim, target)):
+                must = "give a position, or a pose as ck.Pose(position=..., rotation=...)"
+                raise errors.fail("fn", must, f"gives a {type(target).__name__} of arrays")
+            target = jnp.stack([jnp.asarray(v, dtype) for v in target])
+        return jnp.asarray(target, dtype), None
+
+
+@record
+class Tangent:
+    t: Float[Array, ""]  # where it touches the path
+    position: Float[Array, " d"] | None
+    velocity: Float[Array, " d"] | None
+    rotation: Rotation
+    spin: Float[Array, " 3"] | None  # angular velocity in the base frame
+
+    def __call__(self, t):
+        on = t - self.t
+        turned = self.rotation if self.spin is None else exp_so3(on * self.spin) @ self.rotation
+        return None if self.position is None else self.position + on * self.velocity, turned
+
+
+def interval(times, t):
+    """Return k, 0 … K − 2, with times[k] ≤ t < times[k + 1] for rising times (K,); the first or last one outside.
+
+    By bisection with basic operations, as the primitives of `jnp.searchsorted` differ between versions of JAX. Written
+    out, as XLA for GPUs fails where a loop reads a table at an index that a loop inside it finds (openxla/xla #49299).
+    """
+    times, last = jnp.asarray(times), times.shape[0] - 1
+    low, high = jnp.int32(0), jnp.int32(last)
+    for _ in range(max(last, 1).bit_length()):
+        middle = (low + high) >> 1
+        later = times[middle] <= t
+        low, high = jnp.where(later, middle, low), jnp.where(later, high, middle)
+    return low
+
+
+# --- references ---------------------------------------------------------------------------------------
 
 
 def hold(
@@ -68,11 +214,9 @@ def line(
     first, last = (() if v is None else v.shape for v in (start, end))
     if first != last:
         raise errors.fail("end", "have the shape of `start`", f"has shape {last}")
-    turn = None
-    if rotation_end is not None:
-        if rotation is None:
-            raise errors.fail("rotation", "be given with `rotation_end`", "is None")
-        turn = _turn(rotation, rotation_end)
+    if rotation is None and rotation_end is not None:
+        raise errors.fail("rotation", "be given with `rotation_end`", "is None")
+    turn = None if rotation_end is None else _turn(rotation, rotation_end)
     return Reference(curve=Line(start=start, end=end, rotation=rotation, turn=turn, duration=leaf(duration)))
 
 
@@ -98,12 +242,8 @@ def circle(
     center = errors.array("center", center, (2,), (3,))
     radius = 1.0 * errors.number("radius", radius, at_least=0)
     phase = 1.0 * errors.number("phase", phase)
-    period = _period(period)
-    if center.shape[0] == 2:
-        if normal is not None:
-            raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
-        u, v = np.eye(2)
-    else:
+    u, v = np.eye(2)
+    if len(center) == 3:
         w = np.asarray(errors.array("normal", (0.0, 0.0, 1.0) if normal is None else normal, (3,)), float)
         if not np.linalg.norm(w) > 0:
             raise errors.fail("normal", "not be the zero vector", f"is {w.tolist()}")
@@ -111,16 +251,12 @@ def circle(
         u = np.cross(np.eye(3)[1] if abs(w[1]) < 0.9 else np.eye(3)[2], w)
         u = u / np.linalg.norm(u)
         v = np.cross(w, u)
-    xp = np if errors.concrete(phase) else jnp  # NumPy compiles nothing
+    elif normal is not None:
+        raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
+    xp = poses.library(phase)  # NumPy compiles nothing
     c, s = xp.cos(phase), xp.sin(phase)
-    curve = Circle(
-        center=center,
-        first=radius * (c * u + s * v),
-        second=radius * (c * v - s * u),
-        rotation=rotation_matrix("rotation", rotation),
-        period=period,
-    )
-    return Reference(curve=curve)
+    first, second = radius * (c * u + s * v), radius * (c * v - s * u)
+    return _periodic(Circle, period, rotation, center=center, first=first, second=second)
 
 
 def lissajous(
@@ -142,19 +278,21 @@ def lissajous(
       rotation: constant orientation.
     """
     center = errors.array("center", center, (None,))
-    d = center.shape[0]
-    amplitude = errors.array("amplitude", amplitude, (d,))
-    frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
-    phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
-    curve = Lissajous(
-        center=center,
-        amplitude=amplitude,
-        frequency=frequency,
-        phase=phase,
-        rotation=rotation_matrix("rotation", rotation),
-        period=_period(period),
-    )
-    return Reference(curve=curve)
+    d = len(center)
+    each = {
+        "amplitude": amplitude,
+        "frequency": np.arange(1.0, d + 1) if frequency is None else frequency,
+        "phase": np.zeros(d) if phase is None else phase,
+    }
+    each = {name: errors.array(name, value, (d,)) for name, value in each.items()}
+    return _periodic(Lissajous, period, rotation, center=center, **each)
+
+
+def _periodic(kind, period, rotation, **fields):
+    """Return the reference of a periodic curve."""
+    if errors.concrete(errors.number("period", period)) and float(period) == 0:
+        raise errors.fail("period", "not be 0", "is 0")
+    return Reference(curve=kind(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
 
 
 def waypoints(
@@ -178,52 +316,58 @@ def waypoints(
       closed: the last waypoint equals the first; the path passes through it smoothly and repeats.
     """
     closed = errors.truth("closed", closed)
-    times, *points = timed(times, positions, rotations)
-    named = zip(("positions", "rotations"), points, strict=True)
-    pieces = [None if v is None else cubic(times, _known(v), closed, name) for name, v in named]
-    return _spline(times, pieces, closed)
-
-
-def resampled(
-    times: Float[ArrayLike, " K"],
-    positions: Float[ArrayLike, "K d"] | None = None,
-    rotations: Float[ArrayLike, "K ..."] | None = None,
-) -> Reference:
-    """Follow a stream of targets, such as a policy's at 30 Hz, in a loop at 1 kHz that knows only past targets.
-
-    The path is straight from target to target, averaged over about a period: its velocity is continuous, and it cuts
-    corners and smooths jitter. It comes 1.5 times the longest period late, so that no target is used before it arrives,
-    and holds the last one. Quaternions are interpolated, then normalised.
-
-    Args:
-      times: (K,) arrival times of the targets [s], increasing.
-      positions, rotations: as for `waypoints`.
-    Returns: `Reference` whose future a step does not use, as with `causal`.
-    """
-    times, *points = timed(times, positions, rotations)
-    gap = np.max(np.diff(times))
-    times = np.concatenate([times[:1] - gap, times, times[-1:] + gap])
-    knots, h = (times[1:] + times[:-1]) / 2, np.diff(times)[:, None]
-
-    def smooth(points):
-        xp = poses.library(points)  # NumPy compiles nothing
-        points = xp.concatenate([points[:1], points, points[-1:]])
-        middle, velocity = (points[1:] + points[:-1]) / 2, xp.diff(points, axis=0) / h
-        return jnp.asarray(hermite(np.diff(knots), middle, velocity))
-
-    pieces = [None if v is None else smooth(_known(v)) for v in points]
-    return replace(_spline(knots + 1.5 * gap, pieces), known=False)
-
-
-def _spline(times, pieces, closed=False):
-    position, quaternion = pieces
-    curve = Spline(times=jnp.asarray(times), position=position, quaternion=quaternion, rotation=None, closed=closed)
+    if not errors.concrete(times):
+        raise errors.fail("times", "be known numbers", "is traced")
+    times = np.asarray(errors.array("times", times, (None,)), float)
+    count = len(times)
+    if count < 2:
+        raise errors.fail("times", "hold at least two times", f"holds {count}")
+    if not np.all(times[1:] > times[:-1]):
+        raise errors.fail("times", "increase", f"is {times.tolist()}")
+    if positions is None and rotations is None:
+        raise errors.fail("positions", "be given, or `rotations`", "is None")
+    position = quaternion = None
+    if positions is not None:
+        position = _cubic(times, errors.array("positions", positions, (count, None)), closed, "positions")
+    if rotations is not None:
+        rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
+        quaternion = _quaternions(poses.rotations("rotations", rotations))
+        quaternion = _cubic(times, quaternion, closed, "rotations")
+    curve = Spline(times=jnp.asarray(times), position=position, quaternion=quaternion, closed=closed)
     return Reference(curve=curve)
 
 
-def _known(values):
-    """Return a known value in NumPy, which compiles nothing."""
-    return np.asarray(values) if errors.concrete(values) else values
+def _cubic(times, values, closed, name):
+    """Return coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
+    from scipy.interpolate import CubicSpline  # here, as most references are no waypoints
+
+    count = len(times) - 1
+    # After a full turn the quaternion has the other sign, which is the same rotation: its period is two turns.
+    turned = closed and name == "rotations" and values[0] @ values[-1] < 0
+
+    def spline(points, sign):
+        knots = times
+        if closed:
+            points = np.concatenate([points[:-1], sign * points[:-1], points[:1]])
+            knots = np.concatenate([times[:-1], times + times[-1] - times[0]])
+        pieces = CubicSpline(knots, points, bc_type="periodic" if closed else "clamped").c[::-1, :count]
+        return np.moveaxis(pieces, 0, 1)
+
+    if not errors.concrete(values):  # they are linear in the values
+        same, other = (jnp.einsum("kpj,jd->kpd", spline(np.eye(count + 1), sign), values) for sign in (1.0, -1.0))
+        return jnp.where(turned, other, same)
+    values, sign = np.asarray(values), -1.0 if turned else 1.0
+    if closed and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
+        raise errors.fail(name, "end where it starts for a closed path", "does not")
+    return jnp.asarray(spline(values, sign))
+
+
+@bounded_jit
+def _quaternions(rotations):
+    """Return unit quaternions (K, 4) of rotations (K, 3, 3), each with the sign nearer to the one before."""
+    q = jax.vmap(quaternion_from_rotation)(rotations)
+    flips = jnp.where(jnp.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    return q * jnp.concatenate([jnp.ones(1), jnp.cumprod(flips)])[:, None]
 
 
 def path(fn: Callable) -> Reference:
@@ -242,50 +386,7 @@ def causal(reference: Reference) -> Reference:
 
     A step then uses x_d and ẋ_d at its start only, and assumes that the target continues with that velocity.
     """
-    errors.kind("reference", reference, Reference, A_REFERENCE)
-    return replace(reference, known=False)
-
-
-def hold_at(
-    chain: Chain, task: Task, q: Float[ArrayLike, " n"], **others: Reference | References
-) -> Reference | References:
-    """Hold the pose at q (n,): a constant reference for each target of a task; other references are given by name.
-
-    `hold_at(robot, task, q0, hands=circle(...))` moves the hands only.
-
-    Returns: `Reference`, or `References` for a task with several targets.
-    """
-    q, task = errors.array("q", q, (chain.n,), of="joint values"), task.on(chain)
-    if all(map(errors.concrete, jax.tree.leaves((chain, q)))):
-        q = np.asarray(q, float)  # NumPy compiles nothing
-    robot = At(modelled(chain), q)
-
-    def held_for(_, parts):
-        target: dict = {"position": None, "rotation": None}
-        for part in parts.parts:
-            target["rotation" if part.turns else "position"] = part.here(robot)
-        return Reference(curve=Hold(**target))
-
-    held = of_each(held_for, None, task)
-    if not others:
-        return held
-    if isinstance(held, Reference):
-        if not task.tasks:
-            raise errors.fail("others", "be left out for one task that is no stack", f"are {', '.join(others)}")
-        held = references(**{task.tasks[0][0]: held})
-    for name in others:
-        errors.one_of("others", name, held.names)
-    return references(**(dict(zip(held.names, held.each, strict=True)) | others))
-
-
-# --- reading arguments --------------------------------------------------------------------------------
-
-
-def _period(period):
-    """Return a period, which is not 0, as a field of a record."""
-    if errors.concrete(errors.number("period", period)) and float(period) == 0:
-        raise errors.fail("period", "not be 0", "is 0")
-    return leaf(period)
+    return replace(errors.kind("reference", reference, Reference, A_REFERENCE), known=False)
 
 
 def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"] | None, Rotation]:
@@ -298,17 +399,15 @@ def _split(name, target, rotation, called="rotation") -> tuple[Float[Array, " d"
         return whole
     if target is not None:
         target = errors.array(name, target, (None,))
-        if not 1 <= target.shape[0] <= 3:
+        if not 1 <= len(target) <= 3:
             joints = " (joint values are given by hold(values=...))" * (name == "target")
-            raise errors.fail(name, f"have 1 to 3 coordinates{joints}", f"has {target.shape[0]}")
-    return target, rotation_matrix(called, rotation)
+            raise errors.fail(name, f"have 1 to 3 coordinates{joints}", f"has {len(target)}")
+    return target, _rotation(called, rotation)
 
 
-def rotation_matrix(name, value):
-    """Return a (3, 3) rotation from a rotation or a (4,) unit quaternion."""
-    if value is None:
-        return None
-    return poses.rotations(name, errors.array(name, value, (3, 3), (4,)))
+def _rotation(name, value):
+    """Return a (3, 3) rotation from a rotation or a (4,) unit quaternion; None stays."""
+    return None if value is None else poses.rotations(name, errors.array(name, value, (3, 3), (4,)))
 
 
 @bounded_jit  # jitted as a whole, as each of its many small operations would be compiled on first use

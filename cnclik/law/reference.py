@@ -6,37 +6,19 @@ from `jax.jvp`, so that path and feed-forward agree, unless an explicit feed-for
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
-from jax import lax
+import numpy as np
 
 from cnclik import errors
 from cnclik.engine.tracing import of_the_model, together
-from cnclik.law.curves import Hold, Path, Tangent
-from cnclik.record import brief, record, replace
+from cnclik.law.paths import A_REFERENCE, Hold, Path, Reference, Tangent
+from cnclik.record import ArrayLike, Float, record, replace
+from cnclik.robot.chain import Chain
+from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.task.parts import spin
+from cnclik.task.parts import At, spin
 from cnclik.task.task import Task
-
-A_REFERENCE = "be a Reference such as hold(...), or references(name=...) for several"
-
-
-@record
-class Reference:
-    """A desired path. Build one with hold, line, circle, lissajous, waypoints, or from any `path`."""
-
-    curve: Callable  # t -> (position (d,) or None, rotation (3, 3) or None)
-    known: bool = True  # whether a step knows the path ahead, see `causal`
-
-    @property
-    def still(self) -> bool:
-        """Whether the target is constant."""
-        return isinstance(self.curve, Hold)
-
-    def __repr__(self):
-        return f"Reference: {brief(self.curve)}{'' if self.known else ', future unknown'}"
 
 
 @record
@@ -78,6 +60,38 @@ def references(**by_name: Reference | References) -> References:
     for name, one in by_name.items():
         errors.kind(name, one, REFERENCE, A_REFERENCE)
     return References(names=tuple(by_name), each=tuple(by_name.values()))
+
+
+def hold_at(
+    chain: Chain, task: Task, q: Float[ArrayLike, " n"], **others: Reference | References
+) -> Reference | References:
+    """Hold the pose at q (n,): a constant reference for each target of a task; other references are given by name.
+
+    `hold_at(robot, task, q0, hands=circle(...))` moves the hands only.
+
+    Returns: `Reference`, or `References` for a task with several targets.
+    """
+    q, task = errors.array("q", q, (chain.n,), of="joint values"), task.on(chain)
+    if all(map(errors.concrete, jax.tree.leaves((chain, q)))):
+        q = np.asarray(q, float)  # NumPy compiles nothing
+    robot = At(modelled(chain), q)
+
+    def held(_, parts):
+        target: dict = {"position": None, "rotation": None}
+        for part in parts.parts:
+            target["rotation" if part.turns else "position"] = part.here(robot)
+        return Reference(curve=Hold(**target))
+
+    paths = of_each(held, None, task)
+    if not others:
+        return paths
+    if isinstance(paths, Reference):
+        if not task.tasks:
+            raise errors.fail("others", "be left out for one task that is no stack", f"are {', '.join(others)}")
+        paths = references(**{task.tasks[0][0]: paths})
+    for name in others:
+        errors.one_of("others", name, paths.names)
+    return references(**(dict(zip(paths.names, paths.each, strict=True)) | others))
 
 
 def of_each(fn, reference, task: Task):
@@ -166,11 +180,14 @@ def tangent(reference, task: Task, t):
 
 
 def motion(reference, task: Task, t):
-    """Return an upper bound (N,) of the target's motion between the instants t (N + 1,)."""
+    """Return an upper bound (N,) of the target's motion between the instants t (N + 1,).
+
+    That of a rotation is by its chord ‖R₂ − R₁‖ (Frobenius): the angle is at most π/√8 times it.
+    """
 
     def chart(t):
-        aims = aims_of(reference, task, t)
-        return jnp.concatenate([part.chart(a) for part, a in zip(task.parts, aims, strict=True)]).astype(t.dtype)
+        each = zip(task.parts, aims_of(reference, task, t), strict=True)
+        return jnp.concatenate([1.111 * aim.ravel() if part.turns else aim for part, aim in each]).astype(t.dtype)
 
     # A user's path may allow no vmap.
     users = any(isinstance(path.curve, Path) for path, _ in by_target(reference, task))
@@ -179,8 +196,8 @@ def motion(reference, task: Task, t):
 
 
 def neighbours(x):
-    """Return (x[:-1], x[1:]) of x (N + 1, ...), as slices that JAX makes for any N, see `cnclik.engine.rounds`."""
-    return lax.slice_in_dim(x, 0, x.shape[0] - 1), lax.slice_in_dim(x, 1, None)
+    """Return (x[:-1], x[1:])."""
+    return x[:-1], x[1:]
 
 
 def check(reference, task: Task) -> None:

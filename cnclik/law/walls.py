@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.law.inverse import positive
 from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
-from cnclik.robot import chart
-from cnclik.robot.model import modelled, one_off
+from cnclik.robot.model import modelled
 from cnclik.task.build import center_of_mass
 from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, rows
@@ -58,6 +56,8 @@ class Wall:
 
 def rows_at(walls, chain, q) -> Rows:
     """Return the rows of all walls at q."""
+    if not walls:
+        return Rows(jnp.zeros((0, len(q)), q.dtype), jnp.zeros(0, q.dtype))
     robot = At(modelled(chain), q)
     floor = jnp.stack([-wall.rate * wall.distance(robot) for wall in walls])
     return Rows(jnp.stack([wall.row(robot) for wall in walls]), floor)
@@ -77,7 +77,8 @@ def wall(
     `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)` a
     knee bent, and `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` a hand off a leg.
     Joint velocities satisfy ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and
-    from behind it the robot comes back. A velocity that is constant over Ts may pass it, see `wall_margin`.
+    from behind it the robot comes back. A velocity that is constant over Ts may pass it by κ v² Ts/(2 rate), where
+    the motion bends by κ towards it.
 
     Args:
       task: a task of one coordinate, or of several with a normal: positions, joints, distances, functions.
@@ -136,35 +137,3 @@ def support_polygon(
         wall(task, normal=normal, above=offset + margin, rate=rate, name=f"{name}_{i}" if name else "")
         for i, (normal, offset) in enumerate(zip(normals, offsets, strict=True), 1)
     )
-
-
-def wall_margin(law: Any, run: Any) -> Float[np.ndarray, "*lanes k"]:
-    """Return how far each wall may be passed because a velocity is constant over a step [m, rad]: κ v² Ts/(2 rate).
-
-    κ v² = −q̇ᵀ ∇²h q̇ is the largest along the run. Explicit Euler and EXP-EE pass a wall by this much in steady motion;
-    methods of second order, such as EXP-MIDPOINT, by far less. Move a wall that must not be crossed by this distance.
-
-    Args:
-      law: with `bounded(walls=...)`.
-      run: a `Trajectory` of it, one or many lanes, with equal steps.
-    """
-    if not (walls := getattr(law.limits, "walls", ())):
-        raise errors.fail("law", "have limits=ck.bounded(walls=[...])", f"has {law.limits!r}")
-    bent = _bent(walls, law.chain, np.asarray(run.q)[..., :-1, :], np.asarray(run.qdot))
-    rates = np.array([wall.rate for wall in walls])
-    Ts = np.diff(np.asarray(run.t), axis=-1)[..., None]
-    return np.max(np.maximum(-np.asarray(bent) * Ts, 0.0), axis=-2) / (2 * rates)
-
-
-@one_off
-def _bent(walls, chain, q, qdot):
-    """Return q̇ᵀ ∇²h q̇ (..., k)."""
-
-    def curvature(q, qdot):
-        def along(s):
-            robot = At(chain, chart.moved(chain, q, s * qdot))
-            return jnp.stack([wall.row(robot) @ qdot for wall in walls])
-
-        return jax.jvp(along, (0.0,), (1.0,))[1]
-
-    return jnp.vectorize(curvature, signature="(n),(n)->(k)")(q, qdot)

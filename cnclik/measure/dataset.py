@@ -13,6 +13,7 @@ from cnclik import errors
 from cnclik.integrate.status import Status
 from cnclik.integrate.trajectory import Trajectory, check_run
 from cnclik.law.law import Law
+from cnclik.measure.files import plain
 from cnclik.precision import of_numbers
 from cnclik.record import ArrayLike
 from cnclik.version import __version__
@@ -60,52 +61,51 @@ def to_dataset(
 def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> Labelled:
     """Return the arrays of `to_dataset`, without loading xarray."""
     check_run(run, errors.kind("law", law, Law))
-    dims = tuple(dims)
-    t, evaluations = np.asarray(run.t), np.asarray(run.evaluations)
+    dims, t = tuple(dims), np.asarray(run.t)
     *lanes, N = np.shape(run.residual)
     if len(lanes) != len(dims):
         raise errors.fail("dims", f"name the {len(lanes)} leading axes of the trajectory", f"is {dims}")
-    q_units, x_units = law.chain.units, law.task.units
-    q_unit, x_unit = (" or ".join(dict.fromkeys(units)) for units in (q_units, x_units))
-    qdot_unit = " or ".join(f"{unit}/s" for unit in dict.fromkeys(q_units))
-    instant, step = (*dims, "time"), (*dims, "step")
+    chain, task, instant, step = law.chain, law.task, (*dims, "time"), (*dims, "step")
+    each = (chain.units, [f"{unit}/s" for unit in chain.units], task.units)
+    q_unit, qdot_unit, x_unit = (" or ".join(dict.fromkeys(units)) for units in each)
+    table = {
+        "q": ((*instant, "joint"), "joint value", q_unit),
+        "x": ((*instant, "axis"), "task coordinate", x_unit),
+        "e": ((*instant, "axis"), "error x_d − x", x_unit),
+        "qdot": ((*step, "joint"), "joint velocity", qdot_unit),
+        "residual": (step, "last change of the implicit stage", q_unit),
+        "contraction": (step, "ratio of its last two changes", "1"),
+        "status": (step, "status bits", "1"),
+        "task_status": ((*step, "task"), "status bits of each task", "1"),
+        "walls": ((*step, "wall"), "margin of the approach velocity at a wall", "m/s or rad/s"),
+    }
+    arrays = {name: getattr(run, name) for name in table}
+    variables = {k: (table[k][0], np.asarray(v), about(*table[k][1:])) for k, v in arrays.items() if v is not None}
+    evaluations = np.broadcast_to(np.asarray(run.evaluations), lanes)
+    variables["evaluations"] = (dims, evaluations, about("evaluations of f(q, t)", "1"))
     flags = {"flag_masks": [s.value for s in Status if s], "flag_meanings": " ".join(str(s.name) for s in Status if s)}
-    variables = {
-        "q": ((*instant, "joint"), run.q, about("joint value", q_unit)),
-        "x": ((*instant, "axis"), run.x, about("task coordinate", x_unit)),
-        "e": ((*instant, "axis"), run.e, about("error x_d − x", x_unit)),
-        "qdot": ((*step, "joint"), run.qdot, about("joint velocity", qdot_unit)),
-        "residual": (step, run.residual, about("last change of the implicit stage", q_unit)),
-        "contraction": (step, run.contraction, about("ratio of its last two changes", "1")),
-        "status": (step, run.status, about("status bits", "1") | flags),
-        "evaluations": (dims, np.broadcast_to(evaluations, lanes), about("evaluations of f(q, t)", "1")),
-    }
-    some = {
-        "task_status": ((*step, "task"), about("status bits of each task", "1") | flags),
-        "walls": ((*step, "wall"), about("margin of the approach velocity at a wall", "m/s or rad/s")),
-    }
-    variables |= {k: (d, getattr(run, k), words) for k, (d, words) in some.items() if getattr(run, k) is not None}
+    for name in {"status", "task_status"} & variables.keys():
+        variables[name][2].update(flags)
     labels = {
-        "joint": ("joint", list(law.chain.joint_names), about("joint", "1")),
-        "joint_unit": ("joint", list(q_units), about("unit of the joint's value", "1")),
-        "axis": ("axis", list(law.task.names), about("task coordinate", "1")),
-        "axis_unit": ("axis", list(x_units), about("unit of the task coordinate", "1")),
+        "joint": ("joint", list(chain.joint_names), about("joint", "1")),
+        "joint_unit": ("joint", list(chain.units), about("unit of the joint's value", "1")),
+        "axis": ("axis", list(task.names), about("task coordinate", "1")),
+        "axis_unit": ("axis", list(task.units), about("unit of the task coordinate", "1")),
         "step": ("step", np.arange(N), about("step", "1")),
     }
     if run.walls is not None:
         labels["wall"] = ("wall", [wall.name for wall in getattr(law.limits, "walls", ())], about("wall", "1"))
-    if not law.task.of_one_tip:
-        labels["axis_tip"] = ("axis", _tips(law.task, law.chain), about("the tip whose coordinate it is", "1"))
-    if law.task.each:
-        labels["task"] = ("task", [name for name, _ in law.task.tasks], about("task", "1"))
-        axis_task = [name for name, at in law.task.each for _ in range(at.start, at.stop)]
+    if not task.of_one_tip:
+        labels["axis_tip"] = ("axis", _tips(task, chain), about("the tip whose coordinate it is", "1"))
+    if task.each:
+        labels["task"] = ("task", [name for name, _ in task.tasks], about("task", "1"))
+        axis_task = [name for name, at in task.each for _ in range(at.start, at.stop)]
         labels["axis_task"] = ("axis", axis_task, about("its task", "1"))
     first = t.reshape(-1, t.shape[-1])[0]
     if np.all(t == first):
         labels["time"] = ("time", first, about("time", "s"))
     else:  # each lane has its own times, as in a sweep over Ts
         variables["t"] = (instant, t, about("time", "s"))
-    variables = {name: (d, np.asarray(v), words) for name, (d, v, words) in variables.items()}
     attrs = provenance(run.q.dtype) | ({} if config is None else {"config": as_json(config)})
     return Labelled(variables, labels | dict(coords or {}), attrs)
 
@@ -122,15 +122,8 @@ def _tips(task, chain) -> list:
 
 def as_json(config) -> str:
     """Return a configuration as one line of JSON for the attributes, with sorted keys and arrays as lists."""
-
-    def listed(value):
-        found = np.asarray(value)
-        if found.dtype.kind not in "biufU":
-            raise TypeError(f"has {value!r} in it")
-        return found.tolist()
-
     try:
-        return json.dumps(config, sort_keys=True, ensure_ascii=False, default=listed)
+        return json.dumps(plain(config), sort_keys=True, ensure_ascii=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise errors.fail("config", "be what JSON can write: tables, lists, texts and numbers", str(error)) from None
 

@@ -25,13 +25,11 @@ def save_netcdf(data, path) -> None:
                 known = isinstance(variable, tuple)
                 dims, values, attrs = variable if known else (variable.dims, variable.values, variable.attrs)
                 values, dims = np.asarray(values), (dims,) if isinstance(dims, str) else dims
-                if values.dtype == bool:  # as xarray reads it back
-                    values, attrs = values.astype("i1"), attrs | {"dtype": "bool"}
                 sizes = zip(dims, values.shape, strict=True)
                 file.dimensions.update({dim: n for dim, n in sizes if dim not in file.dimensions})
-                text, packed = values.dtype.kind in "UO", {"compression": "gzip", "compression_opts": 6}
-                kind, packed = (h5py.string_dtype(), {}) if text else (values.dtype, packed if dims else {})
-                made = file.create_variable(name, dims, kind, **packed)
+                text = values.dtype.kind in "UO"
+                packed = {"compression": "gzip", "compression_opts": 6} if dims and not text else {}
+                made = file.create_variable(name, dims, h5py.string_dtype() if text else values.dtype, **packed)
                 made[...] = values.astype(object) if text else values
                 made.attrs.update(attrs)
             file.attrs.update(about | {"coordinates": " ".join(sorted(coords))})

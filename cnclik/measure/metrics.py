@@ -1,13 +1,13 @@
 """Metrics: the result of one loop in numbers.
 
-Each metric is a pure function of a `Trajectory` and of the law and reference of its run. Sweeps tabulate metrics, and
-losses are built from them: norms have derivative 0 (not NaN) at 0, and counts have none. A value that is not finite
-counts as infinitely large, so that a diverged loop is never mistaken for a missing one. NaN means "not defined", and
-occurs only where a metric's description states it.
+Each metric is a pure function of a run, its law and its reference. Norms have derivative 0 (not NaN) at 0, and counts
+have none. A value that is not finite counts as infinitely large, so that a diverged loop is never mistaken for a
+missing one. NaN means "not defined", and occurs only where a metric's description states it.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -23,7 +23,6 @@ from cnclik.law.inverse import least_squared
 from cnclik.law.law import Law, check_loop, weighted
 from cnclik.measure.outcome import judge, stable
 from cnclik.record import Number, cast
-from cnclik.robot.chart import apart
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
 from cnclik.task.parts import At
@@ -32,7 +31,7 @@ from cnclik.task.task import velocity
 
 @jax.tree_util.register_pytree_node_class
 class Metrics(dict):
-    """Values by name, read as `m["final_error"]` or `m.final_error`, with their `units`. A pytree."""
+    """Values by name, and their `units`. A pytree."""
 
     def __init__(self, values, units):
         super().__init__(zip(units, values, strict=True))
@@ -44,15 +43,6 @@ class Metrics(dict):
     @classmethod
     def tree_unflatten(cls, units, values):
         return cls(values, dict(units))
-
-    def __getattr__(self, name):
-        if name not in self:
-            raise AttributeError(name)
-        return self[name]
-
-    def __repr__(self):
-        lines = (f"  {name:<22} {value!s:>12} {self.units[name]}" for name, value in self.items())
-        return "Metrics(\n" + "\n".join(lines) + "\n)"
 
 
 class Measured(NamedTuple):
@@ -68,14 +58,6 @@ class Measured(NamedTuple):
         """‖e‖ at each instant."""
         return _norms(self.run.e)
 
-    @property
-    def position(self):
-        return _only(self.run.e, self.law.task.lengths)
-
-    @property
-    def rotation(self):
-        return _only(self.run.e, self.law.task.angles)
-
 
 class Metric(NamedTuple):
     """A metric: its function of a `Measured` run, a number; its unit and its meaning."""
@@ -83,7 +65,7 @@ class Metric(NamedTuple):
     fn: Callable
     unit: str  # begins with "e" for the unit of the error, or "q" for that of the joints
     label: str
-    needs: str = ""  # "position" or "rotation": coordinates that the task must have
+    needs: str = ""  # "lengths" or "angles": coordinates that the task must have
 
 
 def _finite(value):
@@ -95,16 +77,12 @@ def _only(rows, some):
     return jnp.where(np.isin(np.arange(rows.shape[-1]), some), rows, 0.0)
 
 
-def _squares(rows):
-    return _finite(jnp.sum(rows * rows, axis=-1))
-
-
 def _norms(rows):
-    return safe_sqrt(_squares(rows))
+    return safe_sqrt(_finite(jnp.sum(rows * rows, axis=-1)))
 
 
 def _root_mean(rows):
-    return safe_sqrt(jnp.mean(_squares(rows)))
+    return safe_sqrt(jnp.mean(_finite(jnp.sum(rows * rows, axis=-1))))
 
 
 def _max(values):
@@ -114,23 +92,22 @@ def _max(values):
 
 def _first(hit):
     """Return the index of the first True; the length if there is none."""
-    count = hit.shape[0]
-    return jnp.min(jnp.where(hit, jnp.arange(count), count))
+    return jnp.min(jnp.where(hit, jnp.arange(len(hit)), len(hit)))
 
 
 def _count(hit):
     return jnp.sum(hit.astype(jnp.int32))
 
 
-def _split(of):
-    """Return the position error along the path (positive if behind) and across it; at rest all of it is across."""
+def _along(of):
+    """Return the position error along the path (N + 1, 1), positive if behind; 0 at rest. And along its tangent."""
     task, model = of.law.task, modelled(of.law.chain)
     toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
-    e, v = of.position, _only(toward(of.run.t, of.run.q), task.lengths)
+    v = _only(toward(of.run.t, of.run.q), task.lengths)
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
-    along = jnp.sum(e * tangent, axis=-1, keepdims=True)
-    return along, e - along * tangent
+    along = jnp.sum(of.run.e * tangent, axis=-1, keepdims=True)
+    return along, along * tangent
 
 
 def _steps_to_tolerance(of):
@@ -138,29 +115,8 @@ def _steps_to_tolerance(of):
     return jnp.where(k < count, k, jnp.inf)
 
 
-def _settling_time(of):
-    t, count = of.run.t, len(of.run.t)
-    k = count - _first((of.size > of.tolerance)[::-1])  # the instant after the last one outside the tolerance
-    return jnp.where(k == count, jnp.inf, t[jnp.minimum(k, count - 1)] - t[0])
-
-
-def _rate(of):
-    norms, count = of.size, len(of.run.t)
-    inside = norms <= of.tolerance
-    last = jnp.minimum(_first(inside), count - 1)
-    ratio = _finite(norms[last] / jnp.where(inside[0], 1.0, norms[0]))
-    ratio = jnp.maximum(ratio, jnp.finfo(ratio.dtype).tiny)  # a power of exactly 0 has no derivative
-    return jnp.where(inside[0] | (count == 1), jnp.nan, ratio ** (1.0 / jnp.maximum(last, 1)))
-
-
 def _ending(of):
     return jnp.where(of.size[0] == 0, jnp.nan, judge(of.size, of.run.status).ending)
-
-
-def _rms_qddot(of):
-    if len(of.run.qdot) < 2:
-        return jnp.zeros((), of.run.q.dtype)
-    return _root_mean(jnp.diff(of.run.qdot, axis=0) / ((of.run.t[-1] - of.run.t[0]) / len(of.run.qdot)))
 
 
 def _past_limit(of):
@@ -205,53 +161,48 @@ def _errors(name, rows, unit, label, needs=""):
     }
 
 
+def _position(of):
+    return _only(of.run.e, of.law.task.lengths)
+
+
+def _rotation(of):
+    return _only(of.run.e, of.law.task.angles)
+
+
 def _marked(bit):
     return Metric(lambda of: _count((of.run.status & bit) != 0), "1", f"steps marked {bit.name}")
 
 
 _MARKED = {str(bit.name).lower(): _marked(bit) for bit in Status if bit}
-_OTHERS = {  # unit, label, function
-    "steps_to_tolerance": ("1", "first k with ‖e[k]‖ ≤ tolerance, inf if none", _steps_to_tolerance),
-    "evaluations_to_tolerance": (
-        *("1", "evaluations of f to the tolerance"),
-        lambda of: _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1),
-    ),
-    "settling_time": ("s", "time from which ‖e‖ stays ≤ tolerance, inf if it doesn't", _settling_time),
-    "converged": ("1", "1 if ‖e[N]‖ ≤ tolerance", lambda of: (of.size[-1] <= of.tolerance) * 1.0),
-    "ending": ("1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0", _ending),
-    "stable": ("1", "converged, or still does, to a target at rest", lambda of: stable(_ending(of)) * 1.0),
-    "rate": ("1", "factor of ‖e‖ per step until the tolerance; NaN for a start inside it", _rate),
-    "max_qdot": ("q/s", "largest |q̇ᵢ|", lambda of: _max(jnp.abs(of.run.qdot))),
-    "rms_qddot": ("q/s²", "RMS of ‖Δq̇‖/Ts: smoothness", _rms_qddot),
-    "path_length": (
-        *("q", "length of the joint path, Σ‖Δq‖"),
-        lambda of: jnp.sum(_norms(apart(of.law.chain, of.run.q[:-1], of.run.q[1:]))),
-    ),
-    "velocity_ratio": (
-        *("1", "largest |q̇ᵢ| over its limit"),
-        lambda of: _max(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit)),
-    ),
-    "past_limit": ("q", "how far the farthest joint goes beyond its limit, 0 if none does", _past_limit),
-    "chatter": ("q/s", "RMS speed that the next step reverses, second half", lambda of: chatter(of.run.qdot)),
-    "least_singular_value": ("J", "least σ_min of the task Jacobian", _least_singular_value),
-    "residual": ("q", "largest last change of an implicit stage", lambda of: _max(of.run.residual)),
-    "evaluations": ("1", "evaluations of f(q, t)", lambda of: jnp.asarray(of.run.evaluations, float)),
-    "ok": ("1", "steps with status OK", lambda of: _count(of.run.status == 0)),
-}
 METRICS = {
     **_errors("error", lambda of: of.run.e, "e", "error ‖e‖"),
-    **_errors("position_error", lambda of: of.position, "m", "position error", "position"),
-    **_errors("rotation_error", lambda of: of.rotation, "rad", "rotation error", "rotation"),
-    **_errors("along", lambda of: _split(of)[0], "m", "position error along the path", "position"),
-    **_errors("across", lambda of: _split(of)[1], "m", "position error across the path", "position"),
-    **{name: Metric(fn, unit, label) for name, (unit, label, fn) in _OTHERS.items()},
+    **_errors("position_error", _position, "m", "position error", "lengths"),
+    **_errors("rotation_error", _rotation, "rad", "rotation error", "angles"),
+    **_errors("along", lambda of: _along(of)[0], "m", "position error along the path", "lengths"),
+    **_errors("across", lambda of: _position(of) - _along(of)[1], "m", "position error across the path", "lengths"),
+    "steps_to_tolerance": Metric(_steps_to_tolerance, "1", "first k with ‖e[k]‖ ≤ tolerance, inf if none"),
+    "evaluations_to_tolerance": Metric(
+        lambda of: _steps_to_tolerance(of) * of.run.evaluations / max(of.run.residual.shape[-1], 1),
+        *("1", "evaluations of f to the tolerance"),
+    ),
+    "converged": Metric(lambda of: (of.size[-1] <= of.tolerance) * 1.0, "1", "1 if ‖e[N]‖ ≤ tolerance"),
+    "ending": Metric(_ending, "1", "ending: 0 converged … 4 near singular; NaN at e₀ = 0"),
+    "stable": Metric(lambda of: stable(_ending(of)) * 1.0, "1", "converged, or still does, to a target at rest"),
+    "max_qdot": Metric(lambda of: _max(jnp.abs(of.run.qdot)), "q/s", "largest |q̇ᵢ|"),
+    "velocity_ratio": Metric(
+        lambda of: _max(jnp.abs(of.run.qdot) / jnp.asarray(of.law.chain.velocity_limit)),
+        *("1", "largest |q̇ᵢ| over its limit"),
+    ),
+    "past_limit": Metric(_past_limit, "q", "how far the farthest joint goes beyond its limit, 0 if none does"),
+    "chatter": Metric(lambda of: chatter(of.run.qdot), "q/s", "RMS speed that the next step reverses, second half"),
+    "least_singular_value": Metric(_least_singular_value, "J", "least σ_min of the task Jacobian"),
+    "residual": Metric(lambda of: _max(of.run.residual), "q", "largest last change of an implicit stage"),
+    "evaluations": Metric(lambda of: jnp.asarray(of.run.evaluations, float), "1", "evaluations of f(q, t)"),
+    "ok": Metric(lambda of: _count(of.run.status == 0), "1", "steps with status OK"),
     **_MARKED,
 }
-
-DEFAULT = (
-    *("final_error", "mean_error", "rms_error", "max_error", "steps_to_tolerance", "converged", "max_qdot"),
-    *("residual", "evaluations", "ok", *_MARKED),
-)
+DEFAULT = ("final_error", "mean_error", "rms_error", "max_error", "steps_to_tolerance", "converged", "max_qdot")
+DEFAULT += ("residual", "evaluations", "ok", *_MARKED)
 
 
 def measure_run(
@@ -269,7 +220,7 @@ def measure_run(
     Args:
       run: `Trajectory` of solve(law, reference, ...), one lane; for a batch use `jax.vmap`.
       names: of metrics, see `METRICS`.
-      tolerance: of ‖e‖, for converged, steps_to_tolerance, settling_time and rate [m, rad].
+      tolerance: of ‖e‖, for converged and steps to the tolerance [m, rad].
 
     Returns: `Metrics` in the order of `names`, with units.
     Raises: ArgumentError for a batch, for an unknown name (the nearest is suggested), or a metric without such a task.
@@ -279,11 +230,12 @@ def measure_run(
     errors.number("tolerance", tolerance, positive=True)
     check(names, law)
     check_run(run, law)
-    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=tuple(dict.fromkeys(names)))
-    return Metrics(values, {name: unit(METRICS[name].unit, law) for name in dict.fromkeys(names)})
+    names = tuple(dict.fromkeys(names))
+    values = _values(run, law, reference, np.asarray(tolerance, run.e.dtype), names=names)
+    return Metrics(values, {name: _unit(METRICS[name].unit, law) for name in names})
 
 
-@one_off(static_argnames=("names",))
+@functools.partial(one_off, static_argnames="names")
 def _values(run, law, reference, tolerance, *, names):
     measured = Measured(run, *cast((law, reference), run.q.dtype), tolerance)
     values = [jnp.asarray(METRICS[name].fn(measured)) for name in names]
@@ -293,16 +245,16 @@ def _values(run, law, reference, tolerance, *, names):
 def check(names, law: Law) -> None:
     """Raise ArgumentError unless every name is a metric that the law's task has."""
     for name in names:
-        needs, task = METRICS[errors.one_of("metrics", name, METRICS)].needs, law.task
-        if (needs == "position" and not task.lengths) or (needs == "rotation" and not task.angles):
-            raise errors.fail("metrics", f"be ones of the task ({', '.join(task.names)})", f"include {name!r}")
+        needs = METRICS[errors.one_of("metrics", name, METRICS)].needs
+        if needs and not getattr(law.task, needs):
+            raise errors.fail("metrics", f"be ones of the task ({', '.join(law.task.names)})", f"include {name!r}")
 
 
-def unit(written: str, law: Law) -> str:
+def _unit(written: str, law: Law) -> str:
     """Return the unit of a metric for a law, as it depends on the task and the joints."""
     joints = sorted(set(law.chain.units), reverse=True)
     of_law = {"e": dict.fromkeys(law.task.units), "q": joints, "J": ["m" if law.task.lengths else "1"]}
     head, tail = written[:1], written[1:]
     if head not in of_law or tail[:1].isalpha():
         return written
-    return ", ".join(u + tail for u in of_law[head])
+    return ", ".join(unit + tail for unit in of_law[head])

@@ -1,8 +1,5 @@
-"""Outcome: how a whole nonlinear loop ended within a given number of steps.
-
-A loop is judged by its last quarter, not by its last instant: a nonlinear loop can stay bounded and wrong, and pass
-close to the target on the way.
-"""
+"""Outcome: how a whole nonlinear loop ended within a given number of steps, by the last quarter of them: it can stay
+bounded and wrong, and pass close to the target on the way."""
 
 from __future__ import annotations
 
@@ -23,15 +20,15 @@ from cnclik.robot.rotations import safe_norm
 class Ending(enum.IntEnum):
     """How a loop ended."""
 
-    CONVERGED = 0  # throughout the last quarter the error is below tolerance·scale
+    CONVERGED = 0  # throughout the last quarter the error is below tolerance times the first one
     SLOW = 1  # not there yet, but every error of the last quarter is clearly below every one of the quarter before, or,
     # through a drive, whose errors swing, below the largest of that quarter
-    STALLED = 2  # bounded, but neither there nor on the way: the error stays below the scale
-    DIVERGED = 3  # not finite, or in the last quarter the error reaches the scale again
-    NEAR_SINGULAR = 4  # stalled or diverged, after a step near a singularity while the error was below the scale
+    STALLED = 2  # bounded, but neither there nor on the way: the error stays below the first one
+    DIVERGED = 3  # not finite, or in the last quarter the error reaches the first one again
+    NEAR_SINGULAR = 4  # stalled or diverged, after a step near a singularity while the error was below the first one
 
 
-GROWTH = 1 + 1e-3  # an error above this times the scale has grown
+GROWTH = 1 + 1e-3  # an error above this times the first one has grown
 STALL_RATIO = 0.98  # ratio of the largest errors of two quarters; above it the loop stands still short of the target
 
 
@@ -46,7 +43,7 @@ class Outcome:
 
     Attributes:
       ending: an `Ending`.
-      steps: number of steps after which the error stays below tolerance·scale; N + 1 if it never does.
+      steps: number of steps after which the error stays below the tolerance; N + 1 if it never does.
       rate: mean factor per step down to that tolerance, tolerance^(1/steps); NaN if not converged.
       final: largest ‖e‖ in the last quarter [m, rad].
     """
@@ -57,17 +54,16 @@ class Outcome:
     final: Float[Array, ""]
 
 
-def judge(size, status, tolerance=1e-3, *, scale=None, swings=False) -> Outcome:
+def judge(size, status, tolerance=1e-3, *, swings=False) -> Outcome:
     """Return the outcome of a run. Pure.
 
     Args:
       size: (N + 1,) norms of its errors. status: (N,) bits of its steps.
-      tolerance: fraction of `scale` that counts as arrived.
-      scale: error to compare with [m, rad]; None: the first one, without which the run has diverged if it isn't finite.
+      tolerance: fraction of the first error that counts as arrived. If that isn't finite, the run has diverged.
       swings: whether its errors may swing, as through a drive: it is slow if the swings become smaller.
     """
     N = status.shape[0]
-    scale = jnp.where(jnp.isfinite(size[0]), size[0], jnp.nan) if scale is None else scale
+    scale = jnp.where(jnp.isfinite(size[0]), size[0], jnp.nan)
     size = jnp.where(jnp.isfinite(size), size, jnp.inf)
     before, largest = size[N - 2 * (N // 4) : N - N // 4], jnp.max(size[N - N // 4 :])
     largest_before = jnp.max(before, initial=0.0)
@@ -100,7 +96,6 @@ def outcome(
     drive: Drive = Drive(),
     model=None,
     tolerance=1e-3,
-    scale=None,
 ):
     """Return how a loop ends after N steps. Pure, for vmap over many loops.
 
@@ -108,8 +103,7 @@ def outcome(
       law, reference, q0, Ts, N, method, stage: as for `solve`; nothing is checked here.
       drive: what lies between command and motion; the error is that of the true motion.
       model: the drive as `moving` samples it, where that is known.
-      tolerance: fraction of `scale` that counts as arrived.
-      scale: error to compare with [m, rad]; the initial ‖e‖ by default, which must then not be 0.
+      tolerance: fraction of the initial ‖e‖, which must not be 0, that counts as arrived.
     """
     loop = loop_of(law, reference, q0, Ts, N, named(method), stage, drive=drive, model=model)
 
@@ -119,5 +113,4 @@ def outcome(
 
     # One step too many is made for the last error: a second function for errors alone would take longer to compile.
     _, (size, status) = lax.scan(step, start(loop, q0), jnp.arange(N + 1).astype(q0.dtype))
-    scale = None if scale is None else jnp.asarray(scale, q0.dtype)
-    return judge(size, status[:-1], cast(tolerance, q0.dtype), scale=scale, swings=not drive.prompt)
+    return judge(size, status[:-1], cast(tolerance, q0.dtype), swings=not drive.prompt)

@@ -21,8 +21,8 @@ CLAIM = {
 }
 SIGNIFICANT = 0.5  # "significantly lower" in (b)
 SETTLED = 1e-3  # [rad] "converged" in (c), the default tolerance of `picard`
-TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)  # [rad]
-_SHOWN = (1e-3, 1e-4, 1e-6)  # of these, those in the table
+TOLERANCES = ("1e-02", "1e-03", "1e-04", "1e-06", "1e-08")  # [rad]
+_SHOWN = TOLERANCES[1:4]  # those in the table
 
 
 def judge(trajectories, passes) -> dict:
@@ -81,7 +81,7 @@ def picard(passes) -> list:
             "residual_max": worst[:11].tolist(),
             "residual_median": np.median(residual, axis=1)[:11].tolist(),
             "contraction": float(np.median(ratios)) if ratios.size else None,
-            "needed": {f"{tolerance:.0e}": _needed(worst, tolerance) for tolerance in TOLERANCES},
+            "needed": {tolerance: _needed(worst, float(tolerance)) for tolerance in TOLERANCES},
         }
         records.append(where | about | {"claim": CLAIM["picard"], "holds": bool(worst[paper.M] < SETTLED)})
     return records
@@ -94,11 +94,8 @@ def _needed(worst, tolerance):
     return needed if needed < len(worst) else None
 
 
-# --- in words -------------------------------------------------------------------------------------------
-
-
-def tables(judged, results) -> list:
-    """Return the tables of a run's claims, methods and passes: (header, rows of texts, columns set left)."""
+def page(judged, results) -> str:
+    """Return `claims.md`: the explanation beside this file, with the tables of a run."""
     unsure = undetermined(results.trajectories)
     claims, passes, methods = [], [], []
     for row in filter(_own, judged["rows"]):
@@ -111,30 +108,17 @@ def tables(judged, results) -> list:
         errors = first.mean_error.sel(case="reach"), first.rms_error.sel(case="track"), first.rms_converged
         count, orders = int(first.evaluations.sel(case="track")), f"{order[0]:.2f} … {order[-1]:.2f}"
         methods.append([f"{ARMS[where['arm']]} {where['method']}", str(count), *map(number, errors), orders])
-    for row in filter(_own, judged["picard"]):
-        if row["method"] == "CN":
-            needed = [row["needed"][f"{t:.0e}"] for t in _SHOWN]
-            needed = [f"> {paper.PASSES}" if v is None else str(v) for v in needed]
-            after = f"{row['residual_max'][paper.M]:.0e}"
-            passes.append([f"{ARMS[row['arm']]} {row['case']}", _short(row), after, *needed, _verdict(row)])
-    tolerances = [f"{t:.0e}".replace("e-0", "e-") for t in _SHOWN]
-    return [
-        (["claim", "reading", *paper.PAPER, "holds"], claims, 2),
-        (["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"], methods, 1),
-        (["(c)", "reading", f"after {paper.M}", *tolerances, "holds"], passes, 2),
-    ]
-
-
-def page(judged, results, reading, captions) -> str:
-    """Return `claims.md`: the explanation beside this file, with the tables of a run.
-
-    Args: reading: that of the figures. captions: {file: what it shows}.
-    """
+    for row in (row for row in judged["picard"] if row["method"] == "CN" and _own(row)):
+        needed = [f"> {paper.PASSES}" if (v := row["needed"][t]) is None else str(v) for t in _SHOWN]
+        after = f"{row['residual_max'][paper.M]:.0e}"
+        passes.append([f"{ARMS[row['arm']]} {row['case']}", _short(row), after, *needed, _verdict(row)])
+    heads = (
+        ("claim_table", ["claim", "reading", *paper.PAPER, "holds"], claims, 2),
+        ("method_table", ["method", "evaluations", "reach: mean", "track: RMS", "converged", "order"], methods, 1),
+        ("picard_table", ["(c)", "reading", f"after {paper.M}", "1e-3", "1e-4", "1e-6", "holds"], passes, 2),
+    )
     text = pathlib.Path(__file__).with_name("claims.md.in").read_text(encoding="utf-8")
-    shown = [markdown(header, rows, left=left).strip() for header, rows, left in tables(judged, results)]
-    figures = "\n".join(f"- `{name}`: {caption}" for name, caption in captions.items())
-    named = dict(zip(("claim_table", "method_table", "picard_table"), shown, strict=True))
-    return text.format(reading=reading, figures=figures, **named)
+    return text.format(**{name: markdown(head, table, left=left).strip() for name, head, table, left in heads})
 
 
 def _own(record) -> bool:

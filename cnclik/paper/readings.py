@@ -1,10 +1,10 @@
 """The experiments of Drexler (2016), Section V, under every reading its text allows.
 
-Three places of the text do not fix the algorithm: the sense of rotation, whether Ts enters the implicit
-iteration once or twice, and the feed-forward of Case II. A `Reading` settles each; `reproduce` runs all
-eight on both arms and both cases, and beside the paper's methods the textbook ones.
+Three places of the text do not fix the algorithm; a `Reading` settles each. `reproduce` runs all eight on both arms and
+both cases, and beside the paper's methods the textbook ones.
 """
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,14 +15,12 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.cache import bounded_jit
 from cnclik.integrate.method import CN, METHODS, Method, evaluations_per_step, named
 from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.paths import line
-from cnclik.law.reference import Reference
+from cnclik.law.paths import Reference, line
 from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled
@@ -73,8 +71,7 @@ CASES = ("reach", "track")  # Case I, Case II
 def law(arm: str, rotation: str = "on-path", joints: int = 0) -> Law:
     """Return the law of Section V: planar position with gain 5 1/s and the pseudoinverse.
 
-    `joints`: how many the arm has at least. Those beyond its own turn links of no length, so that they stand still and
-    the loop is the same.
+    `joints`: how many the arm has at least. Those beyond its own turn links of no length, and stand still.
     """
     lengths = [1.0] * ARMS[arm].n + [0.0] * (joints - ARMS[arm].n)
     return Law(planar_arm(lengths, clockwise=rotation == "on-path"), position("xy"), alpha=ALPHA)
@@ -101,9 +98,7 @@ class WithVelocity:
 
 def path(arm: str, case: str, feedforward: str = "consistent") -> Reference:
     """Return the path of a case: reach stays at the target (eqs. 14, 17), track runs 1 m in −x (15-16, 18-19)."""
-    errors.one_of("case", case, CASES)
-    begin = ARMS[arm].target if case == "reach" else ARMS[arm].start
-    length = 0.0 if case == "reach" else 1.0
+    begin, length = (ARMS[arm].target, 0.0) if case == "reach" else (ARMS[arm].start, 1.0)
     speed = length / (N * TS) if feedforward == "consistent" else length
     straight = line(begin, (begin[0] - length, begin[1]), duration=N * TS)
     return Reference(curve=WithVelocity(path=straight.curve, velocity=np.array([-speed, 0.0])))
@@ -130,7 +125,7 @@ def experiment(arm: str, case: str, method: Method | str = CN, reading=DEFAULT) 
       method: any of `METHODS`, or its name.
       reading: how to read the text: one of `READINGS`, or its name.
     """
-    errors.one_of("arm", arm, ARMS)
+    arm, case = errors.one_of("arm", arm, ARMS), errors.one_of("case", case, CASES)
     method, reading = named(method), READINGS[errors.one_of("reading", str(reading), READINGS)]
     loop = law(arm, reading.rotation), path(arm, case, reading.feedforward), start(arm)
     return solve(*loop, TS, N, tableau(method, reading.Ts), picard(M))
@@ -141,8 +136,7 @@ def experiment(arm: str, case: str, method: Method | str = CN, reading=DEFAULT) 
 HALVINGS = 4  # the sampling time goes down to TS/2^HALVINGS
 CONVERGED = 25  # passes that solve an implicit stage of a tracking run far beyond the method's own error
 PASSES = 40  # passes followed one by one for claim (c)
-NUDGES = 6  # runs from starts displaced by about NUDGE: numbers that move with them are not determined
-NUDGE = 1e-12  # [rad]
+NUDGES, NUDGE = 6, 1e-12  # runs from starts displaced by so much [rad]: numbers that move with them are not determined
 JOINTS = max(arm.n for arm in ARMS.values())  # one program for both arms takes as long to compile as one for the larger
 UNDETERMINED = 1e-6  # mean errors that differ by more, relatively, between such runs are decided by rounding
 
@@ -175,12 +169,11 @@ METHOD_RUNS = (*(("once", name) for name in (*PAPER, *BESIDE)), ("twice", "IE"),
 FOLLOWED = ("IE", "CN")
 
 
-@bounded_jit(static_argnames=("method", "h", "N_max"))
+@functools.partial(jax.jit, static_argnames=("method", "h", "N_max"))
 def _program(laws, references, q0, Ts, M, *, method, h, N_max):
     """One method over all lanes, and the passes of the Picard iteration from the states of the first ones.
 
-    `h` is where the next slope is taken, θ + h·slope; None where there are no passes to follow. One program for
-    each method: together they take nearly twice as long to compile and three times the memory.
+    `h` is where the next slope is taken, θ + h·slope; None where there are no passes to follow.
     """
 
     def lane(law, reference, q0, Ts, M):
@@ -194,8 +187,7 @@ def _program(laws, references, q0, Ts, M, *, method, h, N_max):
         law = modelled(law)
 
         def one(slope, _):
-            ahead = q + h * slope
-            new = evaluate(law, reference, t + TS, ahead).qdot
+            new = evaluate(law, reference, t + TS, q + h * slope).qdot
             return new, TS * safe_norm(new - slope)
 
         first = evaluate(law, reference, t, q).qdot
@@ -216,25 +208,19 @@ def run_method(Ts: str, name: str) -> tuple[dict, dict]:
       (eq. 9) in the last of 0, 1, … passes [rad].
     """
     todo = [(arm, lane) for arm in ARMS for lane in LANES]
-    followed = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
-    run, residuals = jax.device_get(
-        _program(
-            stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo]),
-            stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo]),
-            np.stack([np.pad(start(arm, lane.nudge), (0, JOINTS - ARMS[arm].n)) for arm, lane in todo]),
-            np.array([TS / 2**lane.halving for _, lane in todo]),
-            np.array([lane.M for _, lane in todo]),
-            method=tableau(METHODS[name], Ts),
-            h=followed,
-            N_max=max(lane.N for lane in LANES),
-        )
-    )
+    laws = stack([law(arm, lane.rotation, JOINTS) for arm, lane in todo])
+    paths = stack([path(arm, lane.case, lane.feedforward) for arm, lane in todo])
+    q0 = np.stack([np.pad(start(arm, lane.nudge), (0, JOINTS - ARMS[arm].n)) for arm, lane in todo])
+    Ts_of, passes = np.array([TS / 2**lane.halving for _, lane in todo]), np.array([lane.M for _, lane in todo])
+    how = {"method": tableau(METHODS[name], Ts), "N_max": max(lane.N for lane in LANES)}
+    how["h"] = (TS if Ts == "once" else TS * TS) if name in FOLLOWED else None
+    run, residuals = jax.device_get(_program(laws, paths, q0, Ts_of, passes, **how))
     runs, changes = {}, {}
     for i, (arm, lane) in enumerate(todo):
         n, cost = ARMS[arm].n, lane.N * evaluations_per_step(METHODS[name], picard(lane.M), ARMS[arm].n)
         own = truncate(jax.tree.map(lambda a, i=i: a[i], run), lane.N)  # its own steps and joints
         own = replace(own, q=own.q[:, :n], qdot=own.qdot[:, :n], evaluations=np.asarray(cost))
         runs[arm, Ts, name, lane] = own
-        if followed is not None and lane in _PAPER_LANES:
+        if residuals is not None and lane in _PAPER_LANES:
             changes[arm, Ts, name, lane] = residuals[i]
     return runs, changes

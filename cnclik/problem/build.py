@@ -19,11 +19,11 @@ from cnclik.law.bounded import bounded
 from cnclik.law.inverse import damped, pseudoinverse, singular_damped
 from cnclik.law.law import Law, check_loop
 from cnclik.law.limits import velocity_scaling
-from cnclik.law.paths import causal, hold_at
-from cnclik.law.reference import Reference, References, aims_of
+from cnclik.law.paths import Reference, causal
+from cnclik.law.reference import References, aims_of, hold_at
 from cnclik.problem import names
 from cnclik.problem import reference as paths
-from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, check_values, in_own_units
+from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import quaternions
@@ -64,44 +64,39 @@ class Problem:
         q0 = names.start_from(law.chain, law.task, self.q0)
         reference = hold_at(law.chain, law.task, q0) if self.reference is None else self.reference
         check_loop(law, reference)
+        noise = None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,))
+        if noise is not None and errors.concrete(noise) and not np.all(noise >= 0):
+            raise errors.fail("noise", "be at least 0", f"is {np.asarray(noise).tolist()}")
         checked = {
-            "q0": q0,
-            "reference": reference,
+            **{"q0": q0, "reference": reference, "noise": noise, "seed": errors.number("seed", self.seed, at_least=0)},
             "Ts": errors.number("Ts", self.Ts, positive=True),
             "N": errors.integer("N", self.N, at_least=1, at_most=errors.MOST),
-            "method": named(self.method),
-            "stage": names.stage_from(self.stage),
+            **{"method": named(self.method), "stage": names.stage_from(self.stage)},
             "drive": None if self.drive is None else check_drive(self.drive, law.chain),
-            "noise": None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,)),
-            "seed": errors.seed(self.seed),
         }
-        if checked["noise"] is not None and errors.concrete(checked["noise"]):
-            check_values("noise", "noise", np.array(checked["noise"]))
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
         """Robot and task, law and loop, start and target."""
-        law, task, drive = self.law, self.law.task, drive_in_words(self.drive or Drive(), float(self.Ts))
-        stage = f" by {self.stage}" * self.method.implicit
+        law, task, chain = self.law, self.law.task, self.law.chain
+        stage, drive = f" by {self.stage}" * self.method.implicit, drive_in_words(self.drive or Drive(), float(self.Ts))
         distinct = list(dict.fromkeys(np.ravel(law.alpha).tolist()))
         alpha = in_words(distinct if len(distinct) > 1 else distinct[0])
-        beyond = (self.q0 < np.asarray(law.chain.lower)) | (self.q0 > np.asarray(law.chain.upper))
-        outside = ", ".join(name for name, out in zip(law.chain.joint_names, beyond, strict=True) if out)
+        beyond = (self.q0 < np.asarray(chain.lower)) | (self.q0 > np.asarray(chain.upper))
+        outside = ", ".join(np.array(chain.joint_names)[beyond])
         outside = f", beyond the limits of {outside} (degrees are written with deg)" if outside else ""
         lines = [
             f"{self.name}, {str(task)[6:]}; N = {self.N} steps of Ts = {1e3 * self.Ts:g} ms",
             f"{self.method}{stage}, {type(law.inverse).__name__.lower()}, alpha = {alpha} 1/s, {drive}",
-            f"Start: q0 = {in_words(self.q0)} {', '.join(dict.fromkeys(law.chain.units))}{outside}",
+            f"Start: q0 = {in_words(self.q0)} {', '.join(dict.fromkeys(chain.units))}{outside}",
         ]
         if isinstance(self.reference, Reference):
-            aims = zip(task.parts, aims_of(self.reference, task, 0.0), strict=True)
-            points = (
-                f"{in_words(quaternions(np.array(aim)))} as w x y z"
-                if getattr(part, "turns", False)
-                else f"{in_words(aim)} {', '.join(dict.fromkeys(part.units))}"
-                for part, aim in aims
-            )
+            points = []
+            for part, aim in zip(task.parts, aims_of(self.reference, task, 0.0), strict=True):
+                turns = getattr(part, "turns", False)
+                unit = "as w x y z" if turns else ", ".join(dict.fromkeys(part.units))
+                points.append(f"{in_words(quaternions(np.array(aim)) if turns else aim)} {unit}")
             path = "Target" if self.reference.still else f"Path {type(self.reference.curve).__name__.lower()}, from"
             lines.append(f"{path} {', '.join(points)}")
         return "\n".join(lines)
@@ -119,7 +114,7 @@ class Problem:
         noise = self.noise
         if noise is not None:
             size = self.N, self.law.task.m
-            noise = noise * (np.random.default_rng(self.seed).standard_normal(size) if draws is None else draws)
+            noise = noise * (np.random.default_rng(int(self.seed)).standard_normal(size) if draws is None else draws)
         return solve(*self.loop, drive=self.drive, noise=noise)
 
 

@@ -45,14 +45,12 @@ def read_columns(argument: str, file) -> tuple:
     return names, np.array(columns, float).T.reshape(-1, len(names))  # None becomes NaN
 
 
-def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
+def read_points(argument: str, file, task, *, timed=False) -> tuple:
     """(times [s] (k,) or None, points (k, d)) of a CSV file: positions [m], quaternions w x y z, or both, for a task.
 
     The columns have the names time, x, y, z, qw, qx, qy, qz, or without a header this order.
 
-    Args:
-      timed: whether there must be times.
-      tip: where names begin with it, as in left.x, those columns are read.
+    Args: timed: whether there must be times.
     Raises: as `read_columns`, and for missing columns.
     """
     names, table = read_columns(argument, file)
@@ -68,8 +66,6 @@ def read_points(argument: str, file, task, *, timed=False, tip="") -> tuple:
     columns = dict(zip(names, table.T, strict=True))
     if len(columns) < len(names):
         raise errors.fail(argument, "name each column once", f"{file} has {' '.join(names)}")
-    if tip and any(column.startswith(f"{tip}.") for column in columns):
-        columns = {key.removeprefix(f"{tip}."): v for key, v in columns.items() if key.startswith(f"{tip}.")}
     axes = () if not task.position else POSITION if set(POSITION) <= set(columns) else task.position
     turned = task.orientation and (not task.position or set(QUATERNION) & set(columns))
     needed = (*stamp, *axes, *QUATERNION * bool(turned))

@@ -126,7 +126,7 @@ def _asked(chain, task, tolerance, jump, limits) -> Asked:
         raise errors.fail("chain", "have limits that are numbers", "has traced ones")
     if jump is not None:
         errors.number("jump", jump, positive=True)
-    as_numbers("reach", ("tolerance", tolerance))
+    as_numbers("reach", "tolerance", tolerance)
     pair = np.asarray(errors.array("tolerance", tolerance, (2,), finite=False))
     if not (pair > 0).all():
         raise errors.fail("tolerance", "hold positive numbers", f"is {tolerance!r}")

@@ -230,20 +230,10 @@ def _of_joints(xp, joints, turning):
     return *turns, _transforms(xp, xp.zeros_like(rotation), xp.where(turning[:, None], 0.0, away), 0.0)
 
 
-def one_off(fn=None, **options):
-    """Return `jax.jit` of a function, with `options`. Chains become `Model`s before the call.
-
-    One program then serves all robots of a shape.
-    """
-    if fn is None:
-        return functools.partial(one_off, **options)
+def one_off(fn, **options):
+    """Return `jax.jit` of a function, with `options`; chains become `Model`s before: all of a shape share a program."""
     jitted = bounded_jit(fn, **options)
-
-    @functools.wraps(fn)
-    def call(*args, **named):
-        return jitted(*map(modelled, args), **named)
-
-    return call
+    return functools.wraps(fn)(lambda *args, **named: jitted(*map(modelled, args), **named))
 
 
 # --- forward kinematics: pose of a tip, geometric Jacobian -------------------------------------

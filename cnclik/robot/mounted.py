@@ -10,13 +10,6 @@ from cnclik.robot.fixed import ZERO, Offset, compose, placed, scale, vadd
 from cnclik.robot.poses import PoseLike, library
 
 
-def with_tip(chain: Chain, offset: Offset, tip: str | None = None) -> Chain:
-    """Return the chain with the tip at an offset from its joint."""
-    number = chain.tip_number(tip)
-    tips = (replace(t, offset=offset) if i == number else t for i, t in enumerate(chain.tips))
-    return replace(chain, tips=tuple(tips))
-
-
 def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
     """Return the chain with a fixed tool after its tip.
 
@@ -25,8 +18,9 @@ def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
 
     Args: tip: name of the tip that carries the tool; None: the only one.
     """
-    before = errors.kind("chain", chain, Chain).tips[chain.tip_number(tip)].offset
-    return with_tip(chain, compose(before, offset_of("tool", tool)), tip)
+    number, tool = errors.kind("chain", chain, Chain).tip_number(tip), offset_of("tool", tool)
+    tips = (replace(t, offset=compose(t.offset, tool)) if i == number else t for i, t in enumerate(chain.tips))
+    return replace(chain, tips=tuple(tips))
 
 
 def with_base(chain: Chain, base: PoseLike) -> Chain:

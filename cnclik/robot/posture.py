@@ -1,7 +1,4 @@
-"""Posture: length of an arm, whether it is planar, distance of postures from singularities, and start postures.
-
-A task's class is in a later room; its `rows_at` and `lengths` are used.
-"""
+"""Posture: length of an arm, whether it is planar, and start postures."""
 
 import functools
 import math
@@ -12,11 +9,10 @@ import numpy as np
 from cnclik import errors
 from cnclik.robot.chain import REVOLUTE, Chain
 from cnclik.robot.fixed import IDENTITY
-from cnclik.robot.model import frames, modelled
+from cnclik.robot.model import modelled
 from cnclik.robot.rotations import safe_norm
 
 _FAR = 1e6  # [rad, m] larger limits do not influence the start posture
-_BEND = math.radians(0.5), math.radians(25)  # range of a joint beyond straight that is "a few degrees"
 _SINGULAR = 1e-9  # least singular values that are rounding
 
 
@@ -58,37 +54,6 @@ def is_planar(chain: Chain) -> bool:
     )
 
 
-def past_straight(chain: Chain) -> list:
-    """Return (name, straight value, range beyond it) [rad] of elbows and knees that bend both ways, one of them little.
-
-    An elbow is a joint between two others of parallel axes; it is straight where it lies between them. There the arm
-    is singular, and an answer of an inverse may end on the side that was not meant.
-    """
-    stretched, elbows = frames(modelled(chain), np.zeros(chain.n)), {}
-    for way in map(chain.way, range(len(chain.tips))):
-        way = [i for i in way if chain.joints[i].kind == REVOLUTE]
-        for i in way:
-            joint, axis = chain.joints[i], stretched.axes[i]
-            low, high = chain.lower[joint.coordinate], chain.upper[joint.coordinate]
-            away = {j: stretched.points[j] - stretched.points[i] for j in way if abs(stretched.axes[j] @ axis) > 0.99}
-            across = {j: v - axis * (axis @ v) for j, v in away.items()}
-            near = [j for j in across if np.linalg.norm(across[j]) > 0.01]
-            above, below = [j for j in near if j < i], [j for j in near if j > i]
-            if joint.follower or not (above and below and low < high < math.inf):
-                continue
-            back, on = -across[above[-1]], across[below[0]]
-            straight = math.atan2(axis @ np.cross(on, back), on @ back)
-            beyond = min(high - straight, straight - low)
-            if _BEND[0] < beyond < _BEND[1]:
-                elbows[chain.joint_names[joint.coordinate]] = straight, beyond
-    return [(name, *values) for name, values in elbows.items()]
-
-
-def task_jacobians(chain: Chain, task, postures):
-    """Return task Jacobians (K, m, n) at (K, n) postures, in NumPy, which does not compile."""
-    return np.array(task.rows_at(modelled(chain), np.asarray(postures, float)))
-
-
 def start_posture(chain: Chain, *tasks):
     """Return a posture (n,) [rad, m] well within the limits and away from singularities of the tasks, each of one tip,
     and of all of them together where there are joints enough.
@@ -98,8 +63,8 @@ def start_posture(chain: Chain, *tasks):
     Lengths are in the arm's own unit.
     """
     postures, each = _spread_postures(chain), []
-    for task in tasks:
-        each.append(task_jacobians(chain, task, postures))
+    for task in tasks:  # a later room's, in NumPy, which does not compile
+        each.append(np.array(task.rows_at(modelled(chain), postures)))
         each[-1][:, task.lengths] /= arm_length(chain)
     if len(each) > 1 and sum(j.shape[1] for j in each) <= chain.n:
         each.append(np.concatenate(each, axis=1))

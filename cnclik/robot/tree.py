@@ -230,16 +230,15 @@ def _top(file, links, edges) -> str:
         if above[edge.child]:
             raise bad(f"has a loop: link {edge.child!r} hangs on {above[edge.child].name!r} and {edge.name!r}")
         above[edge.child] = edge
+    below = collections.defaultdict(list)
+    for edge in edges:
+        below[edge.parent].append(edge.child)
     roots = [link for link in links if not above[link]]
-    rooted = set(roots)
-    for link in links:  # go up from every link until a known one: who meets itself is in a loop
-        way: dict = {}
-        while link not in rooted:
-            if link in way:
-                raise bad(f"has a loop through link {link!r}")
-            way[link] = None
-            link = above[link].parent
-        rooted |= set(way)
+    reached = [*roots]
+    for link in reached:
+        reached += below[link]
+    if len(reached) < len(links):
+        raise bad(f"has a loop through link {next(link for link in links if link not in reached)!r}")
     if len(roots) != 1:
         raise bad(f"has {len(roots):,} roots: {', '.join(roots)}" if roots else "has no links")
     return roots[0]

@@ -190,7 +190,7 @@ def _frozen(tree, freeze) -> dict:
     moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
     freeze = errors.kind("freeze", {} if freeze is None else freeze, dict, "be {name of a joint: its value}")
     for name, value in freeze.items():
-        edge = moving[errors.one_of("freeze", name, moving, ", joints of one coordinate (`with_base` turns a base)")]
+        edge = moving[errors.one_of("freeze", name, moving)]
         if edge.mimic is not None:
             raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
         if not edge.lower <= errors.number(f"freeze[{name!r}]", value) <= edge.upper:

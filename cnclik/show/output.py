@@ -29,23 +29,19 @@ def drawn_by(module, name, *args, **options):
     return lambda: getattr(importlib.import_module(f"cnclik.show.{module}"), name)(*args, **options)
 
 
-def draw(figures, path, *, name="out", again="", progress=None, overwrite=False) -> list:
-    """Draw figures in the project's style and save them in `path`. Call it after the data are written.
+def draw(figures, path, *, again="", progress=None, overwrite=False) -> list:
+    """Draw figures in the project's style and save them in a folder. Call it after the data are written.
 
     Args:
       figures: {file name: (function of no arguments that returns a Figure, its description in the file)}.
-      path: the folder. name: what the user calls it.
       again: the command that draws them again from the data, if there is one.
       progress: called as progress(done, total, note).
-      overwrite: also over files that cnclik did not write.
 
     Raises: FigureError at the end, naming the figures that could not be drawn; the others are there. ArgumentError
       where the folder doesn't take one: those before it are there.
     """
-    if not figures:
-        return []
     failed: dict = {}
-    with output_folder(path, name=name, overwrite=overwrite) as folder:
+    with output_folder(path, overwrite=overwrite) as folder:
         for done, (file, (make, about)) in enumerate(figures.items()):
             if progress is not None:
                 progress(done, len(figures), f"drawing {file}")

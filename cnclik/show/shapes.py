@@ -56,7 +56,6 @@ def shapes_of(chain) -> list:
 def meshes_of(file, motion) -> tuple:
     """Return (meshes of a URDF file's links, poses of the motion's frames and of those links).
 
-    Of a link its visual shapes, or where one of them can't be read (Collada needs pycollada) those for collisions.
     Links that the run does not move, such as fingers, are drawn with their joints at 0.
     """
     file, chain = pathlib.Path(file).resolve(), motion.chain
@@ -83,7 +82,7 @@ def meshes_of(file, motion) -> tuple:
 
 
 def link_meshes(file, link) -> list:
-    """Return the meshes of a <link>: its visual ones, or those for collisions."""
+    """Return the meshes of a <link>: its visual ones, or where one can't be read those for collisions."""
     for kind in ("visual", "collision"):
         with contextlib.suppress(Exception):  # damaged files raise all kinds of errors in a dozen readers
             if meshes := [_mesh(file, element) for element in link.findall(kind)]:
@@ -115,12 +114,10 @@ def _file_of(file, name):
     """Return the mesh that a URDF file means by package://PACKAGE/…, model://…, file://… or a path, or None.
 
     A URDF file may come from others, and others may look at the page: only meshes of its own package are drawn. That is
-    the next folder up with a package.xml; else the one above the file's own, where it is laid out as one (urdf/ beside
-    meshes/); else the file's own.
+    the next folder up with a package.xml; else the one above the file's own, if that has meshes/; else the file's own.
     """
-    laid_out = file.parent.name in ("urdf", "robot", "robots") and os.path.isdir(file.parent.parent / "meshes")
-    marked = (folder for folder in file.parents if os.path.isfile(folder / "package.xml"))
-    root = next(marked, file.parent.parent if laid_out else file.parent)
+    above = file.parents[1] if os.path.isdir(file.parents[1] / "meshes") else file.parent
+    root = next((folder for folder in file.parents if os.path.isfile(folder / "package.xml")), above)
     scheme, mark, rest = name.partition("://")
     package = mark and scheme != "file"
     places = [root / rest, root / rest.partition("/")[2]] if package else [file.parent / (rest or name)]
@@ -136,21 +133,20 @@ def shapes_of_walls(walls, chain) -> list:
             for solid in (part.one, part.other):
                 start, *_, end = np.broadcast_to(solid.ends, (2, 3)).astype(float)
                 mesh = capsule(np.linalg.norm(end - start), float(solid.radius))
-                _turn(mesh, end - start).apply_translation((start + end) / 2)
+                mesh = _placed(mesh, end - start, (start + end) / 2)
                 shapes.append(Shape(_frame(solid.tip, chain), mesh, style.LOST))
         elif hasattr(part, "axes"):
             normal, wide = np.zeros(3), float(arm_length(chain))
             normal[[AXES.index(axis) for axis in part.axes]] = wall.normal
-            mesh = _turn(box((wide, wide, 0.002 * wide)), normal)
-            mesh.apply_translation(normal * float(wall.offset) / (normal @ normal))
+            mesh = _placed(box((wide, wide, 0.002 * wide)), normal, normal * float(wall.offset) / (normal @ normal))
             shapes.append(Shape(_frame(part.to, chain), mesh, style.LOST))
     return shapes
 
 
-def _turn(mesh, direction):
-    """Turn a mesh whose axis is z into a direction; not for one of no length."""
+def _placed(mesh, direction, place):
+    """Return a mesh at a place, with its axis z in a direction; not for one of no length."""
     turn = trimesh.geometry.align_vectors([0, 0, 1], direction) if direction.any() else np.eye(4)
-    return mesh.apply_transform(turn)
+    return mesh.apply_transform(turn).apply_translation(place)
 
 
 def _frame(tip, chain) -> int:

@@ -6,7 +6,6 @@ starts are summed up by their median, and what is left is shown at its middle.
 
 import functools
 import itertools
-import json
 import math
 import pathlib
 import textwrap
@@ -21,7 +20,6 @@ from matplotlib.figure import Figure
 from cnclik import errors
 from cnclik.show import style
 from cnclik.sweeps.axes import known_keys
-from cnclik.sweeps.labels import coordinates
 from cnclik.sweeps.summary import main_value, scalars, text
 
 LONGEST = 8  # a longer dimension gets no panels
@@ -30,8 +28,8 @@ LETTER = 0.06  # [in] mean width
 RAN_AWAY = 1e2  # [m, rad, rad/s]: what is beyond is no loop at work
 AXES = {"heat": ("x", "y"), "best": ("x", "y"), "slices": ("x", "over", "lines")}
 ROLES = ("x", "y", "over", "lines", "panels", "rows", "across")  # keys that name a dimension
-REDUCE = ("median", "mean", "min")
-KEYS = ("kind", "name", "title", "value", "panels", "rows", "across", "reduce", "select", "log", "limits")
+TEXT, TABLE = (str, "be a text"), (dict, "be a table of a dimension and its value")
+KEYS = ("kind", "value", "panels", "rows", "across", "reduce", "log", "limits", "name", "title", "select")
 
 
 def check(spec) -> None:
@@ -39,39 +37,26 @@ def check(spec) -> None:
     of = spec.grid()
     dims = tuple(a.name for a in of.axes)
     values = {name: (dims, np.broadcast_to(0.0, of.shape)) for name in spec.metrics}
-    data = xarray.Dataset(values, coordinates(of, spec.all_units()))
+    data = xarray.Dataset(values, of.coordinates(spec.all_units()))
     for i, table in enumerate(spec.figures):
-        with errors.within(f"figure[{i}]"):
+        with errors.called("", f"figure[{i}]"):
             arrange(data, table)
 
 
-def drawings(data, tables=None) -> dict:
-    """Return {name: function of no arguments that draws it} of the figures that `figures` makes.
+def drawings(data, tables=()) -> dict:
+    """Return {name: function of no arguments that draws it}. A table that can't be laid out raises there, alone.
 
-    A table that can't be laid out is a function that raises: it costs the others nothing.
+    Args: data: dataset of a sweep. tables: as [[figure]] in a spec; without any, good ones.
     """
-    if tables is None:
-        tables = json.loads(data.attrs.get("spec", "{}")).get("figures")
     out: dict = {}
     for i, table in enumerate(tables or defaults(data)):
         name = table.get("name") or "_".join((table.get("kind", "figure"), table.get("value", main_value(data))))
-        numbered = (name if k == 1 else f"{name}_{k}" for k in range(1, len(out) + 2))
-        out[next(n for n in numbered if n not in out)] = functools.partial(_drawn, data, table, i)
+        out[f"{name}_{i + 1}" if name in out else name] = functools.partial(_drawn, data, table, i)
     return out
 
 
-def figures(data, tables=None) -> dict:
-    """Return {name: matplotlib Figure} of the data's spec, or of `tables`, or good ones if none are asked for.
-
-    Args:
-      data: dataset of a sweep.
-      tables: as [[figure]] in a spec.
-    """
-    return {name: make() for name, make in drawings(data, tables).items()}
-
-
 def _drawn(data, table, i):
-    with errors.within(f"figure[{i}]"):
+    with errors.called("", f"figure[{i}]"):
         layout = arrange(data, table)
     return KINDS[layout.kind](view(data, layout), layout)
 
@@ -110,10 +95,9 @@ def samples(data) -> list:
 
 def defaults(data) -> list:
     """Return figures worth having, from the shape of the grid alone: tables as [[figure]] in a spec."""
-    axes, value = numeric(data), main_value(data)
+    axes, value, methods = numeric(data), main_value(data), data.sizes.get("method", 1)
     if value is None:
         return []
-    methods = data.sizes.get("method", 1)
     tables: list = []
     if len(axes) > 1:
         kinds = ("heat", "best") if methods > 1 else ("heat",)
@@ -128,24 +112,25 @@ def defaults(data) -> list:
 def arrange(data, table: dict) -> Layout:
     """Give every dimension of the data its place in a figure.
 
-    Args:
-      table: as [[figure]] in a spec; what it doesn't say is chosen here.
-
+    Args: table: as [[figure]] in a spec; what it doesn't say is chosen here.
     Raises: ArgumentError for a key or a value that is none, or a figure without its axes.
     """
     kind = errors.one_of("kind", table.get("kind"), AXES)
     known_keys("table", table, (*KEYS, *AXES[kind]))
-    for key in ("name", "title"):
-        errors.kind(key, table.get(key, "-"), str, "be a text")
-    if pathlib.PurePath(name := table.get("name", "-")).name != name or "\\" in name:
+    for key, (of, must) in {"name": TEXT, "title": TEXT, "select": TABLE}.items():
+        errors.kind(key, table.get(key, of()), of, must)
+    if pathlib.PurePath(name := table.get("name", "")).name != name or "\\" in name:
         raise errors.fail("name", "be a file's name without a folder", f"is {name!r}")
-    errors.one_of("reduce", table.get("reduce", "median"), REDUCE)
+    errors.one_of("reduce", table.get("reduce", "median"), ("median", "mean", "min"))
     errors.truth("log", table.get("log", True))
     errors.array("limits", table.get("limits", (0, 1)), (2,))
-    value = errors.one_of("value", table.get("value", main_value(data)), scalars(data))
-    select = errors.kind("select", table.get("select", {}), dict, "be a table of a dimension and its value")
+    value, select = errors.one_of("value", table.get("value", main_value(data)), scalars(data)), table.get("select", {})
     for dim, wanted in select.items():
-        _check_selected(f"select.{dim}", wanted, data[errors.one_of("select", dim, list(data[value].dims))])
+        along, where = data[errors.one_of("select", dim, list(data[value].dims))], f"select.{dim}"
+        if along.dtype.kind == "f":  # the nearest counts
+            errors.number(where, wanted)
+        else:
+            errors.one_of(where, str(wanted), list(map(str, along.values)))
     dims = [d for d in data[value].dims if d not in select]
     axes, drawn = ([d for d in some if d in dims] for some in (numeric(data), samples(data)))
     known = {"x": [*dims, *scalars(data)]} if kind == "slices" else {}
@@ -173,17 +158,6 @@ def arrange(data, table: dict) -> Layout:
     return Layout(kind, value, **roles, reduced=reduced, middle=tuple(free), table=table)
 
 
-def _check_selected(where, wanted, coordinate):
-    """Raise ArgumentError unless a coordinate has a value; of numbers the nearest counts."""
-    if coordinate.dtype.kind != "f":
-        errors.one_of(where, str(wanted), list(map(str, coordinate.values)))
-        return
-    low, high = float(coordinate.min()), float(coordinate.max())
-    slack = 1e-9 * max(abs(low), abs(high))  # computed ends are rounded
-    if not low - slack <= errors.number(where, wanted) <= high + slack:
-        raise errors.fail(where, f"lie between {low:g} and {high:g}", f"is {wanted:g}")
-
-
 def view(data, layout: Layout):
     """Return the part of the data that the figure shows."""
     shown = data[[layout.value, *[layout.x] * (layout.x in data.data_vars and layout.x != layout.value)]]
@@ -204,12 +178,12 @@ def view(data, layout: Layout):
 def heat(view, layout):
     """Draw a value's colours over a plane, and the linear theory's limit where the data carry one."""
     value = view[layout.value].astype(float)  # counts and verdicts too
-    grid, scale, limited = Panels(view, layout), norm(value.values, layout), False
-    for ax, part in grid.each(value):
+    panels, scale, limited = Panels(view, layout), norm(value.values, layout), False
+    for ax, part in panels.each(value):
         shown = np.ma.masked_invalid(part.transpose(layout.y, layout.x).values)
         if isinstance(scale, colors.LogNorm):
             shown = np.ma.clip(shown, scale.vmin, None)  # an error of exactly 0 is the smallest, not missing
-        mesh = grid.cells(ax, part, shown, norm=scale)
+        mesh = panels.cells(ax, part, shown, norm=scale)
         share = share_of_limit(part, layout)
         if share is not None and share.min() < 1 < share.max():
             look = {"colors": style.BLACK, "linewidths": style.OUTLINED["linewidth"], "zorder": 4}
@@ -217,32 +191,29 @@ def heat(view, layout):
             line.set_path_effects(style.OUTLINED["path_effects"])
             limited = True
     if limited:
-        words = value.coords["limit"].attrs.get("long_name", "limit")
-        grid.figure.legend([plt.Line2D([], [], **style.OUTLINED)], [words], loc="outside lower center")
+        panels.legend([plt.Line2D([], [], **style.OUTLINED)], [value.coords["limit"].attrs.get("long_name", "limit")])
     beyond = bool(np.any(np.isfinite(value.values) & (value.values > scale.vmax)))
     extend = "both" if "limits" in layout.table else "max" if beyond else "neither"
-    grid.figure.colorbar(mesh, ax=grid.axes.ravel().tolist(), extend=extend, pad=0.02, label=axis_label(value))
-    return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
+    panels.figure.colorbar(mesh, ax=panels.axes.ravel().tolist(), extend=extend, pad=0.02, label=axis_label(value))
+    return panels.finish(view[layout.y])
 
 
 def best(view, layout):
     """Draw which method has the least value over a plane; grey where no loop ends well, or none is stable by linear
     theory: there it is chance."""
     value = view[layout.value]
-    grid, names = Panels(view, layout), value["method"].values.tolist()
+    panels, names = Panels(view, layout), value["method"].values.tolist()
     looks = [look["color"] for look in style.looks(names)]
-    for ax, part in grid.each(value):
+    for ax, part in panels.each(value):
         z = part.transpose("method", layout.y, layout.x).values
         finite = np.where(np.isfinite(z), z, np.inf)
         share = share_of_limit(part, layout)
         chance = ~np.isfinite(finite.min(axis=0)) | (False if share is None else share > 1)
         winner = np.ma.masked_where(chance, finite.argmin(axis=0))
-        grid.cells(ax, part, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
+        panels.cells(ax, part, winner, cmap=colors.ListedColormap(looks), vmin=-0.5, vmax=len(names) - 0.5)
     handles = [patches.Patch(color=c, label=n) for c, n in zip(looks, names, strict=True)]
-    columns = style.legend_columns(names, grid.figure.get_figwidth())
-    title = f"least {axis_label(value)}"
-    grid.figure.legend(handles=handles, loc="outside lower center", ncols=columns, title=title)
-    return grid.finish(axis_label(view[layout.x]), axis_label(view[layout.y]))
+    panels.legend(handles, names, title=f"least {axis_label(value)}")
+    return panels.finish(view[layout.y])
 
 
 def share_of_limit(part, layout):
@@ -259,9 +230,9 @@ def slices(view, layout):
     """Draw a value along one axis, or against another value."""
     value = view[layout.value]
     _, x = xarray.broadcast(value, view[layout.x])
-    grid = Panels(view, layout)
-    for ax, part, along in grid.each(value, x):
-        for i, look in enumerate(grid.looks()):
+    panels = Panels(view, layout)
+    for ax, part, along in panels.each(value, x):
+        for i, look in enumerate(panels.looks()):
             here = {layout.lines: i} if layout.lines else {}
             at, shown = along.isel(here).values.ravel(), part.isel(here).values.ravel()
             order = np.argsort(at, kind="stable")
@@ -270,7 +241,10 @@ def slices(view, layout):
         if layout.x not in view.dims or style.geometric(view[layout.x].values):
             style.log_scale(ax.xaxis, x.values)
         _value_scale(ax, value.values, layout)
-    return grid.finish(axis_label(view[layout.x]), axis_label(value))
+    handles, labels = panels.axes[0, 0].get_legend_handles_labels()
+    if len(labels) > 1:
+        panels.legend(handles, labels, title=axis_label(view[layout.lines]))
+    return panels.finish(value)
 
 
 def _value_scale(ax, values, layout):
@@ -336,19 +310,19 @@ class Panels:
         """Return the look of each line; of one where there are no several."""
         if not self.layout.lines:
             return [{"color": style.COLORS[0], "marker": ".", "linewidth": 1.2}]
-        few = self.view.sizes.get(self.layout.x, 0) < 40
+        bare = {} if self.view.sizes.get(self.layout.x, 0) < 40 else {"marker": ""}
         looks = style.looks([text(value) for value in self.view[self.layout.lines].values])
-        return [look | {"linewidth": 1.2} | ({} if few else {"marker": ""}) for look in looks]
+        return [look | {"linewidth": 1.2} | bare for look in looks]
 
-    def finish(self, x: str, y: str):
-        """Return the figure with labels of its axes, a legend where there are lines, and a title."""
-        plt.setp(self.axes[-1], xlabel=x)
-        plt.setp(self.axes[:, 0], ylabel=textwrap.fill(y, max(16, int(self.high / LETTER))))
-        handles, labels = self.axes[0, 0].get_legend_handles_labels()
-        if len(labels) > 1:
-            columns = style.legend_columns(labels, self.figure.get_figwidth())
-            about = {"title": axis_label(self.view[self.layout.lines]), "loc": "outside lower center"}
-            self.figure.legend(handles, labels, ncols=columns, **about)
+    def legend(self, handles, labels, **title):
+        """Draw a legend below all panels."""
+        columns = style.legend_columns(labels, self.figure.get_figwidth())
+        self.figure.legend(handles, labels, loc="outside lower center", ncols=columns, **title)
+
+    def finish(self, y):
+        """Return the figure with labels of its axes and a title."""
+        plt.setp(self.axes[-1], xlabel=axis_label(self.view[self.layout.x]))
+        plt.setp(self.axes[:, 0], ylabel=textwrap.fill(axis_label(y), max(16, int(self.high / LETTER))))
         fixed = [c for name, c in self.view.coords.items() if c.ndim == 0 and name != "limit"]
         self.figure.suptitle(self.layout.table.get("title") or ", ".join(map(described, fixed)))
         return self.figure

@@ -7,7 +7,6 @@ import io
 import threading
 import time
 
-import jax
 import numpy as np
 
 from cnclik import errors
@@ -15,7 +14,6 @@ from cnclik.integrate.status import level, names
 from cnclik.integrate.trajectory import Trajectory, one_lane
 from cnclik.law.law import Law
 from cnclik.measure.dataset import to_dataset
-from cnclik.problem.build import Problem
 from cnclik.robot import poses
 from cnclik.robot.files import file_of
 from cnclik.robot.posture import arm_length, is_planar
@@ -31,12 +29,11 @@ def has_viser() -> bool:
     return importlib.util.find_spec("viser") is not None
 
 
-def view(what, law=None, *, robot=None, host="localhost", port=8080):
+def view(run, law, *, robot=None, host="localhost", port=8080):
     """Play a run in a browser: `ck.show.view(run, law)`.
 
     Args:
-      what: a `Trajectory` with its law, one lane; or a `Problem`, which is run.
-      law: of a `Trajectory`.
+      run: a `Trajectory` of solve(law, ...), one lane.
       robot: URDF file with the robot's meshes; without it, cylinders stand for links and joints.
       host, port: where to listen; on the next free port.
 
@@ -46,21 +43,10 @@ def view(what, law=None, *, robot=None, host="localhost", port=8080):
     if not has_viser():
         install = "pip install 'cnclik[viewer]'"
         raise errors.ArgumentError(f"The viewer needs the package viser, which is not installed: {install}")
-    if isinstance(what, Problem):
-        run, law, name, robot = jax.tree.map(np.asarray, what.run()), what.law, what.name, robot or what.robot
-    else:
-        run, law = errors.kind("run", what, Trajectory), errors.kind("law", law, Law)
-        one_lane(run)
-        name = f"{law.chain.n} joints"
-    file = None if robot is None or hasattr(robot, "joints") else file_of(str(robot))
-    motion, walls = motion_of(to_dataset(run, law), law.chain), getattr(law.limits, "walls", ())
-    return Viewer(motion, name=name, walls=walls, robot=file, server=_server(host, port))
-
-
-def _server(host, port):
-    """Return a viser server without its words on the terminal, on the next port that is free."""
     import viser
 
+    one_lane(errors.kind("run", run, Trajectory))
+    errors.kind("law", law, Law)
     errors.integer("port", port, at_least=1, at_most=65_000)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
@@ -68,17 +54,18 @@ def _server(host, port):
     except (OSError, RuntimeError) as error:
         raise errors.fail("host", "be one that this machine can listen on", f"is {host!r}: {error}") from None
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-    return server
+    file = None if robot is None else file_of(str(robot))
+    return Viewer(server, motion_of(to_dataset(run, law), law.chain), getattr(law.limits, "walls", ()), file)
 
 
 class Viewer:
     """A run that a browser shows at `url` until `stop()`."""
 
-    def __init__(self, motion, *, name, walls, robot, server):
+    def __init__(self, server, motion, walls, robot):
         from cnclik.show import shapes  # needs trimesh, which comes with viser
 
-        self.server, self.motion, self.name, chain = server, motion, name, motion.chain
-        self.url, scene = f"http://{server.get_host()}:{server.get_port()}", server.scene
+        self.server, self.motion, chain, scene = server, motion, motion.chain, server.scene
+        self.url = f"http://{server.get_host()}:{server.get_port()}"
         thick, count = shapes.thickness(chain), len(motion.poses)
         status = motion.data.status.values
         self.levels = level(np.append(status, status[-1:]))[:count]
@@ -97,7 +84,7 @@ class Viewer:
         self.goals = {i: target for i, target in enumerate(motion.targets) if target is not None}
         self.balls = {i: scene.add_icosphere(f"/goal{i}", 0.8 * thick, rgb(style.BLACK)) for i in self.goals}
         self._draw_paths(np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)), thick)
-        self._look(self.places.reshape(-1, 3), thick)
+        self._look(thick)
         self.t, gui = motion.data.time.values.astype(float), server.gui
         begin, end = float(self.t[0]), max(float(self.t[-1]), float(self.t[0]) + 1e-9)
         self.caption = gui.add_html("")
@@ -119,18 +106,17 @@ class Viewer:
             if np.ptp(target, axis=0).max() > 0:
                 add(f"/wanted{i}", _segments(target[None, some])[0], rgb(style.GREY), thickness=0.12 * thick)
 
-    def _look(self, points, thick):
+    def _look(self, thick):
         """Look from above at a planar arm, from a corner otherwise, at all that moves; draw a floor below it."""
-        low, high, flat = points.min(0), points.max(0), is_planar(self.motion.chain)
+        low, high, flat = self.places.min((0, 1)), self.places.max((0, 1)), is_planar(self.motion.chain)
         span = 1.3 * max(np.linalg.norm(high - low), float(arm_length(self.motion.chain)))
-        away = np.array([0, -1e-3, 1.0]) if flat else np.array([0.83, 0.48, 0.37])
-        right = np.array([1.0, 0, 0]) if flat else np.array([-0.5, 0.87, 0.0])
-        middle = (low + high) / 2 + 0.2 * span * right  # the panel covers the right of the page
+        away, right = ((0, -1e-3, 1.0), (1.0, 0, 0)) if flat else ((0.83, 0.48, 0.37), (-0.5, 0.87, 0.0))
+        middle = (low + high) / 2 + 0.2 * span * np.array(right)  # the panel covers the right of the page
         cell = 10.0 ** np.floor(np.log10(span / 2)) / 2
         look = {"position": (*middle[:2], min(low[2], 0.0) - 2 * thick), "cell_thickness": 0.7}
         self.server.scene.add_grid("/floor", 4 * span, 4 * span, cell_size=cell, section_size=5 * cell, **look)
         camera = self.server.initial_camera
-        camera.position, camera.look_at = tuple(middle + span * away), tuple(middle)
+        camera.position, camera.look_at = tuple(middle + span * np.array(away)), tuple(middle)
         camera.up, camera.fov = (0, 1, 0) if flat else (0, 0, 1), np.radians(50)
 
     def show(self, t) -> None:
@@ -143,7 +129,7 @@ class Viewer:
                 ball.color = rgb(style.LEVELS[self.levels[k]])
             for i, ball in self.balls.items():
                 ball.position = self.goals[i][k]
-            self.caption.content = caption(self.name, self.motion.data, k)
+            self.caption.content = caption(self.motion.data, k)
 
     def _play(self):
         last = time.perf_counter()
@@ -151,8 +137,7 @@ class Viewer:
             now = time.perf_counter()
             if self.playing.value and self.server.get_clients():
                 ended = self.slider.value >= self.slider.max
-                t = self.slider.min if ended else self.slider.value + now - last
-                self.slider.value = min(t, self.slider.max)
+                self.slider.value = min(self.slider.min if ended else self.slider.value + now - last, self.slider.max)
                 self.show(self.slider.value)
             last = now
 
@@ -171,12 +156,12 @@ def rgb(color: str) -> tuple:
     return tuple(bytes.fromhex(color.lstrip("#")))
 
 
-def caption(name, data, k) -> str:
-    """Return what is shown now, as HTML: name, time, errors, status."""
+def caption(data, k) -> str:
+    """Return what is shown now, as HTML: time, errors, status."""
     status = data.status.values[min(k, data.sizes["step"] - 1)] if data.sizes["step"] else 0
     parts = [(task, np.linalg.norm(data.e.values[k, some]), unit) for task, unit, some in error_parts(data)]
     sizes = ", ".join(f"{task} {size:.3g} {unit}".strip() for task, size, unit in parts)
-    lines = name, f"t = {data.time.values[k]:.3f} s", f"error {sizes}", names(status).replace("|", ", ")
+    lines = f"t = {data.time.values[k]:.3f} s", f"error {sizes}", names(status).replace("|", ", ")
     return f"<div style='padding:0.1em 1em;font-size:0.85em'>{'<br>'.join(map(html.escape, lines))}</div>"
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,7 +45,6 @@ def stability_map(
     stage: Stage = picard(5),
     drive=Drive(),
     tolerance=1e-3,
-    scale=None,
     progress=None,
 ):
     """Return how simulated loops end over gains, sampling times and passes, and the linear limit. In float64.
@@ -53,7 +54,7 @@ def stability_map(
         largest entry is alpha.
       alpha: [1/s]. Ts: [s]. M: passes of an implicit method, or None: the stage's own. Each a number, or (k,) and then
         an axis of the map.
-      N, tolerance, scale: number of steps, and what counts as converged, see `outcome`.
+      N, tolerance: number of steps, and what counts as converged, see `outcome`.
       method, stage: as for `solve`.
       drive: what lies between command and motion; its dead time is in samples, all else in seconds.
       progress: called as progress(loops done, loops in all), or None.
@@ -67,7 +68,7 @@ def stability_map(
     check_drive(drive, law.chain)
     N = errors.integer("N", N, at_least=4, at_most=errors.MOST)
     errors.number("tolerance", tolerance, positive=True)
-    errors.progress(progress)
+    errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     if M is not None and not method.implicit:
         raise errors.fail("method", "be implicit where M is given, such as CN", f"is {method}")
     given = {"M": M, "Ts": Ts, "alpha": alpha}
@@ -98,7 +99,7 @@ def stability_map(
     def ended(factor, Ts, M, model):
         scaled = replace(law, alpha=law.alpha * factor)
         own = inner if M is None else replace(inner, M=M)
-        through = dict(drive=drive, model=model, tolerance=tolerance, scale=scale)
+        through = dict(drive=drive, model=model, tolerance=tolerance)
         return outcome(scaled, reference, jnp.asarray(q0), Ts, N, method, own, **through)
 
     run, count, endings = lanes(ended, block=LOOPS_PER_CALL), len(factor), []
@@ -124,8 +125,7 @@ def stability_map(
             "evaluations_per_step": int(evaluations_per_step(method, stage, law.chain.n)),
             "N": N,
             "tolerance": tolerance,
-        }
-        | ({} if scale is None else {"scale": scale}),
+        },
     )
     of_limit = [made[name] for name in ("Ts", "M") if name in values]
     made = made.assign(limit=xr.apply_ufunc(limit, *of_limit, vectorize=True)).transpose(*axes)

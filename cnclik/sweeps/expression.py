@@ -96,9 +96,10 @@ def evaluate(where: str, value, look=None):
         try:
             if any(isinstance(part, bool) for part in parts):
                 raise TypeError
-            if all(map(errors.concrete, parts)):
-                return np.array(parts, float)
-            return jnp.stack([jnp.asarray(part, float) for part in parts])
+            stacked = (
+                np.array(parts, float) if all(map(errors.concrete, parts)) else jnp.stack([*map(jnp.asarray, parts)])
+            )
+            return stacked.astype(float)
         except (TypeError, ValueError, OverflowError):
             raise errors.fail(where, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):
@@ -108,8 +109,8 @@ def evaluate(where: str, value, look=None):
         raise errors.fail(where, "be numbers", f"refers to {next(iter(used))!r}")
     used = {name: look(name) for name in used}
     if (code := _code(value)) is None:
-        found = _read(where, value, used.get("Ts"))
-        return np.array(found) if len(found) > 1 else found[0]
+        numbers = _read(where, value, used.get("Ts"))
+        return np.array(numbers) if len(numbers) > 1 else numbers[0]
     try:
         if texts := [name for name, v in used.items() if isinstance(v, str)]:
             raise TypeError(f"{texts[0]} is a name, not a number")

@@ -8,83 +8,17 @@ processes.
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from cnclik import errors
 
+SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ", "M": "passes M"}
+UNITS = {"alpha": "1/s"} | dict.fromkeys(("Ts", "t", "horizon", "duration", "period"), "s")  # of axes and results
+UNITS |= dict.fromkeys(("z", "M", "N", "step", "seed", "method", "stage", "robot"), "1")
 MOST = {"points": 10**10, "programs, one for each combination of what is compiled in": 1000, "blocks": 10**6}
-LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
-COMPILED_IN = ("N", "delay", "measurement_delay")  # numbers that change a program's shape
-
-
-class Axis(NamedTuple):
-    """One dimension of the grid."""
-
-    name: str
-    values: Any  # inner: an array whose first dimension is the axis; outer: a tuple of objects
-    labels: tuple | None = None  # labels of an outer axis; None for an inner one
-
-    def __len__(self):
-        return len(self.values)
-
-    @property
-    def inner(self) -> bool:
-        return self.labels is None
-
-
-def axis(name: str, values, where=None) -> Axis:
-    """Return an axis of Python values, as `sweep` takes them.
-
-    Args: where: its name in messages; default: `name`.
-    Raises: ArgumentError for other values, none, or values that are not finite.
-    """
-    where = where or name
-    if isinstance(values, Mapping):
-        made = Axis(name, tuple(values.values()), tuple(values))
-    elif not isinstance(values, (list, tuple, range, np.ndarray, jax.Array)) or getattr(values, "ndim", 1) == 0:
-        raise errors.fail(where, "be an axis: an array, a list, or a dict of labelled values", f"is {values!r}")
-    elif (numbers := _numbers(name, where, values)) is not None:
-        made = Axis(name, numbers)
-    else:
-        labels = tuple(v if isinstance(v, (str, bool)) else getattr(v, "name", None) for v in values)
-        if None in labels:
-            must = "hold numbers, names or named objects, or be a dict {label: value}"
-            raise errors.fail(where, must, f"is {values!r}")
-        made = Axis(name, tuple(values), labels)
-    if not len(made):
-        raise errors.fail(where, "hold at least one value", "is empty")
-    if made.inner and not np.all(np.isfinite(made.values)):
-        raise errors.fail(where, "hold finite values", "does not")
-    return compiled_in(made, where) if name in COMPILED_IN else made
-
-
-def compiled_in(of: Axis, where: str) -> Axis:
-    """Return an axis of numbers as an outer one; whole numbers are integers."""
-    if not of.inner:
-        return of
-    if of.values.ndim != 1:
-        raise errors.fail(where, "hold single numbers, as each is compiled in", "holds vectors")
-    numbers = tuple(int(v) if float(v).is_integer() and of.name in COMPILED_IN else v.item() for v in of.values)
-    return Axis(of.name, numbers, numbers)
-
-
-def _numbers(name, where, values):
-    """Return the numbers or vectors of an axis as one array; None if they are something else."""
-    typed = isinstance(values, (range, np.ndarray, jax.Array))
-    if not typed and any(isinstance(v, (str, bool)) for v in values):
-        return None
-    try:
-        array = np.asarray(values)
-    except ValueError:
-        raise errors.fail(where, "hold values of one shape", f"is {values!r}") from None
-    if array.dtype.kind not in "fiub":
-        return None
-    whole = array.dtype.kind in "iub" and (typed or name == "M")
-    return array if whole else np.asarray(values, float)
 
 
 class Block(NamedTuple):
@@ -106,13 +40,15 @@ class Grid:
     those of the lanes.
     """
 
-    axes: tuple
-    lanes: int
+    axes: tuple  # of `Axis`
+    lanes: int = 10**10
     more: Callable = dataclasses.field(default=lambda program, lanes: {}, compare=False, repr=False)
 
     def __post_init__(self):
+        if not self.axes:
+            raise errors.fail("axes", "hold at least one axis, such as alpha = [1, 5, 10]", "holds none")
         pieces = math.prod(-(-n // step) for n, step in zip(self.shape, self.block, strict=True))
-        programs = math.prod(len(a) for a in self.axes if not a.inner)
+        programs = math.prod(map(len, self.outer))
         for count, (what, most) in zip((self.size, programs, pieces), MOST.items(), strict=True):
             if count > most:
                 axes = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
@@ -120,7 +56,7 @@ class Grid:
 
     @property
     def shape(self) -> tuple:
-        return tuple(len(a) for a in self.axes)
+        return tuple(map(len, self.axes))
 
     @property
     def size(self) -> int:
@@ -129,6 +65,10 @@ class Grid:
     @property
     def inner(self) -> tuple:
         return tuple(a for a in self.axes if a.inner)
+
+    @property
+    def outer(self) -> tuple:
+        return tuple(a for a in self.axes if not a.inner)
 
     @property
     def block(self) -> tuple:
@@ -145,9 +85,8 @@ class Grid:
     @property
     def programs(self) -> list:
         """The combinations of the outer axes, as {name: value}."""
-        outer = [a for a in self.axes if not a.inner]
-        combinations = itertools.product(*(a.values for a in outer))
-        return [dict(zip([a.name for a in outer], values, strict=True)) for values in combinations]
+        names = [a.name for a in self.outer]
+        return [dict(zip(names, values, strict=True)) for values in itertools.product(*(a.values for a in self.outer))]
 
     def blocks(self) -> list:
         """Return all blocks, program by program."""
@@ -156,12 +95,10 @@ class Grid:
             for n, step in zip(self.shape, self.block, strict=True)
         ]
         outer = [i for i, a in enumerate(self.axes) if not a.inner]
-
-        def places(region):  # on the outer axes: those of a program
-            return [region[i].start for i in outer]
-
-        groups = itertools.groupby(sorted(itertools.product(*cuts), key=places), key=places)
-        return [Block(number, region) for number, (_, regions) in enumerate(groups) for region in regions]
+        places = itertools.product(*(range(self.shape[i]) for i in outer))
+        number = {place: k for k, place in enumerate(places)}  # of the program at a place on the outer axes
+        blocks = [Block(number[tuple(region[i].start for i in outer)], region) for region in itertools.product(*cuts)]
+        return sorted(blocks, key=lambda block: block.program)
 
     def lane_values(self, block: Block) -> dict:
         """Return the values of the inner axes, and `more`, in each lane; lanes beyond the grid repeat the last one."""
@@ -179,13 +116,22 @@ class Grid:
         full = lanes.reshape(*self.block, *lanes.shape[1:])
         return full[tuple(slice(0, cut.stop - cut.start) for cut in block.region)]
 
+    def coordinates(self, units) -> dict:
+        """Return the coordinates of all axes, {name: (dimensions, values, attributes)}: for an axis of vectors their
+        numbers, with the values beside them."""
+        coords = {}
+        for name, values, labels in self.axes:
+            about = {"units": units.get(name, ""), "long_name": SYMBOLS.get(name, name.replace("_", " "))}
+            if labels is not None:
+                values = np.asarray(labels)
+                if values.dtype.kind == "U":  # such as "8ms", which have their own unit
+                    about["units"] = "1"
+            elif values.ndim > 1:
+                parts = (f"{name}_{i}" for i in range(values.ndim - 1))
+                coords[f"{name}_value"] = ((name, *parts), values, about)
+                values, about = np.arange(len(values)), about | {"units": "1"}
+            coords[name] = (name, values, about)
+        return coords
+
     def __str__(self):
         return " × ".join(f"{a.name} {len(a)}" for a in self.axes)
-
-
-def grid(axes: Mapping, lanes=None) -> Grid:
-    """Return the grid of {name: Python values}."""
-    if not axes:
-        raise errors.fail("axes", "name at least one axis, such as alpha=jnp.linspace(1, 40, 200)", "is empty")
-    lanes = LANES if lanes is None else errors.integer("lanes", lanes, at_least=1)
-    return Grid(tuple(axis(name, values) for name, values in axes.items()), lanes)

@@ -20,8 +20,7 @@ from cnclik.cache import give_back
 from cnclik.engine.plan import as_here
 from cnclik.integrate.lanes import lanes
 from cnclik.measure.metrics import METRICS, Metrics
-from cnclik.sweeps.grid import Grid
-from cnclik.sweeps.labels import UNITS
+from cnclik.sweeps.grid import UNITS, Grid
 from cnclik.threads import cores, shares_threads, side_by_side
 
 MEMORY = 2**30  # bytes, at most, of one block while it runs
@@ -33,8 +32,11 @@ class Output(NamedTuple):
     name: str
     shape: tuple
     dtype: np.dtype
-    dims: tuple
     about: dict  # attributes: units, and long_name if there is one
+
+    @property
+    def dims(self) -> tuple:
+        return tuple(f"{self.name}_{i}" for i in range(len(self.shape)))
 
 
 class StudyProgram(NamedTuple):
@@ -46,18 +48,22 @@ class StudyProgram(NamedTuple):
     alone: bool  # whether its blocks must run one after the other, see `shares_threads`
 
 
-def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
-    """Trace and compile the study once, for blocks of the grid."""
+def compile_program(study, of: Grid, number=0) -> StudyProgram:
+    """Trace and compile the study once, for blocks of one of the grid's programs."""
     outputs: tuple = ()
+    fixed = of.programs[number]
 
     def lane(values):
         nonlocal outputs
         result = study(**fixed, **values)
         if dataclasses.is_dataclass(result):
-            result = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
-        named = dict(result.items()) if isinstance(result, Mapping | Metrics) else {"value": result}
+            result = vars(result)
+        named = result if isinstance(result, Mapping) else {"value": result}
         named = {name: jnp.asarray(v) for name, v in named.items()}
-        outputs = tuple(_output(name, v, result) for name, v in named.items())
+        about = {name: {"units": UNITS.get(name, "")} for name in named}
+        if isinstance(result, Metrics):
+            about = {name: {"units": unit, "long_name": METRICS[name].label} for name, unit in result.units.items()}
+        outputs = tuple(Output(name, v.shape, np.dtype(v.dtype), about[name]) for name, v in named.items())
         taken = {*named, *(dim for o in outputs for dim in o.dims)}
         if both := [a.name for a in of.axes if a.name in taken]:
             raise errors.fail("axes", "have names of their own", f"{both[0]!r} is in the results too")
@@ -83,19 +89,12 @@ def compile_program(study, fixed: dict, of: Grid) -> StudyProgram:
     return StudyProgram(run, outputs, memory, shares_threads(traced.jaxpr))
 
 
-def _output(name, v, result) -> Output:
-    about = {"units": UNITS.get(name, "")}
-    if isinstance(result, Metrics):
-        about = {"units": result.units[name], "long_name": METRICS[name].label}
-    return Output(name, v.shape, np.dtype(v.dtype), tuple(f"{name}_{i}" for i in range(v.ndim)), about)
-
-
 def fit(study, of: Grid, memory=MEMORY):
     """Return the grid cut so that a block needs at most `memory` bytes, and its first program."""
-    program = compile_program(study, of.programs[0], of)
+    program = compile_program(study, of)
     while program.memory > memory and math.prod(of.block) > 1:
         of = dataclasses.replace(of, lanes=max(1, int(math.prod(of.block) * memory / program.memory)))
-        program = compile_program(study, of.programs[0], of)
+        program = compile_program(study, of)
     return of, program
 
 
@@ -107,7 +106,7 @@ def run_blocks(study, of: Grid, blocks, first: StudyProgram | None = None):
     """
 
     def compiled(number):
-        return first if first is not None and number == 0 else compile_program(study, of.programs[number], of)
+        return first if first is not None and number == 0 else compile_program(study, of, number)
 
     def computed(block):
         results = program.run(of.lane_values(block))

@@ -10,40 +10,49 @@ loop's method, stage and drive: alpha = "0.5*limit/Ts".
 import contextlib
 import dataclasses
 import functools
+import itertools
+import json
+import math
 import os
 import pathlib
+import tomllib
 import zlib
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
 from cnclik.integrate.drive import Drive
 from cnclik.integrate.method import named
+from cnclik.measure.dataset import provenance
 from cnclik.measure.metrics import DEFAULT, Metrics, measure_run
 from cnclik.measure.metrics import check as check_metrics
 from cnclik.problem import options
 from cnclik.problem.build import Problem, drive_from, problem_from
 from cnclik.problem.names import load, stage_from
 from cnclik.problem.reference import OPTIONS as OF_PATHS
-from cnclik.reading import read_toml, toml
+from cnclik.reading import read_toml
 from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
-from cnclik.sweeps import axes as axis_forms
+from cnclik.sweeps import axes as forms
 from cnclik.sweeps import expression
-from cnclik.sweeps.axes import NAMES, is_drawn, known_keys
-from cnclik.sweeps.grid import COMPILED_IN, MOST, Axis, Grid, compiled_in
-from cnclik.sweeps.labels import LIMIT, UNITS
+from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
+from cnclik.sweeps.grid import UNITS, Grid
 
-KINDS = {"question": str, "expectation": str, "tolerance": object, "lanes": object, "metrics": list}
-KINDS |= {"fixed": dict, "axes": dict, "units": dict, "figure": list}
+LIMIT = "limit"
+KEYS: dict[str, Any] = {"question": "", "expectation": "", "tolerance": 1e-3, "lanes": 0, "metrics": [*DEFAULT]}
+KEYS |= {"fixed": {}, "axes": {}, "units": {}, "figure": []}  # of a spec, with their defaults
+WORDS: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
 FILES = ("robot", "reference")  # options that may name a file
 PIECES = 8  # blocks of a program, at least, if there are enough lanes
 OPTIONS = options.OPTIONS
 WHOLE = {name for name, option in OPTIONS.items() if option.kind == options.INTEGER}
 DEFAULTS = options.DEFAULTS | {"delay": 0, "measurement_delay": 0}
 TIMED = {"lag", "natural_frequency", "cutoff"}  # options of a drive with which the largest stable z depends on Ts
+DIGITS = 10  # to which the limit is accurate, and equal on every machine
+MOST_LIMITS = 1000  # each takes some milliseconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,33 +63,28 @@ class Spec:
     question: str
     expectation: str
     tolerance: float
-    lanes: int | None
+    lanes: int  # 0: chosen by `grid`
     metrics: tuple
     fixed: dict
     written: dict  # {axis: as written}
     tables: dict  # {axis: {label: {name: value}}}, of axes of tables
     units: dict
     figures: list
-    folder: pathlib.Path = pathlib.Path()  # where files named in the spec are searched first
+    folder: pathlib.Path  # where files named in the spec are searched first
     axes: tuple = ()  # of `Axis`, those of tables first
 
     def grid(self) -> Grid:
         """Return the axes, cut into blocks: a power of two, smaller for long loops, enough to keep the cores busy."""
-        of = Grid(self.axes, MOST["points"])
-        if not of.axes:
-            raise errors.fail("axes", "hold at least one axis, such as alpha = [1, 5, 10]", "holds none")
+        of = Grid(self.axes, more=self.draws)
         steps = max(int(self.loop(program)["N"]) for program in of.programs)
         size = int(np.prod([len(a) for a in of.inner], dtype=float))
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
-        return dataclasses.replace(of, lanes=min(lanes, size), more=self.draws)
+        return dataclasses.replace(of, lanes=min(lanes, size))
 
-    def first(self, last=False) -> dict:
-        """Return the first, or last, value of every numeric axis."""
-        return {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner}
-
-    def loop(self, values: dict) -> "Loop":
-        """Return the values of one loop. Args: values: of axes; those of numeric axes are their first by default."""
-        return Loop(self, self.first() | values)
+    def loop(self, values: dict, end=np.argmin) -> "Loop":
+        """Return the values of one loop. Args: values: of axes; of numeric ones the least, or the end=np.argmax."""
+        ends = {a.name: a.values[end(a.values.reshape(len(a), -1)[:, 0])] for a in self.axes if a.inner}
+        return Loop(self, ends | values)
 
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
@@ -96,10 +100,14 @@ class Spec:
         size = problem.N, problem.law.task.m
         return {"draws": np.stack([np.random.default_rng(int(seed)).standard_normal(size) for seed in seeds])[which]}
 
+    @property
+    def drawn(self) -> list:
+        """The axes of samples: a value per joint of whichever robot."""
+        return [axis for axis, value in self.written.items() if isinstance(value, dict) and "samples" in value]
+
     def programs(self):
         """Yield the first combination of the outer axes, and those that differ from it along one axis."""
-        Grid(self.axes, MOST["points"])  # refuses too many
-        outer = [a for a in self.axes if not a.inner]
+        outer = Grid(self.axes).outer if self.axes else ()  # refuses too many
         first = {a.name: a.values[0] for a in outer}
         yield first
         yield from (first | {a.name: value} for a in outer for value in a.values[1:])
@@ -116,12 +124,9 @@ class Spec:
 
     def all_units(self) -> dict:
         """Return the units of the axes, given or known."""
-        law = self.loop(next(self.programs())).build().law
-        known = dict(UNITS)
-        for axis in self.axes:
-            width = axis.values.shape[-1] if axis.inner and axis.values.ndim > 1 else None
-            known[axis.name] = options.units(law, law.task, width).get(axis.name, known.get(axis.name, ""))
-        return known | dict.fromkeys(self.tables, "1") | self.units
+        joints = ", ".join(dict.fromkeys(self.loop(next(self.programs())).build().law.chain.units))
+        known = {name: {"q": joints, "x": "m"}.get(option.unit, option.unit) for name, option in OPTIONS.items()}
+        return known | UNITS | dict.fromkeys(self.tables, "1") | self.units
 
     def places(self) -> dict:
         """Return the tables that give values, {name of the table: {name: value}}."""
@@ -136,6 +141,39 @@ class Spec:
         named += [value for axis in self.axes if axis.name in FILES for value in axis.values]
         files = {str(text): zlib.crc32(path.read_bytes()) for text in named if (path := self.file(text))}
         return about | ({"files": files} if files else {})
+
+    def fingerprint(self) -> dict:
+        """Return what a block's numbers depend on, as JSON returns it."""
+        return json.loads(json.dumps({"data": self.data(), "environment": provenance(float)}))
+
+    def attributes(self, of: Grid, outputs) -> dict:
+        """Return attributes of the data: the question, and in `config` all that the numbers depend on."""
+        asked = {name: text for name in ("question", "expectation") if (text := getattr(self, name))}
+        axes = [[a.name, len(a), a.inner] for a in of.axes]
+        config = self.fingerprint() | {"lanes": of.lanes, "variables": [o.name for o in outputs], "axes": axes}
+        spec = {"name": self.name} | asked | self.data() | {"figures": self.figures}
+        texts = {name: json.dumps(value, ensure_ascii=False) for name, value in (("spec", spec), ("config", config))}
+        return provenance(float) | asked | texts
+
+    def coordinates(self, of: Grid) -> dict:
+        """Return the coordinates of the data: the axes, and the largest stable z = alpha·Ts over those it depends on.
+
+        It holds at any posture, exactly where J# is exact; with damping a little more may be stable. inf: any z. There
+        is none where the spec's own axis z is not alpha·Ts, or for more than a thousand combinations.
+        """
+        coords, needs, first = of.coordinates(self.all_units()), self.needs(LIMIT), of.programs[0]
+        axes = [a for a in of.axes if a.name in needs or needs & set().union(*self.tables.get(a.name, {}).values())]
+        if math.prod(map(len, axes)) > MOST_LIMITS:
+            return coords
+        with jax.enable_x64(True):
+            for loop in (self.loop(first, end) for end in (np.argmin, np.argmax) if "z" in coords):
+                if not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
+                    return coords
+            points = itertools.product(*(a.values for a in axes))
+            loops = (self.loop(first | dict(zip([a.name for a in axes], point, strict=True))) for point in points)
+            limits = [float(f"{loop[LIMIT]:.{DIGITS}g}") for loop in loops]
+        about = {"units": "1", "long_name": "largest stable z of linear theory"}
+        return coords | {LIMIT: (tuple(a.name for a in axes), np.reshape(limits, [len(a) for a in axes]), about)}
 
     def file(self, text) -> pathlib.Path | None:
         """Return the file of a name, relative to the spec's folder, or None."""
@@ -158,8 +196,7 @@ class Loop(dict):
         if name in self.begun:
             raise errors.fail(name, "not depend on itself", f"does, through {' -> '.join([*self.begun, name])}")
         if name not in self.given and name != LIMIT:
-            near = errors.nearest(name, (*self.given, LIMIT))
-            used = self.begun[-1]
+            near, used = errors.nearest(name, (*self.given, LIMIT)), self.begun[-1]
             option = "" if used in OPTIONS else f"be an option{errors.nearest(used, OPTIONS)}, or "
             raise errors.fail(used, f"{option}use names that have a value", f"uses {name!r}{near}")
         self.begun.append(name)
@@ -171,7 +208,7 @@ class Loop(dict):
         value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
         if name in WHOLE and isinstance(value, float) and value.is_integer():
             return int(value)
-        return value[: self.joints()] if is_drawn(self.spec.written.get(name)) else value
+        return value[: self.joints()] if name in self.spec.drawn else value
 
     def joints(self) -> int:
         """Return the number of joints of the robot, which samples are cut to."""
@@ -238,15 +275,12 @@ def _change(written, change):
         raise errors.fail("set", "be NAME=VALUE", f"is {change!r}")
     value: Any = text  # a bare word, such as CN, or an expression
     with contextlib.suppress(ValueError, RecursionError):
-        value = toml(f"value = {text}")["value"]
+        value = tomllib.loads(f"value = {text}")["value"]
     fixed, axes = (_inner(written, table) for table in ("fixed", "axes"))
     *path, key = name.split(".")
-    if not path and key not in KINDS:
+    if not path and key not in KEYS:
         path = ["axes" if key in axes and isinstance(value, (list, dict)) else "fixed"]
-    table = written
-    for part in path:
-        table = _inner(table, part)
-    table[key] = value
+    functools.reduce(_inner, path, written)[key] = value
     if path == ["axes"]:
         fixed.pop(key, None)
     elif path == ["fixed"] and axes.pop(key, None):  # figures of this axis have nothing to show
@@ -262,38 +296,39 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
 
     Args: folder: where files named in the spec are searched first.
     """
-    known_keys("SPEC", written, KINDS)
-    words: dict[Any, str] = {str: "be a text", list: "be a list", dict: "be a table"}
-    texts = {key: errors.kind(key, written.get(key, of()), of, words.get(of)) for key, of in KINDS.items()}
-    fixed, axes, units = (dict(texts[key]) for key in ("fixed", "axes", "units"))
-    for key, value in units.items():
+    known_keys("SPEC", written, KEYS)
+    given = KEYS | written
+    for key, default in KEYS.items():
+        if type(default) in WORDS:
+            errors.kind(key, given[key], type(default), WORDS[type(default)])
+    for key, value in given["units"].items():
         errors.kind(f"units.{key}", value, str, "be a text")
-    if not all(isinstance(figure, dict) for figure in texts["figure"]):
-        raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {texts['figure']!r}")
+    if not all(isinstance(figure, dict) for figure in given["figure"]):
+        raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {given['figure']!r}")
+    tables = {axis: value for axis, value in given["axes"].items() if _is_of_tables(value)}
     spec = Spec(
         name=name,
-        question=texts["question"].strip(),
-        expectation=texts["expectation"].strip(),
-        tolerance=float(errors.number("tolerance", written.get("tolerance", 1e-3), positive=True)),
-        lanes=errors.integer("lanes", written["lanes"], at_least=1) if "lanes" in written else None,
-        metrics=tuple(dict.fromkeys(map(str, texts["metrics"] or DEFAULT))),
-        fixed=fixed,
-        tables={axis: axes.pop(axis) for axis, value in tuple(axes.items()) if _is_of_tables(value)},
-        written=axes,
-        units=units,
-        figures=texts["figure"],
+        question=given["question"].strip(),
+        expectation=given["expectation"].strip(),
+        tolerance=float(errors.number("tolerance", given["tolerance"], positive=True)),
+        lanes=errors.integer("lanes", given["lanes"], at_least=0),
+        metrics=tuple(dict.fromkeys(map(str, given["metrics"]))),
+        fixed=given["fixed"],
+        tables=tables,
+        written={axis: value for axis, value in given["axes"].items() if axis not in tables},
+        units=given["units"],
+        figures=given["figure"],
         folder=pathlib.Path(folder),
     )
     _check_names(spec)
     spec = dataclasses.replace(spec, axes=_axes(spec))
-    places = spec.places() | {"axes": axes}
+    places = spec.places() | {"axes": spec.written}
     used = [expression.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
     for where, table in places.items():
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
-        for last in (False, True):
-            problem = spec.loop(program | spec.first(last)).build()
-            check_metrics(spec.metrics, problem.law)
+        for end in (np.argmin, np.argmax):
+            check_metrics(spec.metrics, spec.loop(program, end).build().law)
     return spec
 
 
@@ -304,7 +339,7 @@ def _is_of_tables(value) -> bool:
 def _check_names(spec: Spec):
     """Raise ArgumentError for a value that is none, or a name that has another meaning or is given twice."""
     for name in (*spec.written, *spec.tables, *(name for table in spec.places().values() for name in table)):
-        if name in KINDS:
+        if name in KEYS:
             raise errors.fail(name, "stand above all tables", "is in one")  # TOML counts lines below its header to it
         if name == LIMIT or (name in spec.tables and name in OPTIONS):
             raise errors.fail(f"axes.{name}", "have another name", "has one that means something else")
@@ -313,11 +348,9 @@ def _check_names(spec: Spec):
         for name, value in table.items():
             if not isinstance(value, (str, int, float, list)) or isinstance(value, bool):
                 raise errors.fail(f"{where}.{name}", "be a number, a name, an expression or a list", f"is {value!r}")
-            if name in spec.written:
-                raise errors.fail(f"axes.{name}", f"not be in [{where}] as well", "is in both")
             axis = where.split(".")[1] if where != "fixed" else None
-            if axis and (other := giver.setdefault(name, axis)) != axis:
-                raise errors.fail(f"axes.{axis}", f"leave to {other} what that gives", f"holds {name!r} too")
+            if name in spec.written or (axis and giver.setdefault(name, axis) != axis):
+                raise errors.fail(f"{where}.{name}", "be given once", "is given by another axis, too")
 
 
 def _axes(spec: Spec) -> tuple:
@@ -327,11 +360,11 @@ def _axes(spec: Spec) -> tuple:
     Samples are drawn for the widest robot, and each arm uses the first ones.
     """
     tables = tuple(Axis(name, tuple(labels), tuple(labels)) for name, labels in spec.tables.items())
-    joints = None
+    joints = 1
     for _ in range(2):  # the second time with the number of joints known
-        plain = [axis_forms.read(name, value, joints) for name, value in spec.written.items()]
+        plain = [forms.read(name, value, joints) for name, value in spec.written.items()]
         spec = dataclasses.replace(spec, axes=(*tables, *plain))
-        if not any(map(is_drawn, spec.written.values())):
+        if not spec.drawn:
             break
         joints = max(spec.loop(program).joints() for program in spec.programs())
     wanted = spec.needs(*COMPILED_IN, *NAMES)

@@ -11,36 +11,33 @@ import dataclasses
 import json
 import os
 import pathlib
-import tempfile
 import warnings
 import zlib
 from typing import Any
 
+import jax
 import numpy as np
 
 from cnclik import errors
 from cnclik.reading import read_bytes
 from cnclik.sweeps import program
-from cnclik.sweeps.grid import Axis, Grid
-from cnclik.sweeps.labels import attributes, coordinates_of, fingerprint
+from cnclik.sweeps.axes import Axis
+from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import OWN, hidden_folder, remove_abandoned
+from cnclik.writing import OWN, hidden_folder
 
 DATA = "data.zarr"
-_UNREADABLE = (OSError, ValueError, RuntimeError)  # raised when reading a damaged chunk
 
 
 class Store:
     """An open store: its grid and its blocks. Raises: ArgumentError if there is none, or its description is damaged."""
 
-    def __init__(self, folder, *, name="folder", mode="r"):
+    def __init__(self, folder, mode="r"):
         import zarr
 
-        self.path = errors.path(name, folder) / DATA
-        if not os.path.isfile(self.path / OWN):
-            raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{str(folder)!r} does not")
+        self.path = errors.path("out", folder) / DATA
         try:
-            mark = json.loads(read_bytes(name, self.path / OWN, "a store's checksum"))
+            mark = json.loads(read_bytes("out", self.path / OWN, "a store's checksum"))
             if mark["checksum"] != _checksum(self.path, mark["files"]):
                 raise ValueError("its description or a coordinate is damaged")
             group: Any = zarr.open_group(self.path, mode=mode)
@@ -48,20 +45,17 @@ class Store:
             with zarr.config.set({"array.write_empty_chunks": True}):  # a block of NaN is done, too
                 self.arrays = {name: group[name] for name in self.config["variables"]}
         except (OSError, KeyError, ValueError, TypeError, RecursionError) as error:
-            raise errors.fail(name, f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
+            raise errors.fail("out", f"hold a sweep's {DATA} or none", f"{self.path} is not one: {error}") from None
         axes = tuple(Axis(n, range(size), None if inner else ()) for n, size, inner in self.config["axes"])
         self.grid = Grid(axes, self.config["lanes"])  # as cut when the store was created
 
-    def blocks(self) -> tuple[list, list]:
-        """Return the blocks that are done, and those that are missing or damaged."""
-        done, missing = [], []
-        for block in self.grid.blocks():
-            (done if self._is_done(block) else missing).append(block)
-        return done, missing
+    def missing(self) -> list:
+        """Return the blocks that are not done, or damaged."""
+        return [block for block in self.grid.blocks() if not self._is_done(block)]
 
     def _is_done(self, block) -> bool:
         chunk = [str(cut.start // step) for cut, step in zip(block.region, self.grid.block, strict=True)]
-        with contextlib.suppress(*_UNREADABLE):
+        with contextlib.suppress(OSError, ValueError, RuntimeError):  # of a damaged chunk
             for name, array in self.arrays.items():
                 if not os.path.isfile(self.path.joinpath(name, "c", *chunk)):
                     return False
@@ -83,13 +77,13 @@ def _checksum(path, files) -> int:
 
 
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
-    """Create the empty store. It appears only once it is complete; one that another process made meanwhile stays."""
+    """Create the empty store. It appears only once it is complete."""
     import xarray
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     packed: Any = {"compressors": [ZstdCodec(level=0), Crc32cCodec()]}  # no damaged chunk is unpacked
-    data = xarray.Dataset(coords=coordinates_of(spec, of), attrs=attributes(spec, of, outputs))
+    data = xarray.Dataset(coords=spec.coordinates(of), attrs=spec.attributes(of, outputs))
     texts = {name: v.astype(object) for name, v in data.coords.items() if v.dtype.kind == "U"}  # all that zarr settled
     data = data.assign_coords(texts)
     with hidden_folder(folder) as hidden, _quiet():
@@ -104,77 +98,52 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
         # Description and coordinates never change: with their checksum the store is complete.
         files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
         (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum(path, files)}))
-        try:
-            path.rename(folder / DATA)
-        except OSError:
-            if not os.path.exists(folder / DATA):
-                raise
+        path.rename(folder / DATA)
 
 
-def prepare(spec: Spec, folder, *, fresh=False) -> Store | None:
-    """Return the folder's store if it belongs to this spec; None if there is none, or no more.
+def opened(spec: Spec, folder) -> Store | None:
+    """Return the folder's store if it belongs to this spec; None if there is none.
 
-    Raises: ArgumentError if it belongs to another spec or, even with `fresh`, if it is not a sweep's.
+    Raises: ArgumentError if it belongs to another spec, or is not a sweep's.
     """
-    folder = errors.path("out", folder)
-    path = folder / DATA
-    with _disk(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()  # check that the folder is writable
-    if not os.path.exists(path):
+    if not os.path.exists(folder / DATA):
         return None
-    store = Store(folder, name="out", mode="r+")
-    if fresh:
-        with _disk(folder), hidden_folder(folder) as hidden:
-            path.rename(hidden / DATA)  # atomically: no reader sees half a store
-        return None
-    there, here = (_flat(config) for config in (store.config, fingerprint(spec)))
-    for name in there | here:
-        if there.get(name) != here.get(name):
+    store = Store(folder, mode="r+")
+    for table, here in spec.fingerprint().items():
+        there = store.config[table]
+        if differing := [name for name in there | here if there.get(name) != here.get(name)]:
             must = "hold results of this very spec (another --out keeps both)"
-            before, now = (f"{some.get(name, 'nothing')!s:.40}" for some in (there, here))
-            raise errors.fail("out", must, f"differs in {name}: {before} there, {now} here")
-    with _disk(folder):
-        remove_abandoned(path.rglob("*.partial"))  # left by an interrupted write
+            raise errors.fail("out", must, f"differs in {', '.join(differing)}: see config of {store.path}")
     return store
 
 
-def _flat(config) -> dict:
-    """Return {name: value} of all that a store's numbers depend on, such as "fixed.alpha"."""
-    tables = config["data"] | {"environment": config["environment"]}
-    each = {key: value if isinstance(value, dict) else {"": value} for key, value in tables.items()}
-    return {f"{key}.{name}".strip("."): v for key, table in each.items() for name, v in table.items()}
-
-
-def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, progress=None) -> bool:
+def run(spec: Spec, folder, *, progress=None) -> bool:
     """Compute the blocks of a sweep that its store lacks, in float64 whatever JAX's own precision is.
+
+    Where `jax.distributed` is initialized, each of its processes computes a share.
 
     Args:
       folder: where `data.zarr` is or will be.
-      fresh: start over.
-      process, processes: this process's number among all that run this together.
-      meet: meet(well, last) returns when all processes have called it: whether all of them are well. After `last`
-        they need each other no more.
       progress: called with (points done, points this process has to do).
 
     Returns: whether the whole sweep is now done (other processes may still be at it).
     Raises: ArgumentError for a store of another spec, a folder that can't be written, a full disk, or another
       process that could not start; completed blocks are kept, and the same call continues from there.
     """
-    folder, meet = errors.path("out", folder), meet or (lambda well, last: well)
-    of, first, store = spec.grid(), None, None
-    with _together(meet):
-        if process == 0 and (store := prepare(spec, folder, fresh=fresh)) is None:
-            of, first = program.fit(spec.study, of)
+    process, processes = jax.process_index(), jax.process_count()
+    folder, first, store = errors.path("out", folder), None, None
+    with _together(processes):
+        with _disk(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        if process == 0 and (store := opened(spec, folder)) is None:
+            of, first = program.fit(spec.study, spec.grid())
             with _disk(folder):
                 create(folder, spec, of, first.outputs)
-    with _together(meet, last=True):
-        store = store or prepare(spec, folder)
+    with _together(processes, last=True):
+        store = store or opened(spec, folder)
         if store is None:
             raise errors.fail("out", "be one folder that all processes share", f"{str(folder)!r} is empty here")
-        first = first if store.grid.lanes == of.lanes else None
-        of = dataclasses.replace(of, lanes=store.grid.lanes)
-        _, missing = store.blocks()
+        of, missing = dataclasses.replace(spec.grid(), lanes=store.grid.lanes), store.missing()
     # Adjacent blocks, so that each process compiles few programs.
     share = missing[len(missing) * process // processes : len(missing) * (process + 1) // processes]
     todo, done = sum(b.size for b in share), 0
@@ -185,47 +154,50 @@ def run(spec: Spec, folder, *, fresh=False, process=0, processes=1, meet=None, p
             store.write(block, piece)
         done += block.size
         report(done, todo)
-    return processes == 1 or not store.blocks()[1]
+    return processes == 1 or not store.missing()
 
 
 @contextlib.contextmanager
-def _together(meet, last=False):
-    """Wait for all processes; if one fails, all of them stop."""
+def _together(processes, last=False):
+    """Wait for all processes; if one fails, all of them stop. After the `last` time they need each other no more."""
     try:
         yield
     except BaseException:
-        meet(False, last)
+        _meet(processes, False, last)
         raise
-    if not meet(True, last):
+    if not _meet(processes, True, last):
         raise errors.fail("distributed", "find every process ready", "another one failed, and reports why")
 
 
-def read(folder):
-    """Return the sweep of a folder as an `xarray.Dataset`, loaded on use.
+def _meet(processes, well, last) -> bool:
+    """Wait for all processes, and return whether all of them are well."""
+    if processes == 1:
+        return well
+    from jax.experimental import multihost_utils
 
-    Every block is first compared with its checksum, which reads all of it once; a damaged one counts as not done
-    (`blocks_missing`): NaN, and -1 for counts, never other numbers.
+    well = bool(multihost_utils.process_allgather(well).all())
+    if last or not well:
+        jax.distributed.shutdown()  # a process that fails or ends must not stop the others
+    return well
+
+
+def read(out):
+    """Return the sweep of a folder as an `xarray.Dataset`, loaded on use. Loops that are not done are NaN, or -1 for
+    counts; a damaged block raises on use.
 
     Raises: ArgumentError if there is none, or if its description is damaged.
     """
     import xarray
 
-    store = Store(folder)
-    done, missing = store.blocks()
+    store = Store(out)
     with _quiet():
         data = xarray.open_zarr(store.path, chunks=None)
-    data = data[list(store.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
-    for name, array in store.arrays.items() if missing else ():
-        values = np.full(array.shape, array.fill_value, array.dtype)
-        for block in done:
-            values[block.region] = array[block.region]
-        data[name] = data[name].copy(data=values)
-    return data
+    return data[list(store.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
 
 
-def blocks_missing(folder) -> int:
+def blocks_missing(out) -> int:
     """Return the number of blocks of a folder's sweep that are not done or damaged."""
-    return len(Store(folder).blocks()[1])
+    return len(Store(out).missing())
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 import functools
 import itertools
 import json
+import operator
 
 import numpy as np
 
@@ -37,30 +38,23 @@ def best(data) -> list:
     if (name := main_value(data)) is None or not name.endswith("error"):
         return []
     value = data[name].fillna(np.inf)
-    safe, words = np.isfinite(value), ["finite"]
-    for wrong in [n for n in _WRONG if n in data]:
-        safe &= data[wrong] == 0
-        words.append(_WRONG[wrong])
+    checks = [("finite", np.isfinite(value))]
+    checks += [(words, data[wrong] == 0) for wrong, words in _WRONG.items() if wrong in data]
     if "stable" in data:
-        safe &= data.stable == 1
-        words.append("ending stable")
+        checks.append(("ending stable", data.stable == 1))
     if (z := _z(data)) is not None and "limit" in data.coords:
-        safe &= ~(z >= data.limit)
-        words.append("below the linear stability limit")
+        checks.append(("below the linear stability limit", ~(z >= data.limit)))
+    words = ", ".join(dict.fromkeys(words for words, _ in checks))
     drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
-    value, safe = value.max(drawn, keep_attrs=True), safe.all(drawn)
+    safe = functools.reduce(operator.and_, [check for _, check in checks]).all(drawn)
+    value = value.max(drawn, keep_attrs=True).where(safe)
     apart, lines = [d for d in _APART if d in value.dims], []
     for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
         where = dict(zip(apart, labels, strict=True))
-        errors, fine = value.sel(where), safe.sel(where)
-        count, line = int(fine.sum()), "".join(f"{d} {label}: " for d, label in where.items())
-        line += (
-            f"{format(count, ',') if count else 'none'} of {errors.size:,} loops {'are' if count > 1 else 'is'} safe"
-        )
-        line += f" ({', '.join(dict.fromkeys(words))})"
-        if count:
-            least = float(errors.where(fine).min())
-            line += f", the best by {_named(data, errors, np.argwhere(((errors == least) & fine).values), least)}"
+        errors, count = value.sel(where), int(safe.sel(where).sum())
+        line = "".join(f"{d} {label}: " for d, label in where.items()) + (f"{count:,}" if count else "none")
+        line += f" of {errors.size:,} loops {'are' if count > 1 else 'is'} safe ({words})"
+        line += f", the best by {_named(data, errors)}" if count else ""
         lines.append(f"{line[0].upper()}{line[1:]}.")
     return lines
 
@@ -73,18 +67,15 @@ def _z(data):
     return data["z"] if "z" in data.dims else alpha * Ts if known else None
 
 
-def _named(data, errors, places, least) -> str:
+def _named(data, errors) -> str:
     """Return which loops have the least error, in words."""
-    size = f"{least:.3g} {errors.attrs.get('units', '')}".strip()
-    axes, first = [], {}
+    least, axes = float(errors.min()), []
+    places = np.argwhere((errors == least).values)
     for dim, numbers in zip(errors.dims, places.T, strict=True):
-        values = data.get(f"{dim}_value", data[dim]).values[np.unique(numbers)]
-        first[dim] = values[0]
-        words = [text(v) for v in values]
+        words = [text(v) for v in data.get(f"{dim}_value", data[dim]).values[np.unique(numbers)]]
         words = f"{words[0]} to {words[-1]}" if len(words) > 4 else " or ".join(words)
         axes.append(f"{dim} {words} {data[dim].attrs.get('units', '')}".removesuffix(" 1").strip())
-    if {"alpha", "Ts"} <= set(first) and len(places) == 1:
-        axes.append(f"z = {text(first['alpha'] * first['Ts'])}")
+    size = f"{least:.3g} {errors.attrs.get('units', '')}".strip()
     ties = f"; {len(places):,} loops tie" * (len(places) > 1)
     return f"{errors.name} ({size}{ties}){': ' * bool(axes)}{', '.join(axes)}"
 

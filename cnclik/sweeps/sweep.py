@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -12,21 +12,22 @@ from cnclik import errors
 from cnclik.measure.dataset import provenance
 from cnclik.precision import of_numbers
 from cnclik.sweeps import store
-from cnclik.sweeps.grid import grid
-from cnclik.sweeps.labels import UNITS, attributes, coordinates, coordinates_of
+from cnclik.sweeps.axes import axis
+from cnclik.sweeps.grid import UNITS, Grid
 from cnclik.sweeps.program import fit, run_blocks
 from cnclik.sweeps.spec import Spec, read
 
 if TYPE_CHECKING:
     import xarray as xr
 
+LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough for its cache
+
 
 @of_numbers
 def sweep(
     study: Callable,
     *,
-    units: Mapping[str, str] | None = None,
-    lanes: int | None = None,
+    lanes: int = LANES,
     progress: Callable[[int, int], object] | None = None,
     **axes: Any,
 ) -> "xr.Dataset":
@@ -43,8 +44,7 @@ def sweep(
         does a range or an array of integers. An array of shape (S, ...) is S values of shape (...). Compiled in, with
         one program each, are N, delay, strings, objects with a name (methods), and the values of a dict {label: value},
         such as M={1: 1, 5: 5}.
-      units: {name: unit} of axes and results that have no unit of their own.
-      lanes: largest number of points in one block; default: as many as fit.
+      lanes: largest number of points in one block.
       progress: called with (points done, points in all).
 
     Returns: `xarray.Dataset` with the axes as dimensions, `units` on every variable, the configuration in attrs.
@@ -52,42 +52,39 @@ def sweep(
     """
     if not callable(study):
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
-    of, outputs, arrays = _collect(study, grid(axes, lanes), progress)
-    units = UNITS | dict(units or {})
-    for o in outputs:
-        o.about["units"] = units.get(o.name, o.about["units"])
+    of = Grid(tuple(axis(name, values) for name, values in axes.items()), errors.integer("lanes", lanes, at_least=1))
+    of, outputs, arrays = _collect(study, of, progress)
     config = {
         "study": getattr(study, "__qualname__", type(study).__name__),
         "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
     }
-    return _dataset(of, outputs, arrays, coordinates(of, units), {"config": json.dumps(config), "lanes": of.lanes})
+    return _dataset(of, outputs, arrays, of.coordinates(UNITS), {"config": json.dumps(config), "lanes": of.lanes})
 
 
-def run_spec(spec, out=None, *, set=(), fresh=False, progress=None) -> "xr.Dataset":
+def run_spec(spec, out=None, *, set=(), progress=None) -> "xr.Dataset":
     """Run a spec, from its TOML file to the labelled data, in float64 whatever JAX's own precision is.
 
     Args:
       spec: a `Spec`, or the path of its TOML file.
       out: folder for a store, `data.zarr`, which continues an interrupted run; None keeps the data in memory.
       set: strings "name=value" that replace values of the file, as `--set` of `cnclik sweep`.
-      fresh: start again, even if `out` holds results.
       progress: called with (points done, points to do).
 
     Returns: `xarray.Dataset` with the axes as dimensions and the coordinate `limit`, the largest stable z = alpha·Ts of
       linear theory; from a store, loaded on use.
     Raises: ArgumentError for what cannot be run, or a folder that holds something else.
     """
-    errors.progress(progress)
+    errors.kind("progress", progress, (Callable, type(None)), "be a function or None")
     errors.kind("spec", spec, (Spec, str, os.PathLike), "be a path")
     spec = spec if isinstance(spec, Spec) else read(spec, [set] if isinstance(set, str) else set)
     if out is not None:
-        store.run(spec, out, fresh=fresh, progress=progress)
+        store.run(spec, out, progress=progress)
         return store.read(out)
     of, outputs, arrays = _collect(spec.study, spec.grid(), progress)
-    return _dataset(of, outputs, arrays, coordinates_of(spec, of), attributes(spec, of, outputs))
+    return _dataset(of, outputs, arrays, spec.coordinates(of), spec.attributes(of, outputs))
 
 
-def _collect(study, of, progress=None):
+def _collect(study, of, progress):
     """Compute the whole grid: (the grid as cut, outputs, {name: array over the grid})."""
     of, first = fit(study, of)
     arrays = {o.name: np.empty((*of.shape, *o.shape), o.dtype) for o in first.outputs}

@@ -13,7 +13,6 @@ from cnclik import errors
 from cnclik.law.law import Law, metric
 from cnclik.record import record, replace
 from cnclik.robot.fixed import Offset, scale
-from cnclik.robot.mounted import with_tip
 from cnclik.stability.gain import Gains
 from cnclik.task.parts import Joints
 
@@ -76,7 +75,8 @@ def scaled_links(chain, factors):
         return Offset(position=scale(factor, offset.position), rotation=offset.rotation)
 
     joints = tuple(replace(joint, origin=scaled(joint.origin, factors[i])) for i, joint in enumerate(chain.joints))
-    return with_tip(replace(chain, joints=joints), scaled(chain.tip, factors[len(joints)]))
+    tip = replace(chain.tips[0], offset=scaled(chain.tip, factors[len(joints)]))
+    return replace(chain, joints=joints, tips=(tip,))
 
 
 def postures(law) -> list[str]:

@@ -1,9 +1,8 @@
 """`python -m tests.bench.calls`: what a first `ck.solve` of a Panda enters of cnclik: its files and Python calls.
 
-Imports of modules are left out. `--by file` or `--by function` lists where the calls are.
+Imports of modules are left out.
 """
 
-import argparse
 import collections
 import pathlib
 import sys
@@ -43,18 +42,11 @@ def first_solve():
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--by", choices=("room", "file", "function"), default="room")
-    parser.add_argument("--most", type=int, default=60, help="lines that are shown")
-    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         ck.use_cache(folder)
         calls = counted(first_solve)
-    groups = collections.Counter()
-    for (file, name), count in calls.items():
-        groups[{"room": file.split("/")[0], "file": file, "function": f"{file} {name}"}[args.by]] += count
-    for name, count in groups.most_common(args.most):
-        print(f"{count:7,} {name}")
+    for (file, name), count in calls.most_common(60):
+        print(f"{count:7,} {file} {name}")
     print(f"{calls.total():7,} calls in {len({file for file, _ in calls})} files")
 
 

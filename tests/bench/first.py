@@ -61,15 +61,6 @@ COMMANDS = (  # arguments of `cnclik`, run in a folder with arm.urdf
     "stability arm.urdf --draw map",
     "reproduce",
 )
-_CALL = """
-import time, jax, cnclik as ck
-jax.config.update("jax_enable_x64", True)
-ck.use_cache()
-problem = ck.problem.problem_from("arm.urdf", reference="circle")
-law, goal, q0 = problem.law, problem.reference, problem.q0
-CALL
-"""
-CALLS = ("ck.solve(law, goal, q0, 0.01, 400, 'CN')", "ck.step(law, goal, q0, 0.0, 0.01, 'CN')")
 
 
 def run(command, folder, cache) -> tuple:
@@ -122,13 +113,12 @@ def question(peers):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--commands", action="store_true", help="of the command line, and of single calls, instead")
+    parser.add_argument("--commands", action="store_true", help="of the command line instead")
     parser.add_argument("--alone", action="store_true", help="without pink and mink")
     args = parser.parse_args()
     lines = list(question(not args.alone))
     if args.commands:
         lines = [(f"`{line}`", [sys.executable, "-m", "cnclik", *line.split()]) for line in COMMANDS]
-        lines += [(f"`{call}`", [sys.executable, "-c", _CALL.replace("CALL", call)]) for call in CALLS]
     times: dict = {}
     for _ in range(args.rounds):
         for name, command in lines:

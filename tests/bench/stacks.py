@@ -2,7 +2,7 @@
 
 The same step for all: poses of several tips, of the hand positions, weighted, damped, explicit Euler; the C++ is
 compared first, to 1e-9, and the texts of `users` by where their tips end. By CPU time, in one run, in turn; medians.
-`pin`, `cmeel-eigen`, pin-pink, mink, daqp (Placo: see `users`) and example-robot-data are needed; what is not installed
+`pin`, `cmeel-eigen`, pin-pink, mink, daqp and example-robot-data are needed; what is not installed
 is left out. Ten minutes.
 """
 

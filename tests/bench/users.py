@@ -1,8 +1,8 @@
-"""What a user writes for a stack of poses in pink, mink, Placo and cnclik, and how soon and how fast it answers.
+"""What a user writes for a stack of poses in pink, mink and cnclik, and how soon and how fast it answers.
 
 Each text runs in a process of its own, as Python's main module: from a URDF file to joint values after 200 steps. It
 tells when it had answered, what a step takes then, and how far the tips are from their targets. Lines are those of the
-text. PLACO_PYTHON is an interpreter that has Placo, which needs another Pinocchio than pink.
+text.
 """
 
 import json
@@ -61,27 +61,6 @@ for _ in range(N):
     step()
 """
 
-PLACO = """
-import numpy as np, placo
-robot = placo.RobotWrapper(URDF, placo.Flags.ignore_collisions)
-for name, value in START.items():
-    robot.set_joint(name, value)
-robot.update_kinematics()
-solver = placo.KinematicsSolver(robot)
-solver.mask_fbase(BASE == "fixed")
-for tip, target in zip(TIPS, TARGETS):
-    solver.add_frame_task(tip, np.array(target)).configure(tip, "soft", *WEIGHTS)
-solver.add_regularization_task(DAMPING**2)
-solver.dt = TS
-solver.enable_joint_limits(LIMITS)
-solver.enable_velocity_limits(LIMITS)
-def step():
-    solver.solve(True)
-    robot.update_kinematics()
-for _ in range(N):
-    step()
-"""
-
 CNCLIK = """
 import jax, numpy as np, cnclik as ck
 jax.config.update("jax_enable_x64", True)
@@ -103,10 +82,9 @@ for _ in range(N):
 WHERE = {  # of a tip
     "pink": "robot.get_transform_frame_to_world(tip).translation",
     "mink": 'robot.get_transform_frame_to_world(tip, "body").translation()',
-    "Placo": "robot.get_T_world_frame(tip)[:3, 3]",
     "cnclik": "ck.forward(robot, q, tip=tip).position",
 }
-TEXTS = {"cnclik": CNCLIK, "pink": PINK, "mink": MINK, "Placo": PLACO}
+TEXTS = {"cnclik": CNCLIK, "pink": PINK, "mink": MINK}
 _BEFORE = "import json, sys\nglobals().update(json.load(open(sys.argv[1])))\n"
 _AFTER = """
 import json, resource, time
@@ -136,10 +114,7 @@ def lines(name) -> int:
 
 
 def run(name, given, rounds=3) -> Told | None:
-    """A user's text with these values (`Case.given`); None where the library is not installed, or has no such base."""
-    python = os.environ.get("PLACO_PYTHON") if name == "Placo" else sys.executable
-    if python is None or (name, given["BASE"]) == ("Placo", "planar"):
-        return None
+    """A user's text with these values (`Case.given`); None where the library is not installed."""
     firsts, told = [], []
     for _ in range(rounds):
         with tempfile.TemporaryDirectory() as folder:
@@ -152,7 +127,9 @@ def run(name, given, rounds=3) -> Told | None:
                 with open(path, "w", encoding="utf-8") as file:
                     file.write(content)
             for kept in (firsts, told):
-                done = subprocess.run([python, text, values], env=environment(folder), capture_output=True, text=True)
+                done = subprocess.run(
+                    [sys.executable, text, values], env=environment(folder), capture_output=True, text=True
+                )
                 if "ModuleNotFoundError" in done.stderr:
                     return None
                 if done.returncode:

@@ -34,13 +34,8 @@ def test_files_hold_the_run(tmp_path):
         assert data.q.shape == (31, 2) and json.loads(data.attrs["config"])["robot"] == "planar:1,1"
 
 
-def test_a_run_without_figures_leaves_none_of_an_earlier_one(tmp_path, capsys, monkeypatch):
-    """They would be of another result; a file of others in the way is named before the loop is run."""
-    main([*ARM, "--out", str(tmp_path)])
-    (tmp_path / "notes.txt").write_text("theirs")
-    main([*ARM, "--no-figures", "--out", str(tmp_path)])
-    assert {p.name for p in tmp_path.iterdir()} == {writing.LIST, "trajectory.nc", "notes.txt"}
-    (tmp_path / "tip.png").write_text("theirs, too")
+def test_a_file_of_others_in_the_way_is_named_before_the_loop_is_run(tmp_path, capsys, monkeypatch):
+    (tmp_path / "tip.png").write_text("theirs")
     monkeypatch.setattr("cnclik.problem.build.Problem.run", None)
     with pytest.raises(SystemExit) as stopped:
         main([*ARM, "--out", str(tmp_path)])

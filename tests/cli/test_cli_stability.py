@@ -98,7 +98,12 @@ def test_a_robot_adds_its_joints_speeds_and_other_rates(capsys):
     limits = (
         "joint limits: 10 1/s (z = 0.1), overshoots with one more sample of dead time: recommended up to 8.192 1/s."
     )
-    assert limits in shown(capsys, "ur5", *drive, *held)
+    said = shown(capsys, "ur5", *drive, *held)
+    assert limits in said
+    main(["stability", "ur5", *map(str, (*drive, *held)), "--json"])
+    facts = json.loads(capsys.readouterr().out)["robot"]
+    assert f"{100 * facts['share_of_its_velocity_limit']:.3g} % of joint {facts['joint']}'s" in said
+    assert [rate["answer"] in said for rate in facts["rates"]] == [True, True]
 
 
 # --- figures ------------------------------------------------------------------------------------------
@@ -130,19 +135,14 @@ def test_map_of_loops_through_drives_agrees_with_the_limit(tmp_path, capsys, mon
     beyond = data.alpha / data.limit
     assert (data.ending.where(beyond > 1.1, 3) == 3).all() and (data.ending.where(beyond < 0.9, 0) < 2).all()
     assert (beyond > 1.1).any() and (beyond < 0.9).any() and "100 loops" in capsys.readouterr().out
-
-
-def test_map_of_an_implicit_method(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cnclik.cli.stability.CELLS", 8)
-    loops = ["stability", "planar:1,1", "--method", "IE", "--draw", "map", "--Ts", "0.1"]
-    main([*loops, "--out", str(tmp_path)])
-    data = opened(tmp_path, "map.nc")
-    np.testing.assert_allclose(data.limit, 1 / data.Ts, rtol=1e-6)  # picard(5)
     assert '"robot": "planar:1,1"' in data.attrs["config"]
+
+
+def test_a_figure_of_others_in_the_way_is_named_before_the_work(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("cnclik.stability.maps.stability_map", None)
     (tmp_path / "map.png").write_text("theirs")
-    with pytest.raises(SystemExit):  # said before the work
-        main([*loops, "--out", str(tmp_path)])
+    with pytest.raises(SystemExit):
+        main(["stability", "planar:1,1", "--draw", "map", "--out", str(tmp_path)])
     assert "map.png there is not cnclik's own" in capsys.readouterr().err
 
 

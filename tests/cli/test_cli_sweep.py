@@ -90,13 +90,6 @@ def test_check_says_what_would_run_and_writes_nothing(path, capsys, tmp_path, mo
     assert not list(tmp_path.iterdir())
 
 
-def test_results_go_to_a_folder_of_the_specs_name(path, folder, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(folder / "data.zarr", tmp_path / "sweep-tiny/data.zarr")
-    main(["sweep", str(path), "--no-figures"])  # finished already
-    assert (tmp_path / "sweep-tiny/summary.csv").exists() and "sweep-tiny/data.zarr" in capsys.readouterr().out
-
-
 @pytest.fixture
 def other(tmp_path):
     """The same spec with two figures of its own: other figures are no other data."""
@@ -119,13 +112,6 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
     assert "summary.csv" in out
 
 
-def test_a_title_that_cannot_be_set_shows_when_it_is_written(other, copy, capsys):
-    other.write_text(TEXT + FIGURES.replace('name = "at5"', 'name = "at5"\ntitle = "$\\\\frac$"'))
-    code, _, err = left(["sweep", other, "--out", copy], capsys)
-    assert code == 1 and err.count("\n") == 1 and "Not drawn: at5.png (" in err
-    assert (copy / "heat_final_error.png").exists() and not (copy / "at5.png").exists()
-
-
 def test_a_damaged_block_is_computed_again_and_figures_drawn_in_another_format(other, copy, capsys):
     next(p for p in (copy / "data.zarr/final_error/c").rglob("*") if p.is_file()).unlink()
     main(["sweep", str(other), "--out", str(copy), "--format", "svg"])
@@ -133,26 +119,14 @@ def test_a_damaged_block_is_computed_again_and_figures_drawn_in_another_format(o
     assert "<svg" in (copy / "heat_final_error.svg").read_text()
 
 
-def test_a_figure_of_others_in_the_way_stays_and_costs_no_data(other, copy, capsys):
+def test_what_others_put_into_the_folder_stays(other, copy, capsys):
+    """Without --overwrite; a figure in the way costs no data."""
     (copy / "at5.png").write_text("mine")
     code, _, said = left(["sweep", other, "--out", copy], capsys)
     assert code == 2 and "at5.png there is not cnclik's own" in said and (copy / "at5.png").read_text() == "mine"
-    assert store.blocks_missing(copy) == 0 and (copy / "summary.csv").exists()
-
-
-def test_the_folder_of_the_spec_takes_the_results_and_what_others_put_there_stays(path, folder, tmp_path, capsys):
-    """Without --overwrite; a file of the user's with the name of a result is not replaced, before or after a sweep."""
-    spec = tmp_path / "spec.toml"
-    spec.write_text(TEXT)
-    shutil.copytree(folder / "data.zarr", tmp_path / "data.zarr")
-    line = ["sweep", str(spec), "--out", str(tmp_path), "--no-figures"]
-    main(line)
-    main(line)
-    assert spec.read_text() == TEXT
-    (tmp_path / "summary.csv").write_text("mine")
-    code, _, said = left(line, capsys)
+    assert store.blocks_missing(copy) == 0
+    (copy / "summary.csv").write_text("mine")
+    code, _, said = left(["sweep", other, "--out", copy, "--no-figures"], capsys)
     assert code == 2 and "summary.csv there is not cnclik's own" in said
-    assert (tmp_path / "summary.csv").read_text() == "mine"
-    (tmp_path / "notes.txt").write_text("mine")
-    main([*line, "--overwrite"])
-    assert (tmp_path / "summary.csv").read_text() != "mine" and (tmp_path / "notes.txt").read_text() == "mine"
+    main(["sweep", str(other), "--out", str(copy), "--no-figures", "--overwrite"])
+    assert (copy / "summary.csv").read_text() != "mine" and (copy / "at5.png").read_text() == "mine"

@@ -29,17 +29,10 @@ def test_lines_without_a_terminal(capsys, monkeypatch):
     assert capsys.readouterr().err.splitlines() == ["100 of 400 loops, EE", "300 of 400 loops"]
 
 
-def test_quiet_is_silent(capsys, monkeypatch):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress.bar("loops", quiet=True) as report:
-        report(1, 2)
-    assert capsys.readouterr().err == ""
-
-
 def test_a_terminal_gets_a_bar(capsys, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress.bar("loops", total=3) as report:
+    with progress.bar("loops") as report:
         report(0, 3)
         report(2, 3, "[EE]")
     out, err = capsys.readouterr()

@@ -116,22 +116,3 @@ def test_a_platform_that_is_not_there():
     found = subprocess.run(words, capture_output=True, text=True, env=env)
     assert found.returncode == 2 and found.stderr.startswith("cnclik: Argument `JAX_PLATFORMS` must name a platform")
     assert found.stderr.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_windows_that_matplotlib_does_not_know(tmp_path):
-    """Figures go to files, whatever else would draw them."""
-    words = [sys.executable, "-m", "cnclik", "solve", "planar:1,1", "--N", "3", "--out", str(tmp_path)]
-    found = subprocess.run(words, capture_output=True, text=True, env=os.environ | {"MPLBACKEND": "foo"})
-    assert (found.returncode, found.stderr) == (0, "")
-    assert {"overview.png", "trajectory.nc"} <= {p.name for p in tmp_path.iterdir()}
-
-
-def test_algebra_of_small_matrices_takes_one_thread():
-    """Two threads take five times the CPU time of one for a humanoid's advice."""
-    code = "import os, sys; sys.argv = ['cnclik', '-V']; from cnclik.cli import main; main(); print(os.environ[NAME])"
-    code = code.replace("NAME", "'OPENBLAS_NUM_THREADS'")
-    env = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
-    for given, kept in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
-        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env | given)
-        assert found.stdout.split()[-1] == kept

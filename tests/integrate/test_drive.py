@@ -87,9 +87,9 @@ def with_drive(drive):
 test_what_is_no_drive_is_refused = refusals(
     (lambda: Drive(delay=-1), "`delay` must be at least 0, but is -1"),
     (lambda: Drive(delay=101.5), "`delay` must be at most 101 samples"),
-    (lambda: Drive(delay="34ms"), r"`delay` must be a number of samples, but is '34ms': write 0.034/Ts"),
+    (lambda: Drive(delay="34ms"), r"`delay` must be a number of samples, but is '34ms'"),
     (lambda: Drive(delay="soon"), "but is 'soon'"),
-    (lambda: Drive(lag="20ms"), "`lag` must be an array of real numbers, but is '20ms': write 0.02"),
+    (lambda: Drive(lag="20ms"), "`lag` must be an array of real numbers, but is '20ms'"),
     (lambda: Drive(delay=150, measurement_delay=60), "a measurement included, but is 210"),
     (lambda: Drive(delay=jnp.nan), "`delay` must be finite"),
     (lambda: Drive(lag=0.1, natural_frequency=3.0), "`natural_frequency` must be left out where there is a lag"),

@@ -23,7 +23,7 @@ def test_it_agrees_with_outcome_over_z_and_starts():
         law, q0, target = ck.replace(LAW, alpha=z), REST + far * np.array([1.0, -0.7]), ck.hold((x, home[1], 0.0))
         run = ck.solve(law, target, q0, 1.0, 40, "EE")
         found = metrics.measure_run(run, law, target, ["ending", "stable"])
-        return found.ending, found.stable, outcome(law, target, q0, 1.0, 40, "EE")
+        return found["ending"], found["stable"], outcome(law, target, q0, 1.0, 40, "EE")
 
     with ck.use_engine("plain"):  # one rounding for both: some of these loops are chaotic
         stored, stable, running = jax.tree.map(np.asarray, jax.jit(jax.vmap(both))(z, far, x))
@@ -63,4 +63,4 @@ def test_every_ending(sizes, singular, swings, code):
 def test_a_run_without_an_error_has_no_ending():
     run = ck.solve(LAW, ck.hold([1.0, 1.0]), REST, 1.0, 40, "EE")
     found = metrics.measure_run(ck.replace(run, e=0 * run.e), LAW, ck.hold([1.0, 1.0]), ["ending"])
-    assert np.isnan(found.ending)
+    assert np.isnan(found["ending"])

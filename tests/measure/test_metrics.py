@@ -35,13 +35,12 @@ def test_every_scalar_metric_is_what_numpy_makes_of_the_trajectory():
     for name, value in found.items():
         np.testing.assert_allclose(value, wanted[name], rtol=1e-9, atol=1e-12, err_msg=name)
     assert found.units["final_error"] == "m, rad" and found.units["max_qdot"] == "rad/s"
-    assert found.final_error == found["final_error"] and "rad/s²" in repr(found)
     with jax.enable_x64(False):
         found = measured()
     for name, value in found.items():
         assert value.dtype in (np.float32, np.int32), name
         unit = found.units[name]
-        atol = 1e-5 / 0.1**2 if "/s²" in unit else 2e-5 if "/s" in unit else 3e-6  # roundings over Ts, Ts²
+        atol = 2e-5 if "/s" in unit else 3e-6  # roundings over Ts
         np.testing.assert_allclose(value, wanted[name], rtol=2e-5, atol=atol, err_msg=name)
 
 
@@ -56,18 +55,16 @@ RUN = ck.solve(LAW, GOAL, jnp.array([0.2, 0.9]), 0.1, 3)
 
 
 def test_a_start_inside_the_tolerance():
-    names = ["steps_to_tolerance", "settling_time", "converged", "rate"]
-    found = measure_run(ck.replace(RUN, e=0 * RUN.e), LAW, GOAL, names)
-    np.testing.assert_array_equal([*found.values()], [0, 0, 1, np.nan])
+    found = measure_run(ck.replace(RUN, e=0 * RUN.e), LAW, GOAL, ["steps_to_tolerance", "converged"])
+    assert [*found.values()] == [0, 1]
 
 
 def test_a_loop_that_never_arrives_or_is_not_finite_is_infinite_never_small():
     broken = ck.replace(RUN, e=RUN.e.at[2].set(jnp.nan), q=RUN.q.at[2].set(jnp.nan), qdot=RUN.qdot.at[1].set(jnp.inf))
-    names = ["mean_error", "rms_error", "max_error", "steps_to_tolerance", "settling_time", "max_qdot", "path_length"]
-    found = measure_run(broken, LAW, GOAL, [*names, "past_limit", "converged"])
-    assert [*found.values()] == [np.inf] * 8 + [0]
-    found = measure_run(ck.replace(RUN, e=jnp.full_like(RUN.e, jnp.nan)), LAW, GOAL, ["rate", "stable"])
-    assert [*found.values()] == [np.inf, 0.0]
+    names = ["mean_error", "rms_error", "max_error", "steps_to_tolerance", "max_qdot", "past_limit"]
+    found = measure_run(broken, LAW, GOAL, [*names, "converged"])
+    assert [*found.values()] == [np.inf] * 6 + [0]
+    assert measure_run(ck.replace(RUN, e=jnp.full_like(RUN.e, jnp.nan)), LAW, GOAL, ["stable"])["stable"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -87,8 +84,8 @@ def test_what_was_not_run_is_refused(changes, words):
         measure_run(**({"run": RUN, "law": LAW, "reference": GOAL} | changes))
 
 
-LOSSES = ["final_error", "mean_error", "rms_error", "max_error", "rms_along", "rms_across", "rate", "max_qdot"]
-LOSSES += ["rms_qddot", "path_length", "least_singular_value"]
+LOSSES = ["final_error", "mean_error", "rms_error", "max_error", "rms_along", "rms_across", "max_qdot"]
+LOSSES += ["least_singular_value"]
 
 
 def test_derivatives_of_losses_are_those_of_differences_and_finite_without_an_error():
@@ -102,12 +99,12 @@ def test_derivatives_of_losses_are_those_of_differences_and_finite_without_an_er
     above, below = (derivatives(4.0 + side, Q0, START, END, HALF)[1] for side in (h, -h))
     difference = (above - below) / (2 * h)
     np.testing.assert_allclose(slope, difference, rtol=1e-6, atol=1e-8)
-    assert np.count_nonzero(np.abs(difference) > 1e-9) >= 9  # else nothing was tested
+    assert np.count_nonzero(np.abs(difference) > 1e-9) >= 6  # else nothing was tested
     here = np.array([2.3, 0.0])  # of the stretched arm, which is singular and at rest
     with np.errstate(all="ignore"):
         (_, slopes), values = derivatives(4.0, np.zeros(3), here, here, np.array([1.0, 0, 0, 0]))
     assert values[0] == 0
-    assert np.all(np.isfinite(np.delete(slopes, LOSSES.index("rate"), axis=0))), slopes
+    assert np.all(np.isfinite(slopes)), slopes
 
 
 def test_chatter_counts_what_is_reversed():

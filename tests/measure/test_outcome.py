@@ -49,19 +49,14 @@ def test_endings_are_told_apart():
     assert made.steps[2] <= 3 < made.steps[1] <= 11
 
 
-def test_a_bounded_wrong_loop_is_not_converged_however_large_its_start_was():
-    """Just beyond the boundary EE wanders within its reach, always below a scale of 10 m.
-
-    Where it ends is chaotic, and so differs between processors; that it neither arrives nor reaches 10 m is not.
-    """
-    rng = np.random.default_rng(3)
-    starts = START + rng.uniform(-0.3, 0.3, (64, 2))
+def test_a_bounded_wrong_loop_is_not_converged():
+    """Just beyond the boundary EE wanders within its reach. Where it ends is chaotic, and so differs between
+    processors; that it does not arrive is not."""
+    starts = START + np.random.default_rng(3).uniform(-0.3, 0.3, (64, 2))
     law = ck.replace(LAW, alpha=2.1)
-    made = ck.lanes(lambda q0: outcome(law, TARGET, q0, 1.0, 120, "EE", scale=10.0))(starts)
+    made = ck.lanes(lambda q0: outcome(law, TARGET, q0, 1.0, 120, "EE"))(starts)
     made = jax.tree.map(np.asarray, made)
     assert not stable(made.ending).any() and np.median(made.final) > 1.0 and made.final.max() < 10.0
-    assert set(made.ending) <= {Ending.NEAR_SINGULAR, Ending.STALLED}  # never DIVERGED: below the scale
-    assert np.sum(made.ending == Ending.STALLED) > 5  # of 64; 20 to 30, as the processor has it
 
 
 @pytest.mark.parametrize(

@@ -36,12 +36,6 @@ def test_columns_have_names_in_any_order_or_their_order_without(tmp_path):
     np.testing.assert_array_equal(table, [[0.0, np.nan, 1.5], [1.0, np.nan, np.nan]])
 
 
-def test_columns_of_one_of_several_tips(tmp_path):
-    file = written(tmp_path / "f.csv", "left.x,left.y,left.z,right.z,right.y,right.x", [*P.T, *P.T[::-1]])
-    for tip in ("left", "right"):
-        np.testing.assert_array_equal(read_points("TARGETS", file, position(), tip=tip)[1], P)
-
-
 @pytest.mark.parametrize(
     ("head", "told"),
     [

@@ -59,9 +59,7 @@ def test_every_kind_is_a_figure_around_numbers_that_are_not_finite(kind, panels,
     assert (tmp_path / "one.png").stat().st_size > 5000
 
 
-@pytest.mark.parametrize(
-    "swing, drawn", [((0.1, -0.1), []), ((0.4, -0.1), [1.0]), ((0.1, -0.7), [-1.0]), ((1.0, -1.05), [-1.0, 1.0])]
-)
+@pytest.mark.parametrize("swing, drawn", [((0.1, -0.1), []), ((0.1, -0.7), [-1.0]), ((1.0, -1.05), [-1.0, 1.0])])
 def test_velocity_limits_on_each_side_that_comes_near(swing, drawn):
     speed = pictures.plot(run(np.resize(swing, N)), LAW).axes[2]
     assert limits(speed) == drawn and "over its limit" in speed.get_ylabel()
@@ -86,7 +84,7 @@ def test_the_tips_path_is_that_of_the_joints_and_ends_at_its_target():
 def test_status_has_a_row_for_every_bit():
     status = np.zeros(N, int)
     status[3:6] = BITS[0].value
-    status[5:] |= BITS[-1].value  # a run that is lost is red
+    status[5:] |= BITS[-1].value
     panel = pictures.plot(run(status=status), LAW).axes[3]
     assert [t.get_text() for t in panel.get_yticklabels()] == [b.name.replace("_", " ").lower() for b in BITS]
     bars = [[box.get_extents() for box in row.get_paths()] for row in panel.collections]

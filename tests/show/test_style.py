@@ -25,39 +25,31 @@ def test_every_method_has_a_line_of_its_own():
     assert style.line("EXP-EE")["markerfacecolor"] != style.line("EE")["markerfacecolor"]
 
 
-@pytest.mark.parametrize(
-    "projection",
-    [  # Viénot, Brettel & Mollon (1999), linear RGB as a person without L, or without M cones sees it
-        [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]],
-        [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
-    ],
-)
-def test_the_papers_methods_differ_for_the_colour_blind(projection):
-    seen = {m: np.array(projection) @ (np.array(to_rgb(style.METHODS[m].color)) ** 2.2) for m in ("EE", "IE", "CN")}
-    for one, other in itertools.combinations(seen.values(), 2):
-        assert np.linalg.norm(one - other) > 0.15
+def test_the_papers_methods_differ_for_the_colour_blind():
+    """Viénot, Brettel & Mollon (1999): linear RGB as a person without L, or without M cones sees it."""
+    without_L = [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]]
+    without_M = [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]]
+    for seen in (without_L, without_M):
+        colors = [np.array(seen) @ (np.array(to_rgb(style.METHODS[m].color)) ** 2.2) for m in ("EE", "IE", "CN")]
+        for one, other in itertools.combinations(colors, 2):
+            assert np.linalg.norm(one - other) > 0.15
 
 
 @pytest.mark.parametrize("form", ["png", "pdf", "svg"])
-def test_saved_figures_are_reproducible_drawn_once_and_those_of_savefig(tmp_path, form):
-    files = [tmp_path / f"{name}.{form}" for name in ("a", "b", "c")]
-    drawn = []
+def test_saved_figures_are_reproducible_and_those_of_savefig(tmp_path, form):
+    files = [tmp_path / f"{name}.{form}" for name in ("a", "b")]
     for file in files:
         with style.style():
-            figure, panels = plt.subplots(2, 1, sharex=True, figsize=(style.COLUMN, 3.0))
-            for panel in panels:
-                panel.plot(np.linspace(0, 7, 50), np.sin(np.linspace(0, 7, 50)), **style.line("CN"))
-            style.legend(figure, panels[0])
-            if file == files[2] and form == "png":
+            figure, panel = plt.subplots(figsize=(style.COLUMN, 2.0))
+            panel.plot(np.linspace(0, 7, 50), np.sin(np.linspace(0, 7, 50)), **style.line("CN"))
+            style.legend(figure, panel)
+            if file == files[1] and form == "png":
                 figure.savefig(file, metadata={"Software": "cnclik", "Title": "t"}, dpi=style.DPI)
-                continue
-            panel.draw = lambda renderer, draw=panel.draw: (drawn.append(1), draw(renderer))
-            style.save(figure, file, {"Title": "t"})
+            else:
+                style.save(figure, file, {"Title": "t"})
     assert b"<dc:date>" not in files[0].read_bytes()
-    if form != "svg":
-        assert files[0].read_bytes() == files[1].read_bytes()
+    assert form == "svg" or files[0].read_bytes() == files[1].read_bytes()
     if form == "png":
-        assert len(drawn) == 2 and files[0].read_bytes() == files[2].read_bytes()
         with Image.open(files[0]) as image:
             assert image.text == {"Title": "t", "Software": "cnclik"}
     plt.close("all")
@@ -95,6 +87,13 @@ def test_a_logarithmic_axis_of_few_decades_has_plain_numbers(values, labels):
     assert panel.get_xscale() == ("log" if labels else "linear")
     assert labels is None or set(labels) <= set(shown), shown
     plt.close(figure)
+
+
+def test_geometric_axes():
+    for values in (np.geomspace(1e-3, 2, 9), [0.1, 0.2, 0.5, 1, 2, 5, 50], [1, 2, 4]):
+        assert style.geometric(values)
+    for values in (np.linspace(1, 2, 9), [1, 2], ["a", "b", "c"], [2, 2, 2], [0.0, 1.0, 2.0], range(1, 101)):
+        assert not style.geometric(values)
 
 
 def test_errors_at_rounding_stretch_no_axis_and_the_largest_is_below_its_top():

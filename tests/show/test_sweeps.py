@@ -1,8 +1,6 @@
 """Figures of sweeps, on synthetic data: what goes where, where the theory's boundary is, and one of each kind."""
 
-import copy
 import itertools
-import json
 
 import numpy as np
 import pytest
@@ -48,8 +46,8 @@ WORK = {"kind": "slices", "x": "evaluations", "select": {"alpha": 5.0}}
 def drawn(found, table):
     """The one figure of a table."""
     with style.style():
-        (figure,) = sweeps.figures(found, [table]).values()
-    return figure
+        (draw,) = sweeps.drawings(found, [table]).values()
+        return draw()
 
 
 # --- what goes where ----------------------------------------------------------------------------------
@@ -61,14 +59,8 @@ STARTS = {"method": METHODS, "q0": np.arange(20), "alpha": np.linspace(1, 9, 5),
 @pytest.mark.parametrize(
     ("axes", "table", "places"),
     [
-        (
-            STAGES,
-            {"kind": "heat"},
-            {"value": "max_error", "x": "alpha", "y": "Ts", "panels": "stage", "rows": "method"},
-        ),
-        (STAGES, {"kind": "heat"}, {"middle": ("case",)}),
-        (STAGES, {"kind": "slices"}, {"x": "alpha", "lines": "stage", "panels": "method", "rows": "case"}),
-        (STAGES, {"kind": "slices"}, {"middle": ("Ts",)}),  # too long for a panel each
+        (STAGES, {"kind": "heat"}, {"x": "alpha", "y": "Ts", "panels": "stage", "rows": "method", "middle": ("case",)}),
+        (STAGES, {"kind": "slices"}, {"lines": "stage", "panels": "method", "rows": "case", "middle": ("Ts",)}),
         (STAGES, {"kind": "best"}, {"panels": "stage", "rows": "case"}),
         (STAGES, {"kind": "slices", "x": "evaluations"}, {"over": "Ts", "lines": "stage", "panels": "method"}),
         (STARTS, {"kind": "heat", "reduce": "min"}, {"reduced": ("q0",)}),
@@ -94,17 +86,12 @@ def test_samples_are_summed_up():
 
 def test_selections_and_middles():
     found = data(case=["a", "b"], M=np.arange(3), **PLANE, limit=False)
-    table = {"kind": "heat", "panels": "method", "select": {"case": "b", "M": 1}}
-    before = copy.deepcopy(table)
-    shown = view(found, arrange(found, table))
-    assert table == before and str(shown.case.values) == "b" and int(shown.M) == 1
+    shown = view(found, arrange(found, {"kind": "heat", "panels": "method", "select": {"case": "b", "M": 1}}))
+    assert str(shown.case.values) == "b" and int(shown.M) == 1
     found = data(**PLANE)
     shown = view(found, arrange(found, {"kind": "slices", "x": "Ts", "select": {"alpha": 4.9}}))
     assert float(shown.alpha) == found.alpha.values[np.argmin(abs(found.alpha.values - 4.9))]
     assert drawn(found, {"kind": "slices", "x": "Ts"}).get_suptitle() == "α = 7.479 1/s"  # the middle of twelve
-    found = data(z=np.linspace(0.1, 0.7, 3), Ts=[0.1, 0.2])  # linspace ends at 0.7 − 1e-16, or 0.7 + 1e-16
-    for end in (np.nextafter(0.7, 9), np.nextafter(0.7, -9), 0.1):
-        arrange(found, {"kind": "slices", "x": "Ts", "select": {"z": float(end)}})
 
 
 @pytest.mark.parametrize(
@@ -132,10 +119,9 @@ def test_defaults_follow_from_the_grid():
     assert kinds == [("heat", "alpha"), ("best", "alpha"), ("slices", "evaluations")]
     line = data(M=np.arange(3), alpha=np.linspace(1, 2, 4)).drop_vars("evaluations")
     assert [(t["kind"], t["x"], t["y"]) for t in defaults(line)] == [("heat", "alpha", "M")]
-    found = data(**PLANE).assign_attrs(spec=json.dumps({"figures": [{"kind": "heat"}, {"kind": "heat", "log": True}]}))
-    assert list(sweeps.drawings(found)) == ["heat_max_error", "heat_max_error_2"]
-    assert list(sweeps.drawings(found, [{"kind": "heat", "name": "mine"}])) == ["mine"]
-    assert "best_max_error" in sweeps.drawings(found.assign_attrs(spec=json.dumps({"figures": []})))
+    tables = [{"kind": "heat"}, {"kind": "heat", "log": True}, {"kind": "heat", "name": "mine"}]
+    assert list(sweeps.drawings(data(**PLANE), tables)) == ["heat_max_error", "heat_max_error_2", "mine"]
+    assert "best_max_error" in sweeps.drawings(data(**PLANE), [])
 
 
 WIDE, NARROW = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
@@ -156,13 +142,6 @@ WIDE, NARROW = np.geomspace(1e-14, 1, 100), np.linspace(1, 2, 50)
 def test_scales_follow_the_values(values, look, logarithmic, ends):
     found = sweeps.norm(values, arrange(data(**PLANE), {"kind": "heat"} | look))
     assert isinstance(found, colors.LogNorm) == logarithmic and (found.vmin, found.vmax) == ends
-
-
-def test_geometric_axes():
-    for values in (np.geomspace(1e-3, 2, 9), [0.1, 0.2, 0.5, 1, 2, 5, 50], [1, 2, 4]):
-        assert style.geometric(values)
-    for values in (np.linspace(1, 2, 9), [1, 2], ["a", "b", "c"], [2, 2, 2], [0.0, 1.0, 2.0], range(1, 101)):
-        assert not style.geometric(values)
 
 
 # --- the theory's boundary ----------------------------------------------------------------------------
@@ -223,9 +202,8 @@ def test_each_kind_is_drawn_with_units(table, x, y):
     assert (axes.get_ylabel(), figure.axes[-2 if table["kind"] == "heat" else -1].get_xlabel()) == (y, x)
     words = " ".join(t.get_text() for legend in figure.legends for t in legend.get_texts())
     assert table["kind"] == "heat" or words == "EE IE CN"
-    for dtype in (bool, int):  # counts and verdicts
-        found["ok"] = (found.max_error < 0.5).astype(dtype)
-        assert drawn(found, table | {"value": "ok"})
+    found["ok"] = found.max_error < 0.5  # a verdict
+    assert drawn(found, table | {"value": "ok"})
 
 
 def test_curves_hold_the_datas_numbers():

@@ -231,7 +231,7 @@ def until_traced():
             raise Reached
 
     jax.monitoring.register_scalar_listener(begun)
-    names = ("cnclik.show.output.draw", "cnclik.show.viewer._server", "cnclik.sweeps.program.fit")
+    names = ("cnclik.show.output.draw", "cnclik.show.viewer.has_viser", "cnclik.sweeps.program.fit")
     try:
         with contextlib.ExitStack() as stack:
             for name in names:
@@ -256,7 +256,7 @@ CALLS = (  # a call and arguments that it takes
     (ck.Drive, {"delay": 2, "lag": 0.05, "smoothing": 0.1, "command": "position", "feedback": "measured"}),
     (ck.gains, {"Ts": 0.01, "drive": None, "method": "EE"}),
     (ck.posture, {"rest": [0.1, 0.2], "rate": 1.0}),
-    (lambda names, damping: ck.levels(*names, damping=damping), {"names": [["a"]], "damping": [0.1]}),
+    (lambda names, damping: ck.levels(names, damping=damping), {"names": ["a"], "damping": [0.1]}),
     (
         lambda **k: ck.Law(ck.planar_arm([1.0, 1.0]), ck.position("xy"), **k),
         {"alpha": 5.0, "error_clamp": (0.1, 0.3), "limits": None},

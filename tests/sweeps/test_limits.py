@@ -11,7 +11,6 @@ from cnclik.integrate.drive import Drive
 from cnclik.stability import gains
 from cnclik.stability.linear import stability_limit
 from cnclik.sweeps import run_spec
-from cnclik.sweeps.labels import coordinates_of
 from cnclik.sweeps.spec import parse
 from tests.specs import reaching
 
@@ -40,7 +39,7 @@ def limit(fixed=(), drop=(), **axes):
     for name in drop:
         written["axes"].pop(name)
     found = parse(written)
-    found = coordinates_of(found, found.grid()).get("limit")
+    found = found.coordinates(found.grid()).get("limit")
     return found and found[:2]
 
 

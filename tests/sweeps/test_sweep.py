@@ -12,8 +12,9 @@ import xarray
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import measure_run
-from cnclik.sweeps import grid as grids
 from cnclik.sweeps import program as programs
+from cnclik.sweeps.axes import axis
+from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.sweep import sweep
 from tests import plain
 
@@ -64,9 +65,9 @@ def cheap(alpha, Ts=1.0):
 
 
 def test_coordinates_units_and_configuration_are_labelled():
-    found = sweep(cheap, units={"history": "m"}, alpha=[1.0, 2.0], Ts=np.array([0.1, 0.2, 0.3]))
+    found = sweep(cheap, alpha=[1.0, 2.0], Ts=np.array([0.1, 0.2, 0.3]))
     assert dict(found.sizes) == {"alpha": 2, "Ts": 3, "history_0": 3}
-    units = {"alpha": "1/s", "Ts": "s", "history": "m", "z": "1"}
+    units = {"alpha": "1/s", "Ts": "s", "history": "", "z": "1"}
     assert {name: variable.attrs["units"] for name, variable in found.variables.items()} == units
     assert float(found.z.sel(alpha=2.0, Ts=0.3)) == pytest.approx(0.6, rel=1e-15)
     assert found.attrs["jax"] == jax.__version__
@@ -122,8 +123,9 @@ def test_the_float64_answer_whatever_the_default():
 
 
 def test_blocks_tile_any_grid_once_and_have_one_shape():
+    axes = {"a": np.arange(5.0), "m": {1: 1, 2: 2}, "b": np.arange(3.0), "c": np.arange(4.0)}
     for lanes in (1, 4, 7, 1000):
-        of = grids.grid({"a": np.arange(5.0), "m": {1: 1, 2: 2}, "b": np.arange(3.0), "c": np.arange(4.0)}, lanes)
+        of = Grid(tuple(axis(*each) for each in axes.items()), lanes)
         assert np.prod(of.block) <= max(lanes, 1)
         seen = np.zeros(of.shape, int)
         for block in of.blocks():
@@ -136,16 +138,16 @@ def test_blocks_tile_any_grid_once_and_have_one_shape():
 
 
 def test_a_block_that_needs_too_much_memory_is_cut():
-    grid = grids.grid({"alpha": np.arange(4096.0)})
-    of, program = programs.fit(lambda alpha: {"long": jnp.sin(alpha + jnp.arange(1000.0))}, grid, memory=2**22)
-    assert program.memory <= 2**22 and 1 < of.lanes < 4096
+    grid = Grid((axis("alpha", np.arange(4096.0)),), 4096)
+    of, program = programs.fit(lambda alpha: {"long": jnp.sin(alpha + jnp.arange(20.0))}, grid, memory=2**17)
+    assert program.memory <= 2**17 and 1 < of.lanes < 4096
 
 
 @pytest.mark.parametrize(
     ("study", "axes", "words"),
     [
         (3, {"alpha": [1.0]}, "be a function"),
-        (cheap, {}, "name at least one axis"),
+        (cheap, {}, "hold at least one axis"),
         (cheap, {"alpha": 3.0}, "Argument `alpha` must be an axis"),
         (cheap, {"alpha": []}, "hold at least one value, but is empty"),
         (cheap, {"alpha": [1.0, np.nan]}, "hold finite values"),

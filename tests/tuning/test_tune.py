@@ -118,11 +118,6 @@ def test_a_loop_without_an_error_keeps_its_gain():
     assert found.status == "nothing" and found.values["alpha"] == pytest.approx(2.0) and found.satisfied
 
 
-def test_runs_that_are_not_finite_are_told():
-    found = at(loss=lambda run: jnp.nan * run.e[1, 0])
-    assert found.status == "non-finite" and not found.satisfied
-
-
 def test_the_loss_is_the_mean_over_paths_and_starts():
     paths, starts = [LINE, NEAR], np.array([Q0, Q0 + 0.01])
     both = at(paths, q0=starts, steps=4)
@@ -160,8 +155,6 @@ def test_a_stack_is_tuned_for_its_hands_and_a_gain_above_is_named():
     assert found.losses == pytest.approx(hand, rel=1e-6)
     assert f"RMS error of hand: {hand[0]:.4g} -> {hand[1]:.4g}\n" in str(found)
     assert found.advice.above == ("rest",) and "Above the recommended gain: rest." in found.why
-    named = at(aims, STACK, REST, Ts=0.02, drive=ck.Drive(delay=1), over=("alpha", "rest.alpha"))
-    assert max(named.values.values()) <= named.advice.gains.recommended and not named.advice.above
 
 
 # --- constraints --------------------------------------------------------------------------------------
@@ -178,9 +171,10 @@ def test_joint_velocity_limit_binds_and_is_kept():
     assert held.values["alpha"] < free.values["alpha"] and "% of the limit" in str(held)
 
 
-def test_a_path_that_no_gain_makes_slow_enough_is_told():
+def test_a_path_that_no_gain_makes_slow_enough_and_runs_that_are_not_finite_are_told():
     found = at(velocity_limit=0.05)
     assert found.status == "infeasible" and not found.satisfied and found.speeds[1] > 5
+    assert at(loss=lambda run: jnp.nan * run.e[1, 0]).status == "non-finite"
 
 
 RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command="position", feedback="rebased")
