@@ -10,7 +10,7 @@ from cnclik.diagnosis.loop import EVIDENCE, SURELY
 from cnclik.diagnosis.recording import LEAST, columns
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
-from cnclik.record import ArrayLike, Float, record, replace
+from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
 RINGING, SUSTAINED, GROWING = OSCILLATIONS = "ringing", "sustained oscillation", "growing oscillation"
@@ -28,8 +28,7 @@ SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY, UNREST = 0.1, 0.2  # unrest of a sustained oscillation, at most; beyond that of one that grows as a mode does
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
-WIDE, CLIPPED = 2.25, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
-LONG = 30  # samples of dead time, beyond which a sample more or less counts little
+WIDE, CLIPPED = 2.1, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
@@ -95,8 +94,8 @@ class Diagnosis:
 def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | None = None) -> Diagnosis:
     """Diagnose a log: whether its loop swings or grows, why, and the gain that stops it.
 
-    The log may start at rest, have an offset, drift, follow a slow path and be noisy. Several columns, such as several
-    joints, belong to one loop. The log needs a row for each sample of the loop.
+    The log has a row for each sample of the loop. It may start at rest, have an offset, drift, follow a slow path and
+    be noisy. Several columns, such as several joints, belong to one loop.
 
     Args:
       signal: (N,) or (N, k): joint values, errors, or commanded steps. Two, three or six columns may be coordinates.
@@ -176,10 +175,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.dead is not None)
     if drives.wide > WIDE if alpha is None else alpha > CLIPPED * drives.most:
         return {"kind": UNDECIDED, "note": OPEN}
-    # Long dead times are computed at a larger Ts, which takes less time.
-    n = max(1, int(drives.middle.delay // LONG))
-    middle = replace(drives.middle, delay=(drives.middle.delay + 0.5) / n - 0.5)
-    best, off = gains(Ts=n * Ts, drive=middle, method="EE").recommended, drives.off > NEAR
+    best, off = gains(Ts=Ts, drive=drives.middle, method="EE").recommended, drives.off > NEAR
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
         note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
         return {"kind": CALM, "note": note}

@@ -166,7 +166,8 @@ class Search:
         while len(ids) and (k := block.shape[1]) < ROUND:
             one, part = len(ids) * (ROUND - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
             order = np.arange(k, k + 1 if one else ROUND)
-            tries = self.tried(part, self.stages[0].terms, *beginnings(order, part.inside), order, PLAIN)
+            given, away = beginnings(order, part.inside)
+            tries = self.tried(part, self.stages[0].terms, given, away, order, PLAIN)
             block = np.concatenate([block, tries], axis=1) if k else tries
             made, solved = winners(block if near else tries, n, near, first=True)
             if near and one:
@@ -229,7 +230,8 @@ def path(search: Search, pose) -> np.ndarray:
     asked, n, B = search.asked, search.n, len(pose)
     free = search if asked.jump is None else Search(replace(asked, jump=None))
     along = ahead(asked.chain, asked.task).bound(*asked.terms())
-    rows, q, k = np.empty((B, width(n))), np.asarray(start_posture(asked.chain, asked.task)), 0
+    rows, k = np.empty((B, width(n))), 0
+    q: Any = np.asarray(start_posture(asked.chain, asked.task))
     while k < B:
         rows[k] = (search if k else free).rows(Targets(pose[k : k + 1], q[None], q[None]))[0]
         row, k = row_of(rows[k], n), k + 1

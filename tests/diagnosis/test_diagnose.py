@@ -95,7 +95,8 @@ def test_a_lag_is_not_taken_for_dead_time(delay, lag):
         e = loop(z, delay, 300, lag) + noise * np.random.default_rng(2).standard_normal(300)
         for alpha in (z / TS, None):
             found = diagnose(e, TS, alpha=alpha)
-            assert found.cause == "drive" and ends(found, z, delay, lag), str(found)
+            silent = alpha is None and found.cause is None  # the likely drives may differ too much then
+            assert silent or (found.cause == "drive" and ends(found, z, delay, lag)), str(found)
 
 
 # --- what no smaller gain ends ------------------------------------------------------------------------

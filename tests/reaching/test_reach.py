@@ -161,26 +161,6 @@ def test_a_joint_that_a_slower_one_follows_is_not_turned_back(tmp_path):
 # --- near, jump, several ------------------------------------------------------------------------------
 
 
-def test_near_stays_on_the_branch():
-    q = drawn(WRIST, 60, seed=5) * 0.9
-    moved = q + np.random.default_rng(6).uniform(-0.02, 0.02, q.shape)
-    made = ck.reach(WRIST, tips(WRIST, moved), near=q)
-    assert made.solved.all() and np.median(made.distance) < 0.05
-    assert (made.distance == np.abs(made.q - q).max(axis=1)).all()
-    alone = ck.reach(WRIST, tips(WRIST, moved)[0], near=q[0])
-    assert alone.solved and alone.distance < 0.1
-
-
-def test_a_jump_is_reported_and_not_made():
-    q = drawn(WRIST, 40, seed=7)
-    far = tips(WRIST, drawn(WRIST, 40, seed=8))
-    made = ck.reach(WRIST, far, near=q, jump=0.1)
-    assert (made.status == ReachStatus.JUMP).sum() >= 38 and np.isnan(made.q[made.status == ReachStatus.JUMP]).all()
-    close = ck.reach(WRIST, tips(WRIST, q + 0.01), near=q, jump=0.1)
-    assert (close.distance[close.solved] <= 0.1 + 1e-12).all() and close.solved.mean() > 0.95
-    assert ck.reach(WRIST, far[0], near=q[0], jump=0.1).status == ReachStatus.JUMP
-
-
 def test_near_beyond_the_limits_is_no_way_around_a_jump():
     """And where all answers are beyond the limits `jump` does not hide that."""
     held = ck.replace(ARM, lower=(-1.0, -1.0), upper=(1.0, 1.0))
@@ -203,19 +183,6 @@ def test_targets_beyond_all_squares_cost_their_own_lane_alone(far):
     alone = ck.reach(ARM, [far, 0.1, 0.0], task=PLANE, near=[0.1, 0.2])
     assert alone.status == status and np.isfinite(alone.q).all() == (abs(far) < 1e77)
     np.testing.assert_allclose(alone.position_error, abs(far) if abs(far) < 1e77 else np.nan)
-
-
-def test_a_path_has_no_jump_that_is_not_reported():
-    t = np.linspace(0, 2 * np.pi, 200)
-    path = np.stack([1.2 + 0.5 * np.cos(t), 0.5 * np.sin(t), 0 * t], axis=1)
-    made = ck.reach(ARM, path, task=PLANE, near="previous", jump=0.1)
-    assert made.solved.all() and np.abs(np.diff(made.q, axis=0)).max() <= 0.1
-    bent = ck.replace(ARM, lower=(-np.inf, 0.0), upper=(np.inf, 3.0))
-    through = np.stack([np.linspace(-1.9, 1.9, 60), np.full(60, 0.16), np.zeros(60)], axis=1)  # past its base
-    made = ck.reach(bent, through, task=PLANE, near="previous", jump=0.2)
-    assert (made.status == ReachStatus.JUMP).any()
-    solved = made.q[np.flatnonzero(made.solved)]
-    assert np.isnan(made.q[made.status == ReachStatus.JUMP]).all() and len(solved) > 10
 
 
 def test_a_path_gives_what_its_waypoints_give_one_by_one():

@@ -8,8 +8,6 @@ import pytest
 import cnclik as ck
 from cnclik import ReachStatus
 from cnclik.reaching import public, search
-from cnclik.reaching.starts import COUNT, start, starts_of
-from cnclik.task.build import pose
 from tests.oracles import robots
 from tests.reaching.test_reach import WRIST, drawn, tips
 
@@ -67,35 +65,6 @@ def test_limits_may_be_an_array_within_a_program():
     arrays = ck.replace(arm, lower=jnp.array([-1.9, -2.9]), upper=np.array([2.0, 2.9]))
     q, expected = (jax.jit(lambda t, c=c: ck.reach(c, t, task=ck.position("xy")).q)(target) for c in (arrays, plain))
     np.testing.assert_allclose(q, expected, atol=1e-5)
-
-
-def test_starts_of_a_bin_are_near_the_target():
-    chain = ck.panda()
-    starts = starts_of(chain, pose())
-    low, high = np.array(chain.lower), np.array(chain.upper)
-    assert ((starts.postures >= low - 1e-6) & (starts.postures <= high + 1e-6)).all()
-    assert len(starts.postures) == COUNT and (np.diff(starts.first) >= 0).all()
-    assert sum(v.nbytes for v in starts) < 8 << 20
-    targets, gaps = tips(chain, drawn(chain, 200)), []
-    flat = np.concatenate([targets[:, :3, 3], targets[:, :3, :3].reshape(-1, 9)], axis=1)
-    in_jax, none = jax.tree.map(jnp.asarray, starts), np.full(7, np.nan)
-    for k in (0, 5, 100):  # of the target's bin, and anywhere
-
-        def began(target, k=k):
-            return start(chain, pose(), in_jax, target, none, 0.0, low, high, np.int32(k))
-
-        q = jax.jit(jax.vmap(began))(flat)
-        gaps.append(np.median(np.linalg.norm(tips(chain, q)[:, :3, 3] - targets[:, :3, 3], axis=1)))
-    assert max(gaps[:2]) < 0.3 * gaps[2]
-
-
-def test_a_wound_up_joint_has_its_answers_where_it_is():
-    free = ck.replace(WRIST, lower=(-np.inf,) * 6, upper=(np.inf,) * 6)
-    near = drawn(free, 60, seed=1)
-    targets = tips(free, near + np.random.default_rng(2).uniform(-2.0, 2.0, near.shape))
-    for turn in (0.0, 4 * np.pi):
-        made = ck.reach(free, targets, near=near + turn, jump=2.1)
-        assert made.solved.mean() > 0.97 and np.abs(made.q - near - turn)[made.solved].max() <= 2.1 + 1e-9
 
 
 def test_the_nearest_pose_is_where_a_descent_rests():

@@ -83,19 +83,6 @@ def test_all_that_the_closed_form_knows(limit, count=150):
         assert all((apart(v, np.delete(own, k, axis=0)) >= 0.1).all() for k, v in enumerate(own))
 
 
-def test_eight_solutions_of_a_symmetric_pose():
-    target = np.diag([-1.0, 1.0, -1.0, 1.0])
-    target[:3, 3] = 0.2834, 0.2788, 0.3
-    made = ck.reach(arm(), target, solutions=10)
-    assert (made.status == 0).sum() == 8 and complete(arm(), target[None], _first(made))[0]
-    firsts = np.sort(made.q[made.status == 0][:, 0])
-    np.testing.assert_allclose(firsts, [-2.364376] * 4 + [0.777216] * 4, atol=2e-6)
-
-
-def _first(made):
-    return ck.replace(made, q=made.q[None], status=made.status[None])
-
-
 def test_a_solution_at_a_limit_is_one():
     chain = ck.replace(ck.planar_arm([1.0, 1.0]), lower=(-2.0, 0.0), upper=(2.0, 2.5))
     for bend in (0.0, 2.5):
