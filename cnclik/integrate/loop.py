@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.drive import Drive, Sampled, sampled
-from cnclik.integrate.driven import Driven, averaged, driven, resting
+from cnclik.integrate.driven import Driven, averaged, driven, resting, turned
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
@@ -125,7 +125,9 @@ def _measured(loop, state, t, k):
     found, filters, kept = known.e, loop.drive.filters, loop.drive.kept(loop.Ts)
     if filters == "target":
         parts = zip(law.task.parts, drives.smooth, at.aims, strict=True)
-        drives = drives._replace(smooth=tuple(part.averaged(kept, before, aim) for part, before, aim in parts))
+        drives = drives._replace(
+            smooth=tuple(turned(kept, *v) if part.turns else averaged(kept, *v) for part, *v in parts)
+        )
         found = error(law.task, known.robot, drives.smooth)
     errors = found, *(drives.late if drives is not None else ())
     measured = errors[-1]
