@@ -20,9 +20,7 @@ class Refused(errors.ArgumentError):
 
 
 def is_own(path: pathlib.Path) -> bool:
-    """Whether cnclik wrote a file that nobody has changed since, or a sweep's store."""
-    if os.path.isdir(path):
-        return os.path.isfile(path / OWN)
+    """Whether cnclik wrote a file that nobody has changed since."""
     with contextlib.suppress(OSError):
         return _line(path, path.name) in (path.parent / LIST).read_bytes().splitlines()
     return False
@@ -37,12 +35,12 @@ def _line(path: pathlib.Path, name: str) -> bytes:
 def check_free(name: str, folder, files, *, overwrite=False) -> None:
     """Raise Refused where one of some files can't be written into a folder: before the work, and again after it."""
     for file in files:
-        target = pathlib.Path(folder, file)
-        there = "is a folder there" * os.path.isdir(target)
-        if not overwrite and os.path.lexists(target) and not is_own(target):
-            there = there or "there is not cnclik's own (--overwrite writes over it)"
-        if there:
-            raise Refused(f"Argument `{name}` must be a folder that takes all files, but {file} {there}.")
+        target, there = pathlib.Path(folder, file), "there is not cnclik's own (--overwrite writes over it)"
+        if os.path.isdir(target):
+            there = "is a folder there"
+        elif overwrite or not os.path.lexists(target) or is_own(target):
+            continue
+        raise Refused(f"Argument `{name}` must be a folder that takes all files, but {file} {there}.")
 
 
 class Folder:
@@ -92,7 +90,10 @@ def output_folder(path, *, name="out", overwrite=True, files=()):
         try:
             path.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=path).close()
-            remove_abandoned(path.glob(f"{_PARTIAL}*"))
+            for left in path.glob(f"{_PARTIAL}*"):
+                with contextlib.suppress(FileNotFoundError):  # another process may be at it
+                    if time.time() - left.stat().st_mtime > 3600:
+                        shutil.rmtree(left, ignore_errors=True)
         except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
             found = f"is {str(path)[-80:]!r} ({errors.reason(error)})"
             raise errors.fail(name, "be a folder that can be written into", found) from None
@@ -119,11 +120,3 @@ def remove_begun() -> None:
     """Remove what this process has begun to write: before a signal ends it at once."""
     for hidden in _begun:
         shutil.rmtree(hidden, ignore_errors=True)
-
-
-def remove_abandoned(paths) -> None:
-    """Remove files, or hidden folders, that nobody has written into for an hour: else another process may be at it."""
-    for path in paths:
-        with contextlib.suppress(OSError):
-            if abs(time.time() - path.stat().st_mtime) > 3600:
-                path.unlink() if os.path.isfile(path) else shutil.rmtree(path, ignore_errors=True)

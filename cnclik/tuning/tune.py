@@ -194,9 +194,7 @@ def tune(
     optimizer: Any = None,
     progress: Callable | None = None,
 ) -> Tuned:
-    """Tune a loop by the gradient of its run: minimize a loss, with gains that its drives allow at any posture.
-
-    Computed in float64, whatever JAX's setting is.
+    """Tune a loop by the gradient of its run, in float64: minimize a loss, with gains that its drives allow anywhere.
 
     Args:
       law: where tuning starts. Its alpha is tuned in the form that it has: a number, one per axis (m,), or one for
