@@ -151,7 +151,7 @@ def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *,
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
 
 
-a_run = Numbers(whole_run, lets_go=True)
+a_run = Numbers(whole_run)
 
 
 def one_step(law, reference, stage, method, q, t, Ts) -> Step:
@@ -161,4 +161,4 @@ def one_step(law, reference, stage, method, q, t, Ts) -> Step:
     return advance(law, reference, q, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
 
 
-a_step = Numbers(one_step, lets_go=False)
+a_step = Numbers(one_step)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from cnclik import errors
 from cnclik.engine.tracing import of_the_model, together
@@ -197,8 +196,8 @@ def motion(reference, task: Task, t):
 
 
 def neighbours(x):
-    """Return (x[:-1], x[1:]) of x (N + 1, ...), as slices that JAX makes for any N, see `cnclik.engine.rounds`."""
-    return lax.slice_in_dim(x, 0, x.shape[0] - 1), lax.slice_in_dim(x, 1, None)
+    """Return (x[:-1], x[1:])."""
+    return x[:-1], x[1:]
 
 
 def check(reference, task: Task) -> None:

@@ -23,7 +23,7 @@ from cnclik.law.paths import Reference, causal
 from cnclik.law.reference import References, aims_of, hold_at
 from cnclik.problem import names
 from cnclik.problem import reference as paths
-from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, check_values, in_own_units
+from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words
 from cnclik.robot.chain import Chain
 from cnclik.robot.poses import quaternions
@@ -65,8 +65,8 @@ class Problem:
         reference = hold_at(law.chain, law.task, q0) if self.reference is None else self.reference
         check_loop(law, reference)
         noise = None if self.noise is None else errors.array("noise", self.noise, (), (law.task.m,))
-        if noise is not None and errors.concrete(noise):
-            check_values("noise", "noise", np.array(noise))
+        if noise is not None and errors.concrete(noise) and not np.all(noise >= 0):
+            raise errors.fail("noise", "be at least 0", f"is {np.asarray(noise).tolist()}")
         checked = {
             **{"q0": q0, "reference": reference, "noise": noise, "seed": errors.number("seed", self.seed, at_least=0)},
             "Ts": errors.number("Ts", self.Ts, positive=True),

@@ -1,7 +1,7 @@
 """Options: one vocabulary for the command line, sweeps and Python.
 
 An option is an argument of a function or a field of a record. Its kind and default are those of the signature; its
-help, unit and condition those of the docstring. Sources are read, not imported: help needs no JAX.
+help and unit those of the docstring. Sources are read, not imported: help needs no JAX.
 """
 
 import ast
@@ -16,7 +16,6 @@ NAME, NUMBER, INTEGER, SWITCH = "name", "number", "integer", "switch"
 REQUIRED = object()  # the default of what must be given
 _KINDS = {"bool": SWITCH, "int": INTEGER, "float": NUMBER, "Number": NUMBER, "Point": NUMBER}
 _IN_WORDS = {NAME: "a text", NUMBER: "a number", INTEGER: "an integer"}
-_FITS = {"positive": lambda v: v > 0, "at least 0": lambda v: v >= 0, "other than 0": lambda v: v != 0}
 
 
 class Option(NamedTuple):
@@ -29,7 +28,6 @@ class Option(NamedTuple):
     default: Any
     positional: bool
     unit: str  # or "q", the unit of the joints; "x", the metres of a point; "1"
-    must: str  # condition on each number: a key of `_FITS`, or ""
     help: str
 
     @property
@@ -80,7 +78,6 @@ def _option(name, text, annotation, default, positional):
         default=REQUIRED if default is None else ast.literal_eval(default),
         positional=positional,
         unit="x" if inner == "Point" else {"rad, m": "q"}.get(own, own),
-        must=next((words for words in _FITS if re.search(rf"\b{words}\b", text)), "") if kind == NUMBER else "",
         help=text[0].upper() + text[1:],
     )
 
@@ -91,13 +88,6 @@ DEFAULTS = {name: one.default for name, one in OPTIONS.items() if one.default no
 
 
 # --- values -------------------------------------------------------------------------------------------
-
-
-def check_values(where: str, name: str, values) -> None:
-    """Raise ArgumentError unless the option may have all numbers of an array."""
-    must = OPTIONS[name].must if name in OPTIONS else ""
-    if must and (wrong := ~_FITS[must](values)).any():
-        raise errors.fail(where, f"hold values that are {must}", f"holds {values[wrong][0]:g}")
 
 
 def numbers_of(one: Option, value, Ts=None) -> Quantities:
@@ -112,20 +102,11 @@ def numbers_of(one: Option, value, Ts=None) -> Quantities:
     for v in numbers:
         if one.kind == INTEGER and not v.is_integer():
             raise errors.fail(one.name, "be an integer", f"is {value!r}")
-        _check(one, v)
     return numbers
 
 
-def _check(one, value) -> None:
-    if one.must and not _FITS[one.must](value):
-        raise errors.fail(one.name, f"be {one.must}", f"is {value:g}")
-
-
 def in_own_units(given: dict) -> dict:
-    """Return {option: value} with texts such as "34ms" as numbers in the option's own unit.
-
-    Raises: ArgumentError for a text that holds no such numbers, and for a number that an option can't be.
-    """
+    """Return {option: value} with texts such as "34ms" as numbers in the option's own unit."""
     made = dict(given)
     for name in sorted(given, key=lambda name: OPTIONS[name].unit == SAMPLES):  # samples last: they need Ts
         one, value = OPTIONS[name], given[name]
@@ -135,8 +116,6 @@ def in_own_units(given: dict) -> dict:
             value = numbers_of(one, value, Ts and errors.number("Ts", Ts, positive=True))
         if isinstance(value, Quantities) and len(value) == 1 and one.unit not in ("q", "x"):
             value = (int if one.kind == INTEGER else float)(value[0])
-        if type(value) in (int, float):
-            _check(one, value)
         made[name] = value
     return made
 

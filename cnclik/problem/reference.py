@@ -65,8 +65,7 @@ def line(arm, period, target=None, start=None):
 
 
 def circle(arm, period, radius=None, phase=0.0):
-    radius = arm_length(arm.chain) / 10 if radius is None else radius
-    errors.number("radius", radius, positive=True)
+    radius = arm_length(arm.chain) / 10 if radius is None else errors.number("radius", radius, positive=True)
     here, rotation = _curved("circle", arm)
     phase = errors.array("phase", phase, (), (1,)).reshape(())  # a list of one is a number
     about = paths.circle(np.zeros(len(here)), radius, period=1.0, phase=phase).curve

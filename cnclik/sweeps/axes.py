@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.problem.options import NAME, OPTIONS, check_values
+from cnclik.problem.options import NAME, OPTIONS
 from cnclik.sweeps import expression
 
 NAMES = tuple(name for name, option in OPTIONS.items() if option.kind == NAME)  # their values are never expressions
@@ -97,7 +97,6 @@ def read(name: str, value, joints: int) -> Axis:
     numbers = np.asarray(made.values)
     if name == "M" and (numbers.ndim > 1 or numbers.dtype.kind == "f"):
         raise errors.fail(where, "hold one whole number each", f"is {value!r}")
-    check_values(where, name, numbers)
     return made
 
 

@@ -81,9 +81,10 @@ class Spec:
         lanes = self.lanes or 2 ** int(np.clip(np.log2(min(2**21 / max(steps, 1), size / PIECES)), 6, 16))
         return dataclasses.replace(of, lanes=min(lanes, size))
 
-    def loop(self, values: dict, last=False) -> "Loop":
-        """Return the values of one loop. Args: values: of axes; of numeric ones the first, or last, by default."""
-        return Loop(self, {a.name: a.values[-1 if last else 0] for a in self.axes if a.inner} | values)
+    def loop(self, values: dict, end=np.argmin) -> "Loop":
+        """Return the values of one loop. Args: values: of axes; of numeric ones the least, or the end=np.argmax."""
+        ends = {a.name: a.values[end(a.values.reshape(len(a), -1)[:, 0])] for a in self.axes if a.inner}
+        return Loop(self, ends | values)
 
     def study(self, /, draws=None, **values) -> Metrics:
         """Return the metrics of one loop. The sweep batches this function. Args: draws: see `Spec.draws`."""
@@ -165,7 +166,7 @@ class Spec:
         if math.prod(map(len, axes)) > MOST_LIMITS:
             return coords
         with jax.enable_x64(True):
-            for loop in (self.loop(first, last) for last in (False, True) if "z" in coords):
+            for loop in (self.loop(first, end) for end in (np.argmin, np.argmax) if "z" in coords):
                 if not np.isclose(np.max(loop["alpha"]) * loop["Ts"], loop["z"], rtol=1e-6):
                     return coords
             points = itertools.product(*(a.values for a in axes))
@@ -326,8 +327,8 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     for where, table in places.items():
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():
-        for last in (False, True):
-            check_metrics(spec.metrics, spec.loop(program, last).build().law)
+        for end in (np.argmin, np.argmax):
+            check_metrics(spec.metrics, spec.loop(program, end).build().law)
     return spec
 
 

@@ -181,7 +181,7 @@ def _meet(processes, well, last) -> bool:
     return well
 
 
-def read(folder):
+def read(out):
     """Return the sweep of a folder as an `xarray.Dataset`, loaded on use. Loops that are not done are NaN, or -1 for
     counts; a damaged block raises on use.
 
@@ -189,15 +189,15 @@ def read(folder):
     """
     import xarray
 
-    store = Store(folder)
+    store = Store(out)
     with _quiet():
         data = xarray.open_zarr(store.path, chunks=None)
     return data[list(store.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
 
 
-def blocks_missing(folder) -> int:
+def blocks_missing(out) -> int:
     """Return the number of blocks of a folder's sweep that are not done or damaged."""
-    return len(Store(folder).missing())
+    return len(Store(out).missing())
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -27,7 +27,6 @@ LANES = 16384  # lanes in a block: enough to keep the processor busy, few enough
 def sweep(
     study: Callable,
     *,
-    units: Mapping[str, str] | None = None,
     lanes: int = LANES,
     progress: Callable[[int, int], object] | None = None,
     **axes: Any,
@@ -45,7 +44,6 @@ def sweep(
         does a range or an array of integers. An array of shape (S, ...) is S values of shape (...). Compiled in, with
         one program each, are N, delay, strings, objects with a name (methods), and the values of a dict {label: value},
         such as M={1: 1, 5: 5}.
-      units: {name: unit} of axes and results that have no unit of their own.
       lanes: largest number of points in one block.
       progress: called with (points done, points in all).
 
@@ -56,14 +54,11 @@ def sweep(
         raise errors.fail("study", "be a function of named values", f"is {study!r}")
     of = Grid(tuple(axis(name, values) for name, values in axes.items()), errors.integer("lanes", lanes, at_least=1))
     of, outputs, arrays = _collect(study, of, progress)
-    units = UNITS | dict(units or {})
-    for o in outputs:
-        o.about["units"] = units.get(o.name, o.about["units"])
     config = {
         "study": getattr(study, "__qualname__", type(study).__name__),
         "axes": {a.name: a.values.tolist() if a.inner else [str(v) for v in a.labels] for a in of.axes},
     }
-    return _dataset(of, outputs, arrays, of.coordinates(units), {"config": json.dumps(config), "lanes": of.lanes})
+    return _dataset(of, outputs, arrays, of.coordinates(UNITS), {"config": json.dumps(config), "lanes": of.lanes})
 
 
 def run_spec(spec, out=None, *, set=(), progress=None) -> "xr.Dataset":

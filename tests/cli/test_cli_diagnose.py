@@ -5,11 +5,10 @@ import pathlib
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from cnclik.cli import main
 from cnclik.cli.log import read
-from tests.diagnosis.logs import OVER, loop, over, servo
+from tests.diagnosis.logs import loop, servo
 
 TS = 0.002
 
@@ -71,32 +70,6 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     found = answer(capsys, tmp_path / "bag.csv", "--json")
     assert found["delay"] == 4 and found["Ts"] == pytest.approx(0.002, rel=0.01)
     assert found["Ts_from"] == "/header/stamp, read in ns"
-
-
-def test_causes_that_no_gain_ends(tmp_path, capsys):
-    grows, spiral = 0.1 * 1.01 ** np.arange(300), 0.1 * (1 - 0.05j) ** np.arange(300)
-    said = answer(capsys, write(tmp_path / "e.csv", ["e_x", "e_y"], grows, 0 * grows + 1), "--Ts", 0.01)
-    assert said.startswith("growth without oscillation")
-    log = write(tmp_path / "e.csv", ["e_x", "e_y"], spiral.real, spiral.imag)
-    found = answer(capsys, log, "--Ts", 0.01, "--json")
-    assert found["cause"] == "turned frames" and found["angle"] == pytest.approx(90, abs=1)
-    assert found["factor"] is None and "about z" in found["note"]
-
-
-def test_what_solve_writes_can_be_read(tmp_path, capsys):
-    """Of a loop that is 17 samples late, from its joints and from its errors."""
-    loop = "planar:1,1 --target 1.2 0.5 --alpha 30 --Ts 0.002 --delay 17 --method EE --N 400 --no-figures"
-    main(["solve", *loop.split(), "--out", str(tmp_path)])
-    with xr.open_dataset(tmp_path / "trajectory.nc") as data:
-        columns = {f"{name}_{label}": data[name].sel({data[name].dims[1]: label}).values
-                   for name in ("q", "e") for label in data[data[name].dims[1]].values}  # fmt: skip
-        write(tmp_path / "trajectory.csv", ["time", *columns], data.time.values, *columns.values())
-    for columns in (["q_q1", "q_q2"], ["e_x", "e_y"]):
-        capsys.readouterr()
-        found = answer(capsys, tmp_path / "trajectory.csv", "--alpha", 30, "--columns", *columns, "--json")
-        assert found["rings"], columns
-        alpha = found["recommended_alpha"]  # the largest without overshoot is 10.2
-        assert alpha > 7 and over(0.002 * alpha, 17, 0.0) < OVER
 
 
 @pytest.mark.parametrize(

@@ -48,22 +48,10 @@ def test_random_targets_as_json(capsys):
     assert said["seconds"] > 0
 
 
-def test_one_target_is_shown_with_its_joints(tmp_path, capsys):
-    (tmp_path / "one.csv").write_text("0.5,1,0\n")
-    main(["reach", ARM, str(tmp_path / "one.csv"), "--task", "xy", "--near", "1", "-1", "--solutions", "2"])
-    shown = capsys.readouterr().out
-    assert shown.count("q1 ") == 2 and "rad" in shown and re.search(r"  error (zero|\S+ .?m)\n", shown)
+def test_one_target_is_shown_with_its_joints(capsys):
     main(["reach", ARM, "--target", "0", "1.8", "--task", "xy", "--near", "0", "0"])
-    assert re.search(r"1 target in \S+ s\n", capsys.readouterr().out)
-    main(["reach", ARM, "--target", "0", "1.8", "--task", "xy", "--near", "2", "2", "--jump", "0.1"])
-    assert "JUMP" in (shown := capsys.readouterr().out) and "nan" not in shown
-
-
-def test_a_path_with_a_jump(tmp_path, capsys):
-    (tmp_path / "path.csv").write_text("0.5,1,0\n0.52,1,0\n-0.5,-1,0\n")
-    main(["reach", ARM, str(tmp_path / "path.csv"), "--task", "xy", "--path", "--jump", "0.3"])
     shown = capsys.readouterr().out
-    assert "SOLVED" in shown and "JUMP" in shown and "no joint values" in shown
+    assert re.search(r"1 target in \S+ s\n", shown) and re.search(r"  error (zero|\S+ .?m)\n", shown)
 
 
 def test_one_target_as_solve_takes_it(capsys):

@@ -71,7 +71,7 @@ def test_what_the_file_says_holds_unless_an_option_is_given(file):
         (TWO.replace("0.2]", "0.2, 1]"), {}, "`q0` must have 3 joint values, but has 4"),
         (TWO, {"task": "xy"}, r"`task` must be an argument of problem\(\) in cell.py, or be left out"),
         (ONE.replace("N=7", "noise=[0.1, 0.2]"), {}, "`noise` must be a single number or have 6 numbers, but has 2"),
-        (ONE.replace("N=7", "noise=[0, 0, 0, 0, 0, -0.1]"), {}, "`noise` must hold values that are at least 0, but"),
+        (ONE.replace("N=7", "noise=[0, 0, 0, 0, 0, -0.1]"), {}, "`noise` must be at least 0, but is"),
         (TWO, {"Ts": -1.0}, "`Ts` must be positive"),
         (TWO, {"lag": [0.1, 0.2]}, "`lag` must have 3 numbers, but has 2"),
     ],

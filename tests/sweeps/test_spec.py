@@ -211,7 +211,7 @@ def test_axes_have_the_units_of_their_options():
         ({"axes__z": []}, "`axes.z` must hold at least one value"),
         ({"fixed__q0": None, "axes__q0": {"samples": 10**9}}, "at most 10,000,000 values, but asks for 1,000,000,000"),
         ({"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}}, "must have low ≤ high"),
-        ({"axes__damping": [0.1, -0.1]}, "`axes.damping` must hold values that are positive, but holds -0.1"),
+        ({"axes__damping": [0.1, -0.1]}, "`damping` must be positive, but is -0.1"),
         ({"axes__Ts": [0.1]}, "`fixed.Ts` must be given once, but is given by another axis, too"),
         ({"axes__law": {"a": {"z": 1.0}}}, "`axes.law.a.z` must be given once"),
         ({"axes__law": {"a": {"N": 3}}, "axes__n": {"b": {"N": 4}}}, "`axes.n.b.N` must be given once"),
@@ -230,7 +230,6 @@ def test_axes_have_the_units_of_their_options():
         ({"figure": [{"kind": "heat", "limits": [1]}]}, "`figure[0].limits` must have 2 numbers, but has 1"),
         ({"figure": [{"kind": "heat", "xx": "z"}]}, "but is 'xx' (did you mean 'x'?)"),
         ({"figure": [{"kind": "heat", "name": "../up"}]}, "`figure[0].name` must be a file's name without a folder"),
-        ({"figure": [{"kind": "heat", "select": {"z": 1e9}}]}, "`figure[0].select.z` must lie between"),
     ],
 )
 def test_everything_wrong_is_said_in_one_line(changes, words):
@@ -298,7 +297,7 @@ def test_numbers_have_units_as_on_the_command_line():
     assert float(made.law.alpha) == pytest.approx(50.0)  # of an expression of Ts
     np.testing.assert_allclose(made.q0, [0, -np.pi / 2])
     np.testing.assert_allclose(made.reference.curve.start, [1, 1])
-    np.testing.assert_array_equal(spec.loop({}, last=True)["z"], 1.0)
+    np.testing.assert_array_equal(spec.loop({})["z"], 1.0)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "sweeps").glob("*.toml")), ids=lambda path: path.stem)
