@@ -240,7 +240,7 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
     """
     if not names or not all(isinstance(some, (list, tuple)) for some in names):
         raise errors.fail("names", 'be a list of names for each level, such as ["feet"]', f"is {names!r}")
-    if (not isinstance(damping, (list, tuple)) and np.ndim(damping) != 1) or len(damping) != len(names):
+    if (not isinstance(damping, (list, tuple)) and getattr(damping, "ndim", 0) != 1) or len(damping) != len(names):
         raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
     kinds = (Damped, SingularDamped, ErrorDamped)
     each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)

@@ -319,11 +319,8 @@ def waypoints(
     if not errors.concrete(times):
         raise errors.fail("times", "be known numbers", "is traced")
     times = np.asarray(errors.array("times", times, (None,)), float)
-    count = len(times)
-    if count < 2:
-        raise errors.fail("times", "hold at least two times", f"holds {count}")
-    if not np.all(times[1:] > times[:-1]):
-        raise errors.fail("times", "increase", f"is {times.tolist()}")
+    if (count := len(times)) < 2 or not np.all(times[1:] > times[:-1]):
+        raise errors.fail("times", "be two or more that increase", f"is {times.tolist()}")
     if positions is None and rotations is None:
         raise errors.fail("positions", "be given, or `rotations`", "is None")
     position = quaternion = None

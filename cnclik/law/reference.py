@@ -44,9 +44,6 @@ class References:
     def __getitem__(self, name):
         return self.each[self.names.index(errors.one_of("name", name, self.names))]
 
-    def __repr__(self):
-        return "; ".join(f"{name}: {one!r}" for name, one in zip(self.names, self.each, strict=True))
-
 
 REFERENCE = (Reference, References)
 
