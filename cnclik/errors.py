@@ -149,7 +149,7 @@ def array(name: str, value, *shapes, finite=True, most=None, of="numbers") -> "A
     except (TypeError, ValueError):
         raise fail(name, "be an array of real numbers", f"is {value!r}") from None
     if isinstance(found, np.ma.MaskedArray):
-        found = found.astype(float).filled(np.nan)
+        found = np.ma.filled(found.astype(float), np.nan)
     if found.dtype.char not in "fd" or not found.dtype.isnative:  # JAX takes no other byte order
         found = found.astype(float)
     if shapes and found.shape not in shapes and not any(_fits(found.shape, shape) for shape in shapes):

@@ -50,22 +50,6 @@ def is_literal(value) -> bool:
     return written or (callable(value) and not dataclasses.is_dataclass(value))
 
 
-class Literals:
-    """The literal part of a flattened tree, hashed once: it is a key of JAX's compilation caches."""
-
-    __slots__ = ("_hash", "treedef", "values")
-
-    def __init__(self, treedef, values):
-        self.treedef, self.values, self._hash = treedef, values, hash((treedef, values))
-
-    def __hash__(self):
-        return self._hash
-
-    def __eq__(self, other):
-        same = self._hash == other._hash and self.treedef == other.treedef
-        return self is other or (same and self.values == other.values)
-
-
 HOLE = object()  # marks, among the literals, the place of an array
 
 
@@ -73,13 +57,13 @@ def partition(tree):
     """Split any tree into its arrays (a list) and its literals (hashable)."""
     leaves, treedef = jax.tree.flatten(tree, is_leaf=lambda v: v is None)
     values = tuple([v if is_literal(v) else HOLE for v in leaves])
-    return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], Literals(treedef, values)
+    return [v for v, literal in zip(leaves, values, strict=True) if literal is HOLE], (treedef, values)
 
 
-def combine(arrays, literals: Literals):
+def combine(arrays, literals):
     """Inverse of `partition`."""
-    arrays = iter(arrays)
-    return jax.tree.unflatten(literals.treedef, [next(arrays) if v is HOLE else v for v in literals.values])
+    arrays, (treedef, values) = iter(arrays), literals
+    return jax.tree.unflatten(treedef, [next(arrays) if v is HOLE else v for v in values])
 
 
 _waiting: list = []  # registrations of classes that were made before JAX was loaded

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 import cnclik as ck
-from cnclik.law.reference import Reference
+from cnclik.law.paths import Reference
 from cnclik.paper.readings import WithVelocity
 from tests.oracles import damped_inverse, robot_file
 

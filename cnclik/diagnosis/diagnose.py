@@ -23,11 +23,12 @@ OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
-TURNED = 27.0  # [degrees]: turned by less an error passes its target by 0.2 %, and by nearly 180 its sign is wrong
+TURNED = 27.0, 165.0, 173.0  # [degrees]: by less an error passes its target by 0.2 %; by more it grows alike
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY, UNREST = 0.1, 0.2  # unrest of a sustained oscillation, at most; beyond that of one that grows as a mode does
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
+WIDE, CLIPPED = 2.25, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
 LONG = 30  # samples of dead time, beyond which a sample more or less counts little
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
@@ -37,7 +38,7 @@ CHANGES = "The period changes, as of a sweep or another path, not of a loop."
 STILL = "No column moves by more than some steps of its resolution."
 WRONG_SIGN = "Each step adds to the error: the sign of error, Jacobian or command is wrong. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
-CLIPPED = "A linear loop of this alpha would grow: a limit of velocity or torque clips it."
+OPEN = "It oscillates, but the drives that may be behind it tolerate gains too different: record a step (--step)."
 PATH = "A path of this period looks alike: record with the target at rest."
 UNLESS = "Where position commands start at the measured joints a smaller gain may not help: start each at the last one."
 
@@ -128,7 +129,8 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
     spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
-    if spin is not None and TURNED < np.linalg.norm(spin[0]) < 173:
+    rate, evidence = cause.growth(scaled)
+    if spin is not None and TURNED[0] < np.linalg.norm(spin[0]) < TURNED[1 if rate else 2]:
         turn, z, steady, sure = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": CIRCLE}
@@ -139,7 +141,6 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         confidence = SURE if sure else UNSURE
         return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=confidence, note=note)
-    rate, evidence = cause.growth(scaled)
     if rate:
         sure = SURE if evidence > cause.BETTER else UNKNOWN
         return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
@@ -173,10 +174,12 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": CHANGES}
     drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.dead is not None)
+    if drives.wide > WIDE if alpha is None else alpha > CLIPPED * drives.most:
+        return {"kind": UNDECIDED, "note": OPEN}
     # Long dead times are computed at a larger Ts, which takes less time.
-    n = max(1, int(drives.careful.delay // LONG))
-    careful = replace(drives.careful, delay=(drives.careful.delay + 0.5) / n - 0.5)
-    best, off = gains(Ts=n * Ts, drive=careful, method="EE").recommended, drives.off > NEAR
+    n = max(1, int(drives.middle.delay // LONG))
+    middle = replace(drives.middle, delay=(drives.middle.delay + 0.5) / n - 0.5)
+    best, off = gains(Ts=n * Ts, drive=middle, method="EE").recommended, drives.off > NEAR
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
         note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
         return {"kind": CALM, "note": note}
@@ -187,8 +190,6 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     if turns < many or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
         return None
     notes = []
-    if held and alpha is not None and alpha > 1.2 * drives.most:
-        notes.append(CLIPPED)
     if excited:
         notes.append("Noise excites it again and again.")
     if held:
@@ -206,7 +207,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         "growth": float(np.exp(mode.real)),
         "delay": read.dead and read.dead[0],
         "interval": read.dead and read.dead[1:],
-        "drive": drives.careful,
+        "drive": drives.middle,
         "recommended_alpha": best,
         "factor": best / (alpha or drives.alpha),
         "confidence": UNSURE if stretched else UNKNOWN if excited or held else SURE,

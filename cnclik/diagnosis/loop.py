@@ -29,7 +29,7 @@ SURELY = 0.9  # share of the probability that loops which swing must have
 FAST = 3.0  # times the period of the grid on which a loop was found: beyond it the grid does not hold it
 GROWN = 2.0  # factor over the rows read by which a mode does not grow in a log whose steps end smaller
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
-CAREFUL, TAIL = 0.25, 0.1  # shares of the likely drives that tolerate less than the one chosen, and than those said
+TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' gains that chosen is
 
 
 class Loop(NamedTuple):
@@ -243,10 +243,11 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
 class Drives(NamedTuple):
     """Drives that may be behind a mode."""
 
-    careful: Drive  # a careful share of the likely drives tolerate less
+    middle: Drive  # tolerates a gain between those of the ends
     ends: tuple  # two drives, between which most of the likely ones are
     alpha: float  # gain of the loop [1/s], the mean of the likely drives
     most: float  # and the larger one of the ends
+    wide: float  # ratio of the gains that the ends tolerate
     off: float  # least factor between a known gain and that of a drive with this mode
 
 
@@ -269,7 +270,9 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Drives:
     off = np.maximum(off, 0.0) if clipped else off
     odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
     odds, order = odds / np.sum(odds), np.argsort(calm)
-    places = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [CAREFUL, TAIL, 1 - TAIL]), len(order) - 1)]
-    careful, *ends = (Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places)
-    mean, most = float(odds @ gain), float(np.max(gain[places[1:]]))
-    return Drives(careful, tuple(ends), mean, most, float(np.exp(np.min(np.abs(off)))))
+    ends = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [TAIL, 1 - TAIL]), len(order) - 1)]
+    least, largest = np.log(calm[ends])
+    places = [np.argmin(np.abs(np.log(calm) - least - MIDDLE * (largest - least))), *ends]
+    middle, *both = (Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places)
+    mean, most, wide = float(odds @ gain), float(np.max(gain[ends])), float(np.exp(largest - least))
+    return Drives(middle, tuple(both), mean, most, wide, float(np.exp(np.min(np.abs(off)))))

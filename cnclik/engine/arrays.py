@@ -16,7 +16,6 @@ REDUCTIONS = {
     **{"reduce_prod": "mul", "reduce_xor": "xor"},
 }
 RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-MOST_SORTED = 48
 BESIDE = 8  # one by one, G1's steps take 1.05 to 1.25 times as long; from 4 to 12 the speed is the same
 
 
@@ -103,58 +102,9 @@ def _folded(x, batch, axes):
     return x.transpose(*batch, *free, *axes).reshape(size)
 
 
-def _arg(better):
-    """The rule of argmax and argmin: the first index of the largest or smallest entry, or of a NaN if there is one."""
-
-    def rule(g, eqn, x):
-        (axis,), dtype = eqn.params["axes"], np.dtype(eqn.params["index_dtype"])
-        rows = np.moveaxis(x, axis, -1)
-
-        def best(row):
-            at, most = g.const(0, dtype), row[0]
-            for i, cell in enumerate(row[1:], 1):
-                here = g.op(better, cell, most)
-                if cell.dtype.kind == "f":
-                    here = g.op("or", here, g.op("and", g.op("ne", cell, cell), g.op("eq", most, most)))
-                at, most = g.select(here, g.const(i, dtype), at), g.select(here, cell, most)
-            return at
-
-        return [array_of([best(row) for row in rows.reshape(-1, rows.shape[-1])], rows.shape[:-1])]
-
-    return rule
-
-
-def _sort(g, eqn, *inputs):
-    """A stable sort of any number of arrays together, NaN last, by exchanging neighbours."""
-    axis, keys = eqn.params["dimension"], eqn.params["num_keys"]
-    moved = [np.moveaxis(x, axis, -1).copy() for x in inputs]
-    n = moved[0].shape[-1]
-    if n > MOST_SORTED:
-        raise UnsupportedError(f"sorting {n} entries has no C form; {MOST_SORTED} have")
-    for at in np.ndindex(*moved[0].shape[:-1]):
-        rows = [x[at] for x in moved]
-        for end in range(n - 1, 0, -1):
-            for i in range(end):
-                swap = _before(g, [(r[i + 1], r[i]) for r in rows[:keys]])
-                for r in rows:
-                    r[i], r[i + 1] = g.select(swap, r[i + 1], r[i]), g.select(swap, r[i], r[i + 1])
-    return [np.moveaxis(x, -1, axis) for x in moved]
-
-
-def _before(g, pairs):
-    """Whether one tuple of keys is strictly less than another."""
-    (a, b), *rest = pairs
-    less = g.apply("lt_to", (a, b), np.bool_)
-    if not rest:
-        return less
-    same = g.op("not", g.apply("lt_to", (b, a), np.bool_))  # unless it is less
-    return g.op("or", less, g.op("and", same, _before(g, rest)))
-
-
 ARRAYS = {
     **dict.fromkeys(REDUCTIONS, _reduce),
     **dict.fromkeys(RUNNING, _running),
     **{"platform_index": _platform, "pad": _pad, "dot_general": _dot_general},
     "split": lambda g, eqn, x: np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]),
-    **{"argmax": _arg("gt"), "argmin": _arg("lt"), "sort": _sort},
 }

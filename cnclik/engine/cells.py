@@ -17,24 +17,6 @@ def array_of(cells, shape):
     return made.reshape(shape)
 
 
-def walk(jaxpr, consts, values, literal, equation) -> list:
-    """Results of an open jaxpr.
-
-    Args:
-      consts, values: its constants and arguments, as arrays of cells.
-      literal: makes such an array of a literal. equation: gives the results of an equation for such inputs.
-    """
-    held = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, values, strict=True))
-
-    def read(v):
-        return literal(v) if hasattr(v, "val") else held[v]
-
-    for one in jaxpr.eqns:
-        inputs = [read(v) for v in one.invars]
-        held |= zip(one.outvars, equation(one, inputs), strict=True)
-    return [read(v) for v in jaxpr.outvars]
-
-
 def _broadcast_in_dim(x, shape, broadcast_dimensions, **_):
     sizes = [1] * len(shape)
     for axis, size in zip(broadcast_dimensions, x.shape, strict=True):

@@ -14,7 +14,6 @@ import numpy as np
 from cnclik.engine.algebra import COMMUTES, COMPARISONS, SIMPLER, folded
 
 IS_KNOWN, NUMBER, SHAPE, VALUE = map(operator.attrgetter, ("known", "number", "shape", "value"))
-MOST_FOLDED = 1 << 12  # entries, at most, of known arrays on which operations are folded
 
 
 class UnsupportedError(Exception):
@@ -147,12 +146,6 @@ class Graph:
             found = self.root.table[key] = self.new("const", (), None, (), dtype, value, self.root, exact=exact)
         return found
 
-    def length(self, length, dtype) -> Node:
-        """A length as a number: a constant, or computed from the rounds if it depends on them."""
-        if isinstance(length, int):
-            return self.const(length, dtype)
-        return self.shared("length", (), length, (), dtype)
-
     def array(self, value) -> Node:
         """A known array as one node."""
         return self.new("array", (), None, value.shape, value.dtype, value, self.root)
@@ -193,23 +186,9 @@ class Graph:
             nothing = name == "mul" and value == 0 and any(a.exact and a.value == 0 for a in args)
             return self.const(value, dtype, exact=nothing or all(a.exact for a in args))
         shape = max(map(SHAPE, args), key=len)
-        if shape and (found := self._known_row(name, args, dtype, params)) is not None:
-            return found
         if name in COMMUTES and args[0].number > args[1].number:
             args = args[::-1]
         return self.shared(name, tuple(args), params, shape, dtype)
-
-    def _known_row(self, name, args, dtype, params):
-        """The result of an operation on rows that are known arrays; None if it has to be computed at run time."""
-        N = max((len(a.value) for a in args if a.op == "array"), default=MOST_FOLDED + 1)
-        if N > MOST_FOLDED or not all(a.known or a.op == "array" for a in args):
-            return None
-        key = "folded", name, params, dtype.str, *(a.number for a in args)
-        if key not in self.root.table:
-            several = zip(*(np.broadcast_to(a.value, N) for a in args), strict=True)
-            found = [folded(name, values, dtype, params) for values in several]
-            self.root.table[key] = None if any(v is None for v in found) else self.array(np.array(found, dtype))
-        return self.root.table[key]
 
     def op(self, name, *args) -> Node:
         """An operation with the dtype of its arguments, or bool for a comparison."""

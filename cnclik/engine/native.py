@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir, partial_eval
 
@@ -21,7 +20,6 @@ from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.plan import chosen
 from cnclik.engine.program import Program, key_of
 from cnclik.engine.reader import Trace, trace
-from cnclik.engine.rounds import RoundsError
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import engine, is_read
 
@@ -76,12 +74,11 @@ class Function:
     """A function of flat arrays with its forms and the functions of its derivatives.
 
     `linear` counts the last arguments in which it is linear. For a derivative, `of` is (the function, the arguments it
-    is differentiated by, which of its results are real). `whole` is the function of any number of rounds, of which this
-    has `rounds`: one program serves all numbers.
+    is differentiated by, which of its results are real).
     """
 
-    def __init__(self, fn, linear=0, of=None, whole=None, rounds=0):
-        self.fn, self.linear, self.of, self.whole, self.rounds = fn, linear, of, whole, rounds
+    def __init__(self, fn, linear=0, of=None):
+        self.fn, self.linear, self.of = fn, linear, of
         self.traces, self.forms, self.derivatives = LRU(), LRU(), {}
 
     def __call__(self, *leaves):
@@ -110,26 +107,16 @@ class Function:
         return self.forms.made((kind, most, key_of(avals)), lambda _: self._made(kind, avals, most))
 
     def _made(self, kind, avals, most):
-        if kind == "lane" and self.whole is not None:
-            whole = self.whole.form(kind, avals, most)
-            if isinstance(whole, Program):
-                whole = whole.of_rounds(self.rounds)
-            if not isinstance(whole, RoundsError):
-                return self._read(avals, whole)
         try:
             traced = self.trace(avals)
             if traced.closed is None:
                 traced = trace(self.fn, avals)
             if kind == "scalars":
                 return Derived(traced, avals, most=most)
-            return self._read(avals, Program(traced, avals, single=kind == "lane", most=most))
+            form = Program(traced, avals, single=kind == "lane", most=most)
         except UnsupportedError as error:
             return error.with_traceback(None)  # whose frames would keep the graph
-
-    def _read(self, avals, form):
-        """The form. A program's trace is not needed again."""
-        if isinstance(form, Program):
-            self.traces[key_of(avals)] = Trace(None, form.shapes, form.tree, False)
+        self.traces[key_of(avals)] = traced._replace(closed=None)  # not needed again
         return form
 
     def jvp(self, by, real):
@@ -236,7 +223,7 @@ def _called(program, size, *args):
         _registered[program.path] = program
     shape = () if size is None else (size,)
     outs = [jax.ShapeDtypeStruct((*shape, *s.shape), s.dtype) for s in program.shapes]
-    return jax.ffi.ffi_call(program.path, outs)(*args, *[np.int32(program.rounds)] * (program.rounds > 0))
+    return jax.ffi.ffi_call(program.path, outs)(*args)
 
 
 mlir.register_lowering(native_p, functools.partial(_lowered, platform="other"))

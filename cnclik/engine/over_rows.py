@@ -79,13 +79,6 @@ def _split(g, eqn, x):
     return [_each(x, lambda c, a=start, n=size: slid(g, c, a, 1, n), size) for start, size in parts]
 
 
-def _rev(g, eqn, x):
-    dimensions = eqn.params["dimensions"]
-    others = [d - 1 for d in dimensions if d]
-    x = Rows(np.flip(x.cells, others) if others else x.cells, x.length)  # flip of shape () gives the entry itself
-    return [_each(x, lambda c: slid(g, c, x.length - 1, -1, x.length), x.length) if 0 in dimensions else x]
-
-
 def _concatenate(g, eqn, *inputs):
     out = eqn.outvars[0].aval
     if eqn.params["dimension"] != 0:
@@ -118,14 +111,6 @@ def _pad(g, eqn, x, value):
     return [_each(x, one, out.shape[0])]
 
 
-def _broadcast(g, eqn, x):
-    """Rows broadcast to a larger shape, with axis 0 unchanged."""
-    shape, where = eqn.params["shape"], eqn.params["broadcast_dimensions"]
-    if not where or where[0] != 0 or shape[0] != x.length:
-        return None
-    return [Rows(MOVES["broadcast_in_dim"](x.cells, shape[1:], [axis - 1 for axis in where[1:]]), x.length)]
-
-
 def _stack(g, eqn, *inputs):
     axis, out = eqn.params["axis"], eqn.outvars[0].aval
     rows = [as_rows(g, x, out.shape[0]) for x in inputs]
@@ -153,7 +138,7 @@ def reduced(g, x, axes, name, dtype):
 
     def still(node):  # constant over the rounds
         if name == "add":
-            return g.op("mul", g.length(x.length, dtype), node)
+            return g.op("mul", g.const(x.length, dtype), node)
         if name == "mul":
             return g.apply("integer_pow", (node,), dtype, x.length)
         return node
@@ -202,6 +187,6 @@ def moved(g, eqn, x):
 
 
 OVER_ROWS = {
-    **{"slice": _slice, "rev": _rev, "concatenate": _concatenate, "pad": _pad, "broadcast_in_dim": _broadcast},
+    **{"slice": _slice, "concatenate": _concatenate, "pad": _pad},
     **{"stack": _stack, "split": _split, "dot_general": _dot},
 }

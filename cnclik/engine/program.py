@@ -1,7 +1,6 @@
 """Program: a function of one lane, built as a C library and called for a batch."""
 
 import contextlib
-import copy
 import ctypes
 import math
 import pathlib
@@ -15,7 +14,6 @@ import numpy as np
 from cnclik.engine.compiler import CompilerError, SlowCompilerError, build_text, can_build, opened
 from cnclik.engine.graph import SlowError, UnsupportedError
 from cnclik.engine.reader import Trace, read, trace
-from cnclik.engine.rounds import known_rounds, settled
 from cnclik.engine.source import write
 from cnclik.threads import side_by_side
 
@@ -28,8 +26,6 @@ CALLS = 4  # of each thread, so that slow lanes do not keep one core busy alone
 class Program:
     """A function of one lane's arrays, of these avals, as a C library. Raises: UnsupportedError if it has no C form."""
 
-    rounds = 0  # those that a program of any number of rounds is asked for
-
     def __init__(self, fn, avals, *, single=False, most=math.inf):
         """Args:
         fn: the function, or its `Trace`.
@@ -39,30 +35,15 @@ class Program:
         if not can_build():
             raise UnsupportedError("there is no C compiler")
         closed, shapes, self.tree, _ = fn if isinstance(fn, Trace) else trace(fn, avals)
-        self.avals, (self.shapes, self.grows) = avals, settled(shapes)
-        with known_rounds():
-            text, self.operations = write(*read(closed, most=most), self.shapes, self.grows)
-        if (lines := text.count("\n")) > most:  # pieces load and store, and rows are written where used
+        self.avals, self.shapes = avals, shapes
+        text, self.operations = write(*read(closed, most=most), shapes)
+        if (lines := text.count("\n")) > most:  # rows are written where they are used
             raise SlowError(f"a program of {lines} lines of C takes long to build")
         head = f"#define XLA_HANDLER\n#define FEW_TILES {FEW_TILES}\n#define CALLS {CALLS}\n"
         head += "#define BYTES MAIN\n" * single
         self.library, self.path = _built(head + text, scheduled=not single)
         self.lanes = self.library.width()
-        self._find_work()
-
-    def of_rounds(self, rounds):
-        """Return the program of so many rounds, or the reason why there is none: they need too much memory."""
-        found = copy.copy(self)
-        found.rounds, pairs = rounds, zip(self.shapes, self.grows, strict=True)
-        found.shapes = [s.update(shape=(s.shape[0] + rounds, *s.shape[1:])) if more else s for s, more in pairs]
-        try:
-            found._find_work()
-        except UnsupportedError as error:
-            return error
-        return found
-
-    def _find_work(self):
-        self.work = self.library.work_bytes(self.rounds)
+        self.work = self.library.work_bytes()
         if self.work > MOST_WORK:
             raise UnsupportedError(f"a tile needs {self.work >> 20} MiB of memory")
 
@@ -88,16 +69,16 @@ class Bound:
 
     def __call__(self, leaves, size, pool=None, cores=1) -> list:
         """Return the results of a batch, as `Program` does, on the threads of a pool. Args: leaves: the others."""
-        program, given, rounds = self.program, self.given, ctypes.c_int32(self.program.rounds)
+        program, given = self.program, self.given
         made = [_empty((size, *s.shape), s.dtype) for s in program.shapes]
         leaves = [np.asarray(x, dtype, order="C") for x, (dtype, _, _) in zip(leaves, given, strict=True)]
         strides = [size_ if x.ndim > rank else 0 for x, (_, rank, size_) in zip(leaves, given, strict=True)]
-        ins = [*self.places, *[x.ctypes.data for x in leaves], ctypes.addressof(rounds)]
+        ins = [*self.places, *[x.ctypes.data for x in leaves]]
         ins, out = array("Q", ins), array("Q", [x.ctypes.data for x in made])  # quicker than arrays of ctypes
         strides = array("q", self.zeros + strides)
         places = [v.buffer_info()[0] for v in (ins, strides, out)]
 
-        held = leaves, made, ins, strides, out, rounds  # for as long as threads work, also after an exception
+        held = leaves, made, ins, strides, out  # for as long as threads work, also after an exception
 
         def part(start, end, held=held):
             memory = np.empty(program.work, np.uint8)
@@ -130,7 +111,6 @@ def _built(text, *, scheduled):
             path, kept = build_text(text, pathlib.Path(place), include=include, scheduled=scheduled)
             library = opened(path)  # an open library needs no temporary file
             library.width.restype = library.work_bytes.restype = ctypes.c_int64
-            library.work_bytes.argtypes = (ctypes.c_int64,)
             library.run.restype = None
             library.run.argtypes = (ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4)
     except (CompilerError, OSError, AttributeError) as error:  # AttributeError: what it built has no such functions

@@ -8,19 +8,17 @@ import math
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import partial_eval
 
 from cnclik.engine import over_rows, stacks
 from cnclik.engine.arrays import ARRAYS, REDUCTIONS, RUNNING
-from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved, walk
+from cnclik.engine.cells import CALLS, MOVES, array_of, called, moved
 from cnclik.engine.graph import Graph, Node, UnsupportedError
 from cnclik.engine.matrices import MATRICES
 from cnclik.engine.operations import NAMES, check_dtype
 from cnclik.engine.places import PLACES, out_of_whole
 from cnclik.engine.regions import REGIONS
-from cnclik.engine.rounds import known_rounds
 from cnclik.engine.stacks import Deep, Rows, is_cells
 from cnclik.engine.tracing import model_p, to_be_read
 
@@ -56,21 +54,29 @@ class Reader:
 
     def run(self, jaxpr, consts, values) -> list:
         """Results of an open jaxpr."""
-        return walk(jaxpr, map(self.constant, consts), values, lambda v: self.constant(v.val, v.aval), self.equation)
+        held = dict(zip(jaxpr.constvars, map(self.constant, consts), strict=True))
+        held |= zip(jaxpr.invars, values, strict=True)
+
+        def value(v):
+            return self.constant(v.val, v.aval) if hasattr(v, "val") else held[v]
+
+        for eqn in jaxpr.eqns:
+            held |= zip(eqn.outvars, self.equation(eqn, list(map(value, eqn.invars))), strict=True)
+        return list(map(value, jaxpr.outvars))
 
     def equation(self, eqn, inputs) -> list:
         name = eqn.primitive.name
         if name in CALLS:
             jaxpr, consts = called(eqn)
             return self.run(jaxpr, consts, inputs)
-        if name in _PASSED_ON or (name == "reduce_precision" and _keeps(eqn)):
+        if name in _PASSED_ON:
             return list(inputs)
         if name == model_p.name:
             return [self._of_the_model(*inputs)]
-        if name == "dim_as_value":
-            return [array_of([self.g.length(eqn.params["dim"], eqn.outvars[0].aval.dtype)], ())]
         if name == "iota":
-            return [self._counted(eqn)]
+            (out,) = (v.aval for v in eqn.outvars)
+            indices = np.indices(out.shape, out.dtype, sparse=True)[eqn.params["dimension"]]
+            return [self.constant(np.broadcast_to(indices, out.shape))]
         if name in REGIONS:
             return REGIONS[name](self, eqn, *inputs)
         if name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype:
@@ -82,19 +88,12 @@ class Reader:
         inputs = [stacks.shallow(self.g, x) if isinstance(x, Deep) else x for x in inputs]
         if not all(map(is_cells, inputs)) and (found := self._whole(eqn, inputs)) is not None:
             return found
-        if (found := self._repeated(eqn, inputs)) is not None:
+        if name == "broadcast_in_dim" and (found := self._repeated(eqn, *inputs)) is not None:
             return found
         cells = [self.cells(x) for x in inputs]
         if sum(v.aval.size for v in eqn.outvars) > LIMIT:
             raise UnsupportedError(f"`{name}` makes an array of {eqn.outvars[0].aval.size} entries")
         return self._of_cells(name, eqn, cells)
-
-    def _counted(self, eqn):
-        (out,) = (v.aval for v in eqn.outvars)
-        if out.ndim == 1 and not isinstance(out.shape[0], int):
-            return Rows(array_of([self.g.shared("iota", (), None, out.shape, out.dtype)], ()), out.shape[0])
-        indices = np.indices(out.shape, out.dtype, sparse=True)[eqn.params["dimension"]]
-        return self.constant(np.broadcast_to(indices, out.shape))
 
     def _of_the_model(self, x):
         """The same value, with known numbers marked as constants of the model."""
@@ -107,20 +106,9 @@ class Reader:
             return found
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, cells)]
-        rule = RULES.get(name)
-        if rule is None:
-            return self._by_jax(eqn, cells)
-        return rule(self.g, eqn, *cells)
-
-    def _by_jax(self, eqn, inputs):
-        """Lets JAX compute an equation without a C form, if all its inputs are known."""
-        values = [stacks.known_value(x) for x in inputs]
-        if any(v is None for v in values):
-            raise UnsupportedError(f"the operation `{eqn.primitive.name}` has no C form")
-        values = [value.astype(v.aval.dtype) for value, v in zip(values, eqn.invars, strict=True)]
-        with jax.ensure_compile_time_eval():
-            made = eqn.primitive.bind(*values, **eqn.params)
-        return [self.constant(x) for x in (made if eqn.primitive.multiple_results else [made])]
+        if name not in RULES:
+            raise UnsupportedError(f"the operation `{name}` has no C form")
+        return RULES[name](self.g, eqn, *cells)
 
     def _elementwise(self, eqn, inputs):
         (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
@@ -147,22 +135,13 @@ class Reader:
             return found
         return over_rows.moved(self.g, eqn, rows[0]) if name in MOVES and len(rows) == 1 else None
 
-    def _repeated(self, eqn, inputs):
+    def _repeated(self, eqn, x):
         """Cells broadcast along a long new axis 0, as constant rows."""
-        out = eqn.outvars[0].aval
-        if eqn.primitive.name != "broadcast_in_dim" or not out.ndim or not stacks.is_many(out.shape[0]):
-            return None
-        x, where = inputs[0], eqn.params["broadcast_dimensions"]
-        if 0 in where or eqn.invars[0].aval.size > LIMIT:
+        shape, where = eqn.outvars[0].aval.shape, eqn.params["broadcast_dimensions"]
+        if not shape or shape[0] < stacks.MANY or 0 in where or eqn.invars[0].aval.size > LIMIT:
             return None
         axes = [axis - 1 for axis in where]
-        return [Rows(MOVES["broadcast_in_dim"](self.cells(x), out.shape[1:], axes), out.shape[0])]
-
-
-def _keeps(eqn) -> bool:
-    """Whether a `reduce_precision` changes no number."""
-    about = jnp.finfo(eqn.invars[0].aval.dtype)
-    return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
+        return [Rows(MOVES["broadcast_in_dim"](self.cells(x), shape[1:], axes), shape[0])]
 
 
 class Trace(NamedTuple):
@@ -175,8 +154,8 @@ class Trace(NamedTuple):
 
 
 def trace(fn, avals) -> Trace:
-    """Trace a function of arrays of these avals, to be read. Raises: RoundsError if it depends on unknown rounds."""
-    with known_rounds(), to_be_read():
+    """Trace a function of arrays of these avals, to be read."""
+    with to_be_read():
         closed, shapes = jax.make_jaxpr(fn, return_shape=True)(*avals)
     stays = bool(closed.effects) or any(isinstance(x, jax.core.Tracer) for x in closed.consts)
     return Trace(closed, *jax.tree.flatten(shapes), stays)

@@ -80,7 +80,7 @@ def _scan(reader, eqn, *inputs):
 
 def _is_mask(x, aval) -> bool:
     """Whether it is a short known array of bools: rounds that know theirs are shorter when written out."""
-    return aval.dtype == bool and is_cells(x) and stacks.known_value(x) is not None
+    return aval.dtype == bool and is_cells(x) and all(c.known for c in x.flat)
 
 
 def _unrolled(reader, params, consts, carry, xs, stacked):

@@ -27,7 +27,7 @@ def computed_anew(g, r, rows) -> dict:
         targets = [one.ys[c.value[2]] for c in wanted.values()]
         for store in STORE:
             kept = _cut(one, targets, store)
-            if not isinstance(one.length, int) or len(kept) * one.length * LANES_BYTES <= MANY_BYTES:
+            if len(kept) * one.length * LANES_BYTES <= MANY_BYTES:
                 break
         found |= _again(g, r, one, wanted, kept)
     return found

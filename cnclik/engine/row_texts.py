@@ -8,7 +8,7 @@ from cnclik.engine.graph import Node, Scan, UnsupportedError
 from cnclik.engine.operations import is_operation, number, scalar
 from cnclik.engine.stacks import Rows
 
-_PLACED = ("stacked", "array", "iota")  # rows with random access
+_PLACED = ("stacked", "array")  # rows with random access
 
 
 def all_items(*blocks) -> list:
@@ -145,8 +145,6 @@ class RowTexts:
             return self.where[c.number](k)
         if c.op == "array":
             return self.table(c.value, k)
-        if c.op == "iota":
-            return self.splat(c.dtype, f"({scalar(c.dtype)})({k})")
         if c.op == "column":
             return self._named(c, self.load(c.args[0], place_in(c, k)))
         if c.op == "within":
@@ -176,17 +174,6 @@ class RowTexts:
             piece = self.row(a, f"(({k}) - ({end - length}))", {})
             made = piece if made is None else f"(({k}) < ({end}) ? {piece} : {made})"
         return made
-
-    def argument_at(self, cells, which):
-        """The cell at an index, if the cells are evenly spaced in an argument; otherwise None."""
-        whole = cells[0].args[0] if cells[0].op == "index" else None
-        if getattr(whole, "op", None) != "input" or any(c.op != "index" or c.args[0] is not whole for c in cells):
-            return None
-        first, *others = (int(np.ravel_multi_index(c.params, whole.shape)) for c in cells)
-        step = others[0] - first if others else 0
-        if others != [first + step * (1 + i) for i in range(len(others))]:
-            return None
-        return self.load(whole, f"{first} + {step} * {which}")
 
     def table(self, values, k) -> str:
         N = scalar(values.dtype)

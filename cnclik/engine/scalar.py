@@ -68,7 +68,7 @@ class ScalarWriter(Writer):
         self.line(f"if (!{self.of(r.begins)}) {{")
         self.line("break;")
         self.line("}")
-        self.block(r.block, r.then)
+        self.block(r.block)
         self.move_on(r, names)
 
     def choice(self, r: Cond):
@@ -84,7 +84,7 @@ class ScalarWriter(Writer):
             asked = which if two else f"{which} == {k}"
             first, last = (k == 1, k == 0) if two else (k == 0, k == len(cases) - 1)
             self.line(f"{'' if first else '} else '}{'' if last else f'if ({asked}) '}{{")
-            self.block(block, [results[i] for i in alive])
+            self.block(block)
             for i in alive:
                 self.line(f"{names[i]} = {self.of(results[i])};")
             self.leave()

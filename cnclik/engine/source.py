@@ -4,15 +4,12 @@ import re
 
 import numpy as np
 
-from cnclik.engine.graph import Node, Scan
+from cnclik.engine.graph import Node
 from cnclik.engine.operations import LIBRARY, TYPES, header, scalar, vector
-from cnclik.engine.rounds import beyond
 from cnclik.engine.row_texts import all_items
 from cnclik.engine.sines import filled
 from cnclik.engine.to_c import Writer
 
-LONG = 20_000  # nodes; longer programs are written in pieces
-PIECE = 1_000  # from 1,000 to 5,000 the speed differs by about 10 %, and compile time grows by up to a half
 _TILE = "int64_t first, int64_t n, const void *const *in, const int64_t *stride, void *const *out, char *restrict work"
 _REAL = {"float32": ("S32", "int32_t", "f"), "float64": ("S64", "int64_t", "")}
 
@@ -25,42 +22,20 @@ def main_type(graph, given, shapes) -> np.dtype:
     return np.dtype(np.float64 if wide > narrow else np.float32)
 
 
-def write(graph, given, outs, shapes, grows=()) -> tuple:
-    """(C text, number of operations) of a graph; `shapes` are the results' avals.
-
-    Args: grows: which results grow with the number of rounds, which is then one more argument; `shapes` are for 0 then.
-    """
-    main, sizes = main_type(graph, given, shapes), list(map(_size, shapes, grows or [False] * len(shapes)))
-    head = [f"const int64_t rounds = *(const int32_t *)in[{len(given)}];"] * _of_any_rounds(graph)
+def write(graph, given, outs, shapes) -> tuple:
+    """(C text, number of operations) of a graph; `shapes` are the results' avals."""
+    main = main_type(graph, given, shapes)
     reads = [lane(n.dtype, f"(const {scalar(n.dtype)} *)in[{i}]", f"stride[{i}]") for i, n in enumerate(given)]
     writes = [
-        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", size)
-        for o, (s, size) in enumerate(zip(shapes, sizes, strict=True))
+        entry(np.dtype(s.dtype), f"({scalar(np.dtype(s.dtype))} *)out[{o}]", s.size) for o, s in enumerate(shapes)
     ]
-    writer = Writer(graph, given, outs, main, reads, writes, head=head)
-    writer.piece = PIECE if len(writer.needed) > LONG else 0
+    writer = Writer(graph, given, outs, main, reads, writes)
     writer.statements()
-    work, each = writer.work
     text = [f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)]
-    text += [f"#define WORK(rounds) ((int64_t)({work} + {each} * (rounds)) / 64 * BYTES)"]
-    text += [*writer.tables, *(body for _, body in writer.parts), f"static void tile({_TILE})"]
-    text += ["{", *head, *writer.lines, "}", header("tiles.h"), *_call(given, shapes, sizes)]
+    text += [f"#define WORK ((int64_t){writer.work} / 64 * BYTES)", *writer.tables, f"static void tile({_TILE})"]
+    text += ["{", *writer.lines, "}", header("tiles.h"), *_call(given, shapes)]
     text += [header("numbers_call.h"), header("handler.h")]
     return "\n".join(text) + "\n", writer.operations
-
-
-def _of_any_rounds(graph) -> bool:
-    """Whether a graph gets its number of rounds when it is called."""
-    return any(
-        i.op in ("iota", "length") if isinstance(i, Node) else isinstance(i, Scan) and beyond(i.length) is not None
-        for i in all_items(graph.root)
-    )
-
-
-def _size(shape, grows):
-    """The number of a result's entries, as text."""
-    inner = int(np.prod(shape.shape[grows:]))
-    return f"(({shape.shape[0]} + rounds) * {inner})" if grows else str(inner)
 
 
 def lane(dtype, data, stride):
@@ -116,7 +91,7 @@ def _library(writer, T):
         yield f"{each}({name}, LIBM({name})({of}))"
 
 
-def _call(given, shapes, sizes):
+def _call(given, shapes):
     """Tables that the entries for numbers and for XLA read."""
     ins = [(len(n.shape), int(np.prod(n.shape))) for n in given]
 
@@ -128,5 +103,4 @@ def _call(given, shapes, sizes):
     yield table("argument_size", [s for _, s in ins])
     yield table("result_rank", [s.ndim for s in shapes])
     yield table("argument_bytes", [n.dtype.itemsize * size for n, (_, size) in zip(given, ins, strict=True)])
-    bytes_of = [f"{s.dtype.itemsize} * {size}" for s, size in zip(shapes, sizes, strict=True)]
-    yield f"#define RESULT_BYTES(rounds) {', '.join(bytes_of) or '0'}"
+    yield table("result_bytes", [s.dtype.itemsize * s.size for s in shapes])

@@ -12,11 +12,6 @@ from cnclik.engine.graph import Node, Scan, UnsupportedError
 MANY = 64  # entries along axis 0, at least, for a known array or an argument to become rows
 
 
-def is_many(length) -> bool:
-    """Whether an array of this length becomes rows."""
-    return not isinstance(length, int) or length >= MANY
-
-
 class Rows:
     """An array (N, ...) whose cells are rows: nodes of shape (N,), or of shape () if all entries are the same."""
 
@@ -66,8 +61,6 @@ def entry(g, row, k):
         return g.shared("index", row.args, at, (), row.dtype)
     if row.op == "list":
         return row.args[k]
-    if row.op == "iota":
-        return g.length(k, row.dtype)
     if row.op == "slid":
         start, stride = row.params
         return entry(g, row.args[0], start + stride * k)
@@ -83,20 +76,6 @@ def constant(g, value, limit):
     if value.size > limit or (value.ndim and len(value) >= MANY):
         return columns(g, g.array(value))
     return array_of([g.const(v, value.dtype) for v in value.ravel()], value.shape)
-
-
-def known_value(x):
-    """A value's array of numbers; None if it is not known."""
-    if is_cells(x):
-        return np.array([c.value for c in x.flat]).reshape(x.shape) if all(c.known for c in x.flat) else None
-    if isinstance(x, Node):
-        return x.value if x.op == "array" else None
-    if isinstance(x, Deep) or not isinstance(x.length, int):
-        return None
-    if not all(c.known or c.op == "array" for c in x.cells.flat):
-        return None
-    flat = [np.broadcast_to(c.value, x.length) for c in x.cells.flat]
-    return np.stack(flat, 1).reshape(x.shape)
 
 
 def columns(g, node) -> Rows:

@@ -8,9 +8,7 @@ one scan stacks, each round stores its part directly.
 import numpy as np
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
-from cnclik.engine.operations import COST, is_operation, number, scalar, text, vector
-from cnclik.engine.pieces import in_pieces, read_for
-from cnclik.engine.rounds import RoundsError, beyond
+from cnclik.engine.operations import COST, is_operation, number, text, vector
 from cnclik.engine.row_texts import (
     RowTexts,
     cells_of,
@@ -37,23 +35,20 @@ class Writer(RowTexts):
 
     prefix = ""
     beside = 4  # entries stored at once
-    piece = 0  # statements of one function; 0: all in one
 
-    def __init__(self, graph, given, outs, main, reads, writes, *, head=()):
+    def __init__(self, graph, given, outs, main, reads, writes):
         """Args:
         given: input nodes. outs: results: cells, rows or nodes.
         main: the type that sets the number of lanes of a vector.
         reads: per input, a function from an index to the text of that entry. writes: per result, a function that
           returns the statement storing texts at an index.
-        head: lines at the head of each function.
         """
         self.graph, self.given, self.outs, self.main = graph, given, outs, main
-        self.reads, self.writes, self.head = reads, writes, head
+        self.reads, self.writes = reads, writes
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
-        self.kept: dict = {}  # {number of a node: its place in the work memory, for all pieces}
-        self.tables, self.parts, self.functions, self.dtypes = [], [], set(), set()
+        self.tables, self.functions, self.dtypes = [], set(), set()
         self.where, self.counted, self.operations = {}, 0, 0
-        self.work = 0, 0  # bytes of the work memory, and bytes more for each round
+        self.work = 0  # bytes of the work memory
         ends = [node for out in outs for node in cells_of(out)]
         self.needed = live(ends)
         self.direct = whole_results(outs)
@@ -81,9 +76,6 @@ class Writer(RowTexts):
         if node.known:
             words = number(node.value, node.dtype)
             return f"({words})" if plain else self.splat(node.dtype, words)
-        if node.number not in self.names:  # load once: compilers search all earlier stores for each load
-            self.names[node.number] = self.variable(node, self.kept[node.number], "t")
-            self.scopes[-1].append(node.number)
         return self.names[node.number]
 
     def splat(self, dtype, words) -> str:
@@ -104,11 +96,10 @@ class Writer(RowTexts):
 
     def room(self, dtype, entries, length=1) -> str:
         """An array of `entries` · length vectors in the work memory."""
-        size, more = self.vector_bytes(dtype), beyond(length)
-        place, each = (-(-bytes // size) * size for bytes in self.work)
-        grows = entries * size * (more is not None)
-        self.work = place + entries * size * (length if more is None else more), each + grows
-        return f"AT({vector(dtype)}, {place}{f' + {each} * rounds' * (each > 0)})"
+        size = self.vector_bytes(dtype)
+        place = -(-self.work // size) * size
+        self.work = place + entries * size * length
+        return f"AT({vector(dtype)}, {place})"
 
     def vector_bytes(self, dtype) -> int:
         """Bytes of a vector with as many lanes as AVX-512 has, the largest."""
@@ -141,19 +132,12 @@ class Writer(RowTexts):
     def is_needed(self, item) -> bool:
         return item.number in self.needed
 
-    def block(self, block, ending=()):
-        """Writes a block. `ending` are the nodes that are used after it. `leave` must follow."""
-        items = [i for i in block.items if i.number in self.needed]
-        items = [i for i in items if not (isinstance(i, Node) and i.shape and i.number not in self.material)]
+    def block(self, block):
+        """Writes a block. `leave` must follow."""
         self.scopes.append([])
-        if self.piece and len(items) > 1.5 * self.piece:
-            in_pieces(self, items, ending)
-        else:
-            self.items(items)
-
-    def items(self, items):
-        for item in items:
-            {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
+        for item in block.items:
+            if item.number in self.needed:
+                {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
 
     def leave(self):
         """Ends a block: its values go out of scope."""
@@ -161,10 +145,10 @@ class Writer(RowTexts):
             self.names.pop(key, None)
 
     def node(self, n):
-        if n.number in self.names or n.number in self.where:
-            return
         if n.number in self.material:
             self.materialise(n)
+        elif n.shape or n.number in self.names:
+            return
         elif is_operation(n):
             words = self.applied(n, self.of)
             if n.op in ("sin", "cos"):
@@ -172,8 +156,6 @@ class Writer(RowTexts):
                 self.operations += 1
             else:
                 self.declare(n, words)
-        elif n.op == "length":
-            self.declare(n, self.splat(n.dtype, f"({scalar(n.dtype)})({n.params})"))
         elif n.op in ("index", "pick", "take"):
             getattr(self, n.op)(n)
 
@@ -195,7 +177,7 @@ class Writer(RowTexts):
         index, *cells = n.args
         which, name = f"{self.of(index)}[i]", self.new()
         self.names[n.number] = name
-        at = self.argument_at(cells, which) or f"{self.listed(cells)}[{which}]"
+        at = f"{self.listed(cells)}[{which}]"
         self.line(f"{self.type(n)} {name};")
         self.line(f"for (int i = 0; i < W; ++i) {name}[i] = {at}[i];")
 
@@ -234,9 +216,7 @@ class Writer(RowTexts):
                 self.where[r.rows[i].number] = lambda o, x=r.xs[i]: self.where[x.number](k, o)
             else:
                 self.names[r.rows[i].number] = self.row(r.xs[i], k, memo)
-        ends = [r.then[i] for i in alive] + [y for y, _ in stores]
-        ends += [y for _, _, _, ys in direct for y in ys]
-        self.block(r.block, ends)
+        self.block(r.block)
         for y, node in stores:
             self.line(f"{self.where[node.number](k)} = {self.of(y)};")
         for o, start, length, ys in direct:
@@ -257,11 +237,9 @@ class Writer(RowTexts):
         stores, groups = [], {}
         for y, node in stacked:
             if len(node.shape) == 2 and node.number in self.stored:  # an inner loop stores into it
-                if beyond(size := node.shape[1]) is not None:
-                    raise RoundsError("an inner scan of any number of rounds has no C form")
                 self.dtypes.add(node.dtype)
-                array = self.room(node.dtype, size, node.shape[0])
-                self.where[node.number] = lambda o, i, a=array, s=size: f"{a}[({o}) * {s} + ({i})]"
+                array = self.room(node.dtype, node.shape[1], node.shape[0])
+                self.where[node.number] = lambda o, i, a=array, s=node.shape[1]: f"{a}[({o}) * {s} + ({i})]"
                 self.where[y.number] = lambda i, node=node: self.where[node.number](k, i)
             elif node.number in self.where:
                 stores.append((y, node))
@@ -293,7 +271,7 @@ class Writer(RowTexts):
         names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
         self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
         self.line("for (;;) {")
-        self.block(r.asking, [r.begins])
+        self.block(r.asking)
         self.rounds(r, dict(enumerate(names)))
         self.line("}")
         self.leave()
@@ -309,7 +287,7 @@ class Writer(RowTexts):
         self.line(f"const M {asked} = {self.of(r.begins)}{among};")
         self.line(f"if (!ANY({asked})) break;")
         self.active.append(asked)
-        self.block(r.block, r.then)
+        self.block(r.block)
         self.active.pop()
         self.move_on(r, names, asked)
 
@@ -327,7 +305,7 @@ class Writer(RowTexts):
             self.line(f"const M {mask} = {truth}{among};")
             self.line(f"if (ANY({mask})) {{" if weight(block, self.needed) >= HEAVY else "{")
             self.active.append(mask)
-            self.block(block, [results[i] for i in alive])
+            self.block(block)
             for i in alive:
                 self.line(f"{names[i]} = select_{self.type(r.outs[i])}({mask}, {self.of(results[i])}, {names[i]});")
             self.active.pop()
@@ -342,7 +320,7 @@ class Writer(RowTexts):
         for node in self.given:
             if node.number in self.needed and not node.shape:
                 self.declare(node, self.load(node, "0"))
-        self.block(self.graph.root, [n for out in self.outs for c in cells_of(out) for n in read_for(c)])
+        self.block(self.graph.root)
         for o, out in enumerate(self.outs):
             if o in self.direct:
                 continue

@@ -13,8 +13,8 @@ from cnclik.integrate.method import Method
 from cnclik.integrate.solve import one_step
 from cnclik.integrate.stage import Stage
 from cnclik.law.law import Law
-from cnclik.law.paths import Tangent
-from cnclik.law.reference import Reference, References, of_each
+from cnclik.law.paths import Reference, Tangent
+from cnclik.law.reference import References, of_each
 from cnclik.record import cast
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import frames, jacobian_rows, modelled
@@ -136,7 +136,7 @@ def _of_target(before, parts):
         else:
             unit = ", ".join(dict.fromkeys(part.units))
             about = f"desired {place(part)}{of} [{unit}]"
-            yield Field(before + place(part), part.shape, about=about)
+            yield Field(before + place(part), (3, 3) if part.turns else (part.width,), about=about)
     unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
     about = f"desired task velocity{of if before else frame} [{unit}]"
     yield Field(f"{before}velocity", (parts.width,), about=about, value=np.zeros(parts.width))

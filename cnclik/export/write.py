@@ -15,7 +15,7 @@ from cnclik.export.trace import Request, trace
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law, check_loop
-from cnclik.law.reference import Reference
+from cnclik.law.paths import Reference
 from cnclik.record import brief
 from cnclik.robot.chain import Chain
 from cnclik.writing import output_folder

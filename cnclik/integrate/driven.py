@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from cnclik.integrate.drive import Drive, Sampled
 from cnclik.record import Array, Float
 from cnclik.robot import chart
+from cnclik.robot.rotations import exp_so3, log_so3
 
 
 class Driven(NamedTuple):
@@ -51,3 +52,8 @@ def driven(chain, drive: Drive, model: Sampled, drives: Driven, q, seen, step, T
 def averaged(kept, before, new):
     """Return one sample of the filter: ρ before + (1 − ρ) new."""
     return kept * before + (1 - kept) * new
+
+
+def turned(kept, before, new):
+    """Return one sample of the filter of a rotation."""
+    return exp_so3((1 - kept) * log_so3(new @ before.T)) @ before

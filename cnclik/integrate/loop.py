@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.drive import Drive, Sampled, sampled
-from cnclik.integrate.driven import Driven, averaged, driven, resting
+from cnclik.integrate.driven import Driven, averaged, driven, resting, turned
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
@@ -26,7 +26,8 @@ from cnclik.integrate.status import flags, growing, task_flags
 from cnclik.integrate.trajectory import Trajectory, steps_of
 from cnclik.law.law import Law, evaluate, evaluate_at, observe
 from cnclik.law.limits import inside, within
-from cnclik.law.reference import Reference, References, check, tangent
+from cnclik.law.paths import Reference
+from cnclik.law.reference import References, check, tangent
 from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out
@@ -124,7 +125,9 @@ def _measured(loop, state, t, k):
     found, filters, kept = known.e, loop.drive.filters, loop.drive.kept(loop.Ts)
     if filters == "target":
         parts = zip(law.task.parts, drives.smooth, at.aims, strict=True)
-        drives = drives._replace(smooth=tuple(part.averaged(kept, before, aim) for part, before, aim in parts))
+        drives = drives._replace(
+            smooth=tuple(turned(kept, *v) if part.turns else averaged(kept, *v) for part, *v in parts)
+        )
         found = error(law.task, known.robot, drives.smooth)
     errors = found, *(drives.late if drives is not None else ())
     measured = errors[-1]

@@ -20,7 +20,8 @@ from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law
-from cnclik.law.reference import A_REFERENCE, REFERENCE, Reference, References, check
+from cnclik.law.paths import A_REFERENCE, Reference
+from cnclik.law.reference import REFERENCE, References, check
 from cnclik.record import ArrayLike, Float, Number, cast
 from cnclik.robot.model import modelled
 
@@ -150,7 +151,7 @@ def whole_run(law, reference, stage, drive, method, q0, Ts, t0, model, noise, *,
     return run(loop_of(law, reference, q0, Ts, N, method, stage, t0=t0, drive=drive, model=model, noise=noise), q0)
 
 
-a_run = Numbers(whole_run, lets_go=True)
+a_run = Numbers(whole_run)
 
 
 def one_step(law, reference, stage, method, q, t, Ts) -> Step:
@@ -160,4 +161,4 @@ def one_step(law, reference, stage, method, q, t, Ts) -> Step:
     return advance(law, reference, q, jnp.asarray(t, q.dtype), jnp.asarray(Ts, q.dtype), method, stage)
 
 
-a_step = Numbers(one_step, lets_go=False)
+a_step = Numbers(one_step)

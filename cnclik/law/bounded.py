@@ -22,7 +22,7 @@ from jax import lax
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law.inverse import ROUNDED, by_shift, positive, scaled, through
-from cnclik.law.limits import Limited, bounds
+from cnclik.law.limits import Evaluation, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
 from cnclik.record import Array, Bool, Float, Int, Number, record, replace
 
@@ -272,13 +272,13 @@ class Bounded:
         """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
-    def __call__(self, shift, chain, q, rows, velocity, null) -> Limited:
+    def __call__(self, shift, chain, q, rows, velocity, null) -> Evaluation:
         """Return J# v + (I − J# J) q̇₀ within the bounds, of an inverse with damping λ², one or one per row."""
         size = lax.stop_gradient(jnp.sum(scaled(rows, shift) ** 2))
         factored = by_shift(rows, shift * jnp.maximum(1.0, LEAST * size / jnp.min(jnp.asarray(shift))))
         unlimited = through(factored.apply, rows, velocity, null)
         if not (chain.bounded or chain.slowed or self.walls):
-            return Limited(unlimited, factored)
+            return Evaluation(unlimited, factored)
         low, high = bounds(self.rate, chain, q)
         walls, shift = rows_at(self.walls, chain, q), factored.shift  # a shift that rounding needs, too
         still = jnp.zeros_like(walls.floor)
@@ -311,7 +311,7 @@ class Bounded:
         fits = jnp.all((low <= unlimited) & (unlimited <= high)) & jnp.all(walls.rows @ unlimited >= walls.floor)
         free = unlimited, jnp.zeros_like(unlimited), jnp.bool_(False), still
         qdot, shut, cut, push = lax.cond(fits, lambda: free, least)
-        return Limited(
+        return Evaluation(
             qdot=qdot,
             factored=factored._replace(apply=lambda t: lax.cond(fits, factored.apply, locked, t)),
             limited=jnp.any((shut > 0) & (low < high)) | jnp.any(push > 0),

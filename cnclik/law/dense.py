@@ -8,13 +8,6 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import solve_triangular
 
-SQUARINGS = 5  # of an inverse, to find its largest eigenvalue: the power 32
-
-
-def wide_side(rows):
-    """Return the matrix or its transpose, whichever has fewer rows."""
-    return rows if len(rows) <= rows.shape[1] else rows.T
-
 
 def shifted(matrix, shift):
     """Return A + shift·I, or A + diag(shift); zeros off the diagonal stay literal zeros."""
@@ -53,27 +46,6 @@ def inverse_trace(lower):
     """Return the trace of (L Lᵀ)⁻¹ = Σᵢⱼ (L⁻¹)ᵢⱼ²; infinite without a factor."""
     trace = jnp.sum(triangular(lower, jnp.eye(len(lower), dtype=lower.dtype)) ** 2)
     return jnp.where(trace > 0, trace, jnp.inf)
-
-
-@functools.partial(jax.jit, inline=True)
-def least_squared(rows, tiny):
-    """Return σ_min² of J, or up to m^(1/32) less where others are as small (6 % for six rows), with smooth derivatives.
-
-    1/tr((JJᵀ)⁻³²)^(1/32) by five products: no decomposition, whose derivatives have no meaning where values are equal.
-
-    Args: tiny: the shift of J Jᵀ below which rounding is.
-    """
-    lower = cholesky(shifted(rows @ rows.T, tiny))
-    power = cholesky_solve(lower, jnp.eye(len(rows), dtype=rows.dtype))
-    sizes = []
-    for _ in range(SQUARINGS):
-        sizes.append(jnp.trace(power))
-        power = power / sizes[-1]
-        power = power @ power
-    root = jnp.trace(power)
-    for size in reversed(sizes):
-        root = size * jnp.sqrt(root)
-    return jnp.maximum(1.0 / root - tiny, 0.0)
 
 
 # --- without LAPACK -----------------------------------------------------------------------------------

@@ -3,11 +3,10 @@
 The law's own solution over a step is x*(t + s) = x_d(t + s) − e^{−K·s} e(t). A constant feedback over the step that
 reaches it is (1 − e^{−K·Ts}) e/Ts: K e for small K·Ts, and never more than e/Ts.
 
-The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the
-law gives Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. The feedback at an instant within
-the step is thus k e^{−k·s} T(s) e_R. A constant one is, to second order in the turn, the mean of T(s) at both ends
-times (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R. This
-is the law's solution if the controller knows the target's velocity and no error is clamped.
+The error of an orientation turns with the target by T(s) = R_d(t + s) R_d(t)ᵀ: with E = R_d Rᵀ = exp(e_R) the law gives
+Ė = [ω_d]E − E[ω_d + k e_R], which E(t + s) = exp(T(s) e^{−k·s} e_R) solves. So the feedback within the step is
+k e^{−k·s} T(s) e_R, and a constant one, to second order in the turn, the mean of T(s) at both ends times
+(1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
 """
 
 from typing import NamedTuple
@@ -24,9 +23,6 @@ from cnclik.task.task import velocity
 _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
 
 
-# --- the factor ---------------------------------------------------------------------------------------
-
-
 def per_step(alpha, Ts):
     """Return Φ = (1 − e^{−K·Ts})/Ts [1/s], the constant gain over a step with the effect of K; K itself for Ts = 0."""
     return alpha * _share(alpha * Ts)
@@ -38,9 +34,6 @@ def _share(z):
     safe = jnp.where(near, 1.0, z)
     series = 1 - z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6))))
     return jnp.where(near, series, -jnp.expm1(-safe) / safe)
-
-
-# --- feedback -----------------------------------------------------------------------------------------
 
 
 def _along(law, rate, turns, share):
@@ -66,14 +59,11 @@ def held_feedback(law: Law, e, turns, Ts):
 def feedback_within(law: Law, e, times, turns, Ts) -> list:
     """Return the feedback (m,) of a step at each of some times within it, in units of Ts.
 
-    They are slopes of the parabola through the tip's motion as the error decays, (1 − e^{−K·c·Ts}) e, at c = 0, 1/2, 1.
-    A quadrature of second order or more integrates them to the whole decay; one of order 3 or 4 keeps its order,
-    as 3c² − 3c + 1/2, along which they miss the decay, is orthogonal to 1 and c. From K·Ts = 1 on the parabola gives
-    way to the chord, whose slope is the same everywhere: 3 e/Ts at first and −e/Ts at last lead a far start astray.
+    They are slopes of the parabola through (1 − e^{−K·c·Ts}) e at c = 0, 1/2, 1, which a quadrature of order 2 to 4
+    integrates to the whole decay without loss of order. From K·Ts = 1 on the parabola gives way to the chord: slopes of
+    3 e/Ts at first and −e/Ts at last lead a far start astray.
 
-    Args:
-      e: (m,) at the step's start.
-      turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
+    Args: turns: for each time, as for `held_feedback`, R_d(t + c·Ts) R_d(t)ᵀ.
     """
     e = clamped(law, e)
     half, whole = (per_step(law.alpha, c * Ts) * e for c in (0.5, 1.0))
@@ -87,9 +77,6 @@ def held_null(law: Law, q, Ts):
     """Return the pull (n,) of the law's posture over a step, (1 − e^{−rate·Ts})/(rate·Ts) q̇₀; None without one."""
     posture = law.null_velocity
     return None if posture is None else _share(posture.rate * Ts) * null_velocity(law, q)
-
-
-# --- the target's motion ------------------------------------------------------------------------------
 
 
 class Ahead(NamedTuple):

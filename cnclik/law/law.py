@@ -21,9 +21,10 @@ from cnclik.law import dense
 from cnclik.law import reference as ref
 from cnclik.law.bounded import LEAST_SHARES, Bounded
 from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
-from cnclik.law.limits import Limited, Scaled, slowed
+from cnclik.law.limits import Evaluation, Scaled, slowed
+from cnclik.law.paths import A_REFERENCE
 from cnclik.precision import precise
-from cnclik.record import Array, ArrayLike, Bool, Float, Number, brief, leaf, record
+from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record
 from cnclik.robot import chart
 from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
@@ -112,19 +113,16 @@ class Law:
         }
         if self.error_clamp is not None:
             checked["error_clamp"] = clamp = errors.array("error_clamp", self.error_clamp, (2,))
-            if errors.concrete(clamp) and not np.all(np.asarray(clamp) > 0):
+            if errors.concrete(clamp) and np.min(clamp) <= 0:
                 raise errors.fail("error_clamp", "be positive", f"is {np.asarray(clamp).tolist()}")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     def __repr__(self):
-        lines = [f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"]
-        lines += [f"  {brief(self.task)}", f"  {brief(self.chain)}", f"  alpha {brief(self.alpha)} 1/s"]
-        lines += [f"  inverse {brief(self.inverse)}", f"  limits {brief(self.limits)}"]
-        for name in ("null_velocity", "error_clamp"):
-            if getattr(self, name) is not None:
-                lines.append(f"  {name} {brief(getattr(self, name))}")
-        return "\n".join(lines)
+        names = ("inverse", "limits", "null_velocity", "error_clamp")
+        said = [f"{name} {brief(getattr(self, name))}" for name in names if getattr(self, name) is not None]
+        whole = f"Law q̇ = J#(ẋ_d + α e) of {self.task.m} coordinates on {self.chain.n} joints"
+        return "\n  ".join([whole, brief(self.task), brief(self.chain), f"alpha {brief(self.alpha)} 1/s", *said])
 
 
 def _gains(task: Task, alpha):
@@ -144,18 +142,7 @@ def check_loop(law, *references) -> None:
     """Raise ArgumentError unless `law` is a `Law` and each of the references a `Reference` for its task."""
     errors.kind("law", law, Law)
     for reference in references:
-        ref.check(errors.kind("reference", reference, ref.REFERENCE, ref.A_REFERENCE), law.task)
-
-
-class Evaluation(NamedTuple):
-    """One evaluation of f(q, t) and its ingredients."""
-
-    qdot: Float[Array, " n"]  # joint velocities
-    least: Float[Array, ""]  # estimate of the least singular value; of a stack (tasks,)
-    newton: Callable  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `newton`
-    limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
-    cut: bool | Bool[Array, ""] = False  # whether the search within limits was cut short
-    walls: Float[Array, " k"] | None = None  # see `cnclik.law.limits.Limited`
+        ref.check(errors.kind("reference", reference, ref.REFERENCE, A_REFERENCE), law.task)
 
 
 def evaluate(law: Law, reference, t, q, offset=None) -> Evaluation:
@@ -178,19 +165,15 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
         moved = law.limits(law.inverse.shift(rows, e, LEAST_SHARES), law.chain, q, rows, velocity, null)
     else:
         factored = law.inverse(rows, e)
-        moved = Limited(through(factored.apply, rows, velocity, null), factored)
+        qdot, limited = through(factored.apply, rows, velocity, null), False
         if isinstance(law.limits, Scaled):
-            qdot, limited = slowed(law.chain, moved.qdot)
-            moved = Limited(qdot, factored, limited)
+            qdot, limited = slowed(law.chain, qdot)
+        moved = Evaluation(qdot, factored, limited)
     # A conflict between the tasks of a stack is no singularity.
     each = [least_of(at.rows[where]) for _, where in task.each]
-    return Evaluation(
-        qdot=moved.qdot,
+    return moved._replace(
         least=jnp.stack(each) if each else moved.factored.least,
         newton=lambda h, k: newton(law, rows, moved.factored, velocity, moved.qdot, h, k),
-        limited=moved.limited,
-        cut=moved.cut,
-        walls=moved.walls,
     )
 
 
@@ -246,9 +229,8 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
     """Return k + (I − h ∂f/∂q)⁻¹ (f − k) without the derivative of J#: a Newton step of an implicit stage, at any gain.
 
     With the weighted rows B = WJ, A = B# and a posture's rate r, the slope is −A K B − r (I − A B). With s = 1 + h r
-    and C = (h/s)(K − r), the push-through identity (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s leaves an m×m
-    system. With a scalar gain and no posture it is one factor and one solve, t = 1/(1 + h alpha):
-    Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k).
+    and C = (h/s)(K − r), (s I + h A (K − r) B)⁻¹ = (I − A (I + C B A)⁻¹ C B)/s, an m×m system. With a scalar gain and
+    no posture it is one factor and one solve, t = 1/(1 + h alpha): Bᵀ (B Bᵀ + t λ² I)⁻¹ (t v + (1 − t) B k).
 
     Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
     """

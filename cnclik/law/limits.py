@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -12,14 +13,16 @@ from cnclik.record import Array, Bool, Float, record
 FAR = 1e6  # [rad/s, m/s] stands for no limit: finite, so that no ∞ − ∞ arises
 
 
-class Limited(NamedTuple):
-    """Joint velocities within limits."""
+class Evaluation(NamedTuple):
+    """Joint velocities within limits: one evaluation of f(q, t)."""
 
     qdot: Float[Array, " n"]
     factored: Factored  # J#, whose `apply` is that of these velocities
     limited: bool | Bool[Array, ""] = False  # whether a limit changed the velocities
     cut: bool | Bool[Array, ""] = False  # whether the search was cut short
     walls: Float[Array, " k"] | None = None  # ∇h·q̇ + rate·h of each wall, see `cnclik.law.walls`
+    least: Any = None  # estimate of the least singular value (), of a stack (tasks,); of the law, as the next
+    newton: Callable | None = None  # (h, k) to k + (I + h J#KJ)⁻¹ (f − k), see `cnclik.law.law.newton`
 
 
 @record

@@ -20,8 +20,7 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import picard
 from cnclik.integrate.trajectory import Trajectory, truncate
 from cnclik.law.law import Law, evaluate
-from cnclik.law.paths import line
-from cnclik.law.reference import Reference
+from cnclik.law.paths import Reference, line
 from cnclik.record import ArrayLike, Float, record, replace, stack
 from cnclik.robot.chain import planar_arm
 from cnclik.robot.model import modelled

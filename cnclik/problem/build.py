@@ -19,8 +19,8 @@ from cnclik.law.bounded import bounded
 from cnclik.law.inverse import damped, pseudoinverse, singular_damped
 from cnclik.law.law import Law, check_loop
 from cnclik.law.limits import velocity_scaling
-from cnclik.law.paths import causal
-from cnclik.law.reference import Reference, References, aims_of, hold_at
+from cnclik.law.paths import Reference, causal
+from cnclik.law.reference import References, aims_of, hold_at
 from cnclik.problem import names
 from cnclik.problem import reference as paths
 from cnclik.problem.options import DEFAULTS, OPTIONS, check_units, in_own_units

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.law import paths
-from cnclik.law.reference import Reference
+from cnclik.law.paths import Reference
 from cnclik.problem.tables import read_points
 from cnclik.reaching.public import reach
 from cnclik.reaching.result import ReachStatus

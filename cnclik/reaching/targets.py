@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.reference import Reference, References, aims_of
+from cnclik.law.paths import Reference
+from cnclik.law.reference import References, aims_of
 from cnclik.robot import poses
 from cnclik.task.task import WIDTH, Task, aims, of_tips
 

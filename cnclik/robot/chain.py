@@ -260,17 +260,14 @@ def assemble(
 
 def _scalars(name, values, size=None) -> tuple:
     """Return a sequence as a tuple of scalars: Python numbers stay literal, entries of an array stay leaves."""
-    if isinstance(values, (list, tuple)):
-        scalars = tuple(float(v) if is_number(v) else v for v in values)
-    else:
-        scalars = tuple(errors.array(name, values, (None,)))
+    scalars = tuple(values if isinstance(values, (list, tuple)) else errors.array(name, values, (None,)))
     if not scalars or (size is not None and len(scalars) != size):
         raise errors.fail(name, f"have shape ({size or 'n'},)", f"has shape ({len(scalars)},)")
     for i, value in enumerate(scalars):
         errors.number(f"{name}[{i}]", value)
         if is_number(value) and abs(value) > MOST:
             raise errors.fail(f"{name}[{i}]", f"be within ±{MOST:g}", f"is {value:g}")
-    return scalars
+    return tuple(float(v) if is_number(v) else v for v in scalars)
 
 
 def _rows(name, rows) -> list:

@@ -17,7 +17,7 @@ from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.status import Status, rounding_of
 from cnclik.integrate.trajectory import Trajectory, check_run, one_lane
 from cnclik.law.law import Law, check_loop
-from cnclik.law.reference import Reference
+from cnclik.law.paths import Reference
 from cnclik.measure.outcome import STALL_RATIO
 from cnclik.precision import in_float64_if_known, of_numbers
 from cnclik.quantities import aloud

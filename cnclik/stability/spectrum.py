@@ -15,7 +15,8 @@ from cnclik.integrate.loop import advance
 from cnclik.integrate.method import DEFAULT, MethodLike, named
 from cnclik.integrate.stage import Stage, picard
 from cnclik.law.law import Law, check_loop, observe, weighted
-from cnclik.law.reference import Reference, hold_at
+from cnclik.law.paths import Reference
+from cnclik.law.reference import hold_at
 from cnclik.precision import in_float64_if_known
 from cnclik.record import ArrayLike, Float, Number, cast, replace
 from cnclik.robot import chart

@@ -29,7 +29,7 @@ from cnclik import errors
 from cnclik.record import record, replace
 from cnclik.robot import chart
 from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
-from cnclik.robot.rotations import exp_so3, library, log_quaternion, log_so3, product
+from cnclik.robot.rotations import library, log_quaternion, log_so3, product
 
 AXES = "xyz"
 
@@ -114,11 +114,6 @@ class Vector:
         """Numbers of the target's motion."""
         return self.m
 
-    @property
-    def shape(self):
-        """Of the target."""
-        return (self.width,)
-
     def aim(self, position, rotation):
         return position
 
@@ -143,14 +138,6 @@ class Vector:
     def mean(self, aim, before):
         """Return how far a target went, as a motion, and None or its turn."""
         return aim - before, None
-
-    def averaged(self, kept, before, aim):
-        """Return one sample of a low-pass filter of the target, which keeps a share of what was before."""
-        return kept * before + (1 - kept) * aim
-
-    def chart(self, aim):
-        """Return a vector whose changes are no smaller than those of the target."""
-        return aim
 
 
 @record
@@ -187,7 +174,7 @@ class Orientation(Position):
     e = log(R_d Rᵀ), x = log R.
     """
 
-    turns, unit, shape = True, "rad", (3, 3)
+    turns, unit = True, "rad"
 
     @property
     def names(self):
@@ -218,13 +205,6 @@ class Orientation(Position):
     def mean(self, aim, before):
         turn = aim @ before.T
         return _log_of_step(turn)[places(self.axes)], turn if self.m == 3 else None
-
-    def averaged(self, kept, before, aim):
-        return exp_so3((1 - kept) * log_so3(aim @ before.T)) @ before
-
-    def chart(self, aim):
-        """Return a rotation by its chord ‖R₂ − R₁‖ (Frobenius): the angle is at most π/√8 times it."""
-        return 1.111 * aim.ravel()
 
 
 def spin(rotation, drotation):

@@ -20,7 +20,8 @@ from cnclik.integrate.solve import solve
 from cnclik.integrate.stage import Stage, picard
 from cnclik.integrate.trajectory import Trajectory
 from cnclik.law.law import Law, check_loop, metric
-from cnclik.law.reference import Reference, References
+from cnclik.law.paths import Reference
+from cnclik.law.reference import References
 from cnclik.precision import in_float64
 from cnclik.record import AnyArray, ArrayLike, Float, Number, in_words, record, replace, stack
 from cnclik.robot.rotations import safe_sqrt

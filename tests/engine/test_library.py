@@ -1,9 +1,5 @@
 """What lies around a law as C: drives, paths, derivatives, long runs; lanes with and without a compiler."""
 
-import os
-import pathlib
-import subprocess
-import sys
 import time
 import warnings
 
@@ -143,33 +139,6 @@ def program(path, text):
     path.write_text(f"#!/bin/sh\n{text}\n")
     path.chmod(0o755)
     return path
-
-
-@pytest.mark.skipif(not hasattr(os, "killpg"), reason="processes have no groups here")
-def test_a_compiler_ends_with_the_process_that_calls_it(tmp_path):
-    """However that ends; with what it has started."""
-    started = tmp_path / "started"
-    hanging = program(tmp_path / "cc", f"sleep 600 & echo $! >{started}.part; mv {started}.part {started}; wait")
-    code = f'from cnclik.engine.compiler import build_text; build_text("", {str(tmp_path)!r})'
-    with subprocess.Popen([sys.executable, "-c", code], env=os.environ | {"CC": str(hanging)}) as caller:
-        _until(started.exists)
-        caller.kill()
-    state = pathlib.Path("/proc", started.read_text().strip(), "stat")
-
-    def ended():
-        try:
-            return state.read_text().split()[2] in "ZX"
-        except OSError:
-            return True
-
-    _until(ended)
-
-
-def _until(there, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not there():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 @NEEDS_C

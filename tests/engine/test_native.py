@@ -127,7 +127,7 @@ def test_a_key_of_random_numbers_may_be_an_argument_and_a_result(key):
 
 def test_empty_arrays():
     def of(x):
-        sums = x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.sort(x), jnp.any(x > 1, 0)
+        sums = x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.any(x > 1, 0)
         algebra = jnp.linalg.cholesky(x), jnp.linalg.solve(x, x[:, :0]), jnp.linalg.inv(x)
         places = (
             jnp.ones(3).at[x.ravel().astype(int)].set(0.0),

@@ -40,7 +40,7 @@ def test_programs_of_several_numbers_of_steps_are_few_together(monkeypatch):
         law = ck.Law(ck.planar_arm([length, 0.5]), ck.position("x"), alpha=2.0)
         for N in (2, 4):
             ck.solve(law, WAVE, np.ones(2), 0.01, N)
-    assert 0 < len(solving.a_run.entries) <= 3 and len(solving.a_run.functions) <= 3
+    assert 0 < len(solving.a_run.ready) <= 3 and len(solving.a_run.functions) <= 3
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

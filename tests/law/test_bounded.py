@@ -1,4 +1,4 @@
-"""Bounded least squares: the least that SciPy finds, its derivatives, levels, and how many passes it takes."""
+"""Bounded least squares: the least that SciPy finds, its derivatives and levels; daqp is in test_walls."""
 
 import functools
 from types import SimpleNamespace
@@ -125,20 +125,6 @@ def test_it_is_the_least_within_bounds(name, inverse):
         np.testing.assert_allclose(qdot[k], wanted, atol=1e-8 * max(np.abs(wanted).max(), 1e-3), err_msg=f"draw {k}")
         assert limited[k] == np.any((wanted <= drawn.low[k] + 1e-12) | (wanted >= drawn.high[k] - 1e-12))
     assert 0.5 < limited.mean() < 1
-
-
-def test_it_is_what_daqp_finds():
-    daqp = pytest.importorskip("daqp")
-    drawn, made = draws("g1", 30, seed=3), levels()
-    qdot = BOUND["g1"](RATE, made, drawn[:5])[0]
-    root = 1 / np.where(np.array(made.level) == 0, 1e-2, 0.1)
-    for k, (rows, velocity, _, low, high, _) in enumerate(zip(*drawn, strict=True)):
-        b = root[:, None] * rows
-        sense = np.zeros(len(low), np.intc)
-        found = daqp.solve(
-            b.T @ b + np.eye(len(low)), -b.T @ (root * velocity), np.zeros((0, len(low))), high, low, sense
-        )
-        np.testing.assert_allclose(qdot[k], found[0], atol=1e-5)
 
 
 def test_single_precision():

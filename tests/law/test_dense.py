@@ -9,7 +9,7 @@ from cnclik.law import dense
 from cnclik.law.inverse import least_squared
 from tests.oracles import close
 
-SHAPES = [(1, 1), (2, 3), (4, 2), (3, 4), (6, 7)]
+SHAPES = [(1, 1), (4, 2), (6, 7)]
 
 
 def with_singular_values(shape, values, rng):
@@ -68,7 +68,7 @@ def solved(a, b, more):
     return dense.cholesky_solve(lower, b), dense.cholesky_solve(lower, more), dense.inverse_trace(lower)
 
 
-@pytest.mark.parametrize("m", [1, 6, 26])
+@pytest.mark.parametrize("m", [6, 26])
 def test_a_batch_is_numpys_one_by_one(m):
     """Without LAPACK: in batches its threads may wait for each other for good, as in a loop of two arms they did."""
     given = systems(m)

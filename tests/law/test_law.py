@@ -74,13 +74,6 @@ def test_single_precision_loop_in_a_double_precision_session():
     assert {v.dtype for v in (made.q, made.e, made.qdot, made.residual)} == {jnp.dtype(jnp.float32)}
 
 
-def test_gains_at_the_edge_and_traced_ones_pass():
-    for alpha in (0, [0.0, 1.0], np.ones(2, np.float32)):
-        ck.Law(ARM, ck.position("xy"), alpha=alpha)
-    jax.jit(lambda a: ck.Law(ARM, ck.position("xy"), alpha=a).alpha)(-1.0)
-    ck.Law(ARM, ck.pose(), alpha=1.0, inverse=ck.damped(0.1))  # a compromise, and every step says so
-
-
 XY = ck.position("xy")
 
 
@@ -89,10 +82,8 @@ test_bad_input = refusals(
     (lambda: ck.Law(ARM, "xy", alpha=1.0), "`task` must be a Task, but is str"),
     (lambda: ck.Law(ARM, XY, alpha=[1, 2, 3]), "`alpha` must be a single number or have 2 numbers, but has 3"),
     (lambda: ck.Law(ARM, XY, alpha=np.nan), r"`alpha` must be finite, but is nan"),
-    (lambda: ck.Law(ARM, XY, alpha=None), "`alpha` must be an array of real numbers, but is None"),
     (lambda: ck.Law(ARM, XY, alpha=-5), "`alpha` must not be negative, but is -5"),
     (lambda: ck.Law(ARM, XY, alpha=np.eye(2)), r"`alpha` must have shape \(\) or \(2,\), but has"),
-    (lambda: ck.replace(ck.Law(ARM, XY, alpha=1), alpha=[1.0, -1e-9]), "`alpha` must not be negative, but is -1e-09"),
     (
         lambda: ck.Law(ARM, ck.pose("xyz", "z"), alpha=1),
         r"`task` must have at most 3 coordinates, one per joint, .* but has 4: x, y, z, rz\.",
@@ -101,9 +92,7 @@ test_bad_input = refusals(
     (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=np.ones(3)), r"`null_velocity` must be None or posture\("),
     (lambda: ck.Law(ARM, XY, alpha=1, null_velocity=ck.posture([0, 1])), "`rest` must have 3 joint values, but has"),
     (lambda: ck.Law(ARM, XY, alpha=1, feedforward=[1, 2]), "`feedforward` must be a number"),
-    (lambda: ck.Law(ARM, XY, alpha=1, near_singular=np.inf), "`near_singular` must be finite"),
     (lambda: qdot(ck.Law(ARM, XY, alpha=1), reference=ck.hold([1.0])), "`reference` must give 2 values"),
-    (lambda: qdot(ck.Law(ARM, ck.position("xyz"), alpha=1), reference=REFERENCE), "`reference` must give 3 values"),
     (lambda: qdot(ck.Law(ARM, ck.orientation(), alpha=1), reference=REFERENCE), "`reference` must give a rotation"),
 )
 

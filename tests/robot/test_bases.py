@@ -102,7 +102,7 @@ def test_a_files_own_free_joint_is_a_base(kind):
     q = np.linspace(0.1, 0.8, own.n)
     np.testing.assert_array_equal(ck.jacobian(own, q), ck.jacobian(told, q))
     assert ck.load_urdf(text, base="l0").n == ck.load_urdf(long_chain(3)).n
-    with pytest.raises(ck.ArgumentError, match=r"of one coordinate .*but is .base. .did you mean .base_"):
+    with pytest.raises(ck.ArgumentError, match=r"`freeze` must be .*but is .base. .did you mean .base_"):
         ck.load_urdf(text, freeze={"base": 0.0})
 
 

@@ -97,25 +97,19 @@ I3 = np.eye(3).tolist()
 test_bad_input = refusals(
     (lambda: ck.planar_arm([]), r"`lengths` must have shape \(n,\), but has shape \(0,\)\."),
     (lambda: ck.planar_arm([1.0, -1.0]), r"`lengths\[1\]` must be at least 0, but is -1\."),
-    (lambda: ck.planar_arm([1.0, math.nan]), r"`lengths\[1\]` must be finite, but is nan\."),
-    (lambda: ck.planar_arm([1.0, 1.0], joint_names=["a", "a"]), r"`joint_names` must hold 2 different names"),
     (lambda: ck.from_dh([1.0], [0.0, 0.0], [0.0]), r"`alpha` must have shape \(1,\), but has shape \(2,\)\."),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], convention="Standard"), r"`convention` must be one of standard, modified"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], kinds="RX"), r"`kinds` must be 1 letters R or P, but is 'RX'\."),
     (lambda: ck.with_base(ARM, np.eye(3)), r"`base` must be one pose: a 4×4 transform, .*, but is array"),
-    (lambda: ck.with_tool(ARM, 2 * np.eye(4)), r"`tool` must hold a rotation"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], velocity_limit=[-1.0]), r"`velocity_limit` must be at least 0, but is -1"),
     (lambda: ck.from_dh([1.0], [0.0], [0.0], lower=[0.0, 0.0]), r"`lower` must have 1 number, but has 2\."),
-    (lambda: ck.replace(ARM, velocity_limit=(2.0, -1.0)), r"`velocity_limit` must be at least 0, but is -1\."),
     (lambda: ck.replace(ARM, velocity_limit=2.0), r"`velocity_limit` must have 2 numbers, but is a single number\."),
     (lambda: ck.replace(ARM, upper=(1.0, -7.0), lower=(0.0, -6.0)), r"must not exceed `upper`, but is -6 > -7"),
     (lambda: ck.from_dh([1e300], [0.0], [0.0]), r"`a\[0\]` must be within ±1e\+12"),
     (lambda: ck.from_screws(I3, I3[:2], [1.0, 0.0, 0.0]), r"`axes` must have shape \(3, 3\) like `points`"),
     (lambda: ck.from_screws(I3, np.zeros((3, 3)), [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
-    (lambda: ck.from_screws([[0.0, 0.0]], I3[:1], [1.0, 0.0, 0.0]), r"`points\[0\]` must have shape \(3,\)"),
     (lambda: ck.from_screws(I3, I3, [1.0, 0.0]), r"`home` must have shape \(3,\), but has shape \(2,\)\."),
     (lambda: assemble([]), r"`joints` must hold at least one joint"),
-    (lambda: ck.forward(ck.planar_arm([1.0]), [0.0, 0.0]), r"`q` must have 1 joint value, but has 2\."),
     (lambda: ck.planar_arm([1.0], clockwise="no"), "`clockwise` must be True or False, but is 'no'"),
     (lambda: ck.with_tool(ARM, [[1, 2], [3]]), r"`tool` must be one pose: .*, or a position \(3,\), but is \[\["),
     (lambda: ck.jacobian(3, [0.0]), "`chain` must be a Chain, but is int"),
@@ -155,24 +149,7 @@ def test_public_functions_under_jit_and_vmap():
         close(turn, ck.forward(PANDA, one).rotation, atol=1e-14)
 
 
-def test_kinds_of_joint_values_accepted():
-    arm = ck.planar_arm([1.0, 1.0])
-    wanted = ck.forward(arm, np.array([1.0, 2.0])).position
-    for q in ([1, 2], (1.0, 2.0), np.array([1, 2]), jnp.array([1, 2]), [np.float32(1), 2], [jnp.asarray(1.0), 2]):
-        found = ck.forward(arm, q).position
-        assert found.dtype == jnp.float64
-        np.testing.assert_array_equal(found, wanted)
-
-
 def test_xla_gets_no_products_of_small_matrices():
     """It would call a library for each of them, for ten times the time of all frames."""
     traced = jax.make_jaxpr(functools.partial(ck.forward, PANDA))(jnp.zeros(7))
     assert "dot_general" not in str(traced)
-
-
-def test_float32_on_a_long_chain():
-    q = np.random.default_rng(6).uniform(-3, 3, 7).astype(np.float32)
-    at, wanted = ck.forward(PANDA, q), ck.forward(PANDA, q.astype(float))
-    assert at.position.dtype == at.rotation.dtype == jnp.float32
-    close(at.position, wanted.position, atol=3e-6)
-    close(ck.jacobian(PANDA, q), ck.jacobian(PANDA, q.astype(float)), atol=5e-6)

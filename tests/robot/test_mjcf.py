@@ -182,7 +182,7 @@ test_what_cannot_be_meant_is_refused = refusals(
     (lambda: ck.load_mjcf("<mujoco><world/></mujoco>"), "`model` must be one that MuJoCo reads, but it finds: "),
     (lambda: read_robot("<mujoco><world/></mujoco>"), "`robot` must be one that MuJoCo reads, but it finds: "),
     (lambda: ck.load_mjcf("nowhere.xml"), "`model` must name an MJCF file"),
-    (lambda: ck.load_mjcf(3), "`model` must name an MJCF file, but is 3"),
+    (lambda: ck.load_mjcf(3), "`model` must name an MJCF file, but is int"),
     (lambda: ck.load_mjcf(HUMANOID, tip="sole", base="floating"), "`base` must be fixed, planar, free or one of "),
     (lambda: ck.from_model_q(*humanoid(), np.zeros(13)), "`q` must hold a quaternion for each free"),
     (lambda: ck.to_model_q(*humanoid(MIXED), np.zeros(8)), "`model` must have .* but has no root_x, .* knee"),

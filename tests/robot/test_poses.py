@@ -134,11 +134,6 @@ def test_four_quaternions_are_no_transform():
     assert read(np.eye(4), pose())[1]  # a pose has one reading
 
 
-def test_positions_alone_are_no_poses():
-    with pytest.raises(ck.ArgumentError, match=r"must hold 7 numbers, .* but holds 3"):
-        ck.reach(ck.ur5(), np.zeros((5, 3)))
-
-
 def test_quaternions_of_rotations_are_scipys():
     turns = Rotation.random(20, random_state=1)
     found = poses.quaternions(turns.as_matrix())

@@ -61,15 +61,6 @@ def test_frozen_joints_are_where_they_are_frozen():
         np.testing.assert_allclose(ck.jacobian(robot, q[rest], tip=tip), j, atol=1e-14)
 
 
-def test_what_follows_a_frozen_joint_stays_with_it():
-    file = "panda_description/urdf/panda.urdf"
-    whole = ck.load_urdf(ROOT / file, tip="panda_rightfinger")
-    arm = ck.load_urdf(ROOT / file, tip="panda_rightfinger", freeze={"panda_finger_joint1": 0.02})
-    (q,) = postures(arm, 1)
-    at, same = ck.forward(arm, q), ck.forward(whole, np.append(q, 0.02))
-    np.testing.assert_allclose(at.position, same.position, atol=1e-14)
-
-
 def test_two_arms_are_joined():
     """Against the same robot as one tree: a torso that carries two arms."""
     torso = ck.load_urdf(G1, tips={"left": "torso_link", "right": "torso_link", "head": ("torso_link", [0, 0, 0.4])})
@@ -110,22 +101,16 @@ def arms(tips=tuple(ARMS), **options):
 
 test_what_cannot_be_meant_is_refused = refusals(
     (lambda: arms(()), r"`tips` must hold different links, or be {name: link} .*but is \[\]"),
-    (lambda: arms((ARMS[0], ARMS[0])), "`tips` must hold different links"),
     (lambda: arms(("left_hand",)), "`tips` must be one of .* is 'left_hand'"),
     (lambda: ck.load_urdf(G1, tip="left_rubber_hnd"), "`tip` .*did you mean 'left_rubber_hand'"),
-    (lambda: ck.load_urdf(G1, tip=3), "`tip` must be one of the"),
     (lambda: arms(("pelvis",)), "`tips` must be moved by a joint, but is 'pelvis', fixed to"),
     (lambda: arms(tip=ARMS[0]), "`tip` must be left out where `tips` are given"),
     (lambda: arms({"a": (ARMS[0], [1, 2])}), r"`tips\['a'\]` must have shape"),
-    (lambda: arms({"a": (ARMS[0], [0, 0, np.nan])}), r"`tips\['a'\]\[2\]` must be finite"),
     (lambda: arms(freeze={"waist_yaw": 0}), "`freeze` must be one of .*'waist_yaw' .did you mean"),
     (lambda: arms(freeze={"waist_yaw_joint": 9}), r"`freeze\['waist_yaw_joint'\]` must be within"),
     (lambda: arms(freeze=["waist_yaw_joint"]), "`freeze` must be {name of a joint"),
     (lambda: ck.forward(arms(), np.zeros(17)), "`tip` must be given .* the tips are left_rubber"),
-    (lambda: ck.jacobian(ck.panda(), np.zeros(7), tip="hand"), "`tip` must be one of tip, but is 'hand'"),
-    (lambda: ck.Law(arms(), ck.position(), alpha=1.0), "`tip` must be given for a robot with several"),
     (lambda: ck.join(ck.panda(), ck.panda()), "`prefix` must tell the names of both robots apart"),
-    (lambda: ck.join(ck.panda(), 3), "`other` must be a Chain"),
 )
 
 
@@ -140,5 +125,5 @@ def test_joints_of_a_base_may_be_frozen(base, freeze):
     here = ck.forward(frozen, q)
     np.testing.assert_allclose(here.position, there.position, atol=1e-6)
     np.testing.assert_allclose(here.rotation, there.rotation, atol=1e-6)
-    with pytest.raises(ck.ArgumentError, match="with_base"):
+    with pytest.raises(ck.ArgumentError, match=r"`freeze` must be one of .*base_x"):
         ck.load_urdf(robot_file("panda"), tip="panda_hand", base="free", freeze={"base_rx": 0.1})

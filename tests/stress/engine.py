@@ -67,7 +67,6 @@ SIMPLE = {
 OVER = [  # of a whole array, with as many entries as before
     *(
         jnp.flip,
-        jnp.sort,
         lambda a: jnp.roll(a, 1),
         lambda a: a.at[0].set(a[-1]),
         lambda a: jnp.broadcast_to(a.max(), a.shape),
@@ -77,7 +76,6 @@ OVER = [  # of a whole array, with as many entries as before
         lambda a: jnp.concatenate([a[1:], a[:1]]),
         lambda a: jnp.where(jnp.arange(len(a)) > 0, a, a[0]),
     ),
-    lambda a: a.at[jnp.argmax(a)].set(0),
     lambda a: lax.cummax(a),
     lambda a: jnp.tile(a, 2)[: len(a)],
 ]

@@ -6,7 +6,6 @@
 
 typedef struct {
   int64_t all, step, begun, ended, holders; /* numbers of lanes; holders: threads that use this */
-  int64_t bytes; /* of the memory of a thread */
   const void *const *in;
   const int64_t *stride;
   void *const *out;
@@ -38,7 +37,7 @@ static void run_parts(Batch *batch, void *memory) /* called and left with the lo
 static void help(void *data)
 {
   Batch *batch = data;
-  void *memory = malloc(batch->bytes);
+  void *memory = malloc(work_bytes());
   pthread_mutex_lock(&batch->lock);
   if (memory) run_parts(batch, memory);
   leave(batch);
@@ -84,7 +83,7 @@ XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
 {
   const void *in[ARGUMENTS + 1];
   void *out[RESULTS + 1], *memory;
-  int64_t stride[ARGUMENTS + 1], all = 1, bytes = work_bytes(0);
+  int64_t stride[ARGUMENTS + 1], all = 1;
   if (frame->extension_start && frame->extension_start->type == XLA_FFI_Extension_Metadata) {
     XLA_FFI_Metadata *about = ((XLA_FFI_Metadata_Extension *)frame->extension_start)->metadata;
     about->api_version.struct_size = XLA_FFI_Api_Version_STRUCT_SIZE;
@@ -104,17 +103,13 @@ XLA_FFI_Error *call(XLA_FFI_CallFrame *frame)
     out[i] = one->data;
     if (one->rank > result_rank[i]) all = one->dims[0];
   }
-  if (frame->args.size > ARGUMENTS) {
-    in[ARGUMENTS] = ((const XLA_FFI_Buffer *)frame->args.args[ARGUMENTS])->data;
-    bytes = work_bytes(*(const int32_t *)in[ARGUMENTS]);
-  }
-  memory = malloc(bytes);
+  memory = malloc(work_bytes());
   if (!memory) {
     XLA_FFI_Error_Create_Args failed = {XLA_FFI_Error_Create_Args_STRUCT_SIZE, NULL, "no memory for a tile",
                                         XLA_FFI_Error_Code_RESOURCE_EXHAUSTED};
     return frame->api->XLA_FFI_Error_Create(&failed);
   }
-  run_all(frame, (Batch){.all = all, .bytes = bytes, .in = in, .stride = stride, .out = out}, memory);
+  run_all(frame, (Batch){.all = all, .in = in, .stride = stride, .out = out}, memory);
   free(memory);
   return NULL;
 }
