@@ -119,18 +119,17 @@ def _random(chain, count):
 def _save(made, transforms, path) -> None:
     """Write answers for targets (B, 4, 4) as CSV, with a row for each."""
     import numpy as np
+    import pandas
 
-    from cnclik.measure.files import save_csv
     from cnclik.reaching.result import ReachStatus
 
     joints = np.array(made.chain.joint_names)
-    columns: dict = {"target": range(len(made.q)), "status": [ReachStatus(code).name for code in made.status]}
-    columns |= dict(zip(joints, made.q.T, strict=True))
-    columns |= {name: getattr(made, name) for name in ("position_error", "orientation_error", "distance")}
+    columns: dict = {"status": [ReachStatus(code).name for code in made.status]}
+    columns |= dict(zip(joints, made.q.T + 0.0, strict=True))  # no −0, here and below
+    columns |= {name: getattr(made, name) + 0.0 for name in ("position_error", "orientation_error", "distance")}
     columns["at_limit"] = [" ".join(joints[hit]) for hit in made.at_limit]
-    columns |= {f"t{k // 4}{k % 4}": column for k, column in enumerate(transforms.reshape(-1, 16).T)}
-    plain = [(v + 0.0).tolist() if isinstance(v, np.ndarray) else v for v in columns.values()]  # no −0
-    save_csv([list(columns), *zip(*plain, strict=True)], path)
+    columns |= {f"t{k // 4}{k % 4}": column for k, column in enumerate(transforms.reshape(-1, 16).T + 0.0)}
+    pandas.DataFrame(columns).to_csv(path, index_label="target", na_rep="nan")
 
 
 def _print_one(made) -> None:

@@ -1,6 +1,5 @@
-"""Files of results: one way to write a dataset, a table, a Markdown table."""
+"""Files of results: one way to write a dataset, a Markdown table, JSON."""
 
-import csv
 import dataclasses
 import io
 import math
@@ -34,12 +33,6 @@ def save_netcdf(data, path) -> None:
                 made.attrs.update(attrs)
             file.attrs.update(about | {"coordinates": " ".join(sorted(coords))})
         pathlib.Path(path).write_bytes(memory.getvalue())
-
-
-def save_csv(rows, path) -> None:
-    """Write rows as CSV; the first has the names of the columns."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def markdown(header, rows, *, left=1) -> str:

@@ -30,24 +30,19 @@ KNOWN = {name: functools.partial(_call, its) for name, its in FUNCTIONS.items()}
 
 @functools.cache
 def _code(text: str):
-    """Return an expression of numbers, names and functions, compiled; None for a text that is none.
-
-    Whole numbers become floats, but for those that end a power: powers of integers may take hours.
-    """
+    """Return an expression of numbers, as floats (powers of integers may take hours), names and functions, compiled;
+    None for a text that is none."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Python's own about texts such as 0in
             tree = ast.parse(text.strip() if len(text) <= LONGEST else "", "spec", "eval")
-        powers = set()
         for node in ast.walk(tree):
             match node:
                 case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                     if len(args) != 1 + (name in ("min", "max")):
                         return None
                 case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-                    node.value = value if node in powers else float(value)
-                case ast.BinOp(op=ast.Pow(), right=power):
-                    powers.add(power)
+                    node.value = float(value)
                 case ast.Call() | ast.Constant():
                     return None
             if not isinstance(node, _ALLOWED):

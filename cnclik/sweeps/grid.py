@@ -18,7 +18,7 @@ from cnclik import errors
 SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ", "M": "passes M"}
 UNITS = {"alpha": "1/s"} | dict.fromkeys(("Ts", "t", "horizon", "duration", "period"), "s")  # of axes and results
 UNITS |= dict.fromkeys(("z", "M", "N", "step", "seed", "method", "stage", "robot"), "1")
-MOST = {"points": 10**10, "programs, one for each combination of what is compiled in": 1000, "blocks": 10**6}
+MOST = {"points": 10**9, "programs, one for each combination of what is compiled in": 1000}
 
 
 class Block(NamedTuple):
@@ -41,15 +41,13 @@ class Grid:
     """
 
     axes: tuple  # of `Axis`
-    lanes: int = 10**10
+    lanes: int = MOST["points"]
     more: Callable = dataclasses.field(default=lambda program, lanes: {}, compare=False, repr=False)
 
     def __post_init__(self):
         if not self.axes:
             raise errors.fail("axes", "hold at least one axis, such as alpha = [1, 5, 10]", "holds none")
-        pieces = math.prod(-(-n // step) for n, step in zip(self.shape, self.block, strict=True))
-        programs = math.prod(map(len, self.outer))
-        for count, (what, most) in zip((self.size, programs, pieces), MOST.items(), strict=True):
+        for count, (what, most) in zip((self.size, math.prod(map(len, self.outer))), MOST.items(), strict=True):
             if count > most:
                 axes = " × ".join(f"{len(a):,} of {a.name}" for a in self.axes)
                 raise errors.fail("axes", f"span at most {most:,} {what}", f"span {count:,}: {axes}")

@@ -13,15 +13,8 @@ from cnclik.problem.reference import reference_from
 
 
 def test_the_papers_case_in_words():
-    made = p.problem_from(
-        "planar-clockwise:1,1",
-        reference="line",
-        target=[0, 1],
-        q0=[0, np.pi / 2],
-        Ts=0.1,
-        N=30,
-        method="CN",
-    )
+    asked = {"reference": "line", "target": [0, 1], "q0": [0, np.pi / 2], "Ts": 0.1, "N": 30, "method": "CN"}
+    made = p.problem_from("planar-clockwise:1,1", **asked)
     run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, made.method, made.stage)
     rms = float(np.sqrt(np.mean(np.sum(np.asarray(run.e[1:]) ** 2, 1))))
     assert abs(rms - 1.89e-4) < 0.01e-4  # CN, M = 5, from the theory notes' independent program
@@ -30,7 +23,7 @@ def test_the_papers_case_in_words():
 PATHS = ("hold", "line", "circle", "lissajous")
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "planar:1,1,1,1,1"])
+@pytest.mark.parametrize("robot", ["panda", "planar:1,1,1"])
 def test_defaults_begin_where_the_tip_is(robot):
     for reference in PATHS:
         made = p.problem_from(robot, reference=reference, damping=1e-3)
@@ -38,7 +31,7 @@ def test_defaults_begin_where_the_tip_is(robot):
         assert (np.abs(e).max() < 1e-12) == (reference != "hold"), reference
 
 
-@pytest.mark.parametrize("reference", PATHS)
+@pytest.mark.parametrize("reference", ["hold", "circle"])
 def test_defaults_run_clean(reference):
     made = p.problem_from("planar:1,1,1", reference=reference, damping=1e-3, N=400)
     run = ck.solve(made.law, made.reference, made.q0, made.Ts, made.N, "EE")
@@ -51,12 +44,11 @@ def test_a_future_may_be_unknown():
     asked = {"reference": "circle", "radius": 0.3, "q0": [0.3, 1.1], "Ts": 0.1, "N": 20, "period": 4.0}
     last = {}
     for method in ("EE", "EXP-MIDPOINT"):
-        for future in (None, "known", "unknown"):
+        for future in ("known", "unknown"):
             made = p.problem_from("planar:1,1", method=method, future=future, **asked)
             assert made.reference.known == (future != "unknown")
             last[method, future] = np.asarray(ck.solve(made.law, made.reference, made.q0, 0.1, 20, made.method).q[-1])
     np.testing.assert_array_equal(last["EE", "known"], last["EE", "unknown"])
-    np.testing.assert_array_equal(last["EXP-MIDPOINT", None], last["EXP-MIDPOINT", "known"])
     assert abs(last["EXP-MIDPOINT", "known"] - last["EXP-MIDPOINT", "unknown"]).max() > 1e-4
     with pytest.raises(ck.ArgumentError, match=r"`future` must be one of known, unknown, but is 'unkown' \(did you"):
         p.problem_from("panda", future="unkown")
