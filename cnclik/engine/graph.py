@@ -72,6 +72,11 @@ class Scan(Region):
         self.first, self.carries, self.then = [], [], []
         self.xs, self.rows, self.ys, self.stacks, self.outs = [], [], [], [], []
 
+    @property
+    def used(self) -> list:
+        """The nodes that its block starts from, takes or ends with."""
+        return [*self.first, *self.xs, *self.then, *self.ys]
+
     def needs(self, what, i) -> list:
         """The nodes that one of its nodes depends on."""
         if what in ("carry", "end"):
@@ -89,6 +94,11 @@ class While(Region):
         self.blocks = [self.asking, self.block]
         self.first, self.carries, self.then, self.outs, self.begins = [], [], [], [], None
 
+    @property
+    def used(self) -> list:
+        """The nodes that its blocks start from or end with."""
+        return [*self.first, *self.then, self.begins]
+
     def needs(self, what, i) -> list:
         """The nodes that one of its nodes depends on: all carries, as they decide the number of rounds."""
         return [*self.first, *self.then, *self.carries, self.begins]
@@ -99,6 +109,11 @@ class Cond(Region):
 
     def __init__(self, which):
         self.which, self.blocks, self.results, self.outs = which, [], [], []
+
+    @property
+    def used(self) -> list:
+        """The nodes that its blocks end with, and the one that chooses."""
+        return [self.which, *(n for results in self.results for n in results)]
 
     def needs(self, what, i) -> list:
         """The nodes that one of its results depends on."""

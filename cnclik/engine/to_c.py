@@ -9,6 +9,7 @@ import numpy as np
 
 from cnclik.engine.graph import Cond, Node, Scan, While, live
 from cnclik.engine.operations import COST, is_operation, number, text, vector
+from cnclik.engine.pieces import in_pieces, read_for
 from cnclik.engine.row_texts import (
     RowTexts,
     cells_of,
@@ -35,6 +36,7 @@ class Writer(RowTexts):
 
     prefix = ""
     beside = 4  # entries stored at once
+    piece = 0  # statements of one function; 0: all in one
 
     def __init__(self, graph, given, outs, main, reads, writes):
         """Args:
@@ -46,7 +48,8 @@ class Writer(RowTexts):
         self.graph, self.given, self.outs, self.main = graph, given, outs, main
         self.reads, self.writes = reads, writes
         self.lines, self.names, self.scopes, self.active = [], {}, [[]], []
-        self.tables, self.functions = [], set()
+        self.kept: dict = {}  # {number of a node: its place in the work memory, for all pieces}
+        self.tables, self.parts, self.functions = [], [], set()
         self.where, self.counted, self.operations = {}, 0, 0
         self.work = 0  # bytes of the work memory
         ends = [node for out in outs for node in cells_of(out)]
@@ -74,6 +77,9 @@ class Writer(RowTexts):
         if node.known:
             words = number(node.value, node.dtype)
             return f"({words})" if plain else self.splat(node.dtype, words)
+        if node.number not in self.names:  # load once: compilers search all earlier stores for each load
+            self.names[node.number] = self.variable(node, self.kept[node.number], "t")
+            self.scopes[-1].append(node.number)
         return self.names[node.number]
 
     def splat(self, dtype, words) -> str:
@@ -128,12 +134,19 @@ class Writer(RowTexts):
     def is_needed(self, item) -> bool:
         return item.number in self.needed
 
-    def block(self, block):
-        """Writes a block. `leave` must follow."""
+    def block(self, block, ending=()):
+        """Writes a block. `ending` are the nodes that are used after it. `leave` must follow."""
         self.scopes.append([])
-        for item in block.items:
-            if item.number in self.needed:
-                {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
+        items = [i for i in block.items if i.number in self.needed]
+        items = [i for i in items if not (isinstance(i, Node) and i.shape and i.number not in self.material)]
+        if self.piece and len(items) > 1.5 * self.piece:
+            in_pieces(self, items, ending)
+        else:
+            for item in items:
+                self.item(item)
+
+    def item(self, item):
+        {Node: self.node, Scan: self.scan, While: self.loop, Cond: self.choice}[type(item)](item)
 
     def leave(self):
         """Ends a block: its values go out of scope."""
@@ -143,7 +156,7 @@ class Writer(RowTexts):
     def node(self, n):
         if n.number in self.material:
             self.materialise(n)
-        elif n.shape or n.number in self.names:
+        elif n.number in self.names:
             return
         elif is_operation(n):
             words = self.applied(n, self.of)
@@ -211,7 +224,8 @@ class Writer(RowTexts):
                 self.where[r.rows[i].number] = lambda o, x=r.xs[i]: self.where[x.number](k, o)
             else:
                 self.names[r.rows[i].number] = self.row(r.xs[i], k, memo)
-        self.block(r.block)
+        ends = [r.then[i] for i in alive] + [y for y, _ in stores]
+        self.block(r.block, ends + [y for _, _, _, ys in direct for y in ys])
         for y, node in stores:
             self.line(f"{self.where[node.number](k)} = {self.of(y)};")
         for o, start, length, ys in direct:
@@ -265,7 +279,7 @@ class Writer(RowTexts):
         names = [self.variable(c, self.of(f)) for c, f in zip(r.carries, r.first, strict=True)]
         self.names |= {c.number: name for c, name in zip(r.carries, names, strict=True)}
         self.line("for (;;) {")
-        self.block(r.asking)
+        self.block(r.asking, [r.begins])
         self.rounds(r, dict(enumerate(names)))
         self.line("}")
         self.leave()
@@ -281,7 +295,7 @@ class Writer(RowTexts):
         self.line(f"const M {asked} = {self.of(r.begins)}{among};")
         self.line(f"if (!ANY({asked})) break;")
         self.active.append(asked)
-        self.block(r.block)
+        self.block(r.block, r.then)
         self.active.pop()
         self.move_on(r, names, asked)
 
@@ -299,7 +313,7 @@ class Writer(RowTexts):
             self.line(f"const M {mask} = {truth}{among};")
             self.line(f"if (ANY({mask})) {{" if weight(block, self.needed) >= HEAVY else "{")
             self.active.append(mask)
-            self.block(block)
+            self.block(block, [results[i] for i in alive])
             for i in alive:
                 self.line(f"{names[i]} = select_{self.type(r.outs[i])}({mask}, {self.of(results[i])}, {names[i]});")
             self.active.pop()
@@ -314,7 +328,7 @@ class Writer(RowTexts):
         for node in self.given:
             if node.number in self.needed and not node.shape:
                 self.declare(node, self.load(node, "0"))
-        self.block(self.graph.root)
+        self.block(self.graph.root, [n for out in self.outs for c in cells_of(out) for n in read_for(c)])
         for o, out in enumerate(self.outs):
             if o in self.direct:
                 continue

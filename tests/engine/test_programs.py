@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 import cnclik as ck
+from cnclik.engine import source
 from cnclik.engine.graph import Scan, SlowError, UnsupportedError, While
 from cnclik.engine.program import Program, lane_avals
 from cnclik.engine.reader import read, trace
@@ -268,6 +269,24 @@ def test_any_number_of_lanes_on_any_number_of_cores(size, cores):
     given = rng.normal(size=(size, 3)), rng.normal(size=(size, 9, 3))
     wanted = jax.jit(jax.vmap(track))(*given)
     same(in_c(track, *given, cores=cores), wanted, ulps=50)
+
+
+def test_long_bodies_are_written_in_pieces(monkeypatch):
+    """And rows that are results read scalars of any piece."""
+
+    def fn(x, k):
+        def body(x, i):
+            for j in range(8):
+                x = jnp.sin(A @ x) + x[k] * 0.1 + j
+                x = lax.cond(x[0] > 5, lambda x: x * 0.5, lambda x: x, x)
+            return x, x * i
+
+        end, rows = lax.scan(body, x, jnp.arange(6.0))
+        return end, rows, x * 2, rows[1:] - rows[:-1] > 0.1 * rows[:-1] + jnp.sqrt(x @ x)
+
+    monkeypatch.setattr(source, "LONG", 50)
+    monkeypatch.setattr(source, "PIECE", 20)
+    check(fn, batch(3), np.arange(SIZE, dtype=np.int32) % 3, ulps=50)
 
 
 @NEEDS_C
