@@ -36,7 +36,15 @@ def write(graph, given, outs, shapes) -> tuple:
     writer.statements()
     text = [f"#define MAIN {main.itemsize}", header("vectors.h"), *_types(writer, main)]
     text += [f"#define WORK ((int64_t){writer.work} / 64 * BYTES)", *writer.tables, *(body for _, body in writer.parts)]
-    text += [f"static void tile({_TILE})", "{", *writer.lines, "}", *_call(given, shapes), header("calls.h"), header("handler.h")]
+    text += [
+        f"static void tile({_TILE})",
+        "{",
+        *writer.lines,
+        "}",
+        *_call(given, shapes),
+        header("calls.h"),
+        header("handler.h"),
+    ]
     return "\n".join(text) + "\n", writer.operations
 
 
