@@ -129,7 +129,9 @@ def arrange(data, table: dict) -> Layout:
         along, where = data[errors.one_of("select", dim, list(data[value].dims))], f"select.{dim}"
         if along.dtype.kind == "f":  # the nearest counts
             low, high = float(along.min()), float(along.max())
-            if abs(errors.number(where, wanted) - (low + high) / 2) > (0.5 + 1e-9) * (high - low) + 1e-12 * abs(high):
+            if abs(float(errors.number(where, wanted)) - (low + high) / 2) > (0.5 + 1e-9) * (high - low) + 1e-12 * abs(
+                high
+            ):
                 raise errors.fail(where, f"lie between {low:g} and {high:g}", f"is {wanted:g}")
         else:
             errors.one_of(where, str(wanted), list(map(str, along.values)))
