@@ -21,6 +21,7 @@ MEANING = {
     "SOLVED": "within 1 µm and 1 µrad",
     "AT_LIMIT": "reachable only beyond the joint limits; the nearest pose within them is given",
     "OUT_OF_REACH": "not reachable, even without joint limits; the nearest pose is given",
+    "JUMP": "reachable only by a jump; no joint values are given",
     "OUT_OF_BUDGET": "no answer found, yet not shown to be out of reach",
     "NON_FINITE": "the target, or --near, is not finite",
 }
@@ -33,6 +34,8 @@ def run(
     target: Point | None = None,
     random: int | None = None,
     near: tuple[float, ...] | None = None,
+    path: bool = False,
+    jump: float | None = None,
     json: bool = False,
     out: str | None = None,
     overwrite: bool = False,
@@ -46,6 +49,8 @@ def run(
       target: one target in place of TARGETS: position [m] and, for a pose, a quaternion w x y z.
       random: number of random reachable poses, in place of TARGETS.
       near: joint values from which the search starts [rad, m], such as the robot's present ones.
+      path: treat the targets as a path: start each search from the answer before it.
+      jump: largest distance of each joint from --near, or from the answer before it [rad, m].
       json: print the summary as JSON.
       out: file for the answers: FILE.csv, with a row for each target.
     """
@@ -55,7 +60,11 @@ def run(
         found = f"are {' and '.join(given)}" if given else "is none of them"
         must = "One of TARGETS, --target X Y Z and --random N must be given"
         raise errors.ArgumentError(f"{must}, but there {found}.")
+    if path and near is not None:
+        raise errors.fail("near", "be left out with --path", "is given")
     prepare()
+    import numpy as np
+
     from cnclik.problem.names import load, robot_name, task_from
     from cnclik.problem.options import check_units
     from cnclik.problem.tables import read_points
@@ -84,19 +93,21 @@ def run(
         pose, _ = read(wanted, task)
     with where as folder:
         begun = time.perf_counter()
-        made = reach(chain, wanted, task=task, near=near)
+        made = reach(chain, wanted, task=task, near="previous" if path else near, jump=jump)
         seconds = time.perf_counter() - begun
         if folder is not None:
             folder.write(file.name, functools.partial(_save, made, transforms(pose)))
     asked = [f"{robot_name(robot, arm.get('tip'))}, {str(task)[6:]}", line]
     solved, statuses = float((made.status == ReachStatus.SOLVED).mean()), count(made.status)
     if json:
-        facts = {"targets": len(pose), "solve_rate": solved, "status": statuses, "seconds": seconds}
+        facts: dict = {"targets": len(pose), "solve_rate": solved, "status": statuses, "seconds": seconds}
         print_json({"asked": asked} | facts)
         return
     print(*asked, f"{len(pose):,} target{'s' * (len(pose) > 1)} in {seconds:.2f} s", sep="\n")
     for name, number in statuses.items():
         print(f"  {name:<14} {number:>9,}  {MEANING[name]}")
+    if path and np.isfinite(made.strays).any():
+        print(f"  half-way between rows the tip strays by up to {aloud(float(np.nanmax(made.strays)), 'm')}")
     if len(pose) == 1:
         _print_one(made)
     if out is not None:

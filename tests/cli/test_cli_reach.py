@@ -54,6 +54,14 @@ def test_one_target_is_shown_with_its_joints(capsys):
     assert re.search(r"1 target in \S+ s\n", shown) and re.search(r"  error (zero|\S+ .?m)\n", shown)
 
 
+def test_a_path_with_a_jump(tmp_path, capsys):
+    (tmp_path / "path.csv").write_text("0.5,1,0\n0.52,1,0\n-0.5,-1,0\n")
+    main(["reach", ARM, str(tmp_path / "path.csv"), "--task", "xy", "--path", "--jump", "0.3"])
+    shown = capsys.readouterr().out
+    assert "SOLVED" in shown and "JUMP" in shown and "no joint values" in shown
+    assert re.search(r"half-way between rows the tip strays by up to \S+ .?m\n", shown)
+
+
 def test_one_target_as_solve_takes_it(capsys):
     main(["reach", ARM, "--task", "position", "--target", "700", "300", "0", "mm"])
     said = capsys.readouterr().out

@@ -78,6 +78,7 @@ MISTAKES = [
     ("reach planar:1,1 text.txt", "`TARGETS` must end with .csv, but is 'text.txt'"),
     ("reach planar:1,1 --random 0", "`--random` must be at least 1"),
     ("reach planar:1,1 --random 3 --near 0 1m", "joint 'q2' is in rad, and m is given"),
+    ("reach planar:1,1 --random 3 --path --near 0 0", "`--near` must be left out"),
     ("reach planar:1,1 --random 3 --out x.txt", "`--out` must end with .csv"),
     ("stability --draw chart", "Option `--draw` must be some of gains, plane, map, but is 'chart'."),
     ("stability --N 3 --draw map", "Option `--N` must be at least 4, but is 3."),
