@@ -322,7 +322,7 @@ def test_rebased_servos_that_run_away_are_refused():
     ("call", "words"),
     [
         (lambda: ck.gains(Ts=0.0), "`Ts` must be positive"),
-        (lambda: ck.gains(Ts="4ms"), r"`Ts` must be a number, but is '4ms': write 0\.004"),
+        (lambda: ck.gains(Ts="4ms"), r"`Ts` must be a number, but is '4ms'"),
         (lambda: ck.gains(Ts=0.01, drive=0.03), r"`drive` must be Drive\(\.\.\.\)"),
         (lambda: ck.gains(Ts=0.01, method="EEE"), "`method` must be one of"),
         (lambda: ck.gains(Ts=0.01, method="IE", M=-1), "`M` must be at least 0"),
