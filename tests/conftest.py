@@ -35,7 +35,10 @@ from cnclik.cache import give_back
 jax.config.update("jax_enable_x64", True)
 gc.set_threshold(50_000, 20, 50)  # tracing makes millions of short-lived objects: seldom look for cycles among them
 MOST_MEMORY = 3 << 29
-LONGEST = ["docs", "reach", "store", "walls", "stack", "tasks", "loops", "tune", "diagnose", "bases", "bounded", "fit"]
+LONGEST = [
+    *("combinations", "docs", "several", "sweep", "near", "walls", "reach", "native", "gradients", "tune", "ending"),
+    *("store", "programs", "primitives", "cli_solve", "limits_kept"),
+]
 
 
 @pytest.hookimpl(tryfirst=True)
