@@ -81,10 +81,8 @@ class LogCheck:
             largest = f"{finding.value:.4g} {finding.unit}"
             table.append((finding.what, finding.column, largest, f"{finding.at:.4g} s", *numbers))
         width = [max(map(len, cells)) for cells in zip(*table, strict=True)]
-        lines = []
-        for what, column, *numbers in table:
-            right = [f"{cell:>{wide}}" for cell, wide in zip(numbers, width[2:], strict=True)]
-            lines.append("  ".join([f"{what:{width[0]}}", f"{column:{width[1]}}", *right]).rstrip())
+        form = f"{{:{width[0]}}}  {{:{width[1]}}}" + "".join(f"  {{:>{wide}}}" for wide in width[2:])
+        lines = [form.format(*cells).rstrip() for cells in table]
         if self.broken:
             worst = max(self.broken, key=lambda finding: finding.share or 0.0)
             said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.4g} s."
@@ -132,18 +130,18 @@ def check_log(
     Ts = spacing(t) if Ts is None else float(errors.number("Ts", Ts, positive=True))
     resolution = float(errors.number("resolution", resolution, at_least=0))
     units = ["rad"] * k if chain is None else list(chain.units)
-    sent = None if command is None else columns("command", command, "check_log")
-    if sent is not None and sent.shape != q.shape:
+    sent = q[:, :0] if command is None else columns("command", command, "check_log")
+    if command is not None and sent.shape != q.shape:
         raise errors.fail("command", f"have the shape of q, {q.shape}", f"has {sent.shape}")
     findings, kept, gaps = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
-    rows, t, q = len(q), t[kept], q[kept]
-    of_motion = [_motion(t, q[:, j], gaps, Ts, most[j], names[j], units[j], resolution) for j in range(k)]
-    if sent is not None:
-        sent = sent[kept]
-        of_motion += [_motion(t, sent[:, j], gaps, Ts, most[j], names[k + j], units[j], None) for j in range(k)]
+    rows, t, q, sent = len(q), t[kept], q[kept], sent[kept]
+    of_motion = [
+        _motion(t, column, gaps, Ts, most[j % k], names[j], units[j % k], resolution if j < k else None)
+        for j, column in enumerate([*q.T, *sent.T])
+    ]
     findings += [finding for kind in zip(*of_motion, strict=True) for finding in kind if finding is not None]
-    if sent is not None:
-        findings += [_worst("behind its command", abs(sent - q)[:, j], t, names[j], units[j]) for j in range(k)]
+    for j, column in enumerate(sent.T):
+        findings.append(_worst("behind its command", np.abs(column - q[:, j]), t, names[j], units[j]))
     if chain is not None:
         findings += _half_way(chain, t, q, gaps)
     return LogCheck(findings=tuple(findings), Ts=Ts, rows=rows)

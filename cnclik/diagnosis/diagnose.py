@@ -32,8 +32,6 @@ WIDE, CLIPPED = 2.1, 3.0  # ratio of the likely drives' gains, and of a known on
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
 ALIKE, ABOVE = 0.1, 1.25  # relative difference of the periods of one mode; factor up to which a task's gain may stay
 UNFINISHED = "It may be the start of an oscillation, or a path: push the loop at rest, and record until it rests again."
-CIRCLE = "It goes round as on a circular path, or as with frames that are turned by some 90°: hold the target still."
-CHANGES = "The period changes, as of a sweep or another path, not of a loop."
 STILL = "No column moves by more than some steps of its resolution."
 WRONG_SIGN = "Each step adds to the error: the sign of error, Jacobian or command is wrong. No gain helps."
 DECAYS = "It decays without overshoot by this log: no smaller gain is needed."
@@ -50,12 +48,12 @@ class Diagnosis:
       kind: "ringing", "sustained oscillation", "growing oscillation", "growth without oscillation", "spiral", "calm" or
         "undecided". cause: "dead time", "drive" (dead time with a lag or a servo), "wrong sign" or "turned frames".
       Ts: sampling time of log and loop [s]. period: of the oscillation [samples]. growth: factor per sample.
-      delay: dead time [samples], and interval: its ends, where dead time alone explains the log.
-      drive: a likely `Drive`. recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the drives may
+      drive: a likely `Drive`. interval: ends of its dead time [samples], where that alone explains the log.
+      recommended_alpha: gain that stops it [1/s]; the Jacobian, the error and the drives may
         scale a gain, so factor is what the present one is to be multiplied by.
       angle: of frames that are turned against each other [degrees]: turn the error by −angle, about the note's axis.
       confidence: that cause and gain are right, 0 to 1; without alpha at most 0.8.
-      fitted: (n, k) path and oscillation in the rows that were read, from `first` on. note: further remarks.
+      fitted: (N, k) path and oscillation, NaN in rows that were not read. note: further remarks.
     """
 
     kind: str
@@ -63,15 +61,13 @@ class Diagnosis:
     cause: str | None = None
     period: float | None = None
     growth: float | None = None
-    delay: float | None = None
-    interval: tuple[float, float] | None = None
     drive: Drive | None = None
+    interval: tuple[float, float] | None = None
     recommended_alpha: float | None = None
     factor: float | None = None
     angle: float | None = None
     confidence: float | None = None
-    fitted: Float[np.ndarray, "n k"]
-    first: int = 0
+    fitted: Float[np.ndarray, "N k"]
     note: str = ""
 
     @property
@@ -82,9 +78,10 @@ class Diagnosis:
     def __str__(self):
         words = self.kind
         if self.drive is not None:
-            late = self.drive if self.delay is None else Drive(delay=self.delay)
             words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
-            words += f", as with {drive_in_words(late, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s"
+            words += (
+                f", as with {drive_in_words(self.drive, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s"
+            )
             words += f", {self.factor:.3g} times the present gain"
         elif self.growth is not None:
             words += f": the error grows × {self.growth:.6g} per sample"
@@ -119,8 +116,9 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     if read is not None and "period" in fields:
         swing = np.exp(read.mode * (t - t[-1] * (read.mode.real > 0)))
         basis = np.column_stack([basis, swing.real, swing.imag])
-    fitted = y[first:last] - loop.free(basis, y[first:last])
-    return Diagnosis(Ts=Ts, first=first, fitted=fitted, **fields)
+    fitted = np.full(y.shape, np.nan)
+    fitted[first:last] = y[first:last] - loop.free(basis, y[first:last])
+    return Diagnosis(Ts=Ts, fitted=fitted, **fields)
 
 
 def _seen(scaled, read, y, Ts, alpha) -> dict:
@@ -132,7 +130,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if spin is not None and TURNED[0] < np.linalg.norm(spin[0]) < TURNED[1 if rate else 2]:
         turn, z, steady, sure = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
-            return {"kind": UNDECIDED, "note": CIRCLE}
+            return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
         main = int(np.argmax(np.abs(turn)))
         angle = float(np.copysign(np.linalg.norm(turn), turn[main]))
         axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
@@ -171,7 +169,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         wave = np.exp(mode * np.arange(len(rows)) - max(mode.real, 0.0) * len(rows)).real[:, None]
         excited = unrest > cause.swept(wave, read.period)[2] + UNREST
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
-        return {"kind": UNDECIDED, "note": CHANGES}
+        return {"kind": UNDECIDED, "note": UNFINISHED}
     drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.dead is not None)
     if drives.wide > WIDE if alpha is None else alpha > CLIPPED * drives.most:
         return {"kind": UNDECIDED, "note": OPEN}
@@ -201,8 +199,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         "cause": "drive" if read.dead is None else "dead time",
         "period": read.period,
         "growth": float(np.exp(mode.real)),
-        "delay": read.dead and read.dead[0],
-        "interval": read.dead and read.dead[1:],
+        "interval": read.dead,
         "drive": drives.middle,
         "recommended_alpha": best,
         "factor": best / (alpha or drives.alpha),

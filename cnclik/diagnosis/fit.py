@@ -45,8 +45,8 @@ class DriveFit:
       drive: a `Drive`; its numbers are shared by all joints, or one per joint where they differ by more than their
         uncertainty. Of a velocity servo with an integral part, its lag without that part.
       interval: {name: (low, high)} of 95 % of each number. gain: (k,) motion per commanded motion.
-      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m], NaN of a joint
-        that is left out; motion: (N, k) of the fit. explained: share of the motions' variance.
+      drift: (k,) motion without a command [rad/s, m/s]. rms: (k,) RMS residual [rad, m]; motion: (N, k) of the fit.
+      explained: share of the motions' variance.
       recommended_alpha: gain of a loop on these measured joints that does not overshoot [1/s], by any method and over
         the interval, divided by the largest gain of a joint; None where the log does not determine it, see `note`.
     """
@@ -71,11 +71,10 @@ class DriveFit:
         units = {"delay": " samples", "lag": " s", "natural_frequency": " rad/s", "damping_ratio": ""}
         said = []
         for name, (low, high) in self.interval.items():
-            value = _said(getattr(self.drive, name)).replace(" ", ", ")
-            wide = f"{_said(low)} to {_said(high)}" if np.ndim(low) == 0 else f"± {_said(np.max(high - low) / 2)}"
-            said.append(f"{name.replace('_', ' ')} {value}{units[name]} ({wide})")
+            value, wide = _said(getattr(self.drive, name)).replace(" ", ", "), _said(np.max(np.subtract(high, low)) / 2)
+            said.append(f"{name.replace('_', ' ')} {value}{units[name]} (± {wide})")
         kind = ("dead time", "lag", "second order")[self.drive.order]
-        left = f"{np.nanmax(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
+        left = f"{np.max(self.rms):.3g} rms left of the motion, {100 * self.explained:.4g} % explained"
         alpha = f"Recommended alpha: {self.recommended_alpha:.4g} 1/s." if self.recommended_alpha else ""
         return " ".join(filter(None, (f"{kind}: {', '.join(said)}; {left}.", alpha, self.note)))
 
@@ -256,33 +255,26 @@ def _least(log, kind, starts, late=None) -> tuple:
 def _made(log, kind, fitted) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
     names, every = NUMBERS[kind], np.arange(log.k)
-    values, covs, own = _together(log, kind, fitted)
+    values, covs = _together(log, kind, fitted)
     each = np.broadcast_to(values, fitted.shape)
     left, gain = log.left(kind, each, every)
     explained = 1.0 - np.mean(left**2, -1)  # of each motion's variance; a joint may also move as others shake it
-    follows = explained > EXPLAINED
-    if not follows.any():
-        found = f"only {100 * max(np.mean(explained), 0):.0f} % of it are"
+    if explained[worst := int(np.argmin(explained))] < EXPLAINED:
+        found = f"only {100 * max(explained[worst], 0):.0f} % of column {worst + 1} are"
         raise errors.fail("motion", "be what the command leads to", found)
-    if len(odd := np.flatnonzero(follows & ((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT)))):
+    if len(odd := np.flatnonzero((gain < 1 / OTHER_UNIT) | (gain > OTHER_UNIT))):
         found = f"moves by {gain[odd[0]]:.3g} times it in column {odd[0] + 1}: a sign, other units, or velocities"
         raise errors.fail("motion", "move by about what is commanded", found)
-    if own:  # a joint that is left out has the numbers of the others
-        values[~follows], covs[~follows] = values[follows].mean(0), covs[follows].mean(0)
-    chosen = follows if own else slice(None)
-    alpha, notes = _recommended(log, kind, values[chosen], covs[chosen], gain[follows])
+    alpha, notes = _recommended(log, kind, values, covs, gain)
     wide = NORMAL * np.minimum(np.sqrt(np.diagonal(covs, axis1=1, axis2=2)), WIDE)
     interval = {"delay": tuple(float(max(values[0, 0] + s * wide[0, 0], 0.0)) for s in (-1, 1))}
     for i, name in enumerate(names, 1):
         ends = [np.exp(values[:, i] + s * wide[:, i]) * log.Ts ** SCALES[name] for s in (-1, 1)]
-        interval[name] = tuple(end if own else float(end[0]) for end in ends)
+        interval[name] = tuple(end if len(values) > 1 else float(end[0]) for end in ends)
     if (integral := interval.pop("integral", None)) is not None:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
         notes.append(f"{said}: gains for its lag alone are low enough.")
-    if not follows.all():
-        said = ", ".join(str(i + 1) for i in np.flatnonzero(~follows))
-        notes.append(f"Joint {said} does not follow its command, and is left out.")
-    if np.any(off := follows & (np.abs(gain - 1) > OFF)):
+    if np.any(off := np.abs(gain - 1) > OFF):
         span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
         notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
@@ -292,8 +284,8 @@ def _made(log, kind, fitted) -> DriveFit:
         interval=interval,
         gain=gain,
         drift=np.polyfit(log.t * log.Ts, (log.y - moved).T, 1)[0] * log.size[:, 0],
-        rms=np.where(follows, np.sqrt(np.mean(left**2, -1)) * log.size[:, 0], np.nan),
-        explained=float(explained[follows].mean()),
+        rms=np.sqrt(np.mean(left**2, -1)) * log.size[:, 0],
+        explained=float(explained.mean()),
         recommended_alpha=alpha,
         motion=log.motion - (left * log.size).T,
         note=" ".join(notes),
@@ -301,20 +293,20 @@ def _made(log, kind, fitted) -> DriveFit:
 
 
 def _together(log, kind, fitted) -> tuple:
-    """(values (1, p) that all joints share, or of each (k, p), with one dead time; covariances; whether of each)."""
+    """(values (1, p) that all joints share, or of each (k, p), with one dead time; their covariances)."""
     information = _information(log, kind, fitted)
     shared, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean = shared @ np.einsum("kij,kj->i", information, fitted)
     apart = np.einsum("ki,kij,kj->", fitted - mean, information, fitted - mean)
     free = (log.k - 1) * len(mean)
-    if len(mean) == 1 or apart <= free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
-        return mean[None], shared[None], False
+    if len(mean) == 1 or free == 0 or apart <= free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
+        return mean[None], shared[None]
     late = np.average(fitted[:, 0], weights=1 / each[:, 0, 0])
     moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
     most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
     each[:, 0, 0] = 1 / np.sum(1 / each[:, 0, 0])
     starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
-    return _least(log, kind, starts, late)[0], each, True
+    return _least(log, kind, starts, late)[0], each
 
 
 def _information(log, kind, values):

@@ -38,7 +38,7 @@ class Loop(NamedTuple):
     mode: complex  # s [1/row] of the oscillation or decay that ends last
     evidence: float  # decrease of the information criterion by this loop
     swings: float  # share of the probability of loops that pass their target by VISIBLE
-    dead: tuple | None  # rows of dead time, and its ends, where that alone explains the log much better than any lag
+    dead: tuple | None  # ends of the rows of dead time, where that alone explains the log much better than any lag
     rests: bool  # whether its steps are smaller in the end
     first: int  # rows that were read
     last: int
@@ -224,7 +224,7 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
     alone, least, interval = lag == 0, score[lag == 0].min(initial=np.inf), None
     if least < score[~alone].min(initial=np.inf) - ALONE:
         near = dead[alone & (score < least + AS_WELL)]
-        ends = np.array([dead[score == least][0], near.min() - 0.25, near.max() + 0.25])
+        ends = np.array([near.min() - 0.25, near.max() + 0.25])
         interval = tuple(np.maximum((ends + 0.5) * m - 0.5, 0.0).tolist())
     return Loop(
         mode=complex(modes[np.argmax(odds[likely])]),

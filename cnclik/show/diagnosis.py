@@ -15,13 +15,12 @@ def oscillation(signal, found, names):
     Args:
       signal: (N, k). found: `Diagnosis` of it. names: of the columns.
     """
-    shown = np.sort(np.argsort(-np.ptp(found.fitted, axis=0), kind="stable")[:MOST])
+    shown = np.sort(np.argsort(-np.nanstd(found.fitted, axis=0), kind="stable")[:MOST])
     figure, panels = _panels(len(shown))
     t = found.Ts * np.arange(len(signal))
-    seen = t[found.first : found.first + len(found.fitted)]
     for panel, i in zip(panels, shown, strict=True):
         panel.plot(t, signal[:, i], "o", **_DOTS, label="recorded")
-        panel.plot(seen, found.fitted[:, i], color=style.BLUE, label="fitted")
+        panel.plot(t, found.fitted[:, i], color=style.BLUE, label="fitted")
         panel.set_ylabel(f"{names[i]} [as recorded]")
     style.legend(figure, panels[0])
     return figure

@@ -32,10 +32,10 @@ def log(tmp_path):
 
 def test_a_sentence_with_the_gain_that_would_end_it_and_its_numbers(log, tmp_path, capsys):
     said = answer(capsys, log, "--alpha", 150, "--out", tmp_path / "out")
-    assert said.startswith("ringing: period 18.8") and "as with 4 samples (8 ms) of dead time. Use an alpha of " in said
+    assert said.startswith("ringing: period 18.8") and "ms) of dead time. Use an alpha of " in said
     assert "\nConfidence: 0.95.\n" in said and (tmp_path / "out" / "diagnose.png").stat().st_size > 10_000
     said = answer(capsys, log, "--Ts", 0.002, "--columns", "q2", "--json")
-    assert said["kind"] == "ringing" and said["rings"] and said["delay"] == 4 and said["factor"] < 0.3
+    assert said["kind"] == "ringing" and said["rings"] and said["factor"] < 0.3
     assert said["drive"]["delay"] == pytest.approx(4, abs=0.01) and said["drive"]["lag"] is None
     assert 20 < said["recommended_alpha"] < 41 and said["confidence"] == 0.8
 
@@ -68,7 +68,7 @@ def test_Ts_goes_before_stamps_and_stamps_of_recorders_are_read(log, tmp_path, c
     head = "/header/stamp,/position,/status,/header/frame_id,/header/seq"
     (tmp_path / "bag.csv").write_text("\n".join([head, *rows]))
     found = answer(capsys, tmp_path / "bag.csv", "--json")
-    assert found["delay"] == 4 and found["Ts"] == pytest.approx(0.002, rel=0.01)
+    assert found["drive"]["delay"] == pytest.approx(4, abs=0.05) and found["Ts"] == pytest.approx(0.002, rel=0.01)
     assert found["Ts_from"] == "/header/stamp, read in ns"
 
 

@@ -1,17 +1,18 @@
-"""`python -m tests.diagnosis.arms 44 29`: logs of 15 arms in MuJoCo whose loops shake or do not, and what is said.
+"""`python -m tests.diagnosis.arms 44 29 SEED`: logs of 15 arms in MuJoCo whose loops shake or do not, and what is said.
 
 The arms have inertia, servos, friction, encoders and torque limits; each joint has its own bandwidth, and commands
 arrive late. A push moves the target by up to 2 cm; a run that strays by 4 cm is stopped, as by a safety system. What is
 right is found by running: the largest gain with which the tip overshoots by less than 5 %.
 """
 
+import sys
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 import cnclik as ck
-from tests.diagnosis.logs import arguments, report
+from tests.diagnosis.logs import report
 from tests.oracles import robots
 
 ROBOTS = {  # file below example-robot-data's robots, tip, base
@@ -226,14 +227,9 @@ def answers(shake, calm, seed):
                 worth = "false" if found.factor < 1 else "right"
             elif found.factor is not None and found.factor * present > 0.25 * best:
                 worth = "wrong" if over(plant, found.factor * present) > 0.05 else "right"
-            yield (
-                f"{'shakes' if kind == 'shakes' else 'calm'}{' with alpha' * (alpha is not None)}",
-                alpha,
-                found,
-                worth,
-            )
+            group = "shakes" if kind == "shakes" else "calm"
+            yield f"{group}, {'no ' * (alpha is None)}alpha", alpha, found, worth
 
 
 if __name__ == "__main__":
-    args = arguments(44, 29)
-    report(answers(*args.counts, args.seed))
+    report(answers(*map(int, sys.argv[1:])))

@@ -1,12 +1,12 @@
-"""`python -m tests.diagnosis.logs 144`: simulated logs of loops, and how often `diagnose` is right about them.
+"""`python -m tests.diagnosis.logs 144 SEED`: simulated logs of loops, and how often `diagnose` is right about them.
 
 Loops late by dead time, and by a lag as well, pushed or excited by noise; a wrong sign; frames turned against each
 other; paths, sweeps and healthy loops. Each answer is put to the test: the gain, sign or frame that it names goes into
 the simulated loop.
 """
 
-import argparse
 import collections
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +15,6 @@ from cnclik.diagnosis import diagnose
 
 TS = 0.004
 FINE = 20  # parts of a sample in which drives are followed
-OVER = 0.05  # of a step, by which a loop may overshoot with a gain that is right
-SLOW = 0.25  # share of the largest gain without overshoot that such a gain has at least
-NEXT = 0.9  # or of the largest one with a sample more of dead time, where there is none
 KINDS = ("late", "lag", "excited", "excited lag", "sign", "turned", "healthy", "path", "sweep")
 
 
@@ -58,19 +55,21 @@ def loop(z, delay, N, lag=0.0, push=1.0, noise=None, clip=np.inf):
     return y
 
 
-def servo(command, Ts, delay, velocity=False, lag=None, natural_frequency=None, damping_ratio=None):
+def servo(command, Ts, delay, velocity=False, lag=None, natural_frequency=None, damping_ratio=None, integral=0.0):
     """(N,) motion after commands (N,) that are held: the transfer function, made discrete by SciPy."""
     from scipy.signal import cont2discrete, lfilter
 
-    lower = [1.0]
-    if lag is not None:
+    upper, lower = [1.0], [1.0]
+    if integral:  # of the velocity's error
+        upper, lower = [1.0, integral], [lag, 1.0, integral]
+    elif lag is not None:
         lower = [lag, 1.0]
     elif natural_frequency is not None:
         lower = [natural_frequency**-2, 2 * damping_ratio / natural_frequency, 1.0]
     elif not velocity:  # moves on a line from sample to sample
         return np.interp(np.arange(len(command)) - delay, np.arange(len(command)) + 1.0, command)
     late = np.concatenate([np.full(round(delay * FINE), command[0]), np.repeat(command, FINE)])[: FINE * len(command)]
-    over, under, _ = cont2discrete(([1.0], lower + [0.0] * velocity), Ts / FINE)
+    over, under, _ = cont2discrete((upper, lower + [0.0] * velocity), Ts / FINE)
     moved = lfilter(over[0], under, late - command[0])[::FINE]
     return moved + command[0] * (Ts * np.arange(len(command)) if velocity else 1.0)
 
@@ -156,11 +155,11 @@ def drawn(rng, kind) -> Log:
 
 
 def ends(found, z, delay, lag=0.0) -> bool:
-    """Whether the gain that is named for a loop of z ends its swing, and is not far too low."""
-    least = SLOW * limits(delay, lag)[1]
-    if not delay + lag:  # then a gain that suits a sample more is a quarter of the largest, and rounding would decide
-        least = NEXT * monotone(1)
-    return found.factor is not None and over(found.factor * z, delay, lag) < OVER and found.factor * z > least
+    """Whether the gain that is named for a loop of z overshoots by less than 5 %, and is a quarter of the largest."""
+    if found.factor is None:
+        return False
+    least = 0.25 * limits(delay, lag)[1] if delay + lag else 0.9 * monotone(1)  # one that suits a sample more will do
+    return found.factor * z > least and over(found.factor * z, delay, lag) < 0.05
 
 
 def is_right(log: Log, found) -> bool | None:
@@ -184,27 +183,17 @@ def answers(count, seed=0):
 
 
 def report(told) -> None:
-    """Print how often what was said of each group of (group, whether alpha is known, answer, what it is worth)."""
-    rows, sure = collections.defaultdict(collections.Counter), collections.defaultdict(list)
+    """Print how often what was said is right: (group, whether alpha is known, answer, what it is worth)."""
+    rows = collections.defaultdict(collections.Counter)
     for group, alpha, found, worth in told:
         rows[group][worth] += 1
         if found.confidence is not None:
-            sure[found.confidence, "alpha" if alpha else "no alpha"].append(worth == "right")
-    for group, row in rows.items():
+            rows[f"confidence {found.confidence}, {'alpha' if alpha else 'no alpha'}"][worth] += 1
+    for group, row in sorted(rows.items()):
         print(f"{group}: {dict(row)}")
-    for (confidence, alpha), rights in sorted(sure.items()):
-        print(f"confidence {confidence}, {alpha}: {sum(rights)} of {len(rights)} right")
-
-
-def arguments(*defaults):
-    """Numbers of logs, and a seed, from the command line."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("counts", type=int, nargs="*", default=defaults)
-    parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args()
 
 
 if __name__ == "__main__":
-    args, words = arguments(144), {None: "no cause", True: "right", False: "wrong"}
-    each = answers(*args.counts, args.seed)
+    words = {None: "no cause", True: "right", False: "wrong"}
+    each = answers(*map(int, sys.argv[1:]))
     report((kind, log.alpha, found, words[right]) for kind, log, found, right in each)

@@ -7,24 +7,7 @@ from cnclik.cli import main
 from cnclik.diagnosis import diagnose, diagnose_tasks
 from cnclik.errors import ArgumentError
 from tests.diagnosis import logs
-from tests.diagnosis.logs import TS, ends, limits, loop, monotone, stable
-
-
-@pytest.mark.parametrize("d", [1, 3, 7])
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_the_gain_that_is_named_ends_it(d, noise):
-    """Three loops of a dead time, with alpha and without, also with noise of 1 % of the first error."""
-    rng, told = np.random.default_rng(d), []
-    for share in (0.6, 0.8, 1.02):
-        z = share * stable(d)
-        y = np.outer(loop(z, d, 160)[d:], rng.uniform(-1, 1, 2)) + rng.uniform(-2, 2, 2)
-        y = y + noise * np.ptp(y[: d + 4], axis=0) * rng.standard_normal(y.shape)
-        for alpha in (z / TS, None):
-            found = diagnose(y, TS, alpha=alpha)
-            told.append(ends(found, z, d))
-            assert found.confidence is None or found.confidence <= (0.8 if alpha is None else 1.0)
-            assert found.interval is None or found.interval[0] <= d <= found.interval[1]
-    assert sum(told) >= len(told) - (noise > 0), told
+from tests.diagnosis.logs import TS, ends, loop, monotone, stable
 
 
 @pytest.mark.parametrize("alpha", [69.02, None])
@@ -37,29 +20,20 @@ def test_pure_dead_time_is_told_from_a_lag(alpha):
         q += sent[-6]
     found = diagnose(seen, TS, alpha=alpha)
     assert found.cause == "dead time" and found.interval[0] <= 5 <= found.interval[1] and found.drive.order == 0
-    assert ends(found, 69.02 * TS, 5) and "as with 5 samples (20 ms) of dead time" in str(found)
+    assert ends(found, 69.02 * TS, 5) and found.drive.delay == pytest.approx(5, abs=0.1)
 
 
-@pytest.mark.parametrize("d", [1, 4])
-def test_what_surrounds_a_swing_does_not_matter(d):
-    """A drift, rest before the step of a target, a slow path, several joints, a column that stands still; units."""
-    rng = np.random.default_rng(100 + d)
-    z = 0.9 * stable(d)
-    e, t = loop(z, d, 300), np.arange(300.0)
-    late = np.concatenate([np.zeros(40), 1 - e])
-    long = loop(0.97 * stable(d), d, 1200)
-    path = np.sin(2 * np.pi * np.arange(1200) / 700) + 0.3 * np.cos(2 * np.pi * np.arange(1200) / 431)
-    for y, gain in (
-        (0.1 * e + 1.5 - 0.002 * t, z),
-        (late + 0.005 * rng.standard_normal(len(late)), z),
-        (path + 0.2 * long + 0.001 * rng.standard_normal(1200), 0.97 * stable(d)),
-    ):
-        assert ends(diagnose(y, TS, alpha=gain / TS), gain, d)
-    joints = np.stack([0.3 * long + 1, -0.1 * long - 2, np.full(1200, 0.7), 0.02 * long], 1)
+def test_what_surrounds_a_swing_does_not_matter():
+    """A slow path, several joints, a column that stands still, units."""
+    rng, z, t = np.random.default_rng(104), 0.97 * stable(4), np.arange(1200)
+    e = loop(z, 4, 1200)
+    path = np.sin(2 * np.pi * t / 700) + 0.3 * np.cos(2 * np.pi * t / 431)
+    assert ends(diagnose(path + 0.2 * e + 0.001 * rng.standard_normal(1200), TS, alpha=z / TS), z, 4)
+    joints = np.outer(e, [0.3, -0.1, 0.0, 0.02]) + np.array([1.0, -2.0, 0.7, 0.0])
     joints[:, [0, 1, 3]] += 0.002 * rng.standard_normal((1200, 3))
-    found = diagnose(joints, TS, alpha=0.97 * stable(d) / TS)
-    assert ends(found, 0.97 * stable(d), d)
-    assert np.std(found.fitted - joints[found.first :][: len(found.fitted)]) < 0.02
+    found = diagnose(joints, TS, alpha=z / TS)
+    assert ends(found, z, 4)
+    assert np.nanstd(found.fitted - joints) < 0.02
     for size in (1e-250, 1e20):
         same = diagnose(size * e, TS)
         assert same.recommended_alpha == pytest.approx(diagnose(e, TS).recommended_alpha, rel=1e-3)
@@ -86,17 +60,6 @@ def test_growing_oscillations_of_any_speed(z, d):
     e = loop(z, d, N)
     found = diagnose(e[np.abs(e) < 1e12], TS, alpha=z / TS)
     assert found.kind in ("growing oscillation", "sustained oscillation") and ends(found, z, d), str(found)
-
-
-@pytest.mark.parametrize(("delay", "lag"), [(1.0, 5.0), (3.4, 6.0)])
-def test_a_lag_is_not_taken_for_dead_time(delay, lag):
-    for share, noise in ((0.6, 0.0), (0.8, 2e-3)):
-        z = share * limits(delay, lag)[0]
-        e = loop(z, delay, 300, lag) + noise * np.random.default_rng(2).standard_normal(300)
-        for alpha in (z / TS, None):
-            found = diagnose(e, TS, alpha=alpha)
-            silent = alpha is None and found.cause is None  # the likely drives may differ too much then
-            assert silent or (found.cause == "drive" and ends(found, z, delay, lag)), str(found)
 
 
 # --- what no smaller gain ends ------------------------------------------------------------------------
@@ -171,13 +134,13 @@ def test_a_circle_is_neither_an_oscillation_nor_a_spiral(alpha, d, turns):
         assert (found.confidence or 0) < 0.9 or (found.rings and ends(found, alpha * Ts, d)), str(found)
 
 
-def test_what_is_said_surely_is_right_and_short_logs_do_not_grow(count=18):
-    """Of what is said with 0.9 nine in ten are right; few loops that swing are missed; few calm logs raise an alarm."""
-    told = [(found, log.truth != "calm", right) for _, log, found, right in logs.answers(count, seed=1)]
-    sure = [right for found, _, right in told if (found.confidence or 0.0) >= 0.9]
-    assert sure and np.mean(sure) >= 0.9, (sum(sure), len(sure))
-    assert sum(faulty and found.cause is None for found, faulty, _ in told) < 0.1 * count
-    assert sum(not faulty and found.cause is not None for found, faulty, _ in told) < 0.03 * count + 1
+def test_what_is_said_is_right_in_the_simulated_loop(count=36):
+    """Of nine kinds of logs; without alpha no confidence is above 0.8. Short logs do not grow."""
+    told = [(log, found, right) for _, log, found, right in logs.answers(count, seed=1)]
+    assert all((found.confidence or 0) <= 0.8 for log, found, _ in told if log.alpha is None)
+    assert all(right for log, found, right in told if (found.confidence or 0.0) >= 0.9)
+    assert sum(log.truth != "calm" and not right for log, _, right in told) <= 3
+    assert sum(log.truth == "calm" and found.cause is not None for log, found, _ in told) <= 1
     rng = np.random.default_rng(0)
     for N, d, share in zip(rng.integers(16, 25, 10), rng.integers(0, 9, 10), rng.uniform(0.1, 0.98, 10), strict=True):
         y = np.outer(loop(share * stable(d), int(d), N), rng.uniform(-0.1, 0.1, 2))

@@ -10,6 +10,7 @@ from cnclik.integrate.drive import Drive
 from tests.diagnosis.logs import servo
 
 TS = 0.004
+NOISE = np.random.default_rng(1).random(150)
 
 
 def step(N=150, at=10, size=0.2):
@@ -52,21 +53,16 @@ def test_dead_time_lags_and_servos(kind, delay, numbers):
     assert fit.options.startswith("--delay ") and fit.options.endswith(f" --command {kind}")
 
 
-def test_joints_share_numbers_unless_they_differ_and_one_that_does_not_follow_is_left_out():
-    """The third was said to move by -29 times its command, with 0.85 ± 7668 rad/s, and its rms beside "100 %"."""
-    command = np.stack([step(), step(size=-0.3), step(size=0.25)], 1)
+def test_joints_share_numbers_unless_they_differ():
+    command = np.stack([step(), step(size=-0.3)], 1)
     for lags in ((0.03, 0.03), (0.02, 0.05)):
         moves = [noisy(servo(command[:, i], TS, 2.0, lag=lag), i) for i, lag in enumerate(lags)]
-        fit = fit_drive(None, command[:, :2], np.stack(moves, 1), TS)
+        fit = fit_drive(None, command, np.stack(moves, 1), TS)
         assert np.size(fit.drive.lag) == len(set(lags)) and within(fit, delay=2.0)
         np.testing.assert_allclose(fit.drive.lag, sorted(set(lags)), rtol=0.02)
     assert str(fit).startswith("lag: delay 2 samples") and "Recommended alpha: " in str(fit)
     alike = fit_drive(None, command[:, :1], moves[0], TS)  # the slow joint decides
     assert fit.recommended_alpha < 0.8 * alike.recommended_alpha
-    odd = fit_drive(None, command, np.stack([*moves, np.random.default_rng(2).normal(size=150)], 1), TS)
-    assert "Joint 3 does not follow its command, and is left out." in odd.note and "Motion is" not in odd.note
-    np.testing.assert_allclose(odd.drive.lag, [0.02, 0.05, np.sqrt(0.02 * 0.05)], rtol=0.02)
-    assert np.nanmax(odd.rms) == pytest.approx(fit.rms.max(), rel=0.05) and "0.0005" in str(odd)
 
 
 @pytest.mark.parametrize(
@@ -89,27 +85,14 @@ def test_a_gain_divides_the_recommended_alpha(kind, gain, drift):
 @pytest.mark.parametrize(("rate", "rows"), [(250, 200), (100, 120), (500, 200)])
 def test_an_integral_part_does_not_hide_the_lag_of_a_velocity_servo(rate, rows):
     """In the end its joints are not late, and it was taken for 0.6 samples of dead time, whose gain overshot 10 %."""
-    Ts, lags = 1 / rate, (0.006, 0.009)
-    command = np.where(np.arange(rows)[:, None] < 10, 0.0, [0.2, 0.2])
-    motion = np.stack([integrating(c, Ts, lag) for c, lag in zip(command.T, lags, strict=True)], 1)
-    fit = fit_drive(None, command, motion, Ts, command_kind="velocity")
+    lags = np.array([0.006, 0.009])
+    command = np.where(np.arange(rows) < 10, 0.0, 0.2)
+    motion = [servo(command, 1 / rate, 0.0, True, lag, integral=10.0) for lag in lags]
+    fit = fit_drive(None, np.stack([command] * 2, 1), np.stack(motion, 1), 1 / rate, command_kind="velocity")
     np.testing.assert_allclose(fit.drive.lag, lags, rtol=0.1)
-    assert fit.drive.delay < 0.1 and "integral part (0.0" in fit.note
-    for lag in lags:
-        q = integrating(range(3 * rate), Ts, lag, lambda _, q: fit.recommended_alpha * (1 - q))
-        assert q.max() < 1.05 and abs(q[-1] - 1) < 0.02
-
-
-def integrating(command, Ts, lag, law=lambda u, q: u, rate=10.0, parts=40):
-    """(N,) motion of a velocity servo with an integral part: lag v' = (v_c − v) + rate ∫(v_c − v), v_c by a law."""
-    q, v, missed, motion, h = 0.0, 0.0, 0.0, [], Ts / parts
-    for sent in command:
-        motion.append(q)
-        u = law(sent, q)
-        for _ in range(parts):
-            after = v + h / lag * (u - v + rate * missed)
-            missed, q, v = missed + h * (u - 0.5 * (v + after)), q + h * 0.5 * (v + after), after
-    return np.array(motion)
+    assert fit.drive.delay < 0.1 and "integral part (0.1 s)" in fit.note
+    truth = ck.gains(Ts=1 / rate, drive=Drive(command="velocity", lag=lags.max()), method="EE").recommended
+    assert 0.7 * truth < fit.recommended_alpha < 1.03 * truth
 
 
 @pytest.mark.parametrize(
@@ -141,12 +124,7 @@ def test_numbers_that_a_log_leaves_open_do_not_run_away():
         (None, 1e-200 * step(), step(), "Argument `command` must move in every column, but stands still."),
         (None, step(), step()[:99], "Argument `motion` must have the shape of the commands, (150, 1), but has (99, 1)"),
         (None, step(9), step(9), "Argument `motion` must have at least 16 rows, but has 9."),
-        (
-            None,
-            step(),
-            np.random.default_rng(1).random(150),
-            "Argument `motion` must be what the command leads to,",
-        ),
+        (None, [step()] * 2, [step(), NOISE], "Argument `motion` must be what the command leads to, but only 0 %"),
         (None, step(), -step(), "Argument `motion` must move by about what is commanded, but moves by -0.9"),
         (None, step(), 57.3 * step(), "Argument `motion` must move by about what is commanded, but moves by 5"),
         (np.arange(150) + 3 * step() // 2, step(), step(), "Argument `t` must have a row every 1 s, but row 11 comes"),
@@ -155,7 +133,7 @@ def test_numbers_that_a_log_leaves_open_do_not_run_away():
 )
 def test_what_no_drive_explains_is_refused(t, command, motion, line):
     with pytest.raises(ArgumentError) as said:
-        fit_drive(t, command, motion, TS if t is None else None)
+        fit_drive(t, np.transpose(command), np.transpose(motion), TS if t is None else None)
     assert str(said.value).startswith(line)
 
 
