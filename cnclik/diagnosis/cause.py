@@ -8,8 +8,6 @@ from cnclik.diagnosis.recording import line
 LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
 BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
 ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
-ROUND, COHERENT = 0.6, 0.8  # |vᵀv| of a shape v of columns that circle: 0 for a circle, 1 in phase; its energy
-OPEN = 10.0  # range of the angles [degrees], with more dead time, that leaves the answer unsure
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
@@ -19,16 +17,16 @@ FASTER = 1.3  # least ratio of the last two quarters of a growth
 def turned(y, gain=None) -> tuple | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
-    Returns its rotation vector (3,) [degrees], z per row, whether its size stays as of a circle, whether it is sure. A
-    spiral leaves d open, as a turn by the angle of d rows looks alike. Of those that explain it as well that is taken
-    whose z is next to a known gain, or else the least.
+    Returns its rotation vector (3,) [degrees], z per row, and whether its size stays as of a circle. A spiral leaves d
+    open, as a turn by the angle of d rows looks alike: of those that explain it as well that is taken whose z is next
+    to a known gain, or else the least d.
     """
     from scipy.signal import lfilter
     from scipy.spatial.transform import Rotation
 
     blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(y.shape[1], [])
-    first, last, jumped = window(y)
-    y = y[first if jumped else max(first - 1, 0) : last]
+    first, last = window(y)
+    y = y[max(first - 1, 0) : last]
     m = max(1, len(y) // PARTS)
     y = averaged(y, m)
     most = min(DEAD, len(y) // 5)
@@ -57,47 +55,36 @@ def turned(y, gain=None) -> tuple | None:
                     plain = min(plain, score)
     least = min((spin[0] for spin in spins), default=0.0)
     alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
-    wave = analytic(free(line(len(y)), y))
-    energy, shapes = np.linalg.eigh(np.einsum("ni,nj->ij", wave, np.conj(wave)))
-    round_ = energy[-1] > COHERENT * np.sum(energy) and abs(np.sum(shapes[:, -1] ** 2)) < ROUND
-    if not alike or alike[0][4] > LEFT or (plain - alike[0][0] < BETTER and not round_):
+    if not alike or alike[0][4] > LEFT or plain - alike[0][0] < BETTER:
         return None
     if gain is not None:
         alike.sort(key=lambda spin: abs(np.log(spin[2] / gain)))
-    turns = []
-    for _, _, _, R, _ in alike:
-        whole = np.eye(3)
-        whole[: len(R), : len(R)] = R
-        turns.append(Rotation.from_matrix(whole).as_rotvec(degrees=True))
-    angles = [np.linalg.norm(turn) for turn, spin in zip(turns, alike, strict=True) if spin[0] <= least + BETTER]
-    sizes = [float(np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3])) for i in (3, 2, 1)]
-    steady = (
-        1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
-    )  # as of a circular path
-    return turns[0], alike[0][2], steady, max(angles) - min(angles) < OPEN and not steady
+    turn = np.eye(3)
+    turn[: len(alike[0][3]), : len(alike[0][3])] = alike[0][3]
+    wave = analytic(free(line(len(y)), y))
+    sizes = [np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3]) for i in (3, 2, 1)]
+    steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
+    return Rotation.from_matrix(turn).as_rotvec(degrees=True), alike[0][2], steady
 
 
-def growth(y) -> tuple[float, float]:
-    """(growth per row without oscillation, 0 for none; evidence of it) of y (N, k)."""
-    first, _, jumped = window(y)
-    y = y[first * jumped :]
+def growth(y) -> float:
+    """Growth per row without oscillation of y (N, k); 0 for none."""
     N, near = len(y), max(len(y) // 10, 2)
     way = y[-near:].mean(0) - y[int(0.6 * N) - near // 2 : int(0.6 * N) + near].mean(0)
     m = max(1, N // PARTS)
     if N // m < 16 or not way.any():
-        return 0.0, 0.0
+        return 0.0
     x = y @ way / np.linalg.norm(way)
     at, near = np.linspace(0, N - 1, 5).astype(int), max(N // 40, 1)
     steps = np.diff([x[max(i - near, 0) : i + near + 1].mean() for i in at])
     half = x[N // 2 :: max(N // 24, 1)]
     if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or not steps[3] > FASTER * steps[2]:
-        return 0.0, 0.0
+        return 0.0
     loops, none = fits(averaged(x[:, None] - x[0], m), np.inf)
     wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
-    evidence = min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf)
-    if evidence < BETTER / 2:
-        return 0.0, 0.0
-    return float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m)), float(evidence)
+    if min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf) < BETTER / 2:
+        return 0.0
+    return float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
 
 
 def analytic(y, low=0.0, high=0.5):

@@ -15,8 +15,8 @@ from cnclik.stability.gain import gains
 
 RINGING, SUSTAINED, GROWING = OSCILLATIONS = "ringing", "sustained oscillation", "growing oscillation"
 DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
-EVIDENCE_KNOWN, NEAR = 20.0, 1.3  # as EVIDENCE, of a loop whose gain is known, and the mode's by less than this factor,
-EVIDENCE_EXCITED, MANY = 90.0, 10.0  # or it does not decay as its mode does: then over so many periods
+EVIDENCE_KNOWN = 20.0  # as EVIDENCE, of a loop whose gain is known
+EVIDENCE_EXCITED = 90.0  # of one that does not decay as its mode does
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
 SURE, UNKNOWN, UNSURE = 0.95, 0.8, 0.7  # confidence: of a free oscillation; without alpha or as of a path; of a stretch
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
@@ -25,7 +25,7 @@ SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size be
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
 TURNED = 27.0, 165.0, 173.0  # [degrees]: by less an error passes its target by 0.2 %; by more it grows alike
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
-STEADY, UNREST = 0.1, 0.2  # unrest of a sustained oscillation, at most; beyond that of one that grows as a mode does
+STEADY = 0.1  # unrest of a sustained oscillation, at most
 HELD = 1.15  # change in a period, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 WIDE, CLIPPED = 2.1, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
@@ -126,9 +126,9 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
     spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
-    rate, evidence = cause.growth(scaled)
+    rate = cause.growth(scaled)
     if spin is not None and TURNED[0] < np.linalg.norm(spin[0]) < TURNED[1 if rate else 2]:
-        turn, z, steady, sure = spin
+        turn, z, steady = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
         main = int(np.argmax(np.abs(turn)))
@@ -136,11 +136,9 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
-        confidence = SURE if sure else UNSURE
-        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=confidence, note=note)
+        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=SURE, note=note)
     if rate:
-        sure = SURE if evidence > cause.BETTER else UNKNOWN
-        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
+        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=SURE, note=WRONG_SIGN)
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
             fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
@@ -165,21 +163,19 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     change = mode.real * read.period
     held = abs(change) < np.log(HELD)
     excited = change < -np.log(HELD) and larger > LASTS
-    if change > 0 or held:  # what grows, or does not, must do so as its mode does
-        wave = np.exp(mode * np.arange(len(rows)) - max(mode.real, 0.0) * len(rows)).real[:, None]
-        excited = unrest > cause.swept(wave, read.period)[2] + UNREST
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    drives = loop.drives_of(mode, Ts, alpha, clipped=change > 0 or held, alone=read.dead is not None)
-    if drives.wide > WIDE if alpha is None else alpha > CLIPPED * drives.most:
+    clipped, alone = change > 0 or held, read.dead is not None
+    drive, ends, present, most, wide = loop.drives_of(mode, Ts, alpha, clipped=clipped, alone=alone)
+    if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
-    best, off = gains(Ts=Ts, drive=drives.middle, method="EE").recommended, drives.off > NEAR
+    best = gains(Ts=Ts, drive=drive, method="EE").recommended
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
         note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
         return {"kind": CALM, "note": note}
-    needed, many = EVIDENCE if alpha is None or off else EVIDENCE_KNOWN, 2.0 if change > -np.log(2) else 1.2
+    needed, many = EVIDENCE if alpha is None else EVIDENCE_KNOWN, 1.5
     if excited or held:
-        needed, many = EVIDENCE_EXCITED if alpha is None else needed, MANY if excited and alpha is None else PERIODS
+        needed, many = EVIDENCE_EXCITED if alpha is None else needed, PERIODS
     overshoot = np.exp(0.5 * read.mode.real * read.period)
     if turns < many or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
         return None
@@ -188,21 +184,19 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         notes.append("Noise excites it again and again.")
     if held:
         notes.append(PATH)
-    if off:
-        notes.append(f"No drive with this mode has this alpha: the gain differs by a factor of {drives.off:.2g}.")
     if read.dead is None:
-        ends = " and ".join(drive_in_words(end, Ts) for end in drives.ends)
-        notes.append(f"Likely are drives between {ends}; a recorded step narrows them (--step).")
-    stretched = off or (turns < PERIODS and abs(change) < np.log(1.5))
+        likely = " and ".join(drive_in_words(end, Ts) for end in ends)
+        notes.append(f"Likely are drives between {likely}; a recorded step narrows them (--step).")
+    stretched = turns < PERIODS and abs(change) < np.log(1.5)
     return {
         "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
         "cause": "drive" if read.dead is None else "dead time",
         "period": read.period,
         "growth": float(np.exp(mode.real)),
         "interval": read.dead,
-        "drive": drives.middle,
+        "drive": drive,
         "recommended_alpha": best,
-        "factor": best / (alpha or drives.alpha),
+        "factor": best / (alpha or present),
         "confidence": UNSURE if stretched else UNKNOWN if excited or held else SURE,
         "note": " ".join([*notes, UNLESS]),
     }

@@ -302,25 +302,16 @@ def _together(log, kind, fitted) -> tuple:
     if len(mean) == 1 or free == 0 or apart <= free + APART * np.sqrt(2 * free):  # of χ², which is nearly normal
         return mean[None], shared[None]
     late = np.average(fitted[:, 0], weights=1 / each[:, 0, 0])
-    moved = each[:, 0] * ((late - fitted[:, 0]) / each[:, 0, 0])[:, None]
-    most = 2 * np.sqrt(np.diagonal(each, axis1=1, axis2=2))  # as far as the linear theory of a joint's fit holds
     each[:, 0, 0] = 1 / np.sum(1 / each[:, 0, 0])
-    starts = np.stack([fitted, fitted + np.clip(moved, -most, most)], 1)
-    return _least(log, kind, starts, late)[0], each
+    return _least(log, kind, fitted[:, None], late)[0], each
 
 
 def _information(log, kind, values):
-    """(k, p, p) of the values of each joint: residuals count as often as they are independent, and may be larger where
-    the motion is fast (White 1980)."""
+    """(k, p, p) of the values of each joint: residuals count as often as they are independent."""
     left, slope = log.slopes(kind, values, np.arange(log.k))
     free = max(len(log.t) - slope.shape[-1] - 3, 1)
     power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
-    flat = np.linalg.pinv(np.einsum("kni,knj->kij", slope, slope))
-    lever = np.einsum("kni,kij,knj->kn", slope, flat, slope)
-    seen = np.einsum("kn,kni,knj->kij", (left / np.maximum(1 - lever, 0.3)) ** 2, slope, slope)
-    robust, plain = (np.diagonal(m, axis1=1, axis2=2) for m in (flat @ seen @ flat, power[:, None, None] * flat))
-    wider = np.maximum(np.max(robust / np.maximum(plain, 1e-300), -1), 1.0)
-    return np.linalg.pinv(flat * (power * wider)[:, None, None])
+    return np.einsum("kni,knj->kij", slope, slope) / power[:, None, None]
 
 
 def correlated(left) -> float:

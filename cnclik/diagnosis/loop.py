@@ -26,8 +26,6 @@ ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
 EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's
 SURELY = 0.9  # share of the probability that loops which swing must have
-FAST = 3.0  # times the period of the grid on which a loop was found: beyond it the grid does not hold it
-GROWN = 2.0  # factor over the rows read by which a mode does not grow in a log whose steps end smaller
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' gains that chosen is
 
@@ -74,17 +72,15 @@ def prepared(y):
 
 
 def window(y) -> tuple:
-    """(first row of the motion after a push, last one that is read, whether the push is a jump in the error)."""
+    """(first row of the motion after a push, last one that is read)."""
     N, span = len(y), np.ptp(y, axis=0)
     away = np.any(np.abs(y - y[0]) > 6 * noise_of(y) + 2e-3 * span, axis=1)
     first, last = int(np.argmax(away)) if np.argmax(away) < 0.6 * N else 0, N
-    step = np.max(np.abs(np.diff(y[max(first - 1, 0) : first + 8], axis=0)) / span, axis=1)
-    jumped = bool(first > 0 and step[0] > 0.2 and step[0] > 4 * step[1:].max())
-    if last - first > ROWS and not jumped:
+    if last - first > ROWS:
         power = np.concatenate([[0.0], np.cumsum(np.sum(np.diff(y[first:last], axis=0) ** 2, 1))])
         first += int(np.argmax(power[ROWS:] - power[:-ROWS]))
         last = first + ROWS
-    return first, min(last, first + 2 * ROWS), jumped
+    return first, last
 
 
 def main_parts(y):
@@ -112,12 +108,10 @@ def path_basis(N, period=np.inf):
     return np.linalg.qr(np.stack([*(t**i for i in range(4)), *sines], 1)[:, : max(N // 3, 2)])[0]
 
 
-def periods_of(y) -> list:
-    """Periods [rows] that the oscillation of y (N, k) may have: of the most steps, and of a fast one beside a path."""
+def period_of(y) -> float:
+    """The period [rows] of the most steps of y (N, k) beside a path."""
     power = np.sum(np.abs(np.fft.rfft(free(path_basis(len(y)), y), 4 * len(y), axis=0)) ** 2, 1)
-    f = np.arange(len(power))
-    slow, fast = (4 * len(y) / (6 + int(np.argmax((power * f**order)[6:]))) for order in (1, 3))
-    return [slow, fast] if fast < slow / 1.6 else [slow]
+    return 4 * len(y) / (6 + int(np.argmax((power * np.arange(len(power)))[6:])))
 
 
 # --- prediction errors --------------------------------------------------------------------------------
@@ -187,23 +181,13 @@ def slowest(dead, lag, z) -> complex:
 
 
 def read(y) -> Loop | None:
-    """The loop behind y (N, k), columns as `prepared` gives them; None if it is too short.
-
-    Of the periods it may have, that with the most evidence; a faster one only if the loop then swings about as fast.
-    """
-    first, last, jumped = window(y)
-    best = None
-    for i, period in enumerate(periods_of(main_parts(y[first:last])) if last - first > 15 else ()):
-        loop = _read_at(y, period, first, last, jumped)
-        if loop and (i == 0 or loop.period < FAST * period) and (best is None or loop.evidence > best.evidence):
-            best = loop
-    return best
-
-
-def _read_at(y, period, first, last, jumped) -> Loop | None:
-    """The loop that predicts rows first to last best, on the grid of a period [rows]."""
+    """The loop that predicts y (N, k) best, columns as `prepared` gives them; None if it is too short."""
+    first, last = window(y)
+    if last - first <= 15:
+        return None
+    period = period_of(main_parts(y[first:last]))
     m = max(1, min(int(period / PER_PERIOD), (last - first) // 40))
-    past = 0 if jumped else min(first, (int(min(DEAD, period / m / 3 + 3)) + 4) * m)
+    past = min(first, (int(min(DEAD, period / m / 3 + 3)) + 4) * m)
     parts = main_parts(averaged(y[first - past : last], m))
     if len(parts) <= 15:
         return None
@@ -217,8 +201,6 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
     modes = np.array([np.log(slowest(*loops[:3, i]) + 1e-300) / m for i in likely])
     power = np.sum(np.diff(y[first:last], axis=0) ** 2, 1)
     rests = bool(np.sum(power[-len(power) // 3 :]) < np.sum(power[: len(power) // 3]))
-    if rests and (decays := modes.real * (last - first) < np.log(GROWN)).any():
-        likely, modes = likely[decays], modes[decays]
     swings = modes.imag > 1e-9
     over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
     alone, least, interval = lag == 0, score[lag == 0].min(initial=np.inf), None
@@ -240,20 +222,11 @@ def _read_at(y, period, first, last, jumped) -> Loop | None:
 # --- drives that have a mode --------------------------------------------------------------------------
 
 
-class Drives(NamedTuple):
-    """Drives that may be behind a mode."""
-
-    middle: Drive  # tolerates a gain between those of the ends
-    ends: tuple  # two drives, between which most of the likely ones are
-    alpha: float  # gain of the loop [1/s], the mean of the likely drives
-    most: float  # and the larger one of the ends
-    wide: float  # ratio of the gains that the ends tolerate
-    off: float  # least factor between a known gain and that of a drive with this mode
-
-
-def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Drives:
+def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> tuple:
     """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
+    Returns one that tolerates a gain between those of the ends; the ends, between which most of the likely ones are;
+    the mean gain of their loops [1/s], the larger one of the ends, and the ratio of the gains that the ends tolerate.
     Args: alpha: the loop's gain [1/s] if known. clipped: whether that of the mode may be lower. alone: dead time only.
     """
     s = mode / Ts
@@ -275,4 +248,4 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> Drives:
     places = [np.argmin(np.abs(np.log(calm) - least - MIDDLE * (largest - least))), *ends]
     middle, *both = (Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places)
     mean, most, wide = float(odds @ gain), float(np.max(gain[ends])), float(np.exp(largest - least))
-    return Drives(middle, tuple(both), mean, most, wide, float(np.exp(np.min(np.abs(off)))))
+    return middle, tuple(both), mean, most, wide

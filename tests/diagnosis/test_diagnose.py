@@ -28,7 +28,7 @@ def test_what_surrounds_a_swing_does_not_matter():
     rng, z, t = np.random.default_rng(104), 0.97 * stable(4), np.arange(1200)
     e = loop(z, 4, 1200)
     path = np.sin(2 * np.pi * t / 700) + 0.3 * np.cos(2 * np.pi * t / 431)
-    assert ends(diagnose(path + 0.2 * e + 0.001 * rng.standard_normal(1200), TS, alpha=z / TS), z, 4)
+    assert ends(diagnose(0.2 * (path + e) + 0.001 * rng.standard_normal(1200), TS, alpha=z / TS), z, 4)
     joints = np.outer(e, [0.3, -0.1, 0.0, 0.02]) + np.array([1.0, -2.0, 0.7, 0.0])
     joints[:, [0, 1, 3]] += 0.002 * rng.standard_normal((1200, 3))
     found = diagnose(joints, TS, alpha=z / TS)
