@@ -197,9 +197,7 @@ def _starts(log, kind):
         "velocity PI": [(tau, more * tau) for tau in TIMES for more in (2.5, 8.0)],
     }[kind]
     values, N = np.array([[0.0, *np.log(numbers)] for numbers in grid]), len(log.t)
-    sent = np.argmax(np.any(log.command != log.command[0], axis=1))
-    away = np.argmax(np.any(np.abs(log.motion - log.motion[0]) > 0.3 * np.ptp(log.motion, axis=0), axis=1))
-    latest = int(np.clip(away - sent + 2, 2, min(MOST - 1, N // 2)))  # dead time: until a clear motion
+    latest = min(MOST - 1, N // 2)
     moved = log.response(kind, values[:, None], np.arange(log.k))  # (grid, k, N)
     spectrum = np.conj(np.fft.rfft(moved, log.length))
 
