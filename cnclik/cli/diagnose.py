@@ -97,7 +97,7 @@ def _stack(log, Ts, words) -> tuple:
 def _fields(found) -> dict:
     """The numbers of a diagnosis, without its curves."""
     fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
-    fields |= {"rings": found.rings, "drive": None if found.drive is None else _drive(found.drive)}
+    fields["drive"] = None if found.drive is None else _drive(found.drive)
     return {name: value for name, value in fields.items() if name not in ("fitted", "Ts")}
 
 

@@ -61,7 +61,7 @@ def turned(y, gain=None) -> tuple | None:
         alike.sort(key=lambda spin: abs(np.log(spin[2] / gain)))
     turn = np.eye(3)
     turn[: len(alike[0][3]), : len(alike[0][3])] = alike[0][3]
-    wave = analytic(free(line(len(y)), y))
+    wave = free(line(len(y)), y)
     sizes = [np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3]) for i in (3, 2, 1)]
     steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
     return Rotation.from_matrix(turn).as_rotvec(degrees=True), alike[0][2], steady
@@ -87,19 +87,15 @@ def growth(y) -> float:
     return float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
 
 
-def analytic(y, low=0.0, high=0.5):
-    """(N, k) complex: columns between two frequencies [1/row], of which the real part is seen."""
-    f = np.fft.fftfreq(4 * len(y))[:, None]
-    return np.fft.ifft(np.where((f > low) & (f < high), 2 * np.fft.fft(y, 4 * len(y), axis=0), 0), axis=0)[: len(y)]
-
-
 def swept(y, period) -> tuple[float, float, float]:
     """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy; its unrest.
 
     The unrest is the deviation of its size over the mean, of half the rows: 0.5 where noise excites it, 0 for a limit.
     """
     N = len(y)
-    wave = analytic(free(path_basis(N, period), y), 0.35 / period, 2.5 / period)
+    f = np.fft.fftfreq(4 * N)[:, None] * period
+    power = np.where((f > 0.35) & (f < 2.5), np.fft.fft(free(path_basis(N, period), y), 4 * N, axis=0), 0)
+    wave = np.fft.ifft(power, axis=0)[:N]  # analytic
     u, s, _ = np.linalg.svd(wave, full_matrices=False)
     wave = u[:, 0] * s[0]
     energy = np.abs(wave[1:]) ** 2

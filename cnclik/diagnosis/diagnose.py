@@ -13,12 +13,12 @@ from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
 
-RINGING, SUSTAINED, GROWING = OSCILLATIONS = "ringing", "sustained oscillation", "growing oscillation"
+RINGING, SUSTAINED, GROWING = "ringing", "sustained oscillation", "growing oscillation"
 DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
 EVIDENCE_KNOWN = 20.0  # as EVIDENCE, of a loop whose gain is known
 EVIDENCE_EXCITED = 90.0  # of one that does not decay as its mode does
 LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
-SURE, UNKNOWN, UNSURE = 0.95, 0.8, 0.7  # confidence: of a free oscillation; without alpha or as of a path; of a stretch
+SURE, UNKNOWN = 0.95, 0.8  # confidence: of a free oscillation; without alpha or as of a path
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
@@ -69,11 +69,6 @@ class Diagnosis:
     confidence: float | None = None
     fitted: Float[np.ndarray, "N k"]
     note: str = ""
-
-    @property
-    def rings(self) -> bool:
-        """Whether it oscillates."""
-        return self.kind in OSCILLATIONS
 
     def __str__(self):
         words = self.kind
@@ -161,8 +156,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     if unrest < STEADY and turns > PERIODS and alike:  # beside overtones a mode seems to decay
         mode = 1j * mode.imag
     change = mode.real * read.period
-    held = abs(change) < np.log(HELD)
-    excited = change < -np.log(HELD) and larger > LASTS
+    held, excited = bool(abs(change) < np.log(HELD)), bool(change < -np.log(HELD) and larger > LASTS)
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": UNFINISHED}
     clipped, alone = change > 0 or held, read.dead is not None
@@ -179,15 +173,10 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     overshoot = np.exp(0.5 * read.mode.real * read.period)
     if turns < many or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
         return None
-    notes = []
-    if excited:
-        notes.append("Noise excites it again and again.")
-    if held:
-        notes.append(PATH)
+    notes = ["Noise excites it again and again."] * excited + [PATH] * held
     if read.dead is None:
         likely = " and ".join(drive_in_words(end, Ts) for end in ends)
         notes.append(f"Likely are drives between {likely}; a recorded step narrows them (--step).")
-    stretched = turns < PERIODS and abs(change) < np.log(1.5)
     return {
         "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
         "cause": "drive" if read.dead is None else "dead time",
@@ -197,7 +186,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         "drive": drive,
         "recommended_alpha": best,
         "factor": best / (alpha or present),
-        "confidence": UNSURE if stretched else UNKNOWN if excited or held else SURE,
+        "confidence": UNKNOWN if excited or held else SURE,
         "note": " ".join([*notes, UNLESS]),
     }
 
@@ -245,12 +234,12 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     for name, signal in signals.items():
         with errors.called("", name):
             tasks[name] = diagnose(signal, Ts, alpha=largest)
-    swing = [found for found in tasks.values() if found.rings]
+    swing = [found for found in tasks.values() if found.drive is not None]
     if not swing:
         return StackDiagnosis(tasks=tasks, change=(), recommended_alpha=None)
     lead = max(swing, key=lambda found: (found.confidence, found.growth**found.period))
     best = lead.recommended_alpha
     change = [name for name, gain in known.items() if gain > ABOVE * best]
-    along = [name for name, found in tasks.items() if found.rings and abs(found.period / lead.period - 1) < ALIKE]
+    along = [name for name, found in tasks.items() if found.period and abs(found.period / lead.period - 1) < ALIKE]
     change += [name for name in along if name not in known]
     return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)

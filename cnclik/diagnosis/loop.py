@@ -183,8 +183,6 @@ def slowest(dead, lag, z) -> complex:
 def read(y) -> Loop | None:
     """The loop that predicts y (N, k) best, columns as `prepared` gives them; None if it is too short."""
     first, last = window(y)
-    if last - first <= 15:
-        return None
     period = period_of(main_parts(y[first:last]))
     m = max(1, min(int(period / PER_PERIOD), (last - first) // 40))
     past = min(first, (int(min(DEAD, period / m / 3 + 3)) + 4) * m)
@@ -203,20 +201,12 @@ def read(y) -> Loop | None:
     rests = bool(np.sum(power[-len(power) // 3 :]) < np.sum(power[: len(power) // 3]))
     swings = modes.imag > 1e-9
     over = np.exp(np.pi * np.minimum(modes.real / np.where(swings, modes.imag, 1.0), 10)) * swings > VISIBLE
-    alone, least, interval = lag == 0, score[lag == 0].min(initial=np.inf), None
-    if least < score[~alone].min(initial=np.inf) - ALONE:
-        near = dead[alone & (score < least + AS_WELL)]
-        ends = np.array([near.min() - 0.25, near.max() + 0.25])
-        interval = tuple(np.maximum((ends + 0.5) * m - 0.5, 0.0).tolist())
-    return Loop(
-        mode=complex(modes[np.argmax(odds[likely])]),
-        evidence=float(none - score.min()),
-        swings=float(np.sum(odds[likely] * over) / np.sum(odds[likely])),
-        dead=interval,
-        rests=rests,
-        first=first,
-        last=last,
-    )
+    least, interval = score[lag == 0].min(initial=np.inf), None
+    if least < score[lag > 0].min(initial=np.inf) - ALONE:
+        near = dead[(lag == 0) & (score < least + AS_WELL)]
+        interval = tuple(max((end + 0.5) * m - 0.5, 0.0) for end in (near.min() - 0.25, near.max() + 0.25))
+    share = float(np.sum(odds[likely] * over) / np.sum(odds[likely]))
+    return Loop(modes[np.argmax(odds[likely])], float(none - score.min()), share, interval, rests, first, last)
 
 
 # --- drives that have a mode --------------------------------------------------------------------------

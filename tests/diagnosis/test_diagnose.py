@@ -48,7 +48,7 @@ def test_a_clipped_oscillation_is_sustained_and_a_mended_loop_calm(d):
     assert found.kind == "sustained oscillation" and found.growth == pytest.approx(1, abs=2e-3) and ends(found, z, d)
     z = 0.97 * stable(d)
     found = diagnose(loop(z, d, 400), TS, alpha=z / TS)
-    assert found.rings and found.confidence >= 0.8 and "clip" not in str(found)
+    assert found.drive is not None and found.confidence >= 0.8 and "clip" not in str(found)
     assert "Use an alpha of " in str(found) and "at the measured joints a smaller gain may not" in found.note
     calm = diagnose(loop(z * found.factor, d, 400), TS)
     assert calm.kind == "calm" and calm.cause is calm.confidence is None
@@ -114,7 +114,7 @@ def calm_logs():
 @pytest.mark.parametrize("name", calm_logs())
 def test_nothing_is_found_where_there_is_nothing(name):
     found = diagnose(calm_logs()[name], TS)
-    assert not found.rings and found.cause is found.confidence is found.recommended_alpha is None, str(found)
+    assert found.drive is None and found.cause is found.confidence is found.recommended_alpha is None, str(found)
     assert found.note and str(found).startswith(found.kind)
 
 
@@ -131,7 +131,7 @@ def test_a_circle_is_neither_an_oscillation_nor_a_spiral(alpha, d, turns):
     e = np.array(e[d + 1 :])
     for motion in (e, path[1:] - e):
         found = diagnose(np.stack([motion.real, motion.imag], 1), Ts, alpha=alpha)
-        assert (found.confidence or 0) < 0.9 or (found.rings and ends(found, alpha * Ts, d)), str(found)
+        assert (found.confidence or 0) < 0.9 or (found.drive is not None and ends(found, alpha * Ts, d)), str(found)
 
 
 def test_what_is_said_is_right_in_the_simulated_loop(count=36):
