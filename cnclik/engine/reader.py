@@ -161,8 +161,8 @@ def trace(fn, avals) -> Trace:
     return Trace(closed, *jax.tree.flatten(shapes), stays)
 
 
-def read(closed, known=(), most=math.inf):
-    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}.
+def read(closed, most=math.inf):
+    """(graph, input nodes, output values) of a closed jaxpr of one lane.
 
     Args: most: nodes of the graph. Raises: SlowError as soon as there are more.
     """
@@ -177,9 +177,7 @@ def read(closed, known=(), most=math.inf):
         check_dtype(a.dtype)
         node = g.new("input", (), None, a.shape, a.dtype, i, g.root)
         given.append(node)
-        if i in known:
-            values.append(reader.constant(known[i], a))
-        elif not a.shape:
+        if not a.shape:
             values.append(array_of([node], ()))
         elif a.shape[0] >= stacks.MANY:
             values.append(stacks.columns(g, node))

@@ -53,8 +53,6 @@ def results(program, given) -> dict:
     """Return {"group.name": (count, size)} of all results."""
     fields = [(f"{group}.{f.name}", f) for group, some in program.inputs.items() for f in some]
     flat = [given[key].reshape(-1, *f.shape) for key, f in fields]
-    for i, value in sorted(program.fixed.items()):
-        flat.insert(i, np.broadcast_to(value, (len(flat[0]), *value.shape)))
     with jax.enable_x64(any(x.dtype == np.float64 for x in flat)):
         values = jax.jit(jax.vmap(program.fn))(*flat)
     keys = [f"{group}.{f.name}" for group, some in program.outputs.items() for f in some]
@@ -135,12 +133,6 @@ def _copy(place, table, field) -> str:
     return f"    {place} = {table}[0];"
 
 
-_SINGLE = """In single precision a joint stops short of its target by half a spacing of `q` over alpha·Ts: by 1.2e-5 rad
-at 2 rad, 10 1/s and 1 kHz, as smaller steps are rounded away. To go on, keep the joint values in double precision
-outside: `q += Ts * output->qdot`, one step a call, and hand them in rounded.
-"""
-
-
 def readme(program, names, configuration) -> str:
     """Return the README: how to build the files, and the meaning of each number."""
     groups = {**program.inputs, "output": program.outputs["output"]}
@@ -157,7 +149,6 @@ For speed add `-O3 -march=native -ffp-contract=fast`; without `-ffast-math`, whi
 GCC builds a step of tens of thousands of operations in a third of the time with `-fno-thread-jumps`.
 
 The code is C99, and C++17 without changes. It has no allocation, no recursion and no variables outside the functions;
-every loop has a known bound.
+every loop of cnclik's own has a known bound.
 
-{markdown(("what", "meaning", "entries"), rows, left=2)}
-{_SINGLE if names.real == "float" and has_status(program) else ""}"""
+{markdown(("what", "meaning", "entries"), rows, left=2)}"""
