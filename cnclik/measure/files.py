@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import os
 import pathlib
 
 import numpy as np
@@ -32,8 +31,6 @@ def plain(value):
         return [plain(v) for v in value]
     if hasattr(value, "tolist"):
         return plain(np.asarray(value).tolist())
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

@@ -144,9 +144,6 @@ class Viewer:
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
-    def __repr__(self):
-        return f"Viewer({self.url})"
-
 
 def rgb(color: str) -> tuple:
     """Return a colour such as "#0072B2" as three bytes."""
