@@ -45,7 +45,7 @@ def solve(
 
     It runs in the dtype of q0 and returns arrays of q0's kind: read-only NumPy arrays, or JAX arrays. The first call of
     a kind compiles its program, which takes about a second; calls with other numbers, of any Python or NumPy type,
-    reuse it. So does another N of 8 or more, where the program is C.
+    reuse it; another N is a program of its own.
 
     Args:
       law: the right-hand side f(q, t), see `Law`.

@@ -8,7 +8,7 @@ from cnclik import errors
 from cnclik.law.paths import Reference
 from cnclik.law.reference import References, aims_of
 from cnclik.robot import poses
-from cnclik.task.task import WIDTH, Task, aims, of_tips
+from cnclik.task.task import Task, aims, of_tips
 
 
 def read(targets, task: Task):
@@ -33,14 +33,6 @@ def read(targets, task: Task):
             made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
     made = xp.concatenate(made, axis=1)
     return np.ascontiguousarray(made, float) if xp is np else made, alone
-
-
-def transforms(pose) -> np.ndarray:
-    """Transforms (B, 4, 4) from positions and rows of rotations (B, 12), or (B, k, 4, 4) from those of k tips."""
-    rows = np.asarray(pose).reshape(len(pose), -1, WIDTH)
-    out = np.tile(np.eye(4), (*rows.shape[:2], 1, 1))
-    out[..., :3, 3], out[..., :3, :3] = rows[..., :3], rows[..., 3:].reshape(*rows.shape[:2], 3, 3)
-    return out if rows.shape[1] > 1 else out[:, 0]
 
 
 def by_name(task: Task, each):
