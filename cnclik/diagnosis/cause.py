@@ -62,7 +62,7 @@ def turned(y, gain=None) -> tuple | None:
     turn = np.eye(3)
     turn[: len(alike[0][3]), : len(alike[0][3])] = alike[0][3]
     wave = free(line(len(y)), y)
-    sizes = [np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3]) for i in (3, 2, 1)]
+    sizes = [float(np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3])) for i in (3, 2, 1)]
     steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
     return Rotation.from_matrix(turn).as_rotvec(degrees=True), alike[0][2], steady
 
