@@ -9,7 +9,6 @@ import time
 
 from cnclik import errors
 
-OWN = ".cnclik"  # a file in each store of a sweep
 LIST = ".cnclik-files"  # in a folder of results: when cnclik wrote each file there, its size and name
 _PARTIAL = ".partial-"
 _begun: list[pathlib.Path] = []  # hidden folders that this process writes into

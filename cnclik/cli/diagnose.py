@@ -1,6 +1,5 @@
 """`cnclik diagnose`: whether the loop behind a log shakes, why, and the gain that stops it; or its drive."""
 
-import dataclasses
 import pathlib
 from typing import Literal
 
@@ -96,9 +95,7 @@ def _stack(log, Ts, words) -> tuple:
 
 def _fields(found) -> dict:
     """The numbers of a diagnosis, without its curves."""
-    fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
-    fields |= {"rings": found.rings, "drive": None if found.drive is None else _drive(found.drive)}
-    return {name: value for name, value in fields.items() if name not in ("fitted", "Ts")}
+    return {name: value for name, value in vars(found).items() if name not in ("fitted", "Ts")} | {"rings": found.rings}
 
 
 def _step(log, Ts, command_kind) -> tuple:
@@ -114,13 +111,6 @@ def _step(log, Ts, command_kind) -> tuple:
     command, motion = both[:, :half], both[:, half:]
     fit = fit_drive(None, command, motion, Ts, command_kind=command_kind)
     names = ("interval", "rms", "explained", "options", "gain", "drift", "recommended_alpha", "note")
-    fields = _drive(fit.drive) | {name: getattr(fit, name) for name in names}
+    fields = {name: getattr(fit, name) for name in ("drive", *names)}
     moved = [log.names[i] for i in places[half:]]
     return fields, f"{fit.options}\n{fit}", drawn_by("diagnosis", "drive", Ts, command, motion, fit, moved)
-
-
-def _drive(drive) -> dict:
-    """The numbers of a drive; those of another kind are None."""
-    fields = {"kind": ("delay", "lag", "second-order")[drive.order], "command": drive.command, "delay": drive.delay}
-    orders = {"lag": 1, "natural_frequency": 2, "damping_ratio": 2}
-    return fields | {name: getattr(drive, name) if order == drive.order else None for name, order in orders.items()}

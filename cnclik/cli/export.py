@@ -2,7 +2,6 @@
 
 from typing import Literal
 
-from cnclik.cli import progress
 from cnclik.cli.arguments import PROBLEM
 from cnclik.cli.common import problem
 
@@ -22,8 +21,7 @@ def run(robot: str, *, out: str, dtype: Literal["double", "float"] = "double", o
     from cnclik.export.write import c
 
     path = None if made.reference.still else made.reference
-    with progress.bar("C"):
-        c(made.law, path, out=out, method=made.method, stage=made.stage, dtype=dtype, overwrite=overwrite)
+    c(made.law, path, out=out, method=made.method, stage=made.stage, dtype=dtype, overwrite=overwrite)
     print(made)
     print(
         f"Step in {dtype}, {'to targets that are arguments' if path is None else 'along its path'}; Ts is an argument."

@@ -14,9 +14,8 @@ STATUS = {"status", "state", "mode", "flag", "flags", "code", "id", "seq", "sequ
 STATUS |= {"fault", "valid", "running", "row", "iteration", "safety"}
 TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp", "clock"}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
-UNITS = {"s": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "sec": "s", "secs": "s", "seconds": "s"}
-UNITS |= {"msec": "ms", "millis": "ms", "usec": "us", "micros": "us"}
-UNITS |= dict.fromkeys(("nsec", "nanosec", "nanos", "nsecs", "nanosecs", "nanoseconds"), "ns")
+PARTS = {"": "s", "m": "ms", "milli": "ms", "u": "us", "µ": "us", "micro": "us", "n": "ns", "nano": "ns"}
+UNITS = {f"{part}{word}": unit for part, unit in PARTS.items() for word in ("s", "sec", "secs", "seconds")}
 STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
 APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 

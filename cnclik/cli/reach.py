@@ -96,7 +96,7 @@ def run(
         made = reach(chain, wanted, task=task, near="previous" if path else near, jump=jump)
         seconds = time.perf_counter() - begun
         if folder is not None:
-            folder.write(file.name, functools.partial(_save, made, pose))
+            folder.write(file.name, functools.partial(_save, made))
     asked = [f"{robot_name(robot, arm.get('tip'))}, {str(task)[6:]}", line]
     solved, statuses = float((made.status == ReachStatus.SOLVED).mean()), count(made.status)
     if json:
@@ -127,8 +127,8 @@ def _random(chain, count):
     return at.position(None, None), at.rotation(None, None)
 
 
-def _save(made, pose, path) -> None:
-    """Write answers for targets (B, 12), position and rows of the rotation, as CSV, with a row for each."""
+def _save(made, path) -> None:
+    """Write answers as CSV, with a row for each target."""
     import numpy as np
     import pandas
 
@@ -139,9 +139,6 @@ def _save(made, pose, path) -> None:
     columns |= dict(zip(joints, made.q.T + 0.0, strict=True))  # no −0, here and below
     columns |= {name: getattr(made, name) + 0.0 for name in ("position_error", "orientation_error", "distance")}
     columns["at_limit"] = [" ".join(joints[hit]) for hit in made.at_limit]
-    transforms = np.tile(np.eye(4), (len(pose), 1, 1))
-    transforms[:, :3, 3], transforms[:, :3, :3] = pose[:, :3], pose[:, 3:].reshape(-1, 3, 3)
-    columns |= {f"t{k // 4}{k % 4}": column for k, column in enumerate(transforms.reshape(-1, 16).T + 0.0)}
     pandas.DataFrame(columns).to_csv(path, index_label="target", na_rep="nan")
 
 

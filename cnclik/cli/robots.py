@@ -3,7 +3,7 @@
 import math
 
 from cnclik.cli.common import print_table
-from cnclik.problem.words import PLANAR, ROBOTS
+from cnclik.problem.options import PLANAR, ROBOTS
 
 
 def run(robot: str) -> None:
@@ -21,18 +21,14 @@ def run(robot: str) -> None:
         print(f"{robot}, built in, tip {(ROBOTS | PLANAR)[kind]}\n{load(robot)}")
         return
     tree = read_robot(file_of(robot) or robot)
-    print(_plain(f"{tree.name}, base {tree.root}"))
-    rows = ("link", "joint", "type", "lower", "upper", "velocity"), (tree.root, *[""] * 5), *_branches(tree)
-    print_table(*(tuple(map(_plain, row)) for row in rows), left=3)
+    print(f"{tree.name}, base {tree.root}")
+    print_table(
+        ("link", "joint", "type", "lower", "upper", "velocity"), (tree.root, *[""] * 5), *_branches(tree), left=3
+    )
     moving = sum(edge.type != "fixed" for edge in tree.edges)
     mimic = sum(edge.mimic is not None for edge in tree.edges)
     print(f"{len(tree.links)} link{'s' * (len(tree.links) != 1)}, {moving} moving joints, {mimic} of them mimic.")
-    print(f"Tips (leaf links that a joint moves; any link may be one): {_plain(', '.join(tree.tips())) or 'none'}.")
-
-
-def _plain(text) -> str:
-    """The text without characters that move a terminal's cursor or end a line."""
-    return text if text.isprintable() else ascii(text)[1:-1]
+    print(f"Tips (leaf links that a joint moves; any link may be one): {', '.join(tree.tips()) or 'none'}.")
 
 
 def _branches(tree):

@@ -32,15 +32,14 @@ def run(
       json: print the answer as JSON: what was asked, the numbers, and the verdict with its remedy.
     """
     made = problem(robot, loop)
-    load_ahead("h5netcdf", *["xarray", "cnclik.show.style"] * figures)
+    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * figures)
     pictures = [f"{kind}.png" for kind in _FIGURES]
     with output_folder(Path(out), overwrite=overwrite, files=["trajectory.nc", *pictures * figures]) as folder:
-        with progress.bar("steps"):
-            trajectory = made.run()
-        from cnclik.measure.dataset import labelled
+        trajectory = made.run()
+        from cnclik.measure.dataset import to_dataset
         from cnclik.measure.files import save_netcdf
 
-        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
+        data = to_dataset(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
         try:  # before a reader of the answer may leave
             folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         finally:  # on a full disk, too
@@ -59,9 +58,8 @@ def _answer(made, trajectory, out) -> None:
     from cnclik.measure.files import plain
     from cnclik.stability.ending import verdict
 
-    with progress.bar("verdict"):
-        loop = dict(method=made.method, stage=made.stage, drive=made.drive or Drive())
-        judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
+    loop = dict(method=made.method, stage=made.stage, drive=made.drive or Drive())
+    judged = verdict(made.law, made.reference, trajectory, **loop, noise=made.noise)
     answer, facts = f"{judged.sentence[0].upper()}{judged.sentence[1:]}", _facts(made.law, trajectory)
     if out is not None:
         judged = plain(judged) | {"sentence": answer}

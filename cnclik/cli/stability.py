@@ -222,8 +222,7 @@ def _gains(found, given, made):
     Ts, method, M, drive = found.Ts, found.method, found.M, found.drive
     late = min(max(2 * drive.lumped.delay * Ts, 0.02), 50 * Ts)  # no more samples than a drive may have
     axes = {"Ts": np.geomspace(Ts / 2, 10 * Ts, CHART_POINTS), "dead_time": np.linspace(0, late, CHART_POINTS)}
-    with progress.bar("gains"):
-        data = gain_table(**axes, drive=drive, method=method, M=M)
+    data = gain_table(**axes, drive=drive, method=method, M=M)
     lag = drive_in_words(dataclasses.replace(drive, delay=0.0, measurement_delay=0), Ts)
     title = textwrap.fill(f"{describe(method, M)}, {lag}", 60)
     return data, {"title": title, "operating": (Ts, drive.lumped.delay * Ts)}

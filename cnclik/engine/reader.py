@@ -69,7 +69,7 @@ class Reader:
         if name in CALLS:
             jaxpr, consts = called(eqn)
             return self.run(jaxpr, consts, inputs)
-        if name in _PASSED_ON:
+        if name in _PASSED_ON or (name == "reduce_precision" and _keeps(eqn)):
             return list(inputs)
         if name == model_p.name:
             return [self._of_the_model(*inputs)]
@@ -106,9 +106,17 @@ class Reader:
             return found
         if name in ELEMENTWISE:
             return [self._elementwise(eqn, cells)]
-        if name not in RULES:
+        if name in RULES:
+            return RULES[name](self.g, eqn, *cells)
+        if not all(c.known for x in cells for c in x.flat):
             raise UnsupportedError(f"the operation `{name}` has no C form")
-        return RULES[name](self.g, eqn, *cells)
+        values = [
+            np.array([c.value for c in x.flat], v.aval.dtype).reshape(x.shape)
+            for x, v in zip(cells, eqn.invars, strict=True)
+        ]
+        with jax.ensure_compile_time_eval():  # of known numbers, such as the zeros that a derivative starts from
+            made = eqn.primitive.bind(*values, **eqn.params)
+        return list(map(self.constant, made if eqn.primitive.multiple_results else [made]))
 
     def _elementwise(self, eqn, inputs):
         (out,), params, name = (v.aval for v in eqn.outvars), params_of(eqn), eqn.primitive.name
@@ -144,6 +152,12 @@ class Reader:
         return [Rows(MOVES["broadcast_in_dim"](self.cells(x), shape[1:], axes), shape[0])]
 
 
+def _keeps(eqn) -> bool:
+    """Whether a `reduce_precision`, which `jax.checkpoint` puts around what it keeps, changes no number."""
+    about = jax.numpy.finfo(eqn.invars[0].aval.dtype)
+    return eqn.params["exponent_bits"] >= about.nexp and eqn.params["mantissa_bits"] >= about.nmant
+
+
 class Trace(NamedTuple):
     """A traced function: its closed jaxpr, None once it is read, and the shapes and the tree of its results."""
 
@@ -161,8 +175,8 @@ def trace(fn, avals) -> Trace:
     return Trace(closed, *jax.tree.flatten(shapes), stays)
 
 
-def read(closed, known=(), most=math.inf):
-    """(graph, input nodes, output values) of a closed jaxpr of one lane; `known`: {number of an argument: value}.
+def read(closed, most=math.inf):
+    """(graph, input nodes, output values) of a closed jaxpr of one lane.
 
     Args: most: nodes of the graph. Raises: SlowError as soon as there are more.
     """
@@ -177,9 +191,7 @@ def read(closed, known=(), most=math.inf):
         check_dtype(a.dtype)
         node = g.new("input", (), None, a.shape, a.dtype, i, g.root)
         given.append(node)
-        if i in known:
-            values.append(reader.constant(known[i], a))
-        elif not a.shape:
+        if not a.shape:
             values.append(array_of([node], ()))
         elif a.shape[0] >= stacks.MANY:
             values.append(stacks.columns(g, node))

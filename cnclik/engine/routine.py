@@ -37,8 +37,7 @@ class Routine(NamedTuple):
     graph: Graph
     given: Sequence  # its input nodes, field by field
     outs: Sequence  # its results, field by field
-    fn: Callable  # of flat arrays, compiled-in ones included
-    fixed: dict  # {index of an argument of `fn`: its compiled-in value}
+    fn: Callable  # of flat arrays
 
     def places(self, place) -> tuple:
         """The readers and writers for `Writer`; `place(group, field)` gives a field's place in C."""
@@ -56,21 +55,16 @@ def _stored(entry, at, *several):
     return " ".join(f"{entry(f'{at} + {i}' if i else at)} = {words};" for i, words in enumerate(several))
 
 
-def read(fn, groups, outputs, *, dtype, fixed=()) -> Routine:
-    """The routine of a function of flat arrays, field by field.
-
-    Args: outputs: its results in groups. fixed: names of `parameters` that are compiled in.
-    """
+def read(fn, groups, outputs, *, dtype) -> Routine:
+    """The routine of a function of flat arrays, field by field. Args: outputs: its results in groups."""
     types = {REAL: np.dtype(dtype), INT: np.dtype(np.int32)}
-    every = [(g, f, types[f.kind]) for g, some in groups.items() for f in some]
-    known = {i: np.asarray(f.value, t) for i, (g, f, t) in enumerate(every) if g == "parameters" and f.name in fixed}
+    every = [(f, types[f.kind]) for some in groups.values() for f in some]
     wanted = [types[f.kind] for some in outputs.values() for f in some]
 
     def typed(*flat):
         return [jnp.asarray(x, t) for x, t in zip(jax.tree.leaves(fn(*flat)), wanted, strict=True)]
 
     with to_be_read(), jax.enable_x64(types[REAL].itemsize == 8):
-        closed = jax.make_jaxpr(typed)(*(jax.ShapeDtypeStruct(f.shape, t) for _, f, t in every))
-    graph, given, outs = reader.read(closed, known)
-    kept = {g: [f for f in some if not (g == "parameters" and f.name in fixed)] for g, some in groups.items()}
-    return Routine(kept, outputs, graph, [n for i, n in enumerate(given) if i not in known], outs, typed, known)
+        closed = jax.make_jaxpr(typed)(*(jax.ShapeDtypeStruct(f.shape, t) for f, t in every))
+    graph, given, outs = reader.read(closed)
+    return Routine(groups, outputs, graph, given, outs, typed)

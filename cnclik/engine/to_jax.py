@@ -1,7 +1,7 @@
 """To JAX: a graph as a JAX function of one lane, with one operation on scalars per node.
 
-`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and stacked outputs are arrays. All branches
-are computed, and a select takes one.
+`jax.vmap` makes each scalar a contiguous row of lanes. Loops stay loops, and stacked outputs are arrays. A light branch
+becomes a select; a heavy one becomes a loop that runs once if some lane needs it.
 """
 
 import functools
@@ -19,6 +19,7 @@ from cnclik.engine.operations import COST, is_operation
 from cnclik.engine.reader import Trace, read, trace
 from cnclik.engine.row_texts import all_items, cells_of
 from cnclik.engine.stacks import Rows
+from cnclik.engine.to_c import HEAVY, weight
 
 LONGEST, WORTH = 40, 4  # measured; the speed hardly depends on them
 FEWEST = 3  # operations, at least, of a stage
@@ -217,11 +218,35 @@ class _Writer:
         for k, (block, results) in enumerate(zip(r.blocks, r.results, strict=True)):
             results = [results[i] for i in alive]
             here = (~which, which)[k] if which.dtype == bool else which == k
-            inner = self.within((), (), here)
-            inner.block(block)
-            made = list(map(inner.whole, results))
+            made = (self.where_needed if weight(block, self.needed) >= HEAVY else self.always)(block, results, here)
             found = made if found is None else [lax.select(here, x, y) for x, y in zip(made, found, strict=True)]
         self.ended([r.outs[i] for i in alive], found)
+
+    def always(self, block, results, here):
+        """Results of a branch, computed for all lanes."""
+        inner = self.within((), (), here)
+        inner.block(block)
+        return list(map(inner.whole, results))
+
+    def where_needed(self, block, results, here):
+        """Results of a branch, by a loop that runs once if some lane takes it; undefined for other lanes.
+
+        Its inputs pass an optimization barrier, as XLA would otherwise move invariants out of the loop.
+        """
+        read = {n.number: n for n in results}
+        for item in all_items(block):
+            read |= {n.number: n for n in (item.args if isinstance(item, Node) else item.used)}
+        reals = [n for n in read.values() if n.number in self.values and n.dtype.kind == "f"]
+        values = list(map(self.whole, reals))
+
+        def body(state):
+            goes, seen = lax.optimization_barrier((state[0], values))
+            inner = self.within(reals, seen, goes)
+            inner.block(block)
+            return jnp.zeros_like(here), list(map(inner.whole, results))
+
+        empty = [jnp.zeros(n.shape, n.dtype) for n in results]
+        return lax.while_loop(lambda state: state[0], body, (here, empty))[1]
 
 
 def _users(graph, needed, ends) -> dict:

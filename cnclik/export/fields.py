@@ -73,7 +73,7 @@ _ABOUT = {
 }
 
 
-def parameters(tree, runtime):
+def parameters(tree):
     """Return the fields of the arrays in a tree, and the function that replaces the arrays."""
     flat, treedef = jax.tree.flatten(tree)
     if not all(map(errors.concrete, flat)):
@@ -87,7 +87,4 @@ def parameters(tree, runtime):
         kind = REAL if value.dtype.kind == "f" else INT
         about = next((_ABOUT[word] for word in reversed(path) if word in _ABOUT), "")
         fields.append(Field(name, value.shape, kind, about, value))
-    if runtime is not None:
-        for name in runtime:
-            errors.one_of("runtime", name, [f.name for f in fields])
     return fields, functools.partial(jax.tree.unflatten, treedef)

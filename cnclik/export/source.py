@@ -14,15 +14,11 @@ GROUPS = ("parameters", "input")
 PREFIX = "clik_"  # prefix of all public names, so that none is a keyword, a macro, or a library function
 
 
-def prefixed(name) -> str:
-    return PREFIX + name.removeprefix(PREFIX)
-
-
 class Names:
     """The names of an export in C."""
 
     def __init__(self, name, dtype):
-        self.name, self.dtype = prefixed(name), np.dtype(dtype)
+        self.name, self.dtype = PREFIX + name.removeprefix(PREFIX), np.dtype(dtype)
         self.real = "float" if self.dtype.itemsize == 4 else "double"
 
     def type(self, group) -> str:

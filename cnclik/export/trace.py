@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from cnclik.engine.graph import Cond, Node, Scan, UnsupportedError
 from cnclik.engine.routine import INT, Field, Routine, read
 from cnclik.engine.tracing import of_the_model
 from cnclik.export import fields
@@ -29,46 +28,11 @@ class Request(NamedTuple):
     method: Method
     stage: Stage
     dtype: np.dtype
-    runtime: tuple[str, ...] | None  # names of the parameters set at run time; None: all
 
 
 def trace(request: Request) -> Routine:
     """Return the routine of a request. Raises: `UnsupportedError`, which names what has no C form."""
-    program = _kinematics(request) if isinstance(request.of, Chain) else _step(request)
-    _check_bounds(program.graph.root)
-    return program
-
-
-def _read(request, fn, parameters, given, outputs) -> Routine:
-    fixed = [f.name for f in parameters if request.runtime is not None and f.name not in request.runtime]
-    return read(fn, {"parameters": parameters, "input": given}, {"output": outputs}, dtype=request.dtype, fixed=fixed)
-
-
-def _check_bounds(block) -> None:
-    """Raise `UnsupportedError` for a `while` loop whose number of rounds has no known bound."""
-    for item in block.items:
-        if isinstance(item, Cond):
-            for branch in item.blocks:
-                _check_bounds(branch)
-        elif not isinstance(item, Node):
-            if not (isinstance(item, Scan) or _is_bounded(item)):
-                raise UnsupportedError("a `while` loop without a bound that is known has no C form")
-            _check_bounds(item.block)
-
-
-def _is_bounded(loop) -> bool:
-    """Return whether a `while` loop ends after its first round, or counts up to a known number."""
-    begins = loop.begins
-    if begins in loop.carries and (again := loop.then[loop.carries.index(begins)]).known and not again.value:
-        return True
-    for test in (begins, *begins.args) if begins.op == "and" else (begins,):
-        if test.op == "lt" and test.args[0] in loop.carries and test.args[1].known:
-            count = test.args[0]
-            first, then = (values[loop.carries.index(count)] for values in (loop.first, loop.then))
-            counts = then.op == "add" and count in then.args and any(a.known and a.value == 1 for a in then.args)
-            if first.known and counts:
-                return True
-    return False
+    return _kinematics(request) if isinstance(request.of, Chain) else _step(request)
 
 
 # --- the step -----------------------------------------------------------------------------------------
@@ -78,7 +42,7 @@ def _step(request) -> Routine:
     law, dtype = request.of, request.dtype
     n, m = law.chain.n, law.task.m
     tree = (law, request.stage) if request.reference is None else (law, request.stage, request.reference)
-    parameters, put = fields.parameters(tree, request.runtime)
+    parameters, put = fields.parameters(tree)
     units = ", ".join(dict.fromkeys(law.chain.units))
     given = [Field("q", (n,), about=f"joint values [{units}]")]
     if request.reference is None:
@@ -107,7 +71,7 @@ def _step(request) -> Routine:
         )
         return [getattr(made, f.name) for f in outputs]
 
-    return _read(request, step, parameters, given, outputs)
+    return read(step, {"parameters": parameters, "input": given}, {"output": outputs}, dtype=dtype)
 
 
 def _start(dtype):
@@ -170,7 +134,7 @@ def _target(law, inputs):
 def _kinematics(request) -> Routine:
     """The pose and the Jacobian of each tip."""
     chain = request.of
-    parameters, put = fields.parameters(chain, request.runtime)
+    parameters, put = fields.parameters(chain)
     names = [tip.name for tip in chain.tips]
     before = [f"{word}_" for word in fields.identifiers(names, "tip")] if len(names) > 1 else [""]
 
@@ -192,4 +156,4 @@ def _kinematics(request) -> Routine:
             Field(f"{prefix}jacobian", (6, chain.n), about=rows),
         ]
     given = [Field("q", (chain.n,), about=f"joint values [{', '.join(dict.fromkeys(chain.units))}]")]
-    return _read(request, kinematics, parameters, given, outputs)
+    return read(kinematics, {"parameters": parameters, "input": given}, {"output": outputs}, dtype=request.dtype)

@@ -3,7 +3,6 @@
 import os
 import pathlib
 import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -32,13 +31,12 @@ def c(
     stage: Stage | None = None,
     dtype: str = "float64",
     name: str | None = None,
-    runtime: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> pathlib.Path:
     """Write a step of the loop as C99 into a folder: `NAME.h`, `NAME.c`, `example.c` with test vectors, a README.
 
     Arrays in the law's records (the gain, damping, an array of link lengths) become fields of `parameters` at run time;
-    Python literals (a robot's geometry) are compiled in. `runtime` selects among the former.
+    Python literals (a robot's geometry) are compiled in.
 
     Args:
       law: the right-hand side. A `Chain` instead is exported as its kinematics: pose and Jacobian of each tip.
@@ -48,7 +46,6 @@ def c(
       dtype: "float64" (double) or "float32" (float).
       name: name of the function and of the files; `clik_` is prepended unless the name begins with it. Default:
         clik_step, or clik_kinematics.
-      runtime: names of the parameters that can be set at run time; the others are compiled in. None: all.
       overwrite: also write into a folder that holds files other than those of an earlier export.
 
     Returns: the folder's path.
@@ -63,8 +60,7 @@ def c(
         raise errors.fail("name", "be a C identifier of at most 60 letters such as clik_step", f"is {name!r}")
     dtype = errors.one_of("dtype", str(np.dtype(dtype)) if not isinstance(dtype, str) else dtype, _DTYPES)
     names, out = Names(name, _DTYPES[dtype]), errors.path("out", out)
-    runtime = None if runtime is None else tuple(runtime)
-    request = Request(law, reference, named(method), picard(5) if stage is None else stage, names.dtype, runtime)
+    request = Request(law, reference, named(method), picard(5) if stage is None else stage, names.dtype)
     try:
         program = trace(request)
         text = source(program, names)

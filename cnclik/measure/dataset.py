@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -20,14 +20,6 @@ from cnclik.version import __version__
 
 if TYPE_CHECKING:
     import xarray as xr
-
-
-class Labelled(NamedTuple):
-    """Labelled arrays {name: (dims, values, attrs)}: what `xarray.Dataset(*labelled)` takes."""
-
-    variables: dict
-    coords: dict
-    attrs: dict
 
 
 @of_numbers
@@ -55,11 +47,6 @@ def to_dataset(
     """
     import xarray as xr
 
-    return xr.Dataset(*labelled(run, law, dims, coords, config))
-
-
-def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> Labelled:
-    """Return the arrays of `to_dataset`, without loading xarray."""
     check_run(run, errors.kind("law", law, Law))
     dims, t = tuple(dims), np.asarray(run.t)
     *lanes, N = np.shape(run.residual)
@@ -107,7 +94,7 @@ def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> La
     else:  # each lane has its own times, as in a sweep over Ts
         variables["t"] = (instant, t, about("time", "s"))
     attrs = provenance(run.q.dtype) | ({} if config is None else {"config": as_json(config)})
-    return Labelled(variables, labels | dict(coords or {}), attrs)
+    return xr.Dataset(variables, labels | dict(coords or {}), attrs)
 
 
 def _tips(task, chain) -> list:
@@ -122,10 +109,7 @@ def _tips(task, chain) -> list:
 
 def as_json(config) -> str:
     """Return a configuration as one line of JSON for the attributes, with sorted keys and arrays as lists."""
-    try:
-        return json.dumps(plain(config), sort_keys=True, ensure_ascii=False)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise errors.fail("config", "be what JSON can write: tables, lists, texts and numbers", str(error)) from None
+    return json.dumps(plain(config), sort_keys=True, ensure_ascii=False, default=str)
 
 
 def provenance(dtype) -> dict:

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnclik import errors, quantities
 from cnclik.integrate import stage
-from cnclik.problem.words import PLANAR, ROBOTS, TASKS
+from cnclik.problem.options import PLANAR, ROBOTS, TASKS
 from cnclik.record import replace
 from cnclik.robot import builtin, urdf
 from cnclik.robot.chain import Chain, planar_arm

@@ -12,6 +12,9 @@ from typing import Any, NamedTuple
 from cnclik import errors
 from cnclik.quantities import SAMPLES, Quantities, read_each
 
+ROBOTS = {"panda": "flange", "ur5": "tool flange"}  # built-in ones by name, {name: its tip}
+PLANAR = dict.fromkeys(("planar", "planar-clockwise"), "end of the last link")  # planar:1,1; the paper's turn clockwise
+TASKS = ("pose", "position", "orientation")
 NAME, NUMBER, INTEGER, SWITCH = "name", "number", "integer", "switch"
 REQUIRED = object()  # the default of what must be given
 _KINDS = {"bool": SWITCH, "int": INTEGER, "float": NUMBER, "Number": NUMBER, "Point": NUMBER}

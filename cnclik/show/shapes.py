@@ -82,11 +82,9 @@ def meshes_of(file, motion) -> tuple:
 
 
 def link_meshes(file, link) -> list:
-    """Return the meshes of a <link>: its visual ones, or where one can't be read those for collisions."""
-    for kind in ("visual", "collision"):
-        with contextlib.suppress(Exception):  # damaged files raise all kinds of errors in a dozen readers
-            if meshes := [_mesh(file, element) for element in link.findall(kind)]:
-                return meshes
+    """Return the meshes of a <link>; none where one can't be read."""
+    with contextlib.suppress(Exception):  # damaged files raise all kinds of errors in a dozen readers
+        return [_mesh(file, element) for element in link.findall("visual")]
     return []
 
 

@@ -56,18 +56,14 @@ def plane(data):
 
 
 def stability_map(data, *, title="", operating=None):
-    """How simulated loops end over (alpha, Ts) or (z, M), with the linear stability limit, and an operating point.
+    """How simulated loops end over (alpha, Ts), with the linear stability limit, and an operating point.
 
     Args:
       data: from `cnclik.stability.stability_map`. operating: (alpha, Ts), or None.
     """
     figure, axis = plt.subplots(figsize=(style.PAGE * 0.62, 3.1))
-    x, y, limit = data.alpha.values, data[data.ending.dims[0]].values, data.limit.values
+    x, y, limit = data.alpha.values, data.Ts.values, data.limit.values
     axis.set(title=title, xlabel="gain α [1/s]", ylabel="sampling time Ts [s]")
-    if passes := "M" in data.dims:
-        x, limit = x * float(data.Ts), limit * float(data.Ts)
-        axis.set(xlabel="z = α·Ts", ylabel="iterations M", yticks=range(len(y)), yticklabels=y.astype(int))
-        y = np.arange(len(y))
     axis.grid(False)
     rate = np.ma.masked_where(data.ending.values != Ending.CONVERGED, data.rate.values)
     mesh = axis.pcolormesh(x, y, rate, cmap=RATES, vmin=0, vmax=1, shading="nearest", rasterized=True)
@@ -87,18 +83,14 @@ def stability_map(data, *, title="", operating=None):
     if (known := np.isfinite(limit)).any():
         handles.append(plt.Line2D([], [], label="linear stability limit", **style.OUTLINED))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=6, columnspacing=1.0)
-    if passes:  # odd and even M differ: a line for each
-        axis.vlines(limit[known], y[known] - 0.5, y[known] + 0.5, **style.OUTLINED)
-    else:
-        axis.plot(limit[known], y[known], **style.OUTLINED)
-        axis.set(ylim=y[[0, -1]])
+    axis.plot(limit[known], y[known], **style.OUTLINED)
     if operating is not None:
         alpha, Ts = operating
         axis.plot(alpha, Ts, **_OPERATING)
         place = {"xytext": (-7, -7), "textcoords": "offset points", "ha": "right", "va": "top", "zorder": 6}
         box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
         axis.annotate(f"z = {alpha * Ts:.3g}", (alpha, Ts), fontsize=6.5, bbox=box, **place)
-    axis.set(xlim=x[[0, -1]])
+    axis.set(xlim=x[[0, -1]], ylim=y[[0, -1]])
     return figure
 
 

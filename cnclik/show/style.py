@@ -52,7 +52,6 @@ METHODS = {
     "EXP-MIDPOINT": Line(SKY, "-", "P", 3.6),
     "EXP-RK4": Line(PURPLE, "-", "X", 3.7),
 }
-OTHER = Line(BLACK, DASH, "o", 3.0)  # for a method without a style
 
 GUIDE: dict[str, Any] = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 2}
 OUTLINED = {  # a boundary over colours: black with a white edge, seen on any of them
@@ -91,7 +90,7 @@ def style():
 
 def line(method: str, **changes) -> dict:
     """Keyword arguments of `plot` for a method: its colour, dashes and marker, filled for exponential ones."""
-    look = METHODS.get(method, OTHER)
+    look = METHODS[method]
     face = look.color if method.startswith("EXP-") else "white"
     return {"label": method, "markerfacecolor": face} | look._asdict() | changes
 

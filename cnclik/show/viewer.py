@@ -96,15 +96,12 @@ class Viewer:
         threading.Thread(target=self._play, daemon=True).start()
 
     def _draw_paths(self, some, thick):
-        """Draw paths of tips in green, amber or red, and those of targets in grey."""
-        add, paths = self.server.scene.add_line_segments, _segments(self.motion.paths[:, some])
-        worst = np.maximum.reduceat(self.levels, some)[:-1]
-        for kind in np.unique(worst):  # a line for each colour: with several it would be lighter
-            lines = paths[:, worst == kind].reshape(-1, 2, 3)
-            add(f"/path{kind}", lines, rgb(style.LEVELS[kind]), thickness=0.3 * thick)
-        for i, target in self.goals.items():
-            if np.ptp(target, axis=0).max() > 0:
-                add(f"/wanted{i}", _segments(target[None, some])[0], rgb(style.GREY), thickness=0.12 * thick)
+        """Draw paths of tips in green, and those of targets in grey."""
+        ways = [(f"/path{i}", path, style.FINE, 0.3) for i, path in enumerate(self.motion.paths)]
+        ways += [(f"/wanted{i}", target, style.GREY, 0.12) for i, target in self.goals.items()]
+        for name, way, color, size in ways:
+            lines = np.stack([way[some][:-1], way[some][1:]], 1)
+            self.server.scene.add_line_segments(name, lines, rgb(color), thickness=size * thick)
 
     def _look(self, thick):
         """Look from above at a planar arm, from a corner otherwise, at all that moves; draw a floor below it."""
@@ -147,9 +144,6 @@ class Viewer:
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
-    def __repr__(self):
-        return f"Viewer({self.url})"
-
 
 def rgb(color: str) -> tuple:
     """Return a colour such as "#0072B2" as three bytes."""
@@ -163,8 +157,3 @@ def caption(data, k) -> str:
     sizes = ", ".join(f"{task} {size:.3g} {unit}".strip() for task, size, unit in parts)
     lines = f"t = {data.time.values[k]:.3f} s", f"error {sizes}", names(status).replace("|", ", ")
     return f"<div style='padding:0.1em 1em;font-size:0.85em'>{'<br>'.join(map(html.escape, lines))}</div>"
-
-
-def _segments(paths):
-    """Return lines (paths, k − 1, 2, 3) from each point of some paths (paths, k, 3) to the next."""
-    return np.stack([paths[:, :-1], paths[:, 1:]], 2)

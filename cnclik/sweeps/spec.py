@@ -37,7 +37,6 @@ from cnclik.reading import read_toml
 from cnclik.stability.gain import mixed_share
 from cnclik.stability.linear import gain_removing
 from cnclik.sweeps import axes as forms
-from cnclik.sweeps import expression
 from cnclik.sweeps.axes import COMPILED_IN, NAMES, Axis, compiled_in, known_keys
 from cnclik.sweeps.grid import UNITS, Grid
 
@@ -205,7 +204,7 @@ class Loop(dict):
         return value
 
     def _value(self, name, written):
-        value = written if name in NAMES else expression.evaluate(name, written, self.__getitem__)
+        value = written if name in NAMES else forms.evaluate(name, written, self.__getitem__)
         if name in WHOLE and isinstance(value, float) and value.is_integer():
             return int(value)
         return value[: self.joints()] if name in self.spec.drawn else value
@@ -220,7 +219,7 @@ class Loop(dict):
         made = {}
         for name, written in self.given.items():
             if name in OPTIONS:
-                quantity = name not in NAMES and expression.is_quantity(written)
+                quantity = name not in NAMES and forms.is_quantity(written)
                 made[name] = written if quantity else self[name]  # its unit must fit
             if name in FILES:
                 made[name] = str(self.spec.file(written) or written)
@@ -323,7 +322,7 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
     _check_names(spec)
     spec = dataclasses.replace(spec, axes=_axes(spec))
     places = spec.places() | {"axes": spec.written}
-    used = [expression.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
+    used = [forms.names(n, v) for table in places.values() for n, v in table.items() if n not in NAMES]
     for where, table in places.items():
         known_keys(where, table, (*OPTIONS, *sorted(set().union(*used))))
     for program in spec.programs():

@@ -3,7 +3,7 @@
 `data.zarr` is created with all coordinates and attributes before the first block runs. One block of the grid is one
 chunk of each variable, and is done once all of its chunks are there; zarr writes a chunk whole or not at all, with a
 checksum. So a killed run, a lost process or a full disk costs only the blocks in progress, and a rerun ends with the
-same bytes as an undisturbed run. Description and coordinates have one checksum together, without which nothing is read.
+same bytes as an undisturbed run.
 """
 
 import contextlib
@@ -12,34 +12,28 @@ import json
 import os
 import pathlib
 import warnings
-import zlib
 from typing import Any
 
 import jax
 import numpy as np
 
 from cnclik import errors
-from cnclik.reading import read_bytes
-from cnclik.sweeps import program
 from cnclik.sweeps.axes import Axis
-from cnclik.sweeps.grid import Grid
+from cnclik.sweeps.grid import Grid, fit, run_blocks
 from cnclik.sweeps.spec import Spec
-from cnclik.writing import OWN, hidden_folder
+from cnclik.writing import hidden_folder
 
 DATA = "data.zarr"
 
 
 class Store:
-    """An open store: its grid and its blocks. Raises: ArgumentError if there is none, or its description is damaged."""
+    """An open store: its grid and its blocks. Raises: ArgumentError if there is none that can be read."""
 
     def __init__(self, folder, mode="r"):
         import zarr
 
         self.path = errors.path("out", folder) / DATA
         try:
-            mark = json.loads(read_bytes("out", self.path / OWN, "a store's checksum"))
-            if mark["checksum"] != _checksum(self.path, mark["files"]):
-                raise ValueError("its description or a coordinate is damaged")
             group: Any = zarr.open_group(self.path, mode=mode)
             self.config = json.loads(str(group.attrs["config"]))
             with zarr.config.set({"array.write_empty_chunks": True}):  # a block of NaN is done, too
@@ -69,13 +63,6 @@ class Store:
             array[block.region] = piece[name]
 
 
-def _checksum(path, files) -> int:
-    total = 0
-    for file in files:
-        total = zlib.crc32(read_bytes("out", path / file, "a sweep's file"), zlib.crc32(file.encode(), total))
-    return total
-
-
 def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
     """Create the empty store. It appears only once it is complete."""
     import xarray
@@ -95,9 +82,6 @@ def create(folder: pathlib.Path, spec: Spec, of: Grid, outputs) -> None:
             about: Any = {"dimension_names": [a.name for a in of.axes], "attributes": o.about, "fill_value": fill}
             group.create_array(o.name, shape=of.shape, chunks=of.block, dtype=o.dtype, **about, **packed)
         zarr.consolidate_metadata(path)
-        # Description and coordinates never change: with their checksum the store is complete.
-        files = sorted(f.relative_to(path).as_posix() for f in path.rglob("*") if os.path.isfile(f))
-        (path / OWN).write_text(json.dumps({"files": files, "checksum": _checksum(path, files)}))
         path.rename(folder / DATA)
 
 
@@ -136,7 +120,7 @@ def run(spec: Spec, folder, *, progress=None) -> bool:
         with _disk(folder):
             folder.mkdir(parents=True, exist_ok=True)
         if process == 0 and (store := opened(spec, folder)) is None:
-            of, first = program.fit(spec.study, spec.grid())
+            of, first = fit(spec.study, spec.grid())
             with _disk(folder):
                 create(folder, spec, of, first.outputs)
     with _together(processes, last=True):
@@ -149,7 +133,7 @@ def run(spec: Spec, folder, *, progress=None) -> bool:
     todo, done = sum(b.size for b in share), 0
     report = progress or (lambda done, todo: None)
     report(0, todo)
-    for count, (block, piece) in enumerate(program.run_blocks(spec.study, of, share, first)):
+    for count, (block, piece) in enumerate(run_blocks(spec.study, of, share, first)):
         with _disk(folder, f" after {count} of {len(missing)} blocks; they are kept, and the same command goes on"):
             store.write(block, piece)
         done += block.size

@@ -8,11 +8,7 @@ import operator
 import numpy as np
 
 FILES = ("summary.csv", "config.json")
-_WRONG = {  # counts of steps that are 0 for a safe loop, and the words for it
-    "diverged": "not diverging",
-    "growing": "not diverging",
-    "over_velocity": "within velocity limits",
-}
+_WRONG = ("diverged", "growing", "over_velocity")  # counts of steps that are 0 for a safe loop
 _APART = ("case", "robot")  # axes along which errors are not compared
 _CHOSEN = ("alpha", "weights")  # axes of vectors that are a choice, as numbers are; others are starts and targets
 STATISTICS = {"min": 0.0, "q10": 0.1, "median": 0.5, "q90": 0.9, "max": 1.0}  # quantiles
@@ -38,22 +34,19 @@ def best(data) -> list:
     if (name := main_value(data)) is None or not name.endswith("error"):
         return []
     value = data[name].fillna(np.inf)
-    checks = [("finite", np.isfinite(value))]
-    checks += [(words, data[wrong] == 0) for wrong, words in _WRONG.items() if wrong in data]
-    if "stable" in data:
-        checks.append(("ending stable", data.stable == 1))
+    checks = [np.isfinite(value), *(data[wrong] == 0 for wrong in _WRONG if wrong in data)]
+    checks += [data.stable == 1] if "stable" in data else []
     if (z := _z(data)) is not None and "limit" in data.coords:
-        checks.append(("below the linear stability limit", ~(z >= data.limit)))
-    words = ", ".join(dict.fromkeys(words for words, _ in checks))
+        checks.append(~(z >= data.limit))
     drawn = [d for d in value.dims if d == "seed" or (f"{d}_value" in data.coords and d not in _CHOSEN)]
-    safe = functools.reduce(operator.and_, [check for _, check in checks]).all(drawn)
+    safe = functools.reduce(operator.and_, checks).all(drawn)
     value = value.max(drawn, keep_attrs=True).where(safe)
     apart, lines = [d for d in _APART if d in value.dims], []
     for labels in itertools.product(*(data[d].values.tolist() for d in apart)):
         where = dict(zip(apart, labels, strict=True))
         errors, count = value.sel(where), int(safe.sel(where).sum())
         line = "".join(f"{d} {label}: " for d, label in where.items()) + (f"{count:,}" if count else "none")
-        line += f" of {errors.size:,} loops {'are' if count > 1 else 'is'} safe ({words})"
+        line += f" of {errors.size:,} loops {'are' if count > 1 else 'is'} safe"
         line += f", the best by {_named(data, errors)}" if count else ""
         lines.append(f"{line[0].upper()}{line[1:]}.")
     return lines

@@ -13,8 +13,7 @@ from cnclik.measure.dataset import provenance
 from cnclik.precision import of_numbers
 from cnclik.sweeps import store
 from cnclik.sweeps.axes import axis
-from cnclik.sweeps.grid import UNITS, Grid
-from cnclik.sweeps.program import fit, run_blocks
+from cnclik.sweeps.grid import UNITS, Grid, fit, run_blocks
 from cnclik.sweeps.spec import Spec, read
 
 if TYPE_CHECKING:

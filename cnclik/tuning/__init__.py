@@ -1,6 +1,6 @@
 """Gains by gradient within what the drives allow."""
 
-from cnclik.tuning.parameters import Parameter, scaled_links
-from cnclik.tuning.tune import LOSSES, tune
+from cnclik.tuning.parameters import Parameter
+from cnclik.tuning.tune import tracking, tune
 
-__all__ = ["LOSSES", "Parameter", "scaled_links", "tune"]
+__all__ = ["Parameter", "tracking", "tune"]

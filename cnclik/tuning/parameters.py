@@ -12,7 +12,6 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.law import Law, metric
 from cnclik.record import record, replace
-from cnclik.robot.fixed import Offset, scale
 from cnclik.stability.gain import Gains
 from cnclik.task.parts import Joints
 
@@ -66,17 +65,6 @@ def put(law: Law, parameters, values) -> Law:
     for p, value in zip(parameters, split(parameters, values), strict=True):
         law = p.put(law, value)
     return law
-
-
-def scaled_links(chain, factors):
-    """Return the chain with its links' offsets scaled by factors (n + 1,), before each joint and at the tip."""
-
-    def scaled(offset, factor):
-        return Offset(position=scale(factor, offset.position), rotation=offset.rotation)
-
-    joints = tuple(replace(joint, origin=scaled(joint.origin, factors[i])) for i, joint in enumerate(chain.joints))
-    tip = replace(chain.tips[0], offset=scaled(chain.tip, factors[len(joints)]))
-    return replace(chain, joints=joints, tips=(tip,))
 
 
 def postures(law) -> list[str]:

@@ -40,51 +40,9 @@ _STATUS = {
 }
 
 
-# --- losses: functions of a run; the initial error is given, so none counts it --------------------------
-
-
 def tracking(run: Trajectory):
-    """Return the RMS of ‖e‖ [m, rad]."""
-    return _root_mean(run.e[1:])
-
-
-def settling(run: Trajectory, tolerance=1e-3):
-    """Return the time outside a tolerance [m, rad], smoothed: ∫ ‖e‖²/(‖e‖² + tolerance²) dt [s]."""
-    squares = jnp.sum(run.e[1:] ** 2, axis=-1)
-    return (run.t[-1] - run.t[0]) * jnp.mean(squares / (squares + tolerance**2))
-
-
-def effort(run: Trajectory):
-    """Return the RMS of ‖q̇‖ [rad/s, m/s]."""
-    return _root_mean(run.qdot)
-
-
-def jerk(run: Trajectory):
-    """Return the RMS of ‖Δ²q̇‖/Ts² [rad/s³, m/s³]."""
-    return _root_mean(jnp.diff(run.qdot, n=2, axis=0)) / (run.t[1] - run.t[0]) ** 2
-
-
-def _root_mean(rows):
-    return safe_sqrt(jnp.mean(jnp.sum(rows * rows, axis=-1)))
-
-
-LOSSES = {fn.__name__: fn for fn in (tracking, settling, effort, jerk)}
-
-
-def terms(loss) -> tuple:
-    """Return (function, weight) pairs of a loss: a name, {name: weight}, or a function of a `Trajectory`."""
-    if callable(loss):
-        return ((loss, 1.0),)
-    loss = {loss: 1.0} if isinstance(loss, str) else loss
-    if not isinstance(loss, dict) or not loss:
-        raise errors.fail("loss", "be a name, a table of names and weights, or a function", f"is {loss!r}")
-    for name, weight in loss.items():
-        errors.one_of("loss", name, LOSSES)
-        errors.number(f"weight of {name}", weight, positive=True)
-    return tuple((LOSSES[name], float(weight)) for name, weight in loss.items())
-
-
-# --- tuning -------------------------------------------------------------------------------------------
+    """Return the RMS of ‖e‖ [m, rad]. The initial error is given, and does not count."""
+    return safe_sqrt(jnp.mean(jnp.sum(run.e[1:] ** 2, axis=-1)))
 
 
 @record
@@ -97,7 +55,7 @@ class Tuned:
       drive: as given, or as assumed.
       parameters: what was tuned, with bounds and units. values: {name: tuned value}.
       advice: `Advice` on the tuned law: its gains beside those that the drives allow.
-      loss: what was minimized, in words. losses: its values before and after.
+      loss: name of the function that was minimized. losses: its values before and after.
       speeds: the largest |q̇| over its limit before and after; 0 without limits.
       before, after: `Trajectory` of the first path with the values as given and as tuned.
       status: "converged", "steps", "nothing" (there is no error), "infeasible" or "non-finite".
@@ -117,11 +75,6 @@ class Tuned:
     after: Trajectory
     status: str
     evaluations: int
-
-    @property
-    def satisfied(self) -> bool:
-        """Whether the run with the tuned values is finite and keeps the limits of joint speed."""
-        return self.status not in ("infeasible", "non-finite")
 
     @property
     def why(self) -> str:
@@ -158,7 +111,7 @@ class Objective:
     Ts: Float[AnyArray, ""]
     how: tuple  # N, method, stage
     drive: Drive
-    terms: tuple[tuple[Callable, AnyArray], ...]
+    loss: Callable
     counts: Float[AnyArray, " m"] | None  # weight of each coordinate of a stack in the loss
     limits: Float[AnyArray, " n"]
 
@@ -168,7 +121,7 @@ class Objective:
         def scenario(reference, q0, noise):
             run = solve(law, reference, q0, self.Ts, *self.how, drive=self.drive, noise=noise)
             counted = run if self.counts is None else replace(run, e=run.e * self.counts)
-            return sum(weight * fn(counted) for fn, weight in self.terms), run
+            return self.loss(counted), run
 
         loss, runs = jax.vmap(scenario)(*self.scenarios)
         return jnp.mean(loss), jnp.max(jnp.abs(runs.qdot), axis=(0, 1)) / self.limits - 1.0, runs
@@ -186,7 +139,7 @@ def tune(
     stage: Stage = picard(5),
     over: str | Parameter | Sequence[str | Parameter] = "alpha",
     bounds: dict[str, tuple[ArrayLike, ArrayLike]] | None = None,
-    loss: str | dict[str, float] | Callable[[Trajectory], Any] = "tracking",
+    loss: Callable[[Trajectory], Any] = tracking,
     drive: Drive | None = None,
     noise: Float[ArrayLike, "*B N m"] | None = None,
     velocity_limit: ArrayLike | None = None,
@@ -206,8 +159,8 @@ def tune(
         they are named.
       bounds: {name: (lower, upper)} in place of the defaults. Those of a gain end at the recommended one of
         `gains(Ts=, drive=, method=, M=)`; they may end at its largest stable one.
-      loss: tracking, settling, effort or jerk, {name: weight}, or a function of the `Trajectory`; of a stack, its e
-        is scaled by the weight of each coordinate over the damping of its level.
+      loss: a function of the `Trajectory`; of a stack, its e is scaled by the weight of each coordinate over the
+        damping of its level.
       drive: model of the drives, see `Drive`; None: unknown, as for `gains`. `Drive()`: ideal.
       noise: (N, m) added to the measured error at each step [m, rad], or (B, N, m); None: none.
       velocity_limit: joint speed that the run keeps [rad/s, m/s], a number or (n,); None: the robot's own limits,
@@ -248,7 +201,7 @@ def tune(
         parameters=parameters,
         values=dict(zip([p.name for p in parameters], split(parameters, values), strict=True)),
         advice=advise(tuned, stage=stage, **loop),
-        loss=" + ".join(f"{w:g} {getattr(fn, '__name__', 'loss')}".removeprefix("1 ") for fn, w in terms(loss)),
+        loss=getattr(loss, "__name__", "loss"),
         losses=(before.loss, after.loss),
         speeds=(before.excess + 1.0, after.excess + 1.0),
         before=runs[0],
@@ -280,7 +233,7 @@ def objective_of(law, parameters, references, q0, Ts, how, loss, drive, noise=No
         Ts=np.asarray(float(Ts)),
         how=how,
         drive=check_drive(drive, law.chain),
-        terms=tuple((fn, np.asarray(weight)) for fn, weight in terms(loss)),
+        loss=errors.kind("loss", loss, Callable, "be a function of a Trajectory"),
         counts=_counts(law, parameters) if law.task.tasks else None,
         limits=np.broadcast_to(limits, (n,)),
     )

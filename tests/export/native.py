@@ -31,10 +31,10 @@ def built(source, *flags):
     return opened(f"{source}.so")
 
 
-def native(of, reference=None, *, method=DEFAULT, stage=None, dtype="float64", runtime=None):
+def native(of, reference=None, *, method=DEFAULT, stage=None, dtype="float64"):
     """A step of a law, or a chain's kinematics, as `ck.export.c` writes it, ready to be called."""
     names = Names("step", dtype)
-    program = trace(Request(of, reference, named(method), stage or picard(5), names.dtype, runtime))
+    program = trace(Request(of, reference, named(method), stage or picard(5), names.dtype))
     with tempfile.TemporaryDirectory() as folder:
         for ending, text in ((".h", header(program, names, [])), (".c", source(program, names))):
             with open(f"{folder}/{names.name}{ending}", "w", encoding="utf-8") as file:

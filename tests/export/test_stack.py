@@ -73,13 +73,13 @@ def test_walls_and_balance_are_described():
     tasks = ck.stack(hands=ck.pose(tip=left) & ck.pose(tip=right), stand=ck.center_of_mass("xy"))
     levels = ck.levels(["hands"], ["stand"], damping=(0.01, 0.1))
     law = ck.Law(robot, tasks, alpha=5.0, inverse=levels, limits=ck.bounded(walls=walls))
-    found = parameters(law, None)[0]
+    found = parameters(law)[0]
     assert [field.name for field in found if not field.about] == []
     shapes = [f"wall_1_{which}_{what}" for which in ("one", "other") for what in ("ends", "radius")]
     own = {field.name for field in found if field.name.startswith("wall_")}
     each = {f"wall_{i}_{what}" for i in ("1", "low_one") for what in ("normal", "offset", "rate")}
     assert own == {*shapes, *each}
-    request = Request(law, None, ck.METHODS["EE"], ck.picard(5), np.dtype(float), None)
+    request = Request(law, None, ck.METHODS["EE"], ck.picard(5), np.dtype(float))
     assert "?" not in "".join(configuration(request)) and "..." in "".join(configuration(request))
 
 

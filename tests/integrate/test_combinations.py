@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from cnclik.engine.compiler import can_build
+from cnclik.engine.plan import chosen
+from cnclik.engine.program import Program, lane_avals
 from tests.oracles import planar_jacobian, planar_position
 from tests.stability.plant import TABLEAUX, hold
 
@@ -216,7 +219,10 @@ def test_combinations_are_the_loop_written_apart(method, stage, dtype, monkeypat
     """All laws and drives of a method are one program: a third of the time goes into a compiler's start."""
     monkeypatch.setenv("CFLAGS", "-O0")  # eight steps are not worth optimising; other tests have those that are
     rows = [row[2:5] for row in TABLE if row[0] == method and row[1] is stage and row[5] is dtype]
-    found = ck.native(lambda q0: [run(*row, q0, method, stage) for row in rows])(Q0.astype(dtype))
+    together = ck.native(lambda q0: [run(*row, q0, method, stage) for row in rows])
+    found = together(Q0.astype(dtype))
+    function, leaves = together.of(Q0.astype(dtype))
+    assert not can_build() or isinstance(chosen(function, lane_avals(leaves, batched=False), batch=False), Program)
     for row, q in zip(rows, found, strict=True):
         assert q.dtype == dtype
         near = 1e-9 if dtype is np.float64 else 2e-5

@@ -55,7 +55,6 @@ def test_a_batch_keeps_its_axes_and_clocks_and_comes_back_packed(tmp_path):
         ({"run": 3}, "`run` must be a Trajectory, but is int"),
         ({"law": None}, "`law` must be a Law, but is NoneType"),
         ({"law": ck.Law(ck.planar_arm([1.0] * 3), ck.position("xy"), alpha=1.0)}, "of 3 joints and 2 task coordinates"),
-        ({"config": 1j}, "`config` must be what JSON can write"),
         ({"dims": ("alpha",)}, "`dims` must name the 0 leading axes"),
     ],
 )

@@ -27,7 +27,7 @@ import cnclik as ck
 from cnclik.cli import VERBS, arguments, main
 from cnclik.errors import ArgumentError, Remark
 from cnclik.problem import options
-from cnclik.problem.words import TASKS
+from cnclik.problem.options import TASKS
 from tests.specs import reaching
 
 MOST_SECONDS, MOST_BYTES, MOST_CHARACTERS = 10.0, 1 << 30, 1000  # of the processor, of memory, of a refusal
@@ -231,7 +231,7 @@ def until_traced():
             raise Reached
 
     jax.monitoring.register_scalar_listener(begun)
-    names = ("cnclik.show.output.draw", "cnclik.show.viewer.has_viser", "cnclik.sweeps.program.fit")
+    names = ("cnclik.show.output.draw", "cnclik.show.viewer.has_viser", "cnclik.sweeps.grid.fit")
     try:
         with contextlib.ExitStack() as stack:
             for name in names:

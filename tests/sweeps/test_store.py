@@ -136,18 +136,10 @@ def test_what_is_no_sweeps_stays(path, tmp_path):
         assert (tmp_path / name / "data.zarr" / "mine").read_text() == "precious"
 
 
-@pytest.mark.parametrize("damage", ["chunk empty", "chunk gone", "units", "cut", "nested"])
-def test_damaged_descriptions_and_coordinates_are_refused(path, copy, damage):
-    data, described = copy / "data.zarr", copy / "data.zarr/zarr.json"
-    (chunk,) = (p for p in (data / "alpha/c").rglob("*") if p.is_file())
-    text = described.read_text()
-    if damage == "chunk gone":
-        chunk.unlink()
-    elif damage == "chunk empty":
-        chunk.write_bytes(b"")
-    else:
-        texts = {"units": text.replace('"units": "m"', '"units": "k"'), "cut": text[:-40], "nested": "[" * 99999}
-        described.write_text(texts[damage])
+@pytest.mark.parametrize("damage", ["cut", "nested"])
+def test_descriptions_that_cannot_be_read_are_refused(path, copy, damage):
+    described = copy / "data.zarr/zarr.json"
+    described.write_text({"cut": described.read_text()[:-40], "nested": "[" * 99999}[damage])
     for use in (store.read, store.blocks_missing, lambda folder: store.run(read(path), folder)):
         with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
             use(copy)

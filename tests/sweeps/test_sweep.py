@@ -12,7 +12,7 @@ import xarray
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import measure_run
-from cnclik.sweeps import program as programs
+from cnclik.sweeps import grid as programs
 from cnclik.sweeps.axes import axis
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.sweep import sweep

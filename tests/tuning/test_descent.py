@@ -1,6 +1,4 @@
-"""Descent alone: targets whose minimum is known on paper; and losses in plain NumPy."""
-
-from typing import NamedTuple
+"""Descent alone: targets whose minimum is known on paper."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,6 @@ import pytest
 
 from cnclik.record import record
 from cnclik.tuning.descent import Bounds, descend
-from cnclik.tuning.tune import LOSSES, terms
 
 
 @record
@@ -75,27 +72,3 @@ def test_bounds_are_reached_and_never_left():
     for far in (1.0, 50.0, 1e9):
         u = bounds.within(np.array([far, -far]))
         assert np.all(np.asarray(bounds.values(u)) <= bounds.upper * (1 + 1e-6)) and u[1] >= -1
-
-
-class Run(NamedTuple):
-    """As much of a `Trajectory` as losses look at."""
-
-    t: np.ndarray
-    e: np.ndarray
-    qdot: np.ndarray
-
-
-def test_losses_are_what_their_lines_say():
-    rng, N, Ts = np.random.default_rng(3), 12, 0.1
-    run = Run(2.0 + Ts * np.arange(N + 1), rng.normal(size=(N + 1, 2)), rng.normal(size=(N, 3)))
-    squares = np.sum(run.e[1:] ** 2, axis=1)
-    jerks = np.sum((run.qdot[2:] - 2 * run.qdot[1:-1] + run.qdot[:-2]) ** 2, axis=1) / Ts**4
-    wanted = {
-        "tracking": np.sqrt(np.mean(squares)),
-        "settling": Ts * np.sum(squares / (squares + 1e-6)),
-        "effort": np.sqrt(np.mean(np.sum(run.qdot**2, axis=1))),
-        "jerk": np.sqrt(np.mean(jerks)),
-    }
-    assert {name: pytest.approx(float(loss(run)), rel=1e-12) for name, loss in LOSSES.items()} == wanted
-    total = sum(weight * loss(run) for loss, weight in terms({"tracking": 2.0, "jerk": 1e-3}))
-    np.testing.assert_allclose(total, 2 * wanted["tracking"] + 1e-3 * wanted["jerk"], rtol=1e-12)

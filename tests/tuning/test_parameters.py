@@ -25,12 +25,6 @@ def test_every_parameter_goes_where_it_belongs(name):
     assert set(READ) == set(pm.KNOWN)
 
 
-def test_scaled_links_are_longer_links():
-    q, f = np.array([0.3, -0.7]), np.array([1.0, 1.02, 0.97])
-    scaled = ck.forward(pm.scaled_links(ARM, f), q).position
-    np.testing.assert_allclose(scaled, ck.forward(ck.planar_arm(f[1:], clockwise=True), q).position, rtol=1e-6)
-
-
 TASK = ck.stack(hand=ck.position("xy"), turn=ck.orientation("z"), rest=ck.joints(weights=[0.1] * 4))
 STACK = ck.Law(
     ck.planar_arm([0.5, 0.4, 0.3, 0.3]),

@@ -7,7 +7,8 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.method import DEFAULT
-from cnclik.tuning import Parameter, scaled_links, tune
+from cnclik.robot.rotations import safe_norm
+from cnclik.tuning import Parameter, tracking, tune
 from cnclik.tuning.descent import Bounds, evaluate
 from cnclik.tuning.parameters import chosen, ends
 from cnclik.tuning.tune import objective_of
@@ -33,7 +34,7 @@ def at(reference=LINE, law=LAW, q0=Q0, **options):
 def test_reach_with_explicit_euler_finds_the_dead_beat_gain():
     found = at(NEAR, **FREE)
     assert abs(found.values["alpha"] - 10) < 1e-2  # R = 1 − z; what moves z off 1 is curvature, of the size of e0
-    assert found.status == "converged" and found.satisfied and "recommended gain: alpha" in found.why
+    assert found.status == "converged" and "recommended gain: alpha" in found.why
 
 
 def test_the_papers_feedforward_is_three_times_too_large():
@@ -115,7 +116,7 @@ def test_float32_as_float64():
 def test_a_loop_without_an_error_keeps_its_gain():
     """Roundings prefer no gain: one that they chose would be an accident."""
     found = at(ck.line([1.0, 1.0], [1.0, 1.0], duration=3.0), law=ck.replace(LAW, alpha=2.0))
-    assert found.status == "nothing" and found.values["alpha"] == pytest.approx(2.0) and found.satisfied
+    assert found.status == "nothing" and found.values["alpha"] == pytest.approx(2.0)
 
 
 def test_the_loss_is_the_mean_over_paths_and_starts():
@@ -166,14 +167,14 @@ def test_joint_velocity_limit_binds_and_is_kept():
     free = at(FAR, velocity_limit=1e6, **FREE)
     largest = np.abs(free.after.qdot).max()
     held = at(FAR, velocity_limit=0.5 * largest, **FREE)
-    assert held.satisfied and 0.98 < held.speeds[1] <= 1 + 1e-9  # not merely slow
+    assert held.status in ("converged", "steps") and 0.98 < held.speeds[1] <= 1 + 1e-9  # not merely slow
     assert np.abs(held.after.qdot).max() == pytest.approx(held.speeds[1] * 0.5 * largest)
     assert held.values["alpha"] < free.values["alpha"] and "% of the limit" in str(held)
 
 
 def test_a_path_that_no_gain_makes_slow_enough_and_runs_that_are_not_finite_are_told():
     found = at(velocity_limit=0.05)
-    assert found.status == "infeasible" and not found.satisfied and found.speeds[1] > 5
+    assert found.status == "infeasible" and found.speeds[1] > 5
     assert at(loss=lambda run: jnp.nan * run.e[1, 0]).status == "non-finite"
 
 
@@ -183,8 +184,7 @@ RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"loss": "trakcing"}, "did you mean 'tracking'"),
-        ({"loss": {"tracking": 0.0}}, "weight of tracking` must be positive"),
+        ({"loss": "tracking"}, "`loss` must be a function"),
         ({"velocity_limit": -1.0}, "velocity_limit"),
         ({"noise": np.ones((30, 3))}, r"`noise` must have shape \(30, 2\) or \(n, 30, 2\)"),
         ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
@@ -226,11 +226,15 @@ def test_noise_and_delay_run_as_in_plain_numpy():
 
 LINKS = Parameter(
     name="links",
-    start=np.ones(6),
+    start=np.ones(5),
     lower=0.5,
     upper=2.0,
-    put=lambda law, v: ck.replace(law, chain=scaled_links(law.chain, v)),
+    put=lambda law, v: ck.replace(law, chain=ck.planar_arm(v, clockwise=True)),
 )
+
+
+def with_jerk(run):
+    return tracking(run) + 1e-5 * safe_norm(jnp.diff(run.qdot, n=2, axis=0).ravel()) / (run.t[1] - run.t[0]) ** 2
 
 
 def test_derivatives_in_reverse_mode_are_those_of_differences():
@@ -239,8 +243,8 @@ def test_derivatives_in_reverse_mode_are_those_of_differences():
         law = ck.Law(arm, ck.position("xy"), alpha=np.array([5.0, 3.0]))
         path = ck.line((tip := np.asarray(ck.forward(arm, q0).position)[:2]) + 0.05, tip - 0.2, duration=3.0)
         found = chosen(("alpha", LINKS, "feedforward"), law, {}, ck.gains(Ts=0.05, drive=ck.Drive(), method="EE"))
-        how, loss = (4, ck.METHODS["EE"], ck.picard(5)), {"tracking": 1.0, "jerk": 1e-5}
-        objective = objective_of(law, found, [path], q0, 0.05, how, loss=loss, drive=ck.Drive(), limit=1e6)
+        how = 4, ck.METHODS["EE"], ck.picard(5)
+        objective = objective_of(law, found, [path], q0, 0.05, how, loss=with_jerk, drive=ck.Drive(), limit=1e6)
         lower, upper, start = ends(found)
         bounds = Bounds(lower, upper)
         u, h = bounds.free(start) - 0.1, 1e-6
@@ -251,5 +255,5 @@ def test_derivatives_in_reverse_mode_are_those_of_differences():
             evaluate(objective, bounds, u + h * d).merit - evaluate(objective, bounds, u - h * d).merit
             for d in np.eye(len(u))
         ]
-    assert len(u) == 9
+    assert len(u) == 8
     np.testing.assert_allclose(slope, np.array(apart) / (2 * h), rtol=2e-5, atol=1e-7 * np.abs(slope).max())
