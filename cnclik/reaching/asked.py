@@ -85,10 +85,7 @@ class Asked:
         return xp.where(row_of(rows, self.chain.n).status == ReachStatus.SOLVED, status, unsure)
 
     def concluded(self, rows, finite, why, far, xp=np):
-        """Return rows (..., width) with the status of their targets, and NaN where there are no joint values.
-
-        Args: finite, far: results of the methods. why: the result of `meaning`.
-        """
+        """Return rows (..., width) with the status of their targets, and NaN where there are no joint values."""
         row, status, solved = row_of(rows, self.chain.n), ReachStatus, int(ReachStatus.SOLVED)
         rests = (row.steep <= STATIONARY**2) & ~self.within(row, CLEAR, xp) & (why == 0)
         made = xp.where(rests | far, int(status.OUT_OF_REACH), int(status.OUT_OF_BUDGET))
@@ -105,17 +102,13 @@ class Asked:
 
 
 def asked_of(chain, *rest) -> Asked:
-    """Return the arguments as a record. It is kept with the chain: a control loop repeats the same call at 1 kHz.
-
-    Args: the fields of `Asked`. Raises: ArgumentError for unusable values.
-    """
+    """Return the arguments as a record, kept with the chain: a control loop repeats the same call at 1 kHz."""
     errors.kind("chain", chain, Chain)
-    key = rest, tuple(map(type, rest))  # types too: True equals 1 but is no valid jump
-    try:
-        hash(key)
-    except TypeError:  # lists, arrays, what is traced
+    kept = memoized(chain, "_asked", lambda _: LRU())
+    try:  # types too: True equals 1 but is no valid jump
+        return kept.made((rest, tuple(map(type, rest))), lambda _: _asked(chain, *rest))
+    except TypeError:  # no key are lists, arrays, what is traced
         return _asked(chain, *rest)
-    return memoized(chain, "_asked", lambda _: LRU()).made(key, lambda _: _asked(chain, *rest))
 
 
 def _asked(chain, task, tolerance, jump, limits) -> Asked:

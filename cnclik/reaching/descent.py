@@ -40,8 +40,7 @@ STUCK, STILL = 1e-5, 1e-10  # of `State.steep`: careful descents whose error fal
 OF_ERROR = 0.03  # λ² per squared error
 LEAST_DAMPING = {32: 1e-6, 64: 1e-9}  # λ₀² by the bits of a number
 LONGEST = 1.0  # [rad, m] largest joint step
-SHRINK, GROW, LEAST_TRUST = 0.5, 4.0, 1e-3  # factors of τ after an accepted and after a rejected step
-MOST_TRUST = 1e12
+SHRINK, GROW, LEAST_TRUST, MOST_TRUST = 0.5, 4.0, 1e-3, 1e12  # factors of τ after accepted and rejected steps; bounds
 SHORT = 100.0  # of ‖J‖²: damped by more, steps are so short that an error which still grows with them is at a kink
 CLOSE = 0.5  # [rad, m] from `near`: so close the first answer is the one that is wanted
 AHEAD = 64  # targets that one call goes along a path
@@ -51,8 +50,8 @@ SMALLEST = 1e-5  # [m] shorter arms, such as a wrist alone, keep the metre
 def unit_of(chain) -> float:
     """Return the length [m] that counts as much as a radian: a metre, but of arms of < 25 cm or > 4 m theirs."""
     length = arm_length(chain, least=0.0)
-    odd = errors.concrete(length) and "m" not in chain.units and not 0.25 <= length <= 4.0
-    return float(length) if odd and length > SMALLEST else 1.0
+    revolute = errors.concrete(length) and "m" not in chain.units
+    return float(length) if revolute and (SMALLEST < length < 0.25 or length > 4.0) else 1.0
 
 
 class Terms(NamedTuple):
@@ -150,12 +149,7 @@ def descend(chain, task: Task, terms: Terms, q, target, near, most) -> Array:
 
 
 def attempt(chain, task, starts: Starts, terms: Terms, target, near, given, away, k, most) -> Array:
-    """Make one try. Returns: the row of `result.Row`.
-
-    Args:
-      near: (n,), NaN where there is none. given (n,), away: see `starts.start`.
-      k: int32, the number of the try. most: int32, looks.
-    """
+    """Make try `k`, see `starts.start`, by at most `most` looks. Returns: the row of `result.Row`."""
     low, high = terms.box(jnp.where(jnp.isnan(near), 0.0, near))
     q = start(chain, task, starts, target, given, away, low, high, k)
     return descend(chain, task, terms, q, target, near, most)
@@ -174,36 +168,20 @@ def along(chain, task, terms: Terms, target, near):
     return lax.scan(once, near, target)[1]
 
 
-# --- for batches of NumPy's numbers, made once for a chain, a task's aims and the engine that is chosen --------
+def programs(chain, task, path=False) -> Batches:
+    """Return `attempt`, or `along` AHEAD targets, for batches of the leaves of their arguments from the third on.
 
-
-def attempts(chain, task) -> Batches:
-    """Return `attempt` for batches."""
-
-    def flat(*args):
-        return attempt(chain, task, Starts(*args[:3]), Terms(*args[3:8]), *args[8:])
-
-    q, number = np.zeros(chain.n), np.int32(0)
-    return _batches("attempts", flat, chain, task, starts_of(chain, task), [_target(task), q, q, 0.0, number, number])
-
-
-def ahead(chain, task) -> Batches:
-    """Return `along` for AHEAD targets."""
+    They are made once for a chain, a task's aims and the engine that is chosen.
+    """
+    q, target, number = np.zeros(chain.n), np.zeros(WIDTH * len(aims(task))), np.int32(0)
+    starts, terms = starts_of(chain, task), Terms._make((q, q, 0.0, np.zeros(2), np.zeros(task.m)))
+    of_try, of_path = (starts, terms, target, q, q, 0.0, number, number), (terms, np.tile(target, (AHEAD, 1)), q)
+    fn, args = (along, of_path) if path else (attempt, of_try)
+    leaves, tree = jax.tree.flatten(args)
+    avals = [jax.ShapeDtypeStruct(np.shape(v), np.asarray(v).dtype) for v in leaves]
 
     def flat(*args):
-        return along(chain, task, Terms(*args[:5]), *args[5:])
+        return fn(chain, task, *tree.unflatten(args))
 
-    targets = np.tile(_target(task), (AHEAD, 1))
-    return _batches("ahead", flat, chain, task, (), [targets, np.zeros(chain.n)], single=True)
-
-
-def _target(task):
-    return np.zeros(WIDTH * len(aims(task)))
-
-
-def _batches(name, fn, chain, task, starts, lanes, **options) -> Batches:
-    q = np.zeros(chain.n)
-    every = *starts, q, q, 0.0, np.zeros(2), np.zeros(task.m), *lanes
-    avals = [jax.ShapeDtypeStruct(np.shape(v), np.asarray(v).dtype) for v in every]
-    key = f"_{name}_{told_apart(task)}_{task.weights is None}_{in_c()}"
-    return memoized(chain, key, lambda _: Batches(fn, avals, **options))
+    key = f"_{fn.__name__}_{told_apart(task)}_{task.weights is None}_{in_c()}"
+    return memoized(chain, key, lambda _: Batches(flat, avals, single=path))

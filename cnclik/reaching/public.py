@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -80,15 +81,13 @@ def reach(
     if previous and solutions > 1:
         raise errors.fail("solutions", "be 1 along a path (near='previous')", f"is {solutions}")
     if not known:
-        rows = traced(asked, pose, begin)
+        rows = jax.vmap(functools.partial(traced, asked), (0, None if begin is None else 0))(pose, begin)
     elif previous:
         rows = path(search_of(asked), pose)
     else:
-        turns = begin is not None and any(chain.periodic)
-        inside = turned(begin, begin, np.array(chain.periodic), *asked.limited()) if turns else begin
+        inside = begin if begin is None else turned(begin, begin, np.array(chain.periodic), *asked.limited())
         search, of = search_of(asked), Targets(pose, begin, inside)
         size = POOL if solutions == 1 else min(POOL, AT_ONCE // (MOST_DRAWN + solutions))
         parts = (of.some(slice(i, i + size)) for i in range(0, len(pose), size))
-        each = [search.rows(part) if solutions == 1 else several(search, part, solutions) for part in parts]
-        rows = each[0] if len(each) == 1 else np.concatenate(each)
+        rows = np.concatenate([several(search, v, solutions) if solutions > 1 else search.rows(v) for v in parts])
     return from_rows(chain, asked.task, rows[0] if alone else rows)

@@ -12,7 +12,7 @@ import numpy as np
 
 from cnclik.engine.plan import in_c
 from cnclik.reaching.asked import Asked
-from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, ahead, attempts
+from cnclik.reaching.descent import AHEAD, CAREFUL, CLOSE, DOWNHILL, PLAIN, programs
 from cnclik.reaching.result import ReachStatus, blank, row_of, width
 from cnclik.reaching.starts import BINNED, ISLANDS, beginnings, island_of, origins, spans, starts_of, turned
 from cnclik.record import AnyArray, Float, memoized, replace
@@ -63,16 +63,14 @@ class Found(NamedTuple):
 
 def nothing(shape, n, xp=np, dtype=float) -> Found:
     """Return what no try came to, for targets of that shape."""
-    rows = xp.zeros((*shape, width(n)), dtype) + xp.asarray(blank(n), dtype)
+    rows = xp.tile(xp.asarray(blank(n), dtype), (*shape, 1))
     return Found(rows, xp.zeros((*shape, ISLANDS, n), dtype), xp.full((*shape, ISLANDS), np.inf, dtype))
 
 
 def winners(block, n, near, first, xp=np) -> tuple:
     """Return the winning rows (..., width) of tries (..., W, width), and which of them are answers.
 
-    Args:
-      near: whether the nearest answer wins, and not the first one.
-      first: whether the first of them is the search's first, which then wins at once where it is CLOSE.
+    The first answer wins; with `near` the nearest, but at once that of the search's first try, if `first`, where CLOSE.
     """
     row = row_of(block, n)
     solved = row.status == ReachStatus.SOLVED
@@ -80,11 +78,10 @@ def winners(block, n, near, first, xp=np) -> tuple:
     if near:
         at_once = first & solved[..., 0] & (row.distance[..., 0] <= CLOSE)
         won = xp.where(at_once, 0, xp.argmin(xp.where(solved, row.distance, np.inf), axis=-1))
-    return of_each(block, won, xp), solved.any(axis=-1)
+    return _of_each(block, won, xp), solved.any(axis=-1)
 
 
-def of_each(rows, index, xp=np):
-    """Return one row (..., width) of each target's (..., W, width)."""
+def _of_each(rows, index, xp):
     return xp.take_along_axis(rows, index[..., None, None], -2)[..., 0, :]
 
 
@@ -97,8 +94,7 @@ def wanted(asked, stage: Stage, row, far, why, xp=np):
 def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> Found:
     """Return what was found, after tries k (W,) of a stage, and the careful ones that follow.
 
-    Args:
-      near: (..., n) within the limits, or None. tried: makes tries, see `Search.tried`. block: those already made.
+    Args: near: (..., n) within the limits, or None. tried: see `Search.tried`. block: the tries, if they are made.
     """
     n, island, uphill = found.places.shape[-1], island_of(k), xp.logical_not(stage.downhill)
     if block is None:
@@ -111,7 +107,7 @@ def advanced(stage: Stage, found: Found, k, near, tried, block=None, xp=np) -> F
     both, island = xp.concatenate([block, again], axis=-2), xp.concatenate([island, island])
     rows, solved = winners(both, n, near is not None, (k[0] == 0) & uphill, xp)
     row = row_of(both, n)
-    nearest = of_each(both, xp.argmin(row.cost, axis=-1), xp)
+    nearest = _of_each(both, xp.argmin(row.cost, axis=-1), xp)
     nearer = stage.downhill & (row_of(nearest, n).cost < row_of(found.rows, n).cost)
     rows = xp.where(solved[..., None], rows, xp.where(nearer[..., None], nearest, found.rows))
     mine = np.arange(ISLANDS)[:, None] == xp.concatenate([np.arange(ISLANDS), island])
@@ -138,32 +134,21 @@ class Search:
 
     def __init__(self, asked: Asked):
         chain, task = asked.chain, asked.task
-        bound, starts = attempts(chain, task).bound, starts_of(chain, task)
+        bound, starts = programs(chain, task).bound, starts_of(chain, task)
         self.asked, self.n, self.nowhere = asked, chain.n, np.full(chain.n, np.nan)
         self.stages = [stage._replace(terms=bound(*starts, *stage.terms)) for stage in stages(asked)]
         self.wide = bound(*starts, *asked.terms(limits=False))
 
     def rows(self, of: Targets) -> np.ndarray:
-        """Return the rows (B, width) of targets."""
-        finite = self.asked.finite(of.pose, of.near)
+        """Return the rows (B, width) of targets. Of many ones the first tries are made one after the other."""
+        n, near, finite = self.n, of.near is not None, self.asked.finite(of.pose, of.near)
         if not finite.all():
-            rows = self.asked.concluded(np.tile(blank(self.n), (len(of.pose), 1)), False, 0, False)
+            rows = self.asked.concluded(np.tile(blank(n), (len(finite), 1)), False, 0, False)
             if finite.any():
                 rows[finite] = self.rows(of.some(finite))
             return rows
-        rows, block, left = self.first(of)
-        if len(left):
-            rows[left] = self.rest(of.some(left), block)
-        return rows
-
-    def first(self, of: Targets) -> tuple:
-        """Make the plain tries of the first round, of many targets one after the other.
-
-        Returns: rows (B, width); the tries (K, W, width) of targets that have no answer; the indices of these.
-        """
-        n, near, ids = self.n, of.near is not None, np.arange(len(of.pose))
-        rows, block = np.empty((len(ids), width(n))), np.empty((len(ids), 0, width(n)))
-        while len(ids) and (k := block.shape[1]) < ROUND:
+        rows, ids, block, k = np.empty((len(finite), width(n))), np.arange(len(finite)), None, 0
+        while len(ids) and k < ROUND:
             one, part = len(ids) * (ROUND - k) > MANY and (k == 0 or not near), of.some(ids) if k else of
             order = np.arange(k, k + 1 if one else ROUND)
             given, away = beginnings(order, part.inside)
@@ -173,33 +158,31 @@ class Search:
             if near and one:
                 solved &= row_of(made, n).distance <= CLOSE
             rows[ids[solved]] = made[solved]
-            ids, block = ids[~solved], block[~solved]
-        return rows, block, ids
+            ids, block, k = ids[~solved], block[~solved], k + len(order)
+        if len(ids):
+            rows[ids] = self.rest(of.some(ids), block)
+        return rows
 
     def rest(self, of: Targets, block) -> np.ndarray:
         """Return the rows of targets whose first tries (K, W, width) have not arrived."""
         asked, n, K, tried = self.asked, self.n, len(of.pose), functools.partial(self.tried, of)
-        far, why, order = asked.too_far(of.pose), np.zeros(K, int), np.arange(block.shape[1])
-        found = advanced(self.stages[0], nothing((K,), n), order, of.inside, tried, block)
+        found = advanced(self.stages[0], nothing((K,), n), np.arange(ROUND), of.inside, tried, block)
+        far, why = asked.too_far(of.pose), np.zeros(K, int)
         for stage in self.stages[1:]:
-            ids = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
-            into = nothing((K,), n) if stage.status else found
-            self.stage(stage, into, ids, of)
+            ids = left = np.flatnonzero(wanted(asked, stage, row_of(found.rows, n), far, why))
+            into, k = nothing((K,), n) if stage.status else found, stage.first
+            while len(left) and k < stage.last:
+                count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
+                for some in np.array_split(left, -(-len(left) * count // AT_ONCE)):
+                    part, before = of.some(some), Found(*(v[some] for v in into))
+                    tried = functools.partial(self.tried, part)
+                    made = advanced(stage, before, k + np.arange(count), part.inside, tried)
+                    for whole, new in zip(into, made, strict=True):
+                        whole[some] = new
+                left, k = left[row_of(into.rows[left], n).status != ReachStatus.SOLVED], k + count
             if stage.status:
                 why[ids] = asked.meaning(stage.status, into.rows[ids], into.costs[ids].min(axis=1))
         return asked.concluded(found.rows, True, why, far)
-
-    def stage(self, stage: Stage, found: Found, ids, of: Targets) -> None:
-        """Put what comes of a stage's tries for some targets into what was found."""
-        k = stage.first
-        while len(ids) and k < stage.last:
-            count = stage.last if stage.downhill else min(max(k - ROUND, ROUND), WIDEST)
-            for some in np.array_split(ids, -(-len(ids) * count // AT_ONCE)):
-                part, before = of.some(some), Found(*(v[some] for v in found))
-                made = advanced(stage, before, k + np.arange(count), part.inside, functools.partial(self.tried, part))
-                for whole, part in zip(found, made, strict=True):
-                    whole[some] = part
-            ids, k = ids[row_of(found.rows[ids], self.n).status != ReachStatus.SOLVED], k + count
 
     def tried(self, of: Targets, call, given, away, k, most) -> np.ndarray:
         """Return the rows (B, W, width) of tries k (W,), see `descent.attempt`; blank ones where `most` is 0."""
@@ -210,13 +193,11 @@ class Search:
             return call((of.pose[0], near, given, away, k, most), len(k))[None]
         most = np.broadcast_to(most, shape)
         ids, which = np.nonzero(most)
-        if not len(ids):
-            return np.tile(blank(self.n), (*shape, 1))
         given = np.broadcast_to(given, (*shape, self.n))[ids, which] if given.ndim > 1 else given
-        near = near[ids] if near.ndim > 1 else near
-        made = call((of.pose[ids], near, given, away[which], k[which], most[ids, which]), len(ids))
-        if len(ids) == shape[0] * shape[1]:
-            return made.reshape(*shape, made.shape[-1])
+        lanes = of.pose[ids], near[ids] if near.ndim > 1 else near, given, away[which], k[which], most[ids, which]
+        made: Any = call(lanes, len(ids)) if len(ids) else 0.0
+        if 0 < len(ids) == most.size:
+            return made.reshape(*shape, -1)
         rows = np.tile(blank(self.n), (*shape, 1))
         rows[ids, which] = made
         return rows
@@ -229,7 +210,7 @@ def path(search: Search, pose) -> np.ndarray:
     """
     asked, n, B = search.asked, search.n, len(pose)
     free = search if asked.jump is None else Search(replace(asked, jump=None))
-    along = ahead(asked.chain, asked.task).bound(*asked.terms())
+    along = programs(asked.chain, asked.task, path=True).bound(*asked.terms())
     rows, k = np.empty((B, width(n))), 0
     q: Any = np.asarray(start_posture(asked.chain, asked.task))
     while k < B:
@@ -261,7 +242,7 @@ def several(search: Search, of: Targets, solutions) -> np.ndarray:
     """
     first = search.rows(of)
     n, B = search.n, len(first)
-    no_other = blank(n) + np.where(np.arange(len(blank(n))) < n + 3, np.nan, 0.0)
+    no_other = np.full(width(n), np.nan)
     no_other[n] = int(ReachStatus.NO_OTHER)
     found = np.concatenate([first[:, None], np.tile(no_other, (B, solutions - 1, 1))], axis=1)
     count = (row_of(first, n).status == ReachStatus.SOLVED).astype(int)

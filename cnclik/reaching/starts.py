@@ -4,7 +4,6 @@ A start near the target helps most: of a Panda's first tries from the bins of 13
 postures 20 %. Of several tips each joint starts where it has that tip near which it moves, see `targets.owners`.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -67,7 +66,7 @@ def empty(chain, task) -> Starts:
 
 def starts_of(chain, task) -> Starts:
     """Return the starts of a chain, made once for it and a task's aims."""
-    return memoized(chain, f"_starts_{told_apart(task)}", functools.partial(_binned, task=task))
+    return memoized(chain, f"_starts_{told_apart(task)}", lambda _: _binned(chain, task))
 
 
 def _binned(chain, task) -> Starts:

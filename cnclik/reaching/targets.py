@@ -26,20 +26,12 @@ def read(targets, task: Task):
     if size == 0:
         raise errors.fail("targets", "hold at least one target", "hold none")
     for _, aim, where, turn in each:
-        where = xp.zeros(3) if where is None else where
-        where = where if len(aim.linear) == 3 else xp.where(np.isin(range(3), aim.linear), where, 0.0)
+        where = xp.zeros(3) if where is None else xp.where(np.array([k in aim.linear for k in range(3)]), where, 0.0)
         turn = xp.eye(3) if turn is None else turn
         for own in (where.reshape(-1, 3), turn.reshape(-1, 9)):
             made.append(own if len(own) == size else xp.broadcast_to(own, (size, own.shape[1])))
     made = xp.concatenate(made, axis=1)
     return np.ascontiguousarray(made, float) if xp is np else made, alone
-
-
-def by_name(task: Task, each):
-    """Targets of a task's aims, one after the other, as `reach` takes them: by the names of tasks and tips."""
-    if len(each) == 1:
-        return each[0]
-    return dict(zip(_names(aims(task)), each, strict=True))
 
 
 def wanted_at(reference: Reference | References, task: Task, t):
@@ -52,7 +44,7 @@ def wanted_at(reference: Reference | References, task: Task, t):
         order = np.argsort(aim.linear) if len(aim.linear) == 3 else slice(None)  # as x y z
         where = poses.library(*places).concatenate(places)[order] if places else None
         each.append((where, turns[0] if turns else None))
-    return of, by_name(of, each)
+    return of, each[0] if len(each) == 1 else dict(zip(_names(aims(of)), each, strict=True))
 
 
 def _names(every) -> list:
@@ -78,36 +70,28 @@ def _parts(name, target, aim):
         where, turn = target
         where = None if where is None and not aim.linear else _positions(name, where, aim)
         return where, None if turn is None and not aim.angular else poses.rotations(name, turn, finite=False)
-    if not aim.linear and poses.shape_of(target) == (4, 4) and _are_quaternions(target):
+    four = not aim.linear and poses.shape_of(target) == (4, 4) and errors.concrete(target)
+    if four and not np.array_equal(np.asarray(target, float)[3], [0, 0, 0, 1]):  # quaternions, and no transform
         return None, poses.rotations(name, target, finite=False)
     whole = poses.whole(name, target, finite=False)
     if whole is not None:
         return whole
     if not aim.linear:
         return None, poses.rotations(name, target, finite=False)
-    target = errors.array(name, target, finite=False)
-    if not aim.angular and target.ndim in (1, 2) and target.shape[-1] in (3, len(aim.linear)):
-        return _positions(name, target, aim), None
-    needed = "7 numbers, x y z [m] and a quaternion w x y z" if aim.angular else "3 numbers, x y z [m]"
-    if not aim.angular and len(aim.linear) < 3:
-        needed = f"{len(aim.linear)} numbers, {' '.join('xyz'[i] for i in aim.linear)} [m], or {needed}"
-    held = f"holds {target.shape[-1]}" if target.ndim in (1, 2) else f"has shape {target.shape}"
-    held += ", as for the task position" * (target.shape[-1:] == (3,) and bool(aim.angular))
-    raise errors.fail(name, f"hold {needed}", held)
+    return _positions(name, target, aim, alone=not aim.angular), None
 
 
-def _are_quaternions(target) -> bool:
-    """Whether a 4×4 array for an orientation is four quaternions: its last row is not that of a transform."""
-    return errors.concrete(target) and not np.array_equal(np.asarray(target, float)[3], [0, 0, 0, 1])
-
-
-def _positions(name, value, aim):
-    """Positions (..., 3), of which the task's coordinates may stand alone; the others are arbitrary."""
-    some = {3, len(aim.linear)}
-    value = errors.array(name, value, *((size,) for size in some), *((None, size) for size in some), finite=False)
-    value = np.asarray(value, float) if errors.concrete(value) else value
+def _positions(name, value, aim, alone=True):
+    """Positions (..., 3), of which the task's coordinates may stand alone. Args: alone: whether a position is all."""
+    value, size = errors.array(name, value, finite=False), len(aim.linear)
+    if not alone or value.ndim not in (1, 2) or value.shape[-1] not in (3, size):
+        needed = f"{size} numbers, {' '.join('xyz'[i] for i in aim.linear)} [m]" if size else "3 numbers, x y z [m]"
+        needed = needed if alone else "7 numbers, x y z [m] and a quaternion w x y z"
+        held = f"holds {value.shape[-1]}" if value.ndim in (1, 2) else f"has shape {value.shape}"
+        held += ", as for the task position" * (value.shape[-1:] == (3,))
+        raise errors.fail(name, f"hold {needed}", held)
+    xp, value = poses.library(value), np.asarray(value, float) if errors.concrete(value) else value
     if value.shape[-1] == 3:
         return value
-    xp = poses.library(value)
     each = dict(zip(aim.linear, xp.moveaxis(value, -1, 0), strict=True))
     return xp.stack([each.get(axis, xp.zeros(value.shape[:-1])) for axis in range(3)], -1)

@@ -1,5 +1,7 @@
 """The search within a program of the user's own: the same stages and groups of tries as a pure function."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from cnclik.law.inverse import tiny_shift
 from cnclik.reaching.asked import Asked
 from cnclik.reaching.descent import attempt, look
 from cnclik.reaching.result import ReachStatus, row_of, touching
-from cnclik.reaching.search import ROUND, Found, Stage, advanced, nothing, stages, wanted
+from cnclik.reaching.search import ROUND, Stage, advanced, nothing, stages, wanted
 from cnclik.reaching.starts import Starts, empty, starts_of, turned
 from cnclik.record import replace
 
@@ -21,13 +23,9 @@ _attempt = native(attempt)
 
 
 def traced(asked: Asked, pose, near):
-    """Return the rows of targets (B, t), near (B, n) or None."""
+    """Return the row of a target (t,), near (n,) or None."""
     known = all(map(errors.concrete, jax.tree.leaves(asked.chain)))
     starts = starts_of(asked.chain, asked.task) if known else empty(asked.chain, asked.task)
-    return jax.vmap(lambda pose, near: _answer(asked, starts, pose, near), (0, None if near is None else 0))(pose, near)
-
-
-def _answer(asked, starts, pose, near):
     chain, pose_, near_ = lax.stop_gradient((asked.chain, pose, near))
     lower, upper = (tuple(np.array(limits, float).tolist()) for limits in (asked.chain.lower, asked.chain.upper))
     chain = replace(chain, lower=lower, upper=upper)  # arrays would be tracers
@@ -53,21 +51,17 @@ def _searched(asked, starts, pose, near, finite, far):
     starts, none = Starts(*map(jnp.asarray, starts)), nothing((), n, jnp, dtype)
 
     def tried(terms, given, away, k, most):
-        def one(given, away, k, most):
-            return _attempt(chain, task, starts, terms, pose, there, given, away, k, most)
-
-        given = jnp.broadcast_to(given, (len(k), n)).astype(dtype)
-        return jax.vmap(one)(given, away.astype(dtype), k, jnp.broadcast_to(most, k.shape).astype(jnp.int32))
+        one = functools.partial(_attempt, chain, task, starts, terms, pose, there)
+        return jax.vmap(one)(given.astype(dtype), away.astype(dtype), k, most.astype(jnp.int32))
 
     def once(carry):
         (p, k), found, kept, why = carry
         stage = Stage(*jax.tree.map(lambda v: v[p], table))
         aside = stage.status > 0
-        found = _choose(aside & (k == 0), none, found)
+        found = jax.tree.map(lambda new, old: jnp.where(aside & (k == 0), new, old), none, found)
         want = wanted(asked, stage, row_of(kept, n), far, why, jnp)
         stage = stage._replace(last=jnp.where(want, stage.last, 0))  # nothing is tried then
-        order = k + jnp.arange(ROUND, dtype=jnp.int32)
-        found = _choose(want, advanced(stage, found, order, inside, tried, xp=jnp), found)
+        found = advanced(stage, found, k + jnp.arange(ROUND, dtype=jnp.int32), inside, tried, xp=jnp)
         over = (row_of(found.rows, n).status == ReachStatus.SOLVED) | (k + ROUND >= stage.last)
         meaning = asked.meaning(stage.status, found.rows, found.costs.min(), jnp)
         why = jnp.where(aside & over & want, meaning, why).astype(np.int32)
@@ -81,10 +75,6 @@ def _searched(asked, starts, pose, near, finite, far):
 
     _, _, kept, why = lax.while_loop(goes_on, once, ((jnp.int32(0), jnp.int32(0)), none, none.rows, jnp.int32(0)))
     return kept, why
-
-
-def _choose(which, one: Found, other: Found) -> Found:
-    return jax.tree.map(lambda one, other: jnp.where(which, one, other), one, other)
 
 
 def refined(chain, task, target, q, held, found):

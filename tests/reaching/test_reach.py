@@ -95,9 +95,8 @@ def test_in_a_hole_of_the_limits():
     for target, error in list(zip(targets, made.position_error, strict=True))[:12]:  # the nearest there is
 
         def away(q, target=target):
-            return np.sum(
-                (np.array([-np.sin(q[0]) - np.sin(q.sum()), np.cos(q[0]) + np.cos(q.sum())]) - target[:2]) ** 2
-            )
+            place = np.array([-np.sin(q[0]) - np.sin(q.sum()), np.cos(q[0]) + np.cos(q.sum())])
+            return np.sum((place - target[:2]) ** 2)
 
         starts = ([-0.4, 0.3], [0.4, 0.3], [-0.4, 0.9], [0.4, 0.9])
         found = min(minimize(away, s, bounds=[(-0.5, 0.5), (0.2, 1.0)]).fun for s in starts)

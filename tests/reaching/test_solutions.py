@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import cnclik as ck
 from cnclik import ReachStatus
@@ -20,13 +21,11 @@ def arm(limit=np.pi):
 
 
 def rx(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return Rotation.from_euler("x", angle).as_matrix()
 
 
 def rz(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return Rotation.from_euler("z", angle).as_matrix()
 
 
 def in_closed_form(target):
