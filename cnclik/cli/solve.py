@@ -32,19 +32,19 @@ def run(
       json: print the answer as JSON: what was asked, the numbers, and the verdict with its remedy.
     """
     made = problem(robot, loop)
-    load_ahead("xarray", "h5netcdf", *["cnclik.show.style"] * figures)
+    load_ahead("h5netcdf", *["xarray", "cnclik.show.style"] * figures)
     pictures = [f"{kind}.png" for kind in _FIGURES]
     with output_folder(Path(out), overwrite=overwrite, files=["trajectory.nc", *pictures * figures]) as folder:
         trajectory = made.run()
-        from cnclik.measure.dataset import to_dataset
+        from cnclik.measure.dataset import labelled
         from cnclik.measure.files import save_netcdf
 
-        data = to_dataset(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
+        data = labelled(trajectory, made.law, config={"verb": "solve", "robot": robot} | in_own_units(loop))
         try:  # before a reader of the answer may leave
             folder.write("trajectory.nc", functools.partial(save_netcdf, data))
         finally:  # on a full disk, too
             _answer(made, trajectory, out if json else None)
-    about = {"Title": made.name, "Comment": data.attrs["config"]}
+    about = {"Title": made.name, "Comment": data[2]["config"]}
     drawn = {f"{kind}.png": (drawn_by("run", "plot", trajectory, made.law, kind), about) for kind in _FIGURES}
     with progress.bar("figures") as report:
         written = ["trajectory.nc", *draw(drawn if figures else {}, out, progress=report, overwrite=overwrite)]

@@ -47,6 +47,11 @@ def to_dataset(
     """
     import xarray as xr
 
+    return xr.Dataset(*labelled(run, law, dims, coords, config))
+
+
+def labelled(run: Trajectory, law: Law, dims=(), coords=None, config=None) -> tuple:
+    """Return variables, coordinates and attributes of `to_dataset`, without xarray, which takes long to load."""
     check_run(run, errors.kind("law", law, Law))
     dims, t = tuple(dims), np.asarray(run.t)
     *lanes, N = np.shape(run.residual)
@@ -94,7 +99,7 @@ def to_dataset(
     else:  # each lane has its own times, as in a sweep over Ts
         variables["t"] = (instant, t, about("time", "s"))
     attrs = provenance(run.q.dtype) | ({} if config is None else {"config": as_json(config)})
-    return xr.Dataset(variables, labels | dict(coords or {}), attrs)
+    return variables, labels | dict(coords or {}), attrs
 
 
 def _tips(task, chain) -> list:

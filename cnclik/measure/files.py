@@ -1,6 +1,7 @@
 """Files of results: one way to write a dataset, a Markdown table, JSON."""
 
 import dataclasses
+import io
 import math
 import pathlib
 
@@ -8,10 +9,29 @@ import numpy as np
 
 
 def save_netcdf(data, path) -> None:
-    """Write an `xarray.Dataset` as compressed netCDF, made in memory: HDF5 ends the process if the disk is full."""
-    packed = [name for name, v in data.variables.items() if v.ndim and v.dtype.kind not in "UO"]
-    encoding = {name: {"compression": "gzip", "compression_opts": 6} for name in packed}
-    pathlib.Path(path).write_bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
+    """Write an `xarray.Dataset`, or what `labelled` returns, as compressed netCDF, without xarray.
+
+    It is made in memory: HDF5 ends the process if the disk is full.
+    """
+    import h5netcdf
+    import h5py
+
+    variables, coords, about = data if isinstance(data, tuple) else (data.data_vars, data.coords, data.attrs)
+    with io.BytesIO() as memory:
+        with h5netcdf.File(memory, "w") as file:
+            for name, variable in [*variables.items(), *coords.items()]:
+                known = isinstance(variable, tuple)
+                dims, values, attrs = variable if known else (variable.dims, variable.values, variable.attrs)
+                values, dims = np.asarray(values), (dims,) if isinstance(dims, str) else dims
+                sizes = zip(dims, values.shape, strict=True)
+                file.dimensions.update({dim: n for dim, n in sizes if dim not in file.dimensions})
+                text = values.dtype.kind in "UO"
+                packed = {"compression": "gzip", "compression_opts": 6} if dims and not text else {}
+                made = file.create_variable(name, dims, h5py.string_dtype() if text else values.dtype, **packed)
+                made[...] = values.astype(object) if text else values
+                made.attrs.update(attrs)
+            file.attrs.update(about | {"coordinates": " ".join(sorted(coords))})
+        pathlib.Path(path).write_bytes(memory.getvalue())
 
 
 def markdown(header, rows, *, left=1) -> str:
