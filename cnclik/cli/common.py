@@ -6,7 +6,6 @@ import sys
 import warnings
 
 from cnclik import errors
-from cnclik.cli import progress
 from cnclik.cli.arguments import of_options
 
 _said = []  # remarks of the running command
@@ -31,8 +30,7 @@ def problem(robot, loop):
     prepare()
     from cnclik.problem.file import problem_of
 
-    with progress.bar("start and path"):
-        return problem_of(robot, **loop)
+    return problem_of(robot, **loop)
 
 
 def print_table(*rows, left=1) -> None:
