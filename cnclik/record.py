@@ -126,13 +126,10 @@ def record(cls: Any = None, *, kw_only: bool = True) -> Any:
         self.__dict__.update(zip(names, combine(arrays, literals), strict=True))
         return self
 
-    def state(self):  # what is remembered marks holes by identity, and hashes change between processes
-        return {n: getattr(self, n) for n in names}
-
     def set_state(self, state):
         self.__dict__.update({n: _own(v) if type(v) is np.ndarray else v for n, v in state.items()})
 
-    cls.__init__, cls.__getstate__, cls.__setstate__ = helpful, state, set_state  # type: ignore[assignment]
+    cls.__init__, cls.__getstate__, cls.__setstate__ = helpful, fields_of, set_state  # type: ignore[assignment]
     cls.__eq__, cls.__hash__ = _equal, _hashed  # type: ignore[assignment]
     with_jax(lambda jax: jax.tree_util.register_pytree_node(cls, flatten, unflatten))
     return cls
@@ -210,6 +207,11 @@ def cast(tree, dtype):
         return leaf.astype(dtype) if jax.numpy.issubdtype(leaf.dtype, np.floating) else leaf
 
     return jax.tree.map(one, tree)
+
+
+def fields_of(rec) -> dict:
+    """The fields of a record by name, without what is remembered beside them, which `vars` has too."""
+    return {f.name: getattr(rec, f.name) for f in dataclasses.fields(rec)}
 
 
 def memoized(rec, name, make):

@@ -36,9 +36,10 @@ def run(
       command: with --step: what the commands are.
       out: folder for the figure diagnose.png.
     """
-    for name, given in {"alpha": alpha is not None, "step": step}.items():
-        if given and (tasks or (step and name == "alpha")):
-            raise errors.fail(name, f"be left out with --{'tasks' if tasks else 'step'}", "is given")
+    if alpha is not None and (tasks or step):
+        raise errors.fail("alpha", f"be left out with --{'tasks' if tasks else 'step'}", "is given")
+    if step and tasks:
+        raise errors.fail("step", "be left out with --tasks", "is given")
     recorded = read(log, **columns)
     Ts = sampled(recorded)
     if out is not None:
@@ -84,8 +85,9 @@ def _stack(log, Ts, words) -> tuple:
             raise errors.fail("tasks", f"have columns such as {task}.x in LOG", found)
     log.columns([i for some in places.values() for i in some])  # whose rows are all finite, or named
     signals = {task: log.columns(some) for task, some in places.items()}
+    known = {task: gain if (value := number(gain)) is None else value for task, gain in gains.items() if gain}
     with errors.called("alpha", "tasks"):
-        found = diagnose_tasks(signals, Ts, alpha={task: number(gain) or gain for task, gain in gains.items() if gain})
+        found = diagnose_tasks(signals, Ts, alpha=known)
     task = found.change[0] if found.change else next(iter(gains))
     fields = {"change": found.change, "recommended_alpha": found.recommended_alpha}
     names = [log.names[i] for i in places[task]]
@@ -95,7 +97,9 @@ def _stack(log, Ts, words) -> tuple:
 
 def _fields(found) -> dict:
     """The numbers of a diagnosis, without its curves."""
-    return {name: value for name, value in vars(found).items() if name not in ("fitted", "Ts")}
+    from cnclik.record import fields_of  # which loads NumPy
+
+    return {name: value for name, value in fields_of(found).items() if name not in ("fitted", "Ts")}
 
 
 def _step(log, Ts, command_kind) -> tuple:

@@ -62,13 +62,14 @@ def run(
     else:
         made = problem(robot, loop)
         found = gains(Ts=made.Ts, method=made.method, M=made.stage, drive=made.drive)
-    facts = _facts(found, given.get("alpha", ()))
-    if made is not None:
-        facts["robot"] = _of_robot(found, made, speed, str(robot).endswith(".py"))
-    if json:
-        print_json(facts)
-    elif draw != ("plane",):
-        _print(found, facts, speed)
+    if draw != ("plane",):
+        facts = _facts(found, given.get("alpha", ()))
+        if made is not None:
+            facts["robot"] = _of_robot(found, made, speed, str(robot).endswith(".py"))
+        if json:
+            print_json(facts)
+        else:
+            _print(found, facts, speed)
     if not draw:
         return
     drawn, files = {}, [f"{kind}.{end}" for kind in dict.fromkeys(draw) for end in ("nc", "png")]
@@ -91,10 +92,12 @@ def run(
 
 def _facts(found, alpha) -> dict:
     """The answer in numbers."""
+    from cnclik.record import fields_of  # which loads NumPy
+
     euler = found if found.method.name == "EE" else found.by("EE")
     yours = sorted(set(alpha if isinstance(alpha, (list, tuple)) else [alpha]))
     each = [(a, found.at(a) if a else None) for a in yours]
-    drive = {name: value for name, value in vars(found.drive).items() if name in DRIVE}
+    drive = {name: value for name, value in fields_of(found.drive).items() if name in DRIVE}
     return {
         **{"method": found.method.name, "M": found.M, "Ts": found.Ts, "drive": drive, "assumed": found.assumed},
         **{name: getattr(found, name) for name in GAINS},

@@ -7,6 +7,8 @@ import pathlib
 
 import numpy as np
 
+from cnclik.record import fields_of
+
 
 def save_netcdf(data, path) -> None:
     """Write an `xarray.Dataset`, or what `labelled` returns, as compressed netCDF, without xarray.
@@ -44,7 +46,7 @@ def markdown(header, rows, *, left=1) -> str:
 def plain(value):
     """Return a value for JSON. A record is a table of its fields; NaN and inf are null."""
     if dataclasses.is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        value = fields_of(value)
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -22,6 +22,7 @@ from cnclik.cache import give_back
 from cnclik.engine.plan import as_here
 from cnclik.integrate.lanes import lanes
 from cnclik.measure.metrics import METRICS, Metrics
+from cnclik.record import fields_of
 from cnclik.threads import cores, shares_threads, side_by_side
 
 SYMBOLS = {"alpha": "α", "z": "z = α·Ts", "damping": "λ", "M": "passes M"}
@@ -180,7 +181,7 @@ def compile_program(study, of: Grid, number=0) -> StudyProgram:
         nonlocal outputs
         result = study(**fixed, **values)
         if dataclasses.is_dataclass(result):
-            result = vars(result)
+            result = fields_of(result)
         named = result if isinstance(result, Mapping) else {"value": result}
         named = {name: jnp.asarray(v) for name, v in named.items()}
         about = {name: {"units": UNITS.get(name, "")} for name in named}

@@ -90,6 +90,7 @@ MISTAKES = [
     ("diagnose stack.csv --tasks a --alpha 5", "`--alpha` must be left out with --tasks"),
     ("diagnose stack.csv --tasks a --step", "`--step` must be left out with --tasks"),
     ("diagnose stack.csv --tasks b=-3", "must be positive, but is -3"),
+    ("diagnose stack.csv --tasks b=0", "must be positive, but is 0"),
     ("diagnose stack.csv --tasks b=x", "must be a number, but is 'x'"),
     ("diagnose log.csv --alhpa 1", "Unknown option --alhpa; did you mean --alpha?"),
     ("diagnose log.csv --Ts 0", "Option `--Ts` must be positive, but is 0."),

@@ -85,6 +85,18 @@ def test_axes_of_vectors_objects_and_labelled_values():
     assert float(found.value.sel({"arm": "long", "target": 2, "M": 2, "gain": 1})) == 2 * 3 + 2 + 4
 
 
+def test_a_record_is_its_fields_whatever_it_remembers():
+    """Such as how it was taken apart, and its hash."""
+
+    def study(pull):
+        made = ck.posture([0.1, 0.2], pull)
+        assert jax.tree.leaves(made) and hash(made)
+        return made
+
+    data = ck.sweep(study, pull=[0.5, 1.0])
+    assert set(data.data_vars) == {"rest", "rate"} and np.array_equal(data.rate, [0.5, 1.0])
+
+
 def test_numbers_in_a_list_are_one_program_and_N_is_compiled_in():
     traces = []
 
