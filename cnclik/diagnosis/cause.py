@@ -17,9 +17,9 @@ FASTER = 1.3  # least ratio of the last two quarters of a growth
 def turned(y, gain=None) -> tuple | None:
     """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
 
-    Returns its rotation vector (3,) [degrees], z per row, and whether its size stays as of a circle. A spiral leaves d
-    open, as a turn by the angle of d rows looks alike: of those that explain it as well that is taken whose z is next
-    to a known gain, or else the least d.
+    Returns its rotation vector (3,) [degrees], z per row, and whether its size stays as of a circle; None where a z of
+    any sign for each column explains the log as well. A spiral leaves d open, as a turn by the angle of d rows looks
+    alike: of those that explain it as well that is taken whose z is next to a known gain, or else the least d.
     """
     from scipy.signal import lfilter
     from scipy.spatial.transform import Rotation
@@ -42,17 +42,17 @@ def turned(y, gain=None) -> tuple | None:
         left, acts = free(level, lfilter([1.0, -1.0], over, y, axis=0)[-N:]), lfilter([1.0], over, y, axis=0)
         for d in range(most + 1):
             late = free(level, acts[-N - 1 - d : -1 - d])
+            each = -np.sum(left * late, 0) / np.maximum(np.sum(late**2, 0), 1e-300)
             u, _, vt = np.linalg.svd(-sum(left[:, b].T @ late[:, b] for b in blocks))
             u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-            for R, numbers in ((np.eye(len(u)), 0), (u @ vt, 3)):
-                moved = late @ np.kron(np.eye(len(blocks)), R).T
-                z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
-                rest = left + z * moved
-                score = N * np.sum(np.log(np.mean(rest**2, 0) + floor)) + np.log(N) * (numbers + (theta != 0))
-                if z > 0 and numbers:
-                    spins.append((score, d, z / m, R, np.sum(rest**2) / np.sum(left**2)))
-                elif z > 0:
-                    plain = min(plain, score)
+            moved = late @ np.kron(np.eye(len(blocks)), u @ vt).T
+            z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
+            rests = left + each * late, left + z * moved
+            alone, score = (N * np.sum(np.log(np.mean(rest**2, 0) + floor)) for rest in rests)
+            plain = min(plain, alone + np.log(N) * (len(each) + (theta != 0)))
+            if z > 0:
+                score += np.log(N) * (4 + (theta != 0))
+                spins.append((score, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
     least = min((spin[0] for spin in spins), default=0.0)
     alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
     if not alike or alike[0][4] > LEFT or plain - alike[0][0] < BETTER:
@@ -84,7 +84,9 @@ def growth(y) -> float:
     wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
     if min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf) < BETTER / 2:
         return 0.0
-    return float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
+    rate = float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
+    seen = np.log(steps[3] / max(steps[2], 1e-3 * steps[3]))  # in a quarter, by noise and offsets not all of the mode's
+    return rate if seen > 0.5 * N / 4 * np.log(rate) else 0.0
 
 
 def swept(y, period) -> tuple[float, float, float]:

@@ -23,10 +23,10 @@ OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
 SIZES = (0.8, 1.7)  # ratio of two sizes that are one
-TURNED = 27.0, 165.0, 173.0  # [degrees]: by less an error passes its target by 0.2 %; by more it grows alike
+TURNED = 27.0  # [degrees], by less than which an error passes its target by less than 0.2 %
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY = 0.1  # unrest of a sustained oscillation, at most
-HELD = 1.15  # change in a period, at most, of a sustained oscillation
+HELD = 2.0  # change in all its periods, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 WIDE, CLIPPED = 2.1, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
@@ -121,8 +121,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
     spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
-    rate = cause.growth(scaled)
-    if spin is not None and TURNED[0] < np.linalg.norm(spin[0]) < TURNED[1 if rate else 2]:
+    if spin is not None and np.linalg.norm(spin[0]) > TURNED:
         turn, z, steady = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
@@ -132,7 +131,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=SURE, note=note)
-    if rate:
+    if rate := cause.growth(scaled):
         return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=SURE, note=WRONG_SIGN)
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
@@ -156,11 +155,12 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     if unrest < STEADY and turns > PERIODS and alike:  # beside overtones a mode seems to decay
         mode = 1j * mode.imag
     change = mode.real * read.period
-    held, excited = bool(abs(change) < np.log(HELD)), bool(change < -np.log(HELD) and larger > LASTS)
+    held = bool(abs(change) * turns < np.log(HELD))
+    excited = bool(not held and change < 0 and larger > LASTS)
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": UNFINISHED}
     clipped, alone = change > 0 or held, read.dead is not None
-    drive, ends, present, most, wide = loop.drives_of(mode, Ts, alpha, clipped=clipped, alone=alone)
+    drive, ends, present, most, wide = loop.drives_of(mode, Ts, alpha, read.lags, clipped=clipped, alone=alone)
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     best = gains(Ts=Ts, drive=drive, method="EE").recommended
@@ -178,7 +178,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         likely = " and ".join(drive_in_words(end, Ts) for end in ends)
         notes.append(f"Likely are drives between {likely}; a recorded step narrows them (--step).")
     return {
-        "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
+        "kind": SUSTAINED if held else GROWING if change > 0 else RINGING,
         "cause": "drive" if read.dead is None else "dead time",
         "period": read.period,
         "growth": float(np.exp(mode.real)),

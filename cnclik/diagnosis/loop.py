@@ -37,6 +37,7 @@ class Loop(NamedTuple):
     evidence: float  # decrease of the information criterion by this loop
     swings: float  # share of the probability of loops that pass their target by VISIBLE
     dead: tuple | None  # ends of the rows of dead time, where that alone explains the log much better than any lag
+    lags: np.ndarray  # (2, n) lags [rows] and how likely they are
     rests: bool  # whether its steps are smaller in the end
     first: int  # rows that were read
     last: int
@@ -206,32 +207,38 @@ def read(y) -> Loop | None:
         near = dead[(lag == 0) & (score < least + AS_WELL)]
         interval = tuple(max((end + 0.5) * m - 0.5, 0.0) for end in (near.min() - 0.25, near.max() + 0.25))
     share = float(np.sum(odds[likely] * over) / np.sum(odds[likely]))
-    return Loop(modes[np.argmax(odds[likely])], float(none - score.min()), share, interval, rests, first, last)
+    # Evidence tells of lags only where dead time alone explains the log best: else a lag may stand for a servo.
+    lags = [odds[lag == each].max(initial=0.0) if lag[np.argmin(score)] == 0 else 1.0 for each in LAGS]
+    lags = np.array([np.array(LAGS) * m, lags])
+    return Loop(modes[np.argmax(odds[likely])], float(none - score.min()), share, interval, lags, rests, first, last)
 
 
 # --- drives that have a mode --------------------------------------------------------------------------
 
 
-def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> tuple:
+def drives_of(mode, Ts, alpha, lags, *, clipped, alone) -> tuple:
     """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
     Returns one that tolerates a gain between those of the ends; the ends, between which most of the likely ones are;
     the mean gain of their loops [1/s], the larger one of the ends, and the ratio of the gains that the ends tolerate.
-    Args: alpha: the loop's gain [1/s] if known. clipped: whether that of the mode may be lower. alone: dead time only.
+    Args:
+      alpha: the loop's gain [1/s] or None. lags: as in `Loop`.
+      clipped: whether the gain of the mode may be lower than alpha. alone: whether it is dead time only.
     """
-    s = mode / Ts
-    whole = max((np.pi - np.angle(s)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
+    s, step = mode / Ts, 2 * np.sinh(mode / 2) / Ts  # step: of the motion from sample to sample, s of slow modes
+    whole = max((np.pi - np.angle(step)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
     dead = whole * (np.ones(1) if alone else np.linspace(1, 0, 25))
-    turn = np.tan(np.angle(-np.exp(-s * dead) / s))  # of τs + 1
+    turn = np.tan(np.angle(-np.exp(-s * dead) / step))  # of τs + 1
     lag = np.where(dead < whole, turn / (s.imag - s.real * turn), 0.0)
     dead, lag = dead[lag >= 0], lag[lag >= 0]
-    gain = np.abs(s * np.exp(s * dead) * (1 + lag * s))
+    gain = np.abs(step * np.exp(s * dead) * (1 + lag * s))
     late = dead + Ts  # where two real poles −x meet nothing overshoots
     x = 2 / (2 * lag + late + np.sqrt(4 * lag**2 + late**2))
     calm = x * (1 - lag * x) * np.exp(-x * late)
     off = np.zeros(len(lag)) if alpha is None else np.log(gain / alpha)
     off = np.maximum(off, 0.0) if clipped else off
     odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
+    odds = odds * np.interp(lag / Ts, *lags)
     odds, order = odds / np.sum(odds), np.argsort(calm)
     ends = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [TAIL, 1 - TAIL]), len(order) - 1)]
     least, largest = np.log(calm[ends])
