@@ -7,7 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.diagnosis import cause, loop
 from cnclik.diagnosis.loop import EVIDENCE, SURELY
-from cnclik.diagnosis.recording import LEAST, columns
+from cnclik.diagnosis.recording import columns
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record
@@ -71,16 +71,16 @@ class Diagnosis:
     note: str = ""
 
     def __str__(self):
-        words = self.kind
+        words = [self.kind]
         if self.drive is not None:
-            words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
-            words += (
-                f", as with {drive_in_words(self.drive, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s"
-            )
-            words += f", {self.factor:.3g} times the present gain"
+            words += [
+                f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample, as with "
+            ]
+            words += [f"{drive_in_words(self.drive, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s, "]
+            words += [f"{self.factor:.3g} times the present gain"]
         elif self.growth is not None:
-            words += f": the error grows × {self.growth:.6g} per sample"
-        return f"{words}. {self.note}".strip()
+            words += [f": the error grows × {self.growth:.6g} per sample"]
+        return f"{''.join(words)}. {self.note}".strip()
 
 
 def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | None = None) -> Diagnosis:
@@ -95,17 +95,12 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
-    if alpha is not None:
-        alpha = float(errors.number("alpha", alpha, positive=True))
+    alpha = None if alpha is None else float(errors.number("alpha", alpha, positive=True))
     y = columns("signal", signal, "diagnose")
-    if len(y) < LEAST or y.shape[1] == 0:
-        raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     y_ = (y - y[0]) / (np.abs(y - y[0]).max() or 1.0)
     scaled = loop.prepared(y_)
     read = loop.read(scaled) if scaled.shape[1] else None
     fields = _seen(scaled, read, y_, Ts, alpha)
-    if alpha is None and "confidence" in fields:
-        fields["confidence"] = min(fields["confidence"], UNKNOWN)
     first, last = (0, len(y)) if read is None else (read.first, read.last)
     t, basis = np.arange(last - first), loop.path_basis(last - first, fields.get("period", np.inf))
     if read is not None and "period" in fields:
@@ -120,6 +115,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
+    sure = UNKNOWN if alpha is None else SURE
     spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
     if spin is not None and np.linalg.norm(spin[0]) > TURNED:
         turn, z, steady = spin
@@ -130,9 +126,9 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
-        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=SURE, note=note)
+        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=sure, note=note)
     if rate := cause.growth(scaled):
-        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=SURE, note=WRONG_SIGN)
+        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
             fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
@@ -186,7 +182,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         "drive": drive,
         "recommended_alpha": best,
         "factor": best / (alpha or present),
-        "confidence": UNKNOWN if excited or held else SURE,
+        "confidence": UNKNOWN if excited or held or alpha is None else SURE,
         "note": " ".join([*notes, UNLESS]),
     }
 

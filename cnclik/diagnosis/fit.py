@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import LARGEST, LEAST, columns, line, sampling_time
+from cnclik.diagnosis.recording import LARGEST, columns, line, sampling_time
 from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
@@ -29,8 +29,8 @@ EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
 BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
 EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
-OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
-FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
+OPEN, STEP = 0.35, 0.1  # deviation of a gain's logarithm, over a factor of four in its interval; change that is tried
+WIDE = 5.0  # largest deviation of a number that is said
 NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
 NOT_REBASED = (
     "No gain is safe for a loop whose position commands begin at the measured joints: begin each at the last one."
@@ -106,24 +106,18 @@ def fit_drive(
     Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
-    command, motion = (columns(n, v, "fit_drive") for n, v in (("command", command), ("motion", motion)))
-    if command.shape != motion.shape:
-        raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
-    if len(motion) < LEAST:
-        raise errors.fail("motion", f"have at least {LEAST} rows", f"has {len(motion)}")
+    command = columns("command", command, "fit_drive")
+    motion = columns("motion", motion, "fit_drive", like=command)
     for name, values in (("command", command), ("motion", motion)):
         if np.any(np.ptp(values, axis=0) <= np.maximum(1e-12 * np.abs(values).max(0), 1 / LARGEST)):
             raise errors.fail(name, "move in every column", "stands still")
-    Ts = sampling_time(t, Ts)
-    if t is not None and np.size(t) != len(command):
-        raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
-    log = _Log(command, motion, Ts, velocity)
+    log = _Log(command, motion, sampling_time(t, Ts, len(command)), velocity)
     best, score, fitted = "", np.inf, np.empty(0)
     for kind in list(NUMBERS)[: 3 + velocity]:
         values, lower = _least(log, kind, _starts(log, kind))
         if lower < score - BETTER:
             best, score, fitted = kind, lower, values
-    return _made(log, best, fitted)
+    return _fitted(log, best, fitted)
 
 
 class _Log:
@@ -247,10 +241,7 @@ def _least(log, kind, starts, late=None) -> tuple:
     return values[each], float(N * np.sum(np.log(left)) + numbers)
 
 
-# --- all joints together ------------------------------------------------------------------------------
-
-
-def _made(log, kind, fitted) -> DriveFit:
+def _fitted(log, kind, fitted) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
     names, every = NUMBERS[kind], np.arange(log.k)
     values, covs = _together(log, kind, fitted)
@@ -272,9 +263,8 @@ def _made(log, kind, fitted) -> DriveFit:
     if (integral := interval.pop("integral", None)) is not None:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
         notes.append(f"{said}: gains for its lag alone are low enough.")
-    if np.any(off := np.abs(gain - 1) > OFF):
-        span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
-        notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
+    if np.any(np.abs(gain - 1) > OFF):
+        notes.append(f"Motion is {_said(gain)} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
     moved = gain[:, None] * (log.response(kind, each, every) + log.base)
     return DriveFit(
@@ -347,12 +337,11 @@ def _recommended(log, kind, values, covs, gain) -> tuple:
         return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
 
     best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
-    one = values[j : j + 1]
-    size, ways = np.linalg.eigh(covs[j])
-    size = np.sqrt(np.maximum(size, 0.0))
-    spread = 0.0
-    for s, way in zip(size[size > FINE], ways.T[size > FINE], strict=True):
-        spread += (np.log(alpha(one + min(s, STEP) * way) / alpha(one)) * s / min(s, STEP)) ** 2
-    if best < 1e-6 or spread**0.5 > OPEN:
+    slowest = alpha(values[j : j + 1])
+    slope = np.array(
+        [np.log(alpha(values[j : j + 1] + STEP * way) / slowest) / STEP for way in np.eye(values.shape[1])]
+    )
+    spread = np.sqrt(max(slope @ covs[j] @ slope, 0.0))
+    if best < 1e-6 or spread > OPEN:
         return None, ["No gain: gains for the drives that explain the log differ too much. Record a larger step."]
-    return float(best * np.exp(-NORMAL * spread**0.5) / np.max(gain)), []
+    return float(best * np.exp(-NORMAL * spread) / np.max(gain)), []

@@ -136,21 +136,18 @@ def fits(y, period):
     first = most + 4
     rows, loops, none = N - first, [], np.inf
     path = path_basis(rows, period)
+    sizes = np.array([size for size in PATHS if size <= path.shape[1]])
     floor = (UNMODELLED**2 * np.var(np.diff(y, axis=0), axis=0) + 1e-12)[:, None]
     for lag, part in ((lag, part) for lag in LAGS for part in (0.0, 0.5)):
         A, b = polynomials(lag, part)
         for C in ([1.0], [1.0, -1.0], A)[: 2 + (lag > 0)]:
-            start, basis = len(C) // 3, path
-            if start:  # the time before the log decays as the lag
-                basis = np.linalg.qr(np.column_stack([A[2] ** np.arange(rows), path]))[0]
-            sizes = start + np.array([size for size in PATHS if size <= path.shape[1]])
             left, acts = lfilter(A, C, y, axis=0)[first:].T, lfilter(b, C, y, axis=0)
-            on = left @ basis
+            on = left @ path
             v0 = np.maximum((np.sum(left**2, 1)[:, None] - _sums(on**2, sizes)) / rows, 0.0) + floor
             both, square = np.empty((2, most + 1, k, len(sizes)))
             for c in range(k):
                 late = np.lib.stride_tricks.sliding_window_view(acts[first - 1 - most : N - 1, c], rows)[::-1]
-                across = late @ basis
+                across = late @ path
                 both[:, c] = ((late @ left[c])[:, None] - _sums(across * on[c], sizes)) / rows
                 square[:, c] = (np.einsum("di,di->d", late, late)[:, None] - _sums(across**2, sizes)) / rows
             square, v = np.maximum(square, 1e-300), v0

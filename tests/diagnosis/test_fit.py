@@ -122,13 +122,13 @@ def test_numbers_that_a_log_leaves_open_do_not_run_away():
     [
         (None, step(), np.ones(150), "Argument `motion` must move in every column, but stands still."),
         (None, 1e-200 * step(), step(), "Argument `command` must move in every column, but stands still."),
-        (None, step(), step()[:99], "Argument `motion` must have the shape of the commands, (150, 1), but has (99, 1)"),
-        (None, step(9), step(9), "Argument `motion` must have at least 16 rows, but has 9."),
+        (None, step(), step()[:99], "Argument `motion` must have shape (150, 1), but has shape (99, 1)."),
+        (None, step(9), step(9), "Argument `command` must have at least 16 rows, but has 9."),
         (None, [step()] * 2, [step(), NOISE], "Argument `motion` must be what the command leads to, but only 0 %"),
         (None, step(), -step(), "Argument `motion` must move by about what is commanded, but moves by -0.9"),
         (None, step(), 57.3 * step(), "Argument `motion` must move by about what is commanded, but moves by 5"),
         (np.arange(150) + 3 * step() // 2, step(), step(), "Argument `t` must have a row every 1 s, but row 11 comes"),
-        (np.arange(100.0), step(), step(), "Argument `t` must have the commands' 150 rows, but has 100"),
+        (np.arange(100.0), step(), step(), "Argument `t` must have 150 numbers, but has 100."),
     ],
 )
 def test_what_no_drive_explains_is_refused(t, command, motion, line):
