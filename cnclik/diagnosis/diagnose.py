@@ -187,9 +187,6 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
     }
 
 
-# --- stacks ---------------------------------------------------------------------------------------------
-
-
 @record
 class StackDiagnosis:
     """Answer of `diagnose_tasks`: what the logs of several tasks show.

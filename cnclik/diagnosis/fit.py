@@ -32,9 +32,7 @@ OFF = 0.02  # difference of a gain from 1 that deserves a note
 OPEN, STEP = 0.35, 0.1  # deviation of a gain's logarithm, over a factor of four in its interval; change that is tried
 WIDE = 5.0  # largest deviation of a number that is said
 NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
-NOT_REBASED = (
-    "No gain is safe for a loop whose position commands begin at the measured joints: begin each at the last one."
-)
+NOT_REBASED = "No gain is safe where position commands begin at the measured joints: begin each at the last one."
 
 
 @record

@@ -47,9 +47,6 @@ class Loop(NamedTuple):
         return 2 * np.pi / self.mode.imag if self.mode.imag > 1e-9 else np.inf
 
 
-# --- rows and columns ---------------------------------------------------------------------------------
-
-
 def noise_of(y):
     """(k,) standard deviation of white noise in columns that are smooth otherwise."""
     return np.median(np.abs(np.diff(y, 3, axis=0)), axis=0) / (0.6745 * np.sqrt(20))
@@ -113,9 +110,6 @@ def period_of(y) -> float:
     """The period [rows] of the most steps of y (N, k) beside a path."""
     power = np.sum(np.abs(np.fft.rfft(free(path_basis(len(y)), y), 4 * len(y), axis=0)) ** 2, 1)
     return 4 * len(y) / (6 + int(np.argmax((power * np.arange(len(power)))[6:])))
-
-
-# --- prediction errors --------------------------------------------------------------------------------
 
 
 def polynomials(lag, part):
@@ -208,9 +202,6 @@ def read(y) -> Loop | None:
     lags = [odds[lag == each].max(initial=0.0) if lag[np.argmin(score)] == 0 else 1.0 for each in LAGS]
     lags = np.array([np.array(LAGS) * m, lags])
     return Loop(modes[np.argmax(odds[likely])], float(none - score.min()), share, interval, lags, rests, first, last)
-
-
-# --- drives that have a mode --------------------------------------------------------------------------
 
 
 def drives_of(mode, Ts, alpha, lags, *, clipped, alone) -> tuple:
