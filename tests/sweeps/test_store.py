@@ -87,7 +87,7 @@ def stop_at(count):
 def test_an_interrupted_run_goes_on_and_ends_bit_identical(path, undisturbed, tmp_path):
     with pytest.raises(Stopped):
         store.run(read(path), tmp_path, progress=stop_at(80))
-    assert np.isnan(store.read(tmp_path).final_error).any() and store.blocks_missing(tmp_path)
+    assert np.isnan(store.read(tmp_path).final_error).any() and store.Store(tmp_path).missing()
     seen = []
     with jax.enable_x64(False):
         assert store.run(read(path), tmp_path, progress=lambda done, total: seen.append(total))
@@ -110,7 +110,7 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, copy):
     packed = bytearray(chunks[3].read_bytes())
     packed[6] ^= 128  # of the size that the chunk has when it is unpacked
     chunks[3].write_bytes(packed)
-    assert store.blocks_missing(copy) == 4
+    assert len(store.Store(copy).missing()) == 4
     with pytest.raises((RuntimeError, ValueError)):
         store.read(copy).final_error.load()  # a reader gets no damaged block
     seen = []
@@ -140,7 +140,7 @@ def test_what_is_no_sweeps_stays(path, tmp_path):
 def test_descriptions_that_cannot_be_read_are_refused(path, copy, damage):
     described = copy / "data.zarr/zarr.json"
     described.write_text({"cut": described.read_text()[:-40], "nested": "[" * 99999}[damage])
-    for use in (store.read, store.blocks_missing, lambda folder: store.run(read(path), folder)):
+    for use in (store.read, store.Store, lambda folder: store.run(read(path), folder)):
         with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
             use(copy)
 
@@ -176,7 +176,7 @@ def test_a_full_disk_stops_cleanly(path, undisturbed, tmp_path, monkeypatch):
         patched.setattr(store.Store, "write", full)
         with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 24 blocks; they are kept"):
             store.run(read(path), tmp_path)
-    assert store.blocks_missing(tmp_path) == 20
+    assert len(store.Store(tmp_path).missing()) == 20
     assert store.run(read(path), tmp_path)
     assert_same(tmp_path, undisturbed)
 
@@ -245,7 +245,7 @@ def test_a_lost_process_of_four_is_made_good_by_a_rerun(path, undisturbed, tmp_p
     processes[victim].send_signal(signal.SIGKILL)
     done = finish(processes)
     assert processes[victim].returncode == -signal.SIGKILL, done
-    assert store.blocks_missing(tmp_path) > 0
+    assert store.Store(tmp_path).missing()
     done = finish(start_together(path, tmp_path, 4))
     assert all(code == 0 for _, code in done), done
     assert_same(tmp_path, undisturbed)
