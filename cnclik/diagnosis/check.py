@@ -158,12 +158,8 @@ def _rows(t, moved, Ts) -> tuple:
     same, back = step == 0, step < 0
     way = np.convolve(moved, [1.0, 0.0, 0.0, 0.0, 1.0], "same")  # a stale row: steady motion stops, and makes up for it
     same[2:-2] |= (moved[2:-2] == 0) & (np.abs(moved[3:-1] / np.maximum(way[2:-2], 1e-300) - 1) < 0.1)
-    counts = {"missing": np.where(late, np.round(step / Ts) - 1, 0), "repeated": 1.0 * same, "reversed": 1.0 * back}
-    findings = [
-        Finding(what=what, column="", value=float(count.sum()), unit="rows", at=float(t[np.argmax(count > 0) + 1]))
-        for what, count in counts.items()
-        if count.any()
-    ]
+    counts = {"missing": np.where(late, np.round(step / Ts) - 1, 0), "repeated": same, "reversed": back}
+    findings = [_worst(what, (n > 0) * n.sum(), t[1:], "", "rows") for what, n in counts.items() if n.any()]
     kept = np.concatenate([[0], np.flatnonzero(step != 0) + 1])
     return findings, kept, (late | back)[kept[1:] - 1]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis import cause, loop
-from cnclik.diagnosis.loop import EVIDENCE, SURELY
+from cnclik.diagnosis import loop
 from cnclik.diagnosis.recording import columns
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
@@ -15,14 +14,15 @@ from cnclik.stability.gain import gains
 
 RINGING, SUSTAINED, GROWING = "ringing", "sustained oscillation", "growing oscillation"
 DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
-EVIDENCE_KNOWN = 20.0  # as EVIDENCE, of a loop whose gain is known
+EVIDENCE = 45.0  # decrease of the information criterion from which on an oscillation is a loop's
+EVIDENCE_KNOWN = 20.0  # of a loop whose gain is known
 EVIDENCE_EXCITED = 90.0  # of one that does not decay as its mode does
-LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
+SURELY = 0.9  # share of the probability that loops which swing must have
 SURE, UNKNOWN = 0.95, 0.8  # confidence: of a free oscillation; without alpha or as of a path
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
-SIZES = (0.8, 1.7)  # ratio of two sizes that are one
+SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
 TURNED = 27.0  # [degrees], by less than which an error passes its target by less than 0.2 %
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY = 0.1  # unrest of a sustained oscillation, at most
@@ -116,7 +116,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
     sure = UNKNOWN if alpha is None else SURE
-    spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
+    spin = loop.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
     if spin is not None and np.linalg.norm(spin[0]) > TURNED:
         turn, z, steady = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
@@ -127,7 +127,7 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
         return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=sure, note=note)
-    if rate := cause.growth(scaled):
+    if rate := loop.growth(scaled):
         return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
@@ -146,28 +146,26 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
 def _swing(rows, read, Ts, alpha) -> dict | None:
     """Fields of a `Diagnosis` of a mode that swings; None where it may be something else."""
     mode, turns = read.mode, len(rows) / read.period
-    faster, larger, unrest = cause.swept(loop.main_parts(rows), read.period)
+    faster, larger, unrest = loop.swept(loop.main_parts(rows), read.period)
     alike = SIZES[0] < larger < SIZES[1]
     if unrest < STEADY and turns > PERIODS and alike:  # beside overtones a mode seems to decay
         mode = 1j * mode.imag
     change = mode.real * read.period
     held = bool(abs(change) * turns < np.log(HELD))
-    excited = bool(not held and change < 0 and larger > LASTS)
+    excited = bool(not held and change < 0 and larger > SIZES[0])
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    clipped, alone = change > 0 or held, read.dead is not None
-    drive, ends, present, most, wide = loop.drives_of(mode, Ts, alpha, read.lags, clipped=clipped, alone=alone)
+    drives = loop.drives_of(mode, Ts, alpha, read.lags, clipped=change > 0 or held, alone=read.dead is not None)
+    drive, ends, present, most, wide = drives
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     best = gains(Ts=Ts, drive=drive, method="EE").recommended
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
-        note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
-        return {"kind": CALM, "note": note}
-    needed, many = EVIDENCE if alpha is None else EVIDENCE_KNOWN, 1.5
-    if excited or held:
-        needed, many = EVIDENCE_EXCITED if alpha is None else needed, PERIODS
+        return {"kind": CALM, "note": f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."}
+    lasts = excited or held
+    needed = EVIDENCE_KNOWN if alpha is not None else EVIDENCE_EXCITED if lasts else EVIDENCE
     overshoot = np.exp(0.5 * read.mode.real * read.period)
-    if turns < many or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
+    if turns < (PERIODS if lasts else 1.5) or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
         return None
     notes = ["Noise excites it again and again."] * excited + [PATH] * held
     if read.dead is None:
@@ -182,7 +180,7 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         "drive": drive,
         "recommended_alpha": best,
         "factor": best / (alpha or present),
-        "confidence": UNKNOWN if excited or held or alpha is None else SURE,
+        "confidence": UNKNOWN if lasts or alpha is None else SURE,
         "note": " ".join([*notes, UNLESS]),
     }
 
@@ -233,6 +231,6 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     lead = max(swing, key=lambda found: (found.confidence, found.growth**found.period))
     best = lead.recommended_alpha
     change = [name for name, gain in known.items() if gain > ABOVE * best]
-    along = [name for name, found in tasks.items() if found.period and abs(found.period / lead.period - 1) < ALIKE]
-    change += [name for name in along if name not in known]
+    along = {name for name, found in tasks.items() if found.period and abs(found.period / lead.period - 1) < ALIKE}
+    change += sorted(along - known.keys())
     return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)

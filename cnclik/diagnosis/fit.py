@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import LARGEST, columns, line, sampling_time
+from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
 from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
@@ -130,7 +130,7 @@ class _Log:
         self.base = unit * command[0][:, None] * (self.t if velocity else 1.0 + 0 * self.t)
         self.length = 1 << (2 * len(motion) - 1).bit_length()
         self.changes = np.fft.rfft(unit * np.diff(command, axis=0, prepend=command[:1]).T, self.length)
-        self.line = np.linalg.qr(line(len(motion)))[0].T  # (2, N) orthonormal
+        self.line = np.linalg.qr(np.vander(np.linspace(-1, 1, len(motion)), 2))[0].T  # (2, N) orthonormal
 
     def response(self, kind, values, joint):
         """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
@@ -211,8 +211,8 @@ def _least(log, kind, starts, late=None) -> tuple:
 
     Args: starts: (k, s, p), of which the better one counts for each joint. late: the dead time, if that is fixed.
     """
-    low, high = np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
-    low[0], high[0] = (0.0, MOST - 1.0) if late is None else (late, late)
+    delay = (0.0, MOST - 1.0) if late is None else (late, late)
+    low, high = np.array([delay, *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
     N = len(log.t)
     values = np.clip(starts, low, high)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
@@ -280,7 +280,9 @@ def _fitted(log, kind, fitted) -> DriveFit:
 
 def _together(log, kind, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; their covariances)."""
-    information = _information(log, kind, fitted)
+    left, slope = log.slopes(kind, fitted, np.arange(log.k))
+    power = (np.sum(left**2, -1) / max(len(log.t) - slope.shape[-1] - 3, 1) + 1e-12) * [correlated(row) for row in left]
+    information = np.einsum("kni,knj->kij", slope, slope) / power[:, None, None]
     shared, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean = shared @ np.einsum("kij,kj->i", information, fitted)
     apart = np.einsum("ki,kij,kj->", fitted - mean, information, fitted - mean)
@@ -292,16 +294,8 @@ def _together(log, kind, fitted) -> tuple:
     return _least(log, kind, fitted[:, None], late)[0], each
 
 
-def _information(log, kind, values):
-    """(k, p, p) of the values of each joint: residuals count as often as they are independent."""
-    left, slope = log.slopes(kind, values, np.arange(log.k))
-    free = max(len(log.t) - slope.shape[-1] - 3, 1)
-    power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
-    return np.einsum("kni,knj->kij", slope, slope) / power[:, None, None]
-
-
 def correlated(left) -> float:
-    """The correlation length of a residual (N,) [samples]: 1 for white noise."""
+    """The correlation length of a residual (N,) [samples], 1 for white noise, by which it counts as fewer rows."""
     left = left - left.mean()
     N, power = len(left), float(left @ left) or 1.0
     share = np.fft.irfft(np.abs(np.fft.rfft(left, 2 * N)) ** 2, 2 * N)[: N // 2] / power

@@ -10,10 +10,7 @@ MISSING, BESIDE = 0.6, 12  # of a step, by which the rows after a gap come late;
 
 
 def columns(name, values, door, *, least=LEAST, like=None):
-    """Return a log as columns (N, k). Raises: ArgumentError for other numbers, few rows, and another shape than like's.
-
-    Args: door: the function that the user called. like: other columns, or None.
-    """
+    """Return a log as columns (N, k), as many as `like` has. Raises: ArgumentError, also of what `door` can't trace."""
     values = errors.array(name, values, (None,), (None, None), most=LARGEST)
     if not errors.concrete(values):
         raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
@@ -24,11 +21,6 @@ def columns(name, values, door, *, least=LEAST, like=None):
     if len(values) < least or values.shape[1] == 0:
         raise errors.fail(name, f"have at least {least} rows", f"has {len(values) if values.shape[1] else 0}")
     return values
-
-
-def line(N):
-    """Return an offset and a drift as columns (N, 2)."""
-    return np.linspace(-1, 1, N)[:, None] ** np.arange(2)
 
 
 def sampling_time(t, Ts, N=None) -> float:
