@@ -86,9 +86,8 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
     late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
     if drive.filters == "error":
         smooth = jnp.zeros_like(at.e)
-    if drive.filters == "target":  # which was where the robot is, where that is known
-        here = (part.here(at.robot) for part in law.task.parts)
-        smooth = tuple(aim if own is None else own for aim, own in zip(at.aims, here, strict=True))
+    if drive.filters == "target":  # which was where the robot is
+        smooth = tuple(part.here(at.robot) for part in law.task.parts)
     return State(q0, drives=resting(law.chain, drive, loop.model, q0, late, smooth))
 
 

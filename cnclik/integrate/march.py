@@ -15,7 +15,6 @@ from cnclik.law.reference import sample
 from cnclik.record import Array, Float
 from cnclik.robot import chart
 from cnclik.robot.chart import centre
-from cnclik.task.task import velocity
 
 
 class Moved(NamedTuple):
@@ -130,27 +129,23 @@ def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
     task, target, feedforward = law.task, ahead(law, reference, at, t, Ts), law.feedforward
     held, null = held_feedback(law, at.e, target.turns, Ts), held_null(law, q, Ts)
     xdot_d, mean = feedforward * at.xdot_d, feedforward * target.mean
-    targets = {0.0: (at.aims, feedforward * at.motion)}
+    rates = {0.0: xdot_d}
     for c in method.c:
-        if c not in targets:
-            aims, motion = sample(reference, task, t + c * Ts)
-            targets[c] = aims, feedforward * motion
+        if c not in rates:
+            rates[c] = feedforward * sample(reference, task, t + c * Ts)[1]
     low = method.order <= CLOSED
-    quadrature = velocity(task, at.robot, at.aims, combine(method.b, [targets[c][1] for c in method.c]))
-    missed = closure(law, mean, quadrature, low)
+    missed = closure(law, mean, combine(method.b, [rates[c] for c in method.c]), low)
     if low:
         feedback = [held + missed] * len(method.c)
     else:
         none = (None,) * len(task.parts)
         turns = [ahead(law, reference, at, t, c * Ts).turns if c else none for c in method.c]
         feedback = [w + missed for w in feedback_within(law, at.e, method.c, turns, Ts)]
-    stages = [(targets[c][0] if task.tied else None, targets[c][1], w) for c, w in zip(method.c, feedback, strict=True)]
+    stages = [rates[c] + w for c, w in zip(method.c, feedback, strict=True)]
 
-    def field(stage, q):
-        aims, motion, correction = stage
-        there = rows_at(law, q, aims)._replace(e=at.e)
-        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, null)
+    def field(velocity, q):
+        return resolve(law, q, rows_at(law, q)._replace(e=at.e), velocity, null)
 
-    first = resolve(law, q, at, xdot_d + feedback[0], null)
+    first = resolve(law, q, at, stages[0], null)
     field, y = charted(law.chain, q, field), centre(law.chain, q)
     return march(field, y, Ts, method, stage, first, at=stages)

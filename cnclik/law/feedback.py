@@ -18,7 +18,6 @@ from cnclik.law.paths import Tangent
 from cnclik.law.reference import aims_of, by_target
 from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3
-from cnclik.task.task import velocity
 
 _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
 
@@ -93,13 +92,13 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
     """
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
-    means, turns, before = [], [], zip(at.aims, law.task.motions, strict=True)
+    means, turns, before = [], [], zip(at.aims, law.task.slices, strict=True)
     for path, task in by_target(reference, law.task):
         constant = path.still or isinstance(path.curve, Tangent)
         later = (None,) * len(task.parts) if constant else aims_of(path, task, t + Ts)
         for part, aim in zip(task.parts, later, strict=True):
             now, where = next(before)
-            xdot, turn = at.motion[where], None
+            xdot, turn = at.xdot_d[where], None
             if aim is not None:
                 went, turn = part.mean(aim, now)
                 xdot = jnp.where(still, xdot, went / safe)
@@ -107,4 +106,4 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                 turn = exp_so3(Ts * xdot)
             means.append(xdot)
             turns.append(turn)
-    return Ahead(velocity(law.task, at.robot, at.aims, jnp.concatenate(means)), tuple(turns))
+    return Ahead(jnp.concatenate(means), tuple(turns))

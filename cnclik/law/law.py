@@ -30,7 +30,7 @@ from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
 from cnclik.task.parts import At
-from cnclik.task.task import Task, coordinates, error, rows, velocity
+from cnclik.task.task import Task, coordinates, error, rows
 
 
 @record
@@ -198,31 +198,29 @@ class Observation(NamedTuple):
     x: Callable | None = None  # x(): task coordinates (m,)
     xdot_d: Float[Array, " m"] | None = None
     aims: tuple[Array, ...] = ()  # the targets, of each part of the task
-    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for functions of the target
 
 
 @precise
 def observe(law: Law, reference, t, q, offset=None) -> Observation:
     """Observe the robot at q, and the target at t. Args: offset: (m,) what a measurement adds to the error, or None."""
-    aims, motion = ref.sample(reference, law.task, t)
+    aims, xdot_d = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
     e = error(task, robot, aims)
     return Observation(
-        rows=rows(task, robot, aims),
+        rows=rows(task, robot),
         robot=robot,
         e=e if offset is None else e + offset,
         x=lambda: coordinates(task, robot),
-        xdot_d=velocity(task, robot, aims, motion),
+        xdot_d=xdot_d,
         aims=aims,
-        motion=motion,
     )
 
 
 @precise
-def rows_at(law: Law, q, aims=None) -> Observation:
+def rows_at(law: Law, q) -> Observation:
     """Observe the rows of J only."""
     robot = At(modelled(law.chain), q)
-    return Observation(rows=rows(law.task, robot, aims), robot=robot)
+    return Observation(rows=rows(law.task, robot), robot=robot)
 
 
 def newton(law: Law, rows, factored, velocity, f, h, k):

@@ -127,9 +127,9 @@ def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
 
 
 def sample(reference, task: Task, t):
-    """Return the target of each part of a task at time t and its velocity: (aims, (w,)).
+    """Return the target of each part of a task at time t and its velocity: (aims, ẋ_d (m,)).
 
-    The motion holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
+    ẋ_d holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
     aims, motions = [], []
     for path, parts in by_target(reference, task):

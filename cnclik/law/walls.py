@@ -88,7 +88,7 @@ def wall(
       name: name of the wall in messages and results; default: its number.
     """
     task = errors.kind("task", task, Task)
-    if any(part.turns or part.tied for part in task.parts):
+    if any(part.turns for part in task.parts):
         raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
     if (above is None) == (below is None):
         found = "neither is" if above is None else "both are"
