@@ -21,13 +21,12 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.law.inverse import ROUNDED, by_shift, positive, scaled, through
+from cnclik.law.inverse import by_shift, positive, scaled, through
 from cnclik.law.limits import Evaluation, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
 from cnclik.record import Array, Bool, Float, Int, Number, record, replace
 
 LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
-LEAST_SHARES = ROUNDED | {8: LEAST}  # the same for each level, by the bytes of a float
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
 _ENOUGH = 0.1  # of the fall of the cost that the slope along a clipped step promises
 _SWEEPS = 6  # before the descent: a sweep takes an eighth of a pass, and six save almost two passes of the slowest lane

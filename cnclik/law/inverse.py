@@ -7,7 +7,6 @@ An inverse is a record. Called with the rows of J and the error, both weighted, 
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.record import Array, Float, Number, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 
 
 class Factored(NamedTuple):
@@ -58,7 +57,7 @@ class Pseudoinverse:
 class Damping:
     """What damped inverses share: Jᵀ (J Jᵀ + D)⁻¹, where D is λ² of all rows, or of each."""
 
-    shift: Callable  # of the rows and the error: λ²; and of the least share of tr(J Jᵀ), see `tiny_shift`
+    shift: Callable  # of the rows and the error: λ², or one per row
 
     def __call__(self, rows, e) -> Factored:
         return by_shift(rows, self.shift(rows, e))
@@ -70,7 +69,7 @@ class Damped(Damping):
 
     damping: Number  # λ, never λ²
 
-    def shift(self, rows, e, share=ROUNDED):
+    def shift(self, rows, e):
         return self.damping * self.damping
 
 
@@ -84,9 +83,9 @@ class SingularDamped(Damping):
     def __call__(self, rows, e) -> Factored:
         return super().__call__(rows, e)._replace(least=lax.stop_gradient(jnp.sqrt(least_squared(rows))))
 
-    def shift(self, rows, e, share=ROUNDED):
+    def shift(self, rows, e):
         part = jnp.maximum(1.0 - least_squared(rows) / (self.threshold * self.threshold), 0.0)
-        return jnp.maximum(part * self.damping * self.damping, tiny_shift(rows, share))
+        return jnp.maximum(part * self.damping * self.damping, tiny_shift(rows))
 
 
 @record
@@ -95,7 +94,7 @@ class ErrorDamped(Damping):
 
     damping: Number  # λ at e = 0, never λ²
 
-    def shift(self, rows, e, share=ROUNDED):
+    def shift(self, rows, e):
         return self.damping * self.damping + 0.5 * (e @ e)
 
 
@@ -104,7 +103,7 @@ class Levels(Damping):
     """See `levels`."""
 
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
-    damping: tuple[Damped | SingularDamped | ErrorDamped, ...]
+    damping: Float[Array, " levels"]  # λ, never λ²
     level: tuple[int, ...] = ()  # of each row of the law's task
 
     def on(self, task) -> Levels:
@@ -114,12 +113,8 @@ class Levels(Damping):
         level = {name: i for i, names in enumerate(self.names) for name in names}
         return replace(self, level=tuple(level[name] for name, at in task.each for _ in range(at.start, at.stop)))
 
-    def shift(self, rows, e, share=ROUNDED):
-        each = []
-        for i, damping in enumerate(self.damping):
-            at = np.flatnonzero(np.array(self.level) == i)
-            each.append(jnp.asarray(damping.shift(rows[at], e[at], share), rows.dtype))
-        return jnp.stack([each[i] for i in self.level])
+    def shift(self, rows, e):
+        return (self.damping * self.damping)[np.array(self.level)]
 
 
 def by_shift(rows, shift) -> Factored:
@@ -224,7 +219,7 @@ def error_damped(damping: Number) -> ErrorDamped:
     return ErrorDamped(damping=positive("damping", damping))
 
 
-def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
+def levels(*names: Sequence[str], damping: Float[ArrayLike, " levels"]) -> Levels:
     """Put each task of a stack on a priority level, of which the first comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
 
     D holds λ² of each row's level: the recursion of Siciliano & Slotine (1991) with damped inverses and the matching
@@ -233,24 +228,16 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
 
     Args:
       names: names of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
-      damping: for each level λ (not λ²), or its own damped(...), error_damped(...) or, of the first level,
-        singular_damped(...). It grows from level to level: a smaller damping is what makes a level come first.
-
-    Raises: ArgumentError if the damping does not grow from one level to the next.
+      damping: λ (not λ²) of each level, positive. It grows from level to level: a smaller damping is what makes a level
+        come first.
     """
     if not names or not all(isinstance(some, (list, tuple)) for some in names):
         raise errors.fail("names", 'be a list of names for each level, such as ["feet"]', f"is {names!r}")
-    if (not isinstance(damping, (list, tuple)) and getattr(damping, "ndim", 0) != 1) or len(damping) != len(names):
-        raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
-    kinds = (Damped, SingularDamped, ErrorDamped)
-    each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
-    for level, (before, one) in enumerate(itertools.pairwise(each), 1):
-        must = f"be larger than that of the level before, {before.damping}, which has priority by its smaller damping"
-        if isinstance(one, SingularDamped):
-            raise errors.fail(f"damping[{level}]", must, "is 0 away from singularities")
-        if errors.concrete(before.damping) and errors.concrete(one.damping) and one.damping <= before.damping:
-            raise errors.fail(f"damping[{level}]", must, f"is {one.damping}")
-    return Levels(names=tuple(tuple(some) for some in names), damping=each)
+    damping = errors.array("damping", damping, (len(names),), of="dampings")
+    if errors.concrete(damping) and np.any(np.diff(np.asarray(damping), prepend=0.0) <= 0):
+        must = "be positive and grow from level to level: a smaller one comes first"
+        raise errors.fail("damping", must, f"is {np.asarray(damping).tolist()}")
+    return Levels(names=tuple(map(tuple, names)), damping=damping)
 
 
 def singular_damped(damping: Number, threshold: Number) -> SingularDamped:

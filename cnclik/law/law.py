@@ -19,7 +19,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.bounded import LEAST_SHARES, Bounded
+from cnclik.law.bounded import Bounded
 from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
 from cnclik.law.limits import Evaluation, Scaled, slowed
 from cnclik.law.paths import A_REFERENCE
@@ -162,7 +162,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     task = law.task
     rows, velocity, e = (weighted(task, each) for each in (at.rows, velocity, at.e))
     if isinstance(law.limits, Bounded):
-        moved = law.limits(law.inverse.shift(rows, e, LEAST_SHARES), law.chain, q, rows, velocity, null)
+        moved = law.limits(law.inverse.shift(rows, e), law.chain, q, rows, velocity, null)
     else:
         factored = law.inverse(rows, e)
         qdot, limited = through(factored.apply, rows, velocity, null), False
@@ -185,7 +185,7 @@ def metric(law: Law):
     """
     weights = jnp.asarray(weighted(law.task, np.ones(law.task.m)))
     if isinstance(law.inverse, Levels):
-        weights = weights / jnp.stack([one.damping for one in law.inverse.damping])[np.array(law.inverse.level)]
+        weights = weights / jnp.asarray(law.inverse.damping)[np.array(law.inverse.level)]
     return weights / jnp.max(weights)
 
 
