@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from tests.bank import screws
 from tests.oracles import AMPLIFICATION, close
 from tests.refusals import refusals
 
@@ -16,7 +17,7 @@ Z = [0.1, 0.5, 1.0, 1.354, 2.0, 2.7852935634, 3.3]
 
 # One joint that slides along x, and x as its task: J = 1, so one step shrinks the error by R(z), exactly.
 
-SLIDER = ck.from_screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
+SLIDER = screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
 SLIDE = ck.Law(SLIDER, ck.position("x"), alpha=1.0)
 
 

@@ -15,13 +15,14 @@ from cnclik.law.bounded import Bounded
 from cnclik.record import record
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
+from tests.bank import screws
 from tests.law.test_bounded import RATE, draws
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS
 from tests.task.test_shapes import HUMANOID
 
 ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
-GANTRY = ck.from_screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
+GANTRY = screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
 
 
 def wall_distance(law, q):

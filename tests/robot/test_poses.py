@@ -43,7 +43,6 @@ DOORS = {
     "reach": lambda x: rows(read(x, pose())),
     "with_tool": lambda x: tip_of(ck.with_tool(STRAIGHT, x)),
     "with_base": lambda x: tip_of(ck.with_base(STRAIGHT, x)),
-    "home": lambda x: tip_of(ck.from_screws([[0, 0, 0]], [[0, 0, 1]], x)),
 }
 FORMS = {
     "array": T,

@@ -11,10 +11,11 @@ from cnclik.law.reference import aims_of
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from cnclik.task.task import error, rows
+from tests.bank import screws
 from tests.oracles import close
 from tests.refusals import refusals
 
-ARM = ck.from_screws(
+ARM = screws(
     [[0.0, 0, 0], [0, 0, 0.3], [0, 0.4, 0.3], [0, 0.8, 0.3]],
     [[0.0, 0, 1], [1, 0, 0], [1, 0, 0], [0.6, 0, 0.8]],
     [0.1, 1.0, 0.3],
