@@ -69,7 +69,7 @@ class Line:
 
 
 @record
-class Periodic:
+class Circle:
     center: Float[Array, " d"]
     first: Float[Array, " d"]  # from the centre at t = 0
     second: Float[Array, " d"]  # and a quarter of a cycle later
@@ -80,6 +80,11 @@ class Periodic:
     def __call__(self, t):
         angle = 2 * math.pi / self.period * t * self.frequency
         return self.center + jnp.cos(angle) * self.first + jnp.sin(angle) * self.second, self.rotation
+
+
+@record
+class Lissajous(Circle):
+    """See `lissajous`."""
 
 
 @record
@@ -239,7 +244,8 @@ def circle(
         raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
     xp = poses.library(phase)  # NumPy compiles nothing
     c, s = xp.cos(phase), xp.sin(phase)
-    return _periodic(period, rotation, center=center, first=radius * (c * u + s * v), second=radius * (c * v - s * u))
+    first, second = radius * (c * u + s * v), radius * (c * v - s * u)
+    return _periodic(Circle, period, rotation, center=center, first=first, second=second)
 
 
 def lissajous(
@@ -266,14 +272,14 @@ def lissajous(
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
     amplitude, xp = errors.array("amplitude", amplitude, (d,)), poses.library(phase)
     first, second = amplitude * xp.sin(phase), amplitude * xp.cos(phase)
-    return _periodic(period, rotation, center=center, first=first, second=second, frequency=frequency)
+    return _periodic(Lissajous, period, rotation, center=center, first=first, second=second, frequency=frequency)
 
 
-def _periodic(period, rotation, **fields):
+def _periodic(kind, period, rotation, **fields):
     """Return the reference of a periodic curve."""
     if errors.concrete(errors.number("period", period)) and float(period) == 0:
         raise errors.fail("period", "not be 0", "is 0")
-    return Reference(curve=Periodic(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
+    return Reference(curve=kind(rotation=_rotation("rotation", rotation), period=leaf(period), **fields))
 
 
 def waypoints(
