@@ -10,11 +10,14 @@ from jax import lax
 
 from cnclik.integrate.method import Method
 from cnclik.law.feedback import ahead, feedback_within, held_feedback, held_null
-from cnclik.law.law import resolve, rows_at
+from cnclik.law.law import resolve
 from cnclik.law.reference import sample
+from cnclik.precision import precise
 from cnclik.record import Array, Float
 from cnclik.robot import chart
 from cnclik.robot.chart import centre
+from cnclik.task.parts import At
+from cnclik.task.task import rows
 
 
 class Moved(NamedTuple):
@@ -126,25 +129,25 @@ def closure(law, mean, quadrature, turns):
 
 def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
     """Make one step of the exponential form of a tableau, from the law's observation at q and t."""
-    task, target, feedforward = law.task, ahead(law, reference, at, t, Ts), law.feedforward
-    held, null = held_feedback(law, at.e, target.turns, Ts), held_null(law, q, Ts)
-    xdot_d, mean = feedforward * at.xdot_d, feedforward * target.mean
-    rates = {0.0: xdot_d}
+    task, feedforward, null = law.task, law.feedforward, held_null(law, q, Ts)
+    mean, turns = ahead(law, reference, at, t, Ts)
+    rates = {0.0: feedforward * at.xdot_d}
     for c in method.c:
         if c not in rates:
             rates[c] = feedforward * sample(reference, task, t + c * Ts)[1]
     low = method.order <= CLOSED
-    missed = closure(law, mean, combine(method.b, [rates[c] for c in method.c]), low)
+    missed = closure(law, feedforward * mean, combine(method.b, [rates[c] for c in method.c]), low)
     if low:
-        feedback = [held + missed] * len(method.c)
+        feedback = [held_feedback(law, at.e, turns, Ts)] * len(method.c)
     else:
         none = (None,) * len(task.parts)
-        turns = [ahead(law, reference, at, t, c * Ts).turns if c else none for c in method.c]
-        feedback = [w + missed for w in feedback_within(law, at.e, method.c, turns, Ts)]
-    stages = [rates[c] + w for c, w in zip(method.c, feedback, strict=True)]
+        within = [ahead(law, reference, at, t, c * Ts)[1] if c else none for c in method.c]
+        feedback = feedback_within(law, at.e, method.c, within, Ts)
+    stages = [rates[c] + (w + missed) for c, w in zip(method.c, feedback, strict=True)]
 
+    @precise
     def field(velocity, q):
-        return resolve(law, q, rows_at(law, q)._replace(e=at.e), velocity, null)
+        return resolve(law, q, at._replace(rows=rows(task, At(law.chain, q))), velocity, null)
 
     first = resolve(law, q, at, stages[0], null)
     field, y = charted(law.chain, q, field), centre(law.chain, q)

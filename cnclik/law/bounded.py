@@ -330,10 +330,9 @@ def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -
     possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
     (λ₁/λ₂)². Derivatives are those of the minimum on its face of the box.
 
-    It needs an inverse with damping, best a constant one, or levels: `singular_damped` has none where joints at their
-    bounds leave the others singular, and joints may then jump between bounds. λ² is at least 1e-10 of the trace of
-    J Jᵀ. A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut
-    short.
+    It needs a damped inverse, best a constant one or levels; with `singular_damped` joints may jump between bounds. λ²
+    is at least 1e-10 of the trace of J Jᵀ. A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where
+    the descent at its start was cut short.
 
     Args:
       rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.

@@ -9,14 +9,11 @@ k e^{−k·s} T(s) e_R, and a constant one, to second order in the turn, the mea
 (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 
 from cnclik.law.law import Law, clamped, null_velocity
 from cnclik.law.paths import Tangent
 from cnclik.law.reference import aims_of, by_target
-from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3
 
 _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
@@ -78,17 +75,11 @@ def held_null(law: Law, q, Ts):
     return None if posture is None else _share(posture.rate * Ts) * null_velocity(law, q)
 
 
-class Ahead(NamedTuple):
-    """The target's motion in a step."""
-
-    mean: Float[Array, " m"]  # its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
-    turns: tuple[Array | None, ...]  # of each part R_d(t + Ts) R_d(t)ᵀ, where a whole orientation turns
-
-
-def ahead(law: Law, reference, at, t, Ts) -> Ahead:
+def ahead(law: Law, reference, at, t, Ts) -> tuple:
     """Return the target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
 
-    The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
+    Returns: its mean velocity (m,) [m/s, rad/s], of a turn log(R_d(t + Ts) R_d(t)ᵀ)/Ts, at Ts = 0 the velocity; and of
+      each part R_d(t + Ts) R_d(t)ᵀ, or None where no whole orientation turns.
     """
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
@@ -106,4 +97,4 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                 turn = exp_so3(Ts * xdot)
             means.append(xdot)
             turns.append(turn)
-    return Ahead(jnp.concatenate(means), tuple(turns))
+    return jnp.concatenate(means), turns

@@ -194,8 +194,7 @@ def pseudoinverse() -> Pseudoinverse:
 
     J# = P + P (I − J P) with P = Jᵀ (J Jᵀ + λ² I)⁻¹ and λ² = 2⁻⁴⁶ tr(J Jᵀ) in float64, 2⁻²¹ tr(J Jᵀ) in float32. It
     errs by (λ²/(σ² + λ²))², by the least singular value σ: less than 1e-10 at σ = 1e-4 ‖J‖ and 0.2 % at 1e-6 ‖J‖, in
-    float32 less than 0.1 % at 0.01 ‖J‖. Nearer to a singularity it is damped, and its joint velocities there are large,
-    as they are by definition; use `damped` for a robot.
+    float32 less than 0.1 % at 0.01 ‖J‖. Joint velocities near a singularity are large: use `damped` for a robot.
     """
     return Pseudoinverse()
 

@@ -60,16 +60,16 @@ class Law:
       chain: the robot.
       task: what is controlled: position(...), orientation(...) or pose(...) of a tip, joints(...), several of them
         joined by `&`, or a stack(name=task, ...).
-      alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. It is a
-        rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
+      alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. The
+        dimensionless gain per step of pink and mink is z = alpha·Ts.
       inverse: J#: pseudoinverse(), damped(λ), singular_damped(...), error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
       null_velocity: posture(q_rest, rate), whose joint velocity q̇₀ acts in the null space, or None.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
-        far away or out of reach then acts like one at that distance; see `clamped`.
-      near_singular: steps whose least singular value of the task Jacobian is below this are marked NEAR_SINGULAR [m or
-        1]. The value is an estimate from below, within √m.
+        far away or out of reach then acts like one at that distance.
+      near_singular: least singular value of the task Jacobian below which steps are NEAR_SINGULAR [m or 1], by an
+        estimate from below, within √m.
 
     Raises: ArgumentError naming the argument that does not fit.
     """
@@ -180,8 +180,7 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
 def metric(law: Law):
     """Return a factor of each coordinate's error, at most 1: its weight over the damping of its level.
 
-    In the norm of errors scaled in this way, the error of a loop with one gain for all tasks never grows, even if the
-    tasks conflict.
+    In this norm the error of a loop with one gain never grows, even if tasks conflict.
     """
     weights = jnp.asarray(weighted(law.task, np.ones(law.task.m)))
     if isinstance(law.inverse, Levels):
@@ -190,14 +189,14 @@ def metric(law: Law):
 
 
 class Observation(NamedTuple):
-    """The law's observation at an instant; for a stage that needs no error, only the rows."""
+    """The law's observation at an instant."""
 
     rows: Float[Array, "m n"]  # of the task Jacobian, unweighted
     robot: At
-    e: Float[Array, " m"] | None = None
-    x: Callable | None = None  # x(): task coordinates (m,)
-    xdot_d: Float[Array, " m"] | None = None
-    aims: tuple[Array, ...] = ()  # the targets, of each part of the task
+    e: Float[Array, " m"]
+    x: Callable  # x(): task coordinates (m,)
+    xdot_d: Float[Array, " m"]
+    aims: tuple[Array, ...]  # the targets, of each part of the task
 
 
 @precise
@@ -214,13 +213,6 @@ def observe(law: Law, reference, t, q, offset=None) -> Observation:
         xdot_d=xdot_d,
         aims=aims,
     )
-
-
-@precise
-def rows_at(law: Law, q) -> Observation:
-    """Observe the rows of J only."""
-    robot = At(modelled(law.chain), q)
-    return Observation(rows=rows(law.task, robot), robot=robot)
 
 
 def newton(law: Law, rows, factored, velocity, f, h, k):
@@ -248,8 +240,6 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
 
 def clamped(law: Law, e):
     """Return the error that the gain multiplies: lengths and angles shortened to `error_clamp` (Buss & Kim 2005).
-
-    Of a part with both, as joints may be, what is in rad and what is not is shortened separately.
 
     At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², with c the curvature of x(q). With
     the error clamped to E, λ² > alpha·Ts·E·c/2 lets it settle in front of any target, however far; unclamped it shakes.

@@ -77,11 +77,6 @@ class Chain:
         """For each joint the index of the joint that carries it; −1 for the base."""
         return tuple(i - 1 if joint.parent is None else joint.parent for i, joint in enumerate(self.joints))
 
-    @property
-    def tip(self) -> Offset:
-        """Offset of the only tip from its joint. Raises: ArgumentError where there are several tips."""
-        return self.tips[self.tip_number()].offset
-
     def tip_number(self, tip: str | None = None) -> int:
         """Return the index of the tip with this name; None: the only tip. Raises: ArgumentError."""
         names = [t.name for t in self.tips]
@@ -121,13 +116,6 @@ class Chain:
         kinds = "".join({REVOLUTE: "R", PRISMATIC: "P", BALL: "B"}[j.kind] for j in self.joints)
         tips = f", tips={[t.name for t in self.tips]}" if len(self.tips) > 1 else ""
         return f"Chain({kinds}, joint_names={list(self.joint_names)}{tips})"
-
-    def __str__(self):
-        """A line per joint: its limits."""
-        lines = [f"Chain of {self.n} joints, tips {', '.join(t.name for t in self.tips)}"]
-        limits = zip(self.joint_names, self.units, self.lower, self.upper, self.velocity_limit, strict=True)
-        lines += [f"  {name}: {low:.5g} to {high:.5g} {u}, up to {v:.5g} {u}/s" for name, u, low, high, v in limits]
-        return "\n".join(lines)
 
 
 def planar_arm(lengths: Float[ArrayLike, " n"], *, clockwise: bool = False, joint_names: Names = None) -> Chain:

@@ -12,7 +12,6 @@ from scipy.optimize import lsq_linear
 
 import cnclik as ck
 from cnclik.law.inverse import through
-from cnclik.law.law import rows_at
 from cnclik.robot.model import modelled
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS, G1
@@ -54,7 +53,7 @@ def rows_of(name):
     robot, task = robot_and_task(name)
     law = ck.Law(robot, task, alpha=1.0, inverse=ck.damped(1.0))
     moving, weights = ck.replace(law, chain=modelled(robot)), np.asarray(law.task.weights)[:, None]
-    return jax.jit(jax.vmap(lambda q: rows_at(moving, q).rows * weights))
+    return jax.jit(jax.vmap(lambda q: moving.task.rows_at(moving.chain, q) * weights))
 
 
 def draws(name, count, seed, null=0.0) -> Draws:
