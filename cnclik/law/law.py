@@ -19,9 +19,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.bounded import Bounded
-from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
-from cnclik.law.limits import Evaluation, Scaled, slowed
+from cnclik.law.bounded import bounded
+from cnclik.law.inverse import Damping, Levels, by_shift, least_of, pseudoinverse, through
+from cnclik.law.limits import Evaluation, slowed, velocity_scaling
 from cnclik.law.paths import A_REFERENCE
 from cnclik.precision import precise
 from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record
@@ -33,23 +33,21 @@ from cnclik.task.parts import At
 from cnclik.task.task import Task, coordinates, error, rows
 
 
-@record
-class Posture:
-    """See `posture`."""
-
-    rest: Float[ArrayLike, " n"]
-    rate: Number
-
-
-def posture(rest: Float[ArrayLike, " n"], rate: Number = 1.0) -> Posture:
-    """Move the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q) (Liégeois 1977).
+@record(kw_only=False)
+class posture:
+    """A posture that draws the joints in the null space: q̇₀ = rate · (q_rest − q) (Liégeois 1977).
 
     Args:
       rest: (n,) joint values [rad, m], such as the middle of the limits.
       rate: [1/s].
     """
-    rate = leaf(errors.number("rate", rate, positive=True))
-    return Posture(rest=errors.array("rest", rest, (None,)), rate=rate)
+
+    rest: Float[ArrayLike, " n"]
+    rate: Number = 1.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "rest", errors.array("rest", self.rest, (None,)))
+        object.__setattr__(self, "rate", leaf(errors.number("rate", self.rate, positive=True)))
 
 
 @record(kw_only=False)
@@ -78,27 +76,28 @@ class Law:
     task: Task
     _: dataclasses.KW_ONLY
     alpha: Any  # an array () or (m,), after the constructor
-    inverse: Any = Pseudoinverse()  # a `Damping`, or any function of the rows and the error to a `Factored`
-    limits: Scaled | Bounded | None = None
-    null_velocity: Posture | None = None
+    inverse: Any = pseudoinverse()  # a `Damping`, or any function of the rows and the error to a `Factored`
+    limits: velocity_scaling | bounded | None = None
+    null_velocity: posture | None = None
     feedforward: Number = 1.0
     error_clamp: tuple[Number, Number] | Float[Array, " 2"] | None = None
     near_singular: Number = 0.01
 
     def __post_init__(self):
         task, chain = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model))
-        errors.kind("limits", self.limits, (Scaled, Bounded, NoneType), "be None, velocity_scaling() or bounded()")
-        errors.kind("null_velocity", self.null_velocity, (Posture, NoneType), "be None or posture(...)")
+        kinds = velocity_scaling, bounded, NoneType
+        errors.kind("limits", self.limits, kinds, "be None, velocity_scaling() or bounded()")
+        errors.kind("null_velocity", self.null_velocity, (posture, NoneType), "be None or posture(...)")
         limits, inverse, n = self.limits, self.inverse, chain.n
         if isinstance(chain, Chain):
             task = task.on(chain)
-            limits = limits.on(chain) if isinstance(limits, Bounded) else limits
+            limits = limits.on(chain) if isinstance(limits, bounded) else limits
         if not callable(inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or levels(...)", f"is {inverse!r}")
-        if isinstance(inverse, Pseudoinverse) and task.m > n:
+        if isinstance(inverse, pseudoinverse) and task.m > n:
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {task.m}: {', '.join(task.names)}")
-        if isinstance(limits, Bounded) and not isinstance(inverse, Damping):
+        if isinstance(limits, bounded) and not isinstance(inverse, Damping):
             must = "be damped with limits=bounded(), as in inverse=damped(0.05)"
             raise errors.fail("inverse", must, f"is {brief(inverse)}")
         if self.null_velocity is not None:
@@ -161,12 +160,12 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     """Return J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity v (m,) and a pull q̇₀ (n,) or None."""
     task = law.task
     rows, velocity, e = (weighted(task, each) for each in (at.rows, velocity, at.e))
-    if isinstance(law.limits, Bounded):
+    if isinstance(law.limits, bounded):
         moved = law.limits(law.inverse.shift(rows, e), law.chain, q, rows, velocity, null)
     else:
         factored = law.inverse(rows, e)
         qdot, limited = through(factored.apply, rows, velocity, null), False
-        if isinstance(law.limits, Scaled):
+        if isinstance(law.limits, velocity_scaling):
             qdot, limited = slowed(law.chain, qdot)
         moved = Evaluation(qdot, factored, limited)
     # A conflict between the tasks of a stack is no singularity.
@@ -224,7 +223,7 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
 
     Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
     """
-    exact, posture = isinstance(law.inverse, Pseudoinverse), law.null_velocity
+    exact, posture = isinstance(law.inverse, pseudoinverse), law.null_velocity
     plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
     if plain and (exact or factored.shift is not None):
         t = 1.0 / (1.0 + h * law.alpha)

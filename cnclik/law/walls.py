@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.inverse import positive
 from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot.model import modelled
 from cnclik.task.build import center_of_mass
@@ -97,7 +96,7 @@ def wall(
     normal = errors.array("normal", np.ones(1) if normal is None else normal, (task.m,))
     offset = errors.number("above", above) if below is None else -errors.number("below", below)
     normal = normal if below is None else -normal
-    rate = None if rate is None else positive("rate", rate)
+    rate = None if rate is None else leaf(errors.number("rate", rate, positive=True))
     return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
 
 
