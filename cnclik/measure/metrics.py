@@ -25,8 +25,6 @@ from cnclik.measure.outcome import judge, stable
 from cnclik.record import Number, cast
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.task.parts import At
-from cnclik.task.task import velocity
 
 
 @jax.tree_util.register_pytree_node_class
@@ -96,9 +94,8 @@ def _count(hit):
 
 def _along(of):
     """Return the position error along the path (N + 1, 1), positive if behind; 0 at rest. And along its tangent."""
-    task, model = of.law.task, modelled(of.law.chain)
-    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
-    v = toward(of.run.t, of.run.q)[:, np.array(task.lengths)]
+    task = of.law.task
+    v = jax.vmap(lambda t: ref.sample(of.reference, task, t)[1])(of.run.t)[:, np.array(task.lengths)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
     along = jnp.sum(_position(of) * tangent, axis=-1, keepdims=True)
