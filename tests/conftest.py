@@ -43,7 +43,9 @@ LONGEST = [
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """The longest files first: no worker waits for one alone."""
+    """The longest files first: no worker waits for one alone. Without workers the order is the user's."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
     places = {f"test_{name}.py": i for i, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.path.name, len(places)))
 
