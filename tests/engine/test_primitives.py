@@ -209,16 +209,18 @@ def test_places_in_sorted_numbers_have_nan_last():
 def test_matrices(dtype):
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(SIZE, 4, 4)).astype(dtype), rng.normal(size=(SIZE, 4, 2)).astype(dtype)
-    a[0] = 0
+    singular = a.copy()
+    singular[0] = 0
 
-    def fn(a, b):
+    def fn(singular, a, b):
+        others = jnp.linalg.solve(a, b), jnp.linalg.det(a), jnp.linalg.inv(a)
+        a = singular
         spd = a @ a.T + 0.1 * jnp.eye(4, dtype=a.dtype)
         lower = jnp.linalg.cholesky(spd)
         solved = [jax.scipy.linalg.solve_triangular(lower, b, lower=True, trans=t) for t in (0, 1)]
-        return lower, jax.scipy.linalg.cho_solve((lower, True), b), solved, jnp.linalg.cholesky(a)[1, 0]
+        return lower, jax.scipy.linalg.cho_solve((lower, True), b), solved, jnp.linalg.cholesky(a)[1, 0], others
 
-    check(fn, a, b, ulps=2e4)
-    check(lambda a, b: (jnp.linalg.solve(a, b), jnp.linalg.det(a), jnp.linalg.inv(a)), a[1:], b[1:], ulps=2e4)
+    check(fn, singular, a, b, ulps=2e4)
 
 
 @NEEDS_C

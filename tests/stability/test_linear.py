@@ -1,8 +1,5 @@
 """R(z) against closed forms, nodepy, and the library's own stepping."""
 
-import subprocess
-import sys
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -124,19 +121,3 @@ def test_a_search_finds_the_first_place():
 def test_bad_input_is_named(call, words):
     with pytest.raises(ArgumentError, match=words):
         call()
-
-
-def test_gains_need_no_jax():
-    """The first answer of a process loads NumPy alone."""
-    code = (
-        "import sys, cnclik as ck\n"
-        "g = ck.gains(Ts=0.002, drive=ck.Drive(delay=17))\n"
-        "ck.stability.stability_limit('RK4'); g.elsewhere; g.at(5.0)\n"
-        "assert 'jax' not in sys.modules and 'xarray' not in sys.modules\n"
-        "import jax\n"
-        "law = ck.Law(ck.planar_arm([1.0, 1.0]), ck.position('xy'), alpha=1.0)\n"
-        "drive = ck.Drive(lag=0.1, delay=1)\n"
-        "assert len(jax.tree.leaves(drive)) == 1 and not jax.tree.leaves(ck.METHODS['EE'])\n"
-        "ck.solve(law, ck.hold([1.0, 1.0]), [0.1, 1.0], 0.01, 3, drive=drive)\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

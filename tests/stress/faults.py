@@ -79,7 +79,8 @@ def stop(name, out, rng, seconds, wanted):
     process.send_signal(sent)
     code, said = ended(process)
     if code in (0, -sent):  # it had done its work, and Python was about to end; or had not yet begun to hear
-        return "" if sorted(files(out)) == sorted(wanted if code == 0 else ()) else f"{code} with other files"
+        found = sorted(files(out))
+        return "" if found == sorted(wanted) or (code and not found) else f"{code} with {found}"
     if code != 128 + sent or len(said) != 1:
         return f"{sent.name}: exit code {code}, {said}"
     return "".join(f"{sent.name}: left {hidden}" for hidden in out.rglob(".partial-*"))
