@@ -15,6 +15,7 @@ import zlib
 
 import numpy as np
 
+from cnclik.sweeps import store
 from cnclik.writing import LIST
 
 SPEC = pathlib.Path(__file__).parents[2] / "sweeps" / "horizon.toml"
@@ -69,6 +70,7 @@ def kill(name, out, rng, seconds, wanted):
     code, said = ended(start(name, out))
     again = files(out)
     wrong = code or sorted(again) != sorted(wanted) or broken(again, wanted)
+    wrong = wrong or (name == "sweep" and store.blocks_missing(out))
     return f"the command did not go on: {code} {said} {sorted(again)}" if wrong else ""
 
 

@@ -288,19 +288,6 @@ def test_expressions_are_arithmetic():
         expression.evaluate("x", "print", known)
 
 
-def test_numbers_have_units_as_on_the_command_line():
-    given = written(fixed__Ts="4ms", fixed__delay="34ms", fixed__measurement_delay="8 ms", fixed__lag="20ms",
-                    fixed__q0="0 -90 deg", fixed__start=["100cm", 1], axes__method=["EE"], axes__M=[1],
-                    axes__z=["pi/2", 1])  # fmt: skip
-    spec = parse(given)
-    made = build(spec, {"method": "EE", "M": 1, "z": 0.2, "lift": 0.0})
-    assert (made.Ts, made.drive.delay, made.drive.measurement_delay, made.drive.lag) == (0.004, 8.5, 2, 0.02)
-    assert float(made.law.alpha) == pytest.approx(50.0)  # of an expression of Ts
-    np.testing.assert_allclose(made.q0, [0, -np.pi / 2])
-    np.testing.assert_allclose(made.reference.curve.start, [1, 1])
-    np.testing.assert_array_equal(spec.loop({})["z"], 1.0)
-
-
 @pytest.mark.parametrize("path", sorted((ROOT / "sweeps").glob("*.toml")), ids=lambda path: path.stem)
 def test_every_study_is_read_and_built_and_its_results_are_committed(path):
     spec = read(path)

@@ -205,25 +205,6 @@ def test_what_does_not_fit_is_refused(options, words):
 # --- runs and derivatives -----------------------------------------------------------------------------
 
 
-def test_noise_and_delay_run_as_in_plain_numpy():
-    noise = 1e-3 * np.random.default_rng(4).standard_normal((30, 2))
-    run = at(noise=noise, drive=ck.Drive(delay=1), steps=3).before
-
-    def tip(q):  # clockwise, along +y at q = 0
-        a = np.cumsum(q)
-        rows = np.array([[np.cos(a).sum(), np.cos(a[1])], [-np.sin(a).sum(), -np.sin(a[1])]])
-        return np.array([np.sin(a).sum(), np.cos(a).sum()]), rows
-
-    q, errors, asked = Q0.copy(), [], [np.zeros(2)]
-    for k in range(31):
-        errors.append(np.array([1 - 0.1 * k / 3, 1.0]) - tip(q)[0])
-        if k < 30:
-            velocity = np.array([-1 / 3, 0.0]) + 5.0 * (errors[k] + noise[k])
-            asked.append(0.1 * np.linalg.solve(tip(q)[1], velocity))
-            q = q + asked[k]  # what was asked for a sample ago
-    np.testing.assert_allclose(run.e, errors, rtol=0, atol=1e-10)
-
-
 LINKS = Parameter(
     name="links",
     start=np.ones(5),
