@@ -27,7 +27,7 @@ TESTS = {  # of each room: its own, then those that would see what its own don't
     "law": ("law", "integrate", "task"),
     "integrate": ("integrate", "stability", "law"),
     "robot": ("robot", "task", "law", "integrate"),
-    "engine": ("engine", "integrate", "export"),
+    "engine": ("engine", "integrate", "export", "reaching"),
     "stability": ("stability", "integrate", "diagnosis"),
     "reaching": ("reaching", "cli"),
 }
