@@ -100,7 +100,7 @@ def _of_target(before, parts):
         else:
             unit = ", ".join(dict.fromkeys(part.units))
             about = f"desired {place(part)}{of} [{unit}]"
-            yield Field(before + place(part), (3, 3) if part.turns else (part.width,), about=about)
+            yield Field(before + place(part), (part.width,), about=about)
     unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
     about = f"desired task velocity{of if before else frame} [{unit}]"
     yield Field(f"{before}velocity", (parts.width,), about=about, value=np.zeros(parts.width))

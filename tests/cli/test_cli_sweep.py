@@ -115,5 +115,5 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
 def test_a_damaged_block_is_computed_again_and_figures_drawn_in_another_format(other, copy, capsys):
     next(p for p in (copy / "data.zarr/final_error/c").rglob("*") if p.is_file()).unlink()
     main(["sweep", str(other), "--out", str(copy), "--format", "svg"])
-    assert f"Wrote {copy}/heat_final_error.svg\n" in capsys.readouterr().out and not store.blocks_missing(copy)
+    assert f"Wrote {copy}/heat_final_error.svg\n" in capsys.readouterr().out and not store.Store(copy).missing()
     assert "<svg" in (copy / "heat_final_error.svg").read_text()

@@ -211,6 +211,9 @@ def test_zeros_keep_their_signs():
     def fn(x):
         one = lax.optimization_barrier(jnp.ones_like(x))
         zeros = 0 - x, -(x - one), -(one - x), jnp.sin(x), jnp.sin(x - one), x * 0.5, -x, -(x * 2), jnp.tan(x), x - 0.0
+        for least in (jnp.minimum, jnp.maximum):
+            zeros += least(x, -x), least(-x, x), least(x, jnp.zeros_like(x)), least(-0.0, x)
+        zeros += (lax.clamp(jnp.zeros_like(x), x, jnp.ones_like(x)),)
         return [*zeros, *(jnp.arctan2(v, -1.0) for v in zeros)]
 
     for dtype in ("float32", "float64"):

@@ -85,17 +85,17 @@ def test_numbers_of_the_page_are_those_of_the_data(results):
     runs, first = results.trajectories.sel(reading=READING), results.methods.isel(Ts=0)
     mean, final = runs.mean_error, results.trajectories.final_error
     for arm, name in (("2dof", "2-dof"), ("5dof", "5-dof")):
-        reach, track = (claims.by_method(mean.sel(arm=arm, case=case)) for case in ("reach", "track"))
+        reach, track = (mean.sel(arm=arm, case=case).to_series().to_dict() for case in ("reach", "track"))
         assert f"{name}: {', '.join(f'{m} {v:.4f}' for m, v in reach.items())}" in text
         assert f"{min(track['EE'], track['IE']) / track['CN']:.1f} times ({name})" in text
     at = dict(case="track", method="CN")
     others = "TRAPEZOID", "HEUN", "MIDPOINT", "RK4", "EXP-MIDPOINT"
     assert f"| method | {' | '.join(others)} |" in text
     for arm, name in (("2dof", "2-dof"), ("5dof", "5-dof")):
-        rms = claims.by_method(first.rms_error.sel(case="track", arm=arm))
+        rms = first.rms_error.sel(case="track", arm=arm).to_series().to_dict()
         each = " | ".join(f"{rms['CN'] / rms[m]:.2g}" for m in others)
         assert f"| {name} arm | {each} |" in text
-    twice = claims.by_method(final.sel(arm="2dof", case="track", reading="on-path/twice/consistent"))
+    twice = final.sel(arm="2dof", case="track", reading="on-path/twice/consistent").to_series().to_dict()
     assert f"They end at {twice['IE']:.3f} m and {twice['CN']:.3f} m" in text
     off = final.sel(case="track", reading="on-path/once/printed").values
     assert f"the runs end at {off.min():.3f} to {off.max():.3f} m" in text

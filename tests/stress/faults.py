@@ -70,7 +70,7 @@ def kill(name, out, rng, seconds, wanted):
     code, said = ended(start(name, out))
     again = files(out)
     wrong = code or sorted(again) != sorted(wanted) or broken(again, wanted)
-    wrong = wrong or (name == "sweep" and store.blocks_missing(out))
+    wrong = wrong or (name == "sweep" and store.Store(out).missing())
     return f"the command did not go on: {code} {said} {sorted(again)}" if wrong else ""
 
 

@@ -84,7 +84,7 @@ def test_damaged_blocks_are_found_and_done_again(path, undisturbed, copy):
     packed = bytearray(chunks[3].read_bytes())
     packed[6] ^= 128  # of the size that the chunk has when it is unpacked
     chunks[3].write_bytes(packed)
-    assert store.blocks_missing(copy) == 4
+    assert len(store.Store(copy).missing()) == 4
     with pytest.raises((RuntimeError, ValueError)):
         store.read(copy).final_error.load()  # a reader gets no damaged block
     seen = []
@@ -114,7 +114,7 @@ def test_what_is_no_sweeps_stays(path, tmp_path):
 def test_descriptions_that_cannot_be_read_are_refused(path, copy, damage):
     described = copy / "data.zarr/zarr.json"
     described.write_text({"cut": described.read_text()[:-40], "nested": "[" * 99999}[damage])
-    for use in (store.read, store.blocks_missing, lambda folder: store.run(read(path), folder)):
+    for use in (store.read, store.Store, lambda folder: store.run(read(path), folder)):
         with pytest.raises(ArgumentError, match=r"hold a sweep.s data\.zarr or none"):
             use(copy)
 
@@ -156,7 +156,7 @@ def test_a_run_that_a_full_disk_and_a_stop_ended_goes_on_and_ends_bit_identical(
         patched.setattr(store.Store, "write", full)
         with pytest.raises(ArgumentError, match=r"No space left on device after 4 of 24 blocks; they are kept"):
             store.run(read(path), tmp_path)
-    assert np.isnan(store.read(tmp_path).final_error).any() and store.blocks_missing(tmp_path) == 20
+    assert np.isnan(store.read(tmp_path).final_error).any() and len(store.Store(tmp_path).missing()) == 20
 
     def stop(done, total):
         if done >= 30:
