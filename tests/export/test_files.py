@@ -114,17 +114,14 @@ def test_the_source_has_no_allocation_no_recursion_and_nothing_global(folders):
         assert ck.__version__ in told and "cc -std=c99" in told and "rad]" in told
 
 
-def exported(task=ck.position("xy"), **options):
-    return ck.export.c(a_law(task), **{"out": "never"} | options)
-
-
 test_what_cannot_be_exported_is_refused = refusals(
-    (lambda: exported(of_q(lax.lgamma)), "`lgamma`"),
-    (lambda: exported(of_q(lambda q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0])), "`eigh`"),
-    *((lambda bad=bad: exported(name=bad), "`name` must") for bad in ("clik step", "1st", "a" * 61, "größe")),
-    *((lambda bad=bad: exported(out=bad), "`out` must") for bad in (5, "\0x")),
-    (lambda: exported(dtype="float16"), "`dtype` must"),
-    (lambda: exported(reference="circle"), "`reference` must"),
+    ({"law": a_law(of_q(lax.lgamma))}, "`lgamma`"),
+    ({"law": a_law(of_q(lambda q: q * jnp.linalg.eigvalsh(jnp.outer(q, q))[0]))}, "`eigh`"),
+    *(({"name": bad}, "`name` must") for bad in ("clik step", "1st", "a" * 61, "größe")),
+    *(({"out": bad}, "`out` must") for bad in (5, "\0x")),
+    ({"dtype": "float16"}, "`dtype` must"),
+    ({"reference": "circle"}, "`reference` must"),
+    of=lambda law=a_law(), out="never", **options: ck.export.c(law, out=out, **options),
 )
 
 
