@@ -8,7 +8,7 @@ import pytest
 import cnclik as ck
 from cnclik.errors import ArgumentError
 from cnclik.integrate.drive import Drive
-from cnclik.stability import advise, amplification, gains, plane, spectral_radius, stability_limit, stability_map
+from cnclik.stability import advise, amplification, gains, maps, plane, spectral_radius, stability_limit, stability_map
 from cnclik.stability.maps import limit_table
 from tests.refusals import refusals
 
@@ -128,7 +128,8 @@ TARGET = ck.hold(np.asarray(ck.forward(PLANAR, QP).position)[:2] + np.array([0.0
 
 
 @pytest.mark.parametrize(("method", "drive"), [("EE", Drive()), ("RK4", Drive()), ("EE", Drive(delay=2))])
-def test_loops_end_as_the_gains_predict(method, drive):
+def test_loops_end_as_the_gains_predict(method, drive, monkeypatch):
+    monkeypatch.setattr(maps, "CHUNK", 16)  # of 36 loops: the last part of three is filled up
     alpha, Ts = np.geomspace(5.0, 80.0, 12), np.array([0.02, 0.05, 0.1])
     data = stability_map(LAW, TARGET, QP, alpha=alpha, Ts=Ts, method=method, drive=drive, N=400)
     assert data.ending.dims == ("Ts", "alpha") and data.limit.attrs["units"] == "1/s"
