@@ -63,7 +63,7 @@ class Finding:
 
 @record
 class LogCheck:
-    """Answer of `check_log`: each `Finding`, the usual sampling time Ts [s], and the number of rows."""
+    """Answer of `check_log`: its findings, the usual sampling time Ts [s], and the number of rows."""
 
     findings: tuple[Finding, ...]
     Ts: float

@@ -100,10 +100,10 @@ def _of_target(before, parts):
         else:
             unit = ", ".join(dict.fromkeys(part.units))
             about = f"desired {place(part)}{of} [{unit}]"
-            yield Field(before + place(part), (part.width,), about=about)
+            yield Field(before + place(part), (part.m,), about=about)
     unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
     about = f"desired task velocity{of if before else frame} [{unit}]"
-    yield Field(f"{before}velocity", (parts.width,), about=about, value=np.zeros(parts.width))
+    yield Field(f"{before}velocity", (parts.m,), about=about, value=np.zeros(parts.m))
 
 
 def place(part) -> str:
@@ -117,7 +117,7 @@ def _target(law, inputs):
     def one(_, parts):
         before, _ = next(named)
         position = velocity = rotation = spin = None
-        for part, where in zip(parts.parts, parts.motions, strict=True):
+        for part, where in zip(parts.parts, parts.slices, strict=True):
             aim, rate = inputs[before + place(part)], inputs[f"{before}velocity"][where]
             if part.turns:
                 rotation, spin = aim, jnp.zeros(3, rate.dtype).at[places(part.axes)].set(rate)

@@ -58,12 +58,12 @@ MOST_LIMITS = 1000  # each takes some milliseconds
 class Spec:
     """A checked spec. `grid()` is what it runs over, `study` what runs at each point."""
 
-    name: str
-    question: str
+    name: str  # of the file
+    question: str  # as written, as are expectation, fixed, units and figures
     expectation: str
-    tolerance: float
+    tolerance: float  # largest final error of a loop that has converged [m, rad]
     lanes: int  # 0: chosen by `grid`
-    metrics: tuple
+    metrics: tuple  # names of what is measured
     fixed: dict
     written: dict  # {axis: as written}
     tables: dict  # {axis: {label: {name: value}}}, of axes of tables

@@ -66,7 +66,7 @@ class Distance(Vector):
     def x(self, robot: At):
         return self._seen(robot)[0][None]
 
-    def rows(self, robot: At, aim=None):
+    def rows(self, robot: At):
         if robot.q.ndim > 1:
             return np.asarray(jax.vmap(lambda q: self.rows(At(robot.chain, q)))(robot.q))
         _, near, far, normal = self._seen(robot)
