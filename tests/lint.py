@@ -23,7 +23,6 @@ ONCE = {  # what may stand in one place only, and where
     r"\.to_netcdf\(": "measure/files.py",
     r"\.savefig\(": "show/style.py",
     r"\bProgress\(|rich\.track": "cli/progress.py",
-    r"jnp\.where\(zero, 0\.0, jnp\.sqrt\(": "robot/rotations.py",
     r"np\.array2string\(": "record.py",
     r"\"\| ---|\| --- \|": "measure/files.py",
 }
@@ -119,16 +118,14 @@ def private():
             other = target_room(source, name)
             if re.match("_[a-zA-Z]", name) and other != own:
                 yield path, line, f"imports the private {other}.{name}"
-            if target := module(f"{source}.{name}"):
-                modules[name] = other, target
+            if module(f"{source}.{name}"):
+                modules[name] = other
         local = {n.arg for n in nodes(path) if isinstance(n, ast.arg)} | defined(path)
         for node in nodes(path):
-            if isinstance(node, ast.Attribute) and ast.unparse(node.value) in set(modules) - local:
-                other, target = modules[node.value.id]
-                if re.match("_[a-zA-Z]", node.attr) and other != own:
-                    yield path, node.lineno, f"uses the private {other}.{node.attr}"
-                elif own and node.attr not in defined(target):
-                    yield path, node.lineno, f"{ast.unparse(node)} is not defined there"
+            if isinstance(node, ast.Attribute) and re.match("_[a-zA-Z]", node.attr):
+                name = ast.unparse(node.value)
+                if name in set(modules) - local and modules[name] != own:
+                    yield path, node.lineno, f"uses the private {name}.{node.attr}"
 
 
 def homes():
@@ -137,15 +134,6 @@ def homes():
         for line, source, name in imports(path):
             if name and (at := module(source)) and name not in defined(at):
                 yield path, line, f"{name} is not defined in {source}"
-
-
-def inside():
-    """A room imports its own modules at the top; inside a function only with the reason on the line."""
-    for path in files():
-        lines, top = text(path).splitlines(), {n.lineno for n in nodes(path) if getattr(n, "col_offset", 1) == 0}
-        for line, source, name in imports(path):
-            if target_room(source, name) == room(path) and line not in top and "  # " not in lines[line - 1]:
-                yield path, line, "imports its own room inside a function"
 
 
 def once():
@@ -169,13 +157,6 @@ def broad():
                 continue
             if taken and "  # " not in text(path).splitlines()[node.lineno - 1]:
                 yield path, node.lineno, "takes any exception without a reason"
-
-
-def long_names():
-    for path in files():
-        for number, line in enumerate(text(path).splitlines(), 1):
-            if re.search(r"\.(exists|is_file|is_dir)\(\)", line):
-                yield path, number, "pathlib raises where a name is too long: os.path answers False"
 
 
 # --- words --------------------------------------------------------------------------------------------
@@ -230,7 +211,7 @@ def strings():
             yield from ((path, node.lineno, fault) for fault in faults(value) if not listed)
 
 
-CHECKS = (order, circles, private, homes, inside, once, broad, long_names, pages, strings)
+CHECKS = (order, circles, private, homes, once, broad, pages, strings)
 
 
 def main():

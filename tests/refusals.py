@@ -5,13 +5,13 @@ import pytest
 from cnclik.errors import ArgumentError
 
 
-def refusals(*cases):
-    """A test of (call, pattern of what is said)."""
+def refusals(*cases, of=lambda call: call()):
+    """A test of (call, pattern of what is said), or of (what `of` is called with, pattern)."""
 
     @pytest.mark.parametrize(("call", "says"), cases, ids=range(len(cases)))
     def refused(call, says):
         with pytest.raises(ArgumentError, match=says) as caught:
-            call()
+            of(**call) if isinstance(call, dict) else of(call)
         assert str(caught.value).startswith("Argument `") and "\n" not in str(caught.value)
 
     return refused

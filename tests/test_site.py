@@ -1,21 +1,12 @@
-"""The site's sources: every public name has a place, every page is found, no link is dead, a script asks a question.
-
-`-m slow` builds the structure of the site with Sphinx, warnings being errors; the examples are run by a full build.
-"""
+"""The site's sources: every public name has a place, every page is found, no link is dead, a script asks a question."""
 
 import ast
 import dataclasses
 import importlib
-import importlib.util
-import os
+import inspect
 import pathlib
 import re
-import subprocess
-import sys
-import textwrap
 import types
-
-import pytest
 
 import cnclik as ck
 
@@ -55,39 +46,17 @@ def test_the_api_has_every_public_name():
             assert set(NAMED) & (short | {f"cnclik.{room}.{name}", f"cnclik.{room}.{name}.{name}"}), name
 
 
-def described(kind, name, obj):
-    """A docstring as autodoc's listeners, Napoleon among them, make it."""
-    napoleon = pytest.importorskip("sphinx.ext.napoleon")
-    at = importlib.util.spec_from_file_location("docstrings", DOCS / "_ext" / "docstrings.py")
-    docstrings = importlib.util.module_from_spec(at)
-    at.loader.exec_module(docstrings)
-    lines = textwrap.dedent("    " + (obj.__doc__ or "")).splitlines()
-    app = types.SimpleNamespace(config=napoleon.Config(napoleon_numpy_docstring=False))
-    docstrings.plain(app, kind, name, obj, None, lines)
-    napoleon._process_docstring(app, kind, name, obj, None, lines)
-    docstrings.whole(app, kind, name, obj, None, lines)
-    return "\n".join(lines)
-
-
 EVERY = {n: getattr(importlib.import_module(n.rpartition(".")[0]), n.rpartition(".")[2]) for n in NAMED}
 RECORDS = {name: thing for name, thing in EVERY.items() if isinstance(thing, type) and dataclasses.is_dataclass(thing)}
 
 
-def test_the_api_explains_every_field_and_no_property_has_a_sentence_for_a_type():
+def test_the_api_explains_every_field():
+    """In the docstring, or by a comment on its line, which the site shows."""
     for name, cls in RECORDS.items():
-        text = described("class", name, cls)
-        assert not [f.name for f in dataclasses.fields(cls) if not re.search(rf"\b{f.name}\b", text)], name
-        for key, value in vars(cls).items():
-            if isinstance(value, property) and value.__doc__ and not key.startswith("_"):
-                assert ":type:" not in described("property", f"{name}.{key}", value)
-
-
-def test_the_api_has_a_line_for_every_argument():
-    """Also for those that share a line of the docstring, as in "x: a point. y: another."."""
-    text = described("function", "cnclik.advise", ck.advise)
-    assert ":param Ts: sampling time [s]." in text and ":param stage: as for `solve`." in text
-    assert ":param drive: as for `gains`.\n" in text
-    assert ":param q0: (n,) start [rad, m], or (B, n)." in described("function", "cnclik.tune", ck.tune)
+        named = re.findall(r"\w+", cls.__doc__)
+        for field, said in re.findall(r"^ +(\w+)\b.*  # (.*)", inspect.getsource(cls), re.M):
+            named += [field, *re.findall(r"\w+", said)]
+        assert not {field.name for field in dataclasses.fields(cls)} - set(named), name
 
 
 def entries(page) -> list:
@@ -151,18 +120,3 @@ def test_scripts_ask_a_question_and_tutorials_are_notebooks_with_a_picture():
         assert "file_format: mystnb" in text and ("plt." in text or "ck.plot" in text or "figures(" in text), page
         cells = re.findall(r"^```\{code-cell\}\n(.*?)^```", text, re.M | re.S)
         assert cells and all(map(ast.parse, cells))
-
-
-@pytest.mark.slow
-def test_the_site_is_built_without_a_warning(tmp_path):
-    pytest.importorskip("sphinx", reason="the site needs `pip install 'cnclik[docs]'`")
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(tmp_path / "site")]
-    done = subprocess.run(
-        [*command[:-2], "-d", str(tmp_path / "read"), *command[-2:]],
-        cwd=ROOT,
-        env=os.environ | {"CNCLIK_DOCS_RUN": "0"},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    assert (tmp_path / "site" / "index.html").exists()

@@ -22,9 +22,7 @@ def run(robot: str, *, out: str, dtype: Literal["double", "float"] = "double", o
 
     path = None if made.reference.still else made.reference
     c(made.law, path, out=out, method=made.method, stage=made.stage, dtype=dtype, overwrite=overwrite)
-    print(made)
-    print(
-        f"Step in {dtype}, {'to targets that are arguments' if path is None else 'along its path'}; Ts is an argument."
-    )
+    where = "to targets that are arguments" if path is None else "along its path"
+    print(made, f"Step in {dtype}, {where}; Ts is an argument.", sep="\n")
     print(f"Wrote clik_step.h, clik_step.c, example.c and README.md to {out}/.")
     print(f"Build and test: {BUILD.format(name='clik_step')} && ./example")

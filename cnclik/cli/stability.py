@@ -151,13 +151,11 @@ def _print(found, facts, speed) -> None:
     if found.response:
         _costs(found, found.response, speed)
     for yours in facts["alpha"]:
-        judged = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
-        if yours["stable"]:
-            judged = (
-                f"is stable: a step {_in_words(yours['response'], found.Ts)}"
-                if yours["alpha"]
-                else "asks for no motion"
-            )
+        judged = "asks for no motion"
+        if not yours["stable"]:
+            judged = f"is UNSTABLE where J# gives all that it asks for: {found.largest_stable:.4g} 1/s is the limit"
+        elif yours["alpha"]:
+            judged = f"is stable: a step {_in_words(yours['response'], found.Ts)}"
         print(f"Your gain (alpha = {yours['alpha']:g} 1/s) {judged}.")
     print("The same loop elsewhere, by explicit Euler:")
     print_table(*((where, in_words(of.value or 0.0), of.meaning) for where, of in found.elsewhere.items()), left=3)

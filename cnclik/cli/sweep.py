@@ -56,7 +56,7 @@ def run(
     with progress.bar("loops", quiet=jax.process_index() != 0) as report:
         done = store.run(study, folder, progress=report)
     if not done:
-        print(f"This process is done; {store.blocks_missing(folder)} blocks are with others or for a rerun.")
+        print(f"This process is done; {len(store.Store(folder).missing())} blocks are with others or for a rerun.")
         return
     data = store.read(folder)
     with output_folder(folder, overwrite=overwrite) as whole:

@@ -32,6 +32,8 @@ _FOLDED = {
 def folded(name, values, dtype, params):
     """The result of an operation on known numbers; None if it has to be computed at run time."""
     with np.errstate(all="ignore"):
+        if name in ("max", "min") and dtype.kind == "f" and not any(values):
+            return None  # the signs of zeros decide, not in NumPy
         if name in ("div", "rem") and dtype.kind == "f":
             return (np.divide if name == "div" else np.fmod)(*values)
         if name in ("div", "rem"):

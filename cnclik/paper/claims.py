@@ -41,7 +41,7 @@ def rows(trajectories) -> list:
     """Return one record per arm, case and reading for (a) and (b)."""
     records = []
     for where, run in _each(trajectories, "arm", "case", "reading"):
-        errors = {name: by_method(run[name]) for name in ("mean_error", "final_error")}
+        errors = {name: run[name].to_series().to_dict() for name in ("mean_error", "final_error")}
         verdict = holds(where["case"], errors["mean_error"])
         records.append(where | errors | {"claim": CLAIM[where["case"]], "holds": verdict})
     return records
@@ -52,11 +52,6 @@ def _each(data, *dims):
     for labels in itertools.product(*(data[dim].values for dim in dims)):
         where = dict(zip(dims, map(str, labels), strict=True))
         yield where, data.sel(where)
-
-
-def by_method(values) -> dict:
-    """Return {"EE": ..., ...} of a variable that has only the dimension `method` left."""
-    return {str(m): float(v) for m, v in zip(values.method.values, values.values, strict=True)}
 
 
 def undetermined(trajectories) -> list:

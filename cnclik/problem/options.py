@@ -54,9 +54,8 @@ def arguments(text: str, name: str, shared=None) -> dict[str, Option]:
     node: Any = next(one for one in ast.parse(text).body if getattr(one, "name", "") == name)
     each: Any
     if isinstance(node, ast.ClassDef):
-        each = [
-            (ast.unparse(v.target), v.annotation, v.value, False) for v in node.body if isinstance(v, ast.AnnAssign)
-        ]
+        fields = (v for v in node.body if isinstance(v, ast.AnnAssign))
+        each = [(ast.unparse(v.target), v.annotation, v.value, False) for v in fields]
     else:
         places, named, of_places = node.args.args, node.args.kwonlyargs, node.args.defaults
         defaults = [*[None] * (len(places) - len(of_places)), *of_places, *node.args.kw_defaults]
@@ -127,6 +126,5 @@ def check_units(name: str, values, chain) -> None:
     """Raise ArgumentError if the unit of a number, as a `Quantities` has it, is not that of its joint."""
     for joint, unit, given in zip(chain.joint_names, chain.units, getattr(values, "written", ()), strict=False):
         if given and given != unit:
-            raise errors.fail(
-                name, "have the units of what it is for", f"joint {joint!r} is in {unit}, and {given} is given"
-            )
+            found = f"joint {joint!r} is in {unit}, and {given} is given"
+            raise errors.fail(name, "have the units of what it is for", found)

@@ -70,8 +70,6 @@ def read_points(argument: str, file, task, *, timed=False) -> tuple:
     turned = task.orientation and (not task.position or set(QUATERNION) & set(columns))
     needed = (*stamp, *axes, *QUATERNION * bool(turned))
     if not set(needed) <= set(columns):
-        instead = ", or a --speed" * (timed and "time" not in columns)
-        raise errors.fail(
-            argument, f"have columns {' '.join(needed)}{instead}", f"{file} has {' '.join(columns) or 'none'}"
-        )
+        must = f"have columns {' '.join(needed)}" + ", or a --speed" * (timed and "time" not in columns)
+        raise errors.fail(argument, must, f"{file} has {' '.join(columns) or 'none'}")
     return columns.get("time"), np.stack([columns[column] for column in needed[len(stamp) :]], 1)

@@ -174,21 +174,13 @@ def legend(figure, panel) -> None:
 
 
 def save(figure, path, about: dict) -> None:
-    """Write a figure as PNG, PDF or SVG with a description in the file, and close it.
-
-    The same figure gives the same bytes: no date goes into the file.
-
-    Args:
-      about: the description in the file; a PDF and an SVG keep its "Title" only.
-    """
-    plain = {"Software": "cnclik"} | {key: str(value) for key, value in about.items()}
-    dated = {".pdf": "CreationDate", ".svg": "Date"}.get(pathlib.Path(path).suffix)
-    if dated:
-        plain = {"Title": plain.get("Title", ""), dated: None}
-    if pathlib.Path(path).suffix == ".png":
+    """Write a figure as PNG, PDF or SVG with a description in the file, of which the last two keep the title, and close
+    it. The same figure gives the same bytes: no date goes into the file."""
+    if (kind := pathlib.Path(path).suffix) == ".png":
         # Not savefig, which draws twice: once to lay out, and once more at the resolution of the file.
         figure.set_dpi(DPI)
-        FigureCanvasAgg(figure).print_png(path, metadata=plain)
+        FigureCanvasAgg(figure).print_png(path, metadata={"Software": "cnclik"} | about)
     else:
-        figure.savefig(path, metadata=plain, dpi=DPI)
+        dated = {".pdf": "CreationDate", ".svg": "Date"}[kind]
+        figure.savefig(path, metadata={"Title": about.get("Title", ""), dated: None}, dpi=DPI)
     plt.close(figure)

@@ -55,7 +55,7 @@ class Behaviour(enum.StrEnum):
 class Verdict:
     """How a run ended, and what to change."""
 
-    kind: Behaviour
+    kind: Behaviour  # in a word
     sentence: str  # it in words, with its numbers, and the remedy
     remedy: str  # what to change, in words; "" where no formula says it
     change: dict  # {argument: value} of the remedy

@@ -224,10 +224,9 @@ def evaluate(where: str, value, look=None):
         try:
             if any(isinstance(part, bool) for part in parts):
                 raise TypeError
-            stacked = (
-                np.array(parts, float) if all(map(errors.concrete, parts)) else jnp.stack([*map(jnp.asarray, parts)])
-            )
-            return stacked.astype(float)
+            if all(map(errors.concrete, parts)):
+                return np.array(parts, float)
+            return jnp.stack([*map(jnp.asarray, parts)]).astype(float)
         except (TypeError, ValueError, OverflowError):
             raise errors.fail(where, "hold numbers or vectors of one length", f"is {value!r}") from None
     if not isinstance(value, str):

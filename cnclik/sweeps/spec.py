@@ -58,12 +58,12 @@ MOST_LIMITS = 1000  # each takes some milliseconds
 class Spec:
     """A checked spec. `grid()` is what it runs over, `study` what runs at each point."""
 
-    name: str
-    question: str
+    name: str  # of the file
+    question: str  # as written, as are expectation, fixed, units and figures
     expectation: str
-    tolerance: float
+    tolerance: float  # largest final error of a loop that has converged [m, rad]
     lanes: int  # 0: chosen by `grid`
-    metrics: tuple
+    metrics: tuple  # names of what is measured
     fixed: dict
     written: dict  # {axis: as written}
     tables: dict  # {axis: {label: {name: value}}}, of axes of tables
@@ -304,7 +304,8 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         errors.kind(f"units.{key}", value, str, "be a text")
     if not all(isinstance(figure, dict) for figure in given["figure"]):
         raise errors.fail("figure", "be a list of tables, [[figure]]", f"is {given['figure']!r}")
-    tables = {axis: value for axis, value in given["axes"].items() if _is_of_tables(value)}
+    named = {axis: value for axis, value in given["axes"].items() if isinstance(value, dict) and value}
+    tables = {axis: value for axis, value in named.items() if all(isinstance(table, dict) for table in value.values())}
     spec = Spec(
         name=name,
         question=given["question"].strip(),
@@ -329,10 +330,6 @@ def parse(written: dict, name="spec", folder=pathlib.Path()) -> Spec:
         for end in (np.argmin, np.argmax):
             check_metrics(spec.metrics, spec.loop(program, end).build().law)
     return spec
-
-
-def _is_of_tables(value) -> bool:
-    return isinstance(value, dict) and bool(value) and all(isinstance(table, dict) for table in value.values())
 
 
 def _check_names(spec: Spec):

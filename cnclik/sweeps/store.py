@@ -179,11 +179,6 @@ def read(out):
     return data[list(store.arrays)].assign_coords(data.coords)  # in the spec's order, vectors of samples included
 
 
-def blocks_missing(out) -> int:
-    """Return the number of blocks of a folder's sweep that are not done or damaged."""
-    return len(Store(out).missing())
-
-
 @contextlib.contextmanager
 def _disk(folder, when=""):
     """Report file system errors in one line."""

@@ -138,10 +138,6 @@ def _with_alpha(law, task, value):
     return {"alpha": jnp.broadcast_to(jnp.asarray(law.alpha), law.task.m).at[law.task.of(task)].set(value)}
 
 
-def _posture_rate(law, _):
-    return law.null_velocity and (law.null_velocity.rate,)
-
-
 def _damping(law, _):
     size = getattr(law.inverse, "damping", None)
     return None if np.ndim(size) or size is None else (size, size / RANGE, size * RANGE)
@@ -149,7 +145,11 @@ def _damping(law, _):
 
 KNOWN = {  # start and bounds (of a gain: start alone), what a value changes of the law, unit
     "alpha": (_alpha, _with_alpha, "1/s"),
-    "posture_rate": (_posture_rate, lambda law, _, v: {"null_velocity": replace(law.null_velocity, rate=v)}, "1/s"),
+    "posture_rate": (
+        lambda law, _: law.null_velocity and (law.null_velocity.rate,),
+        lambda law, _, v: {"null_velocity": replace(law.null_velocity, rate=v)},
+        "1/s",
+    ),
     "damping": (_damping, lambda law, _, v: {"inverse": replace(law.inverse, damping=v)}, "m or 1"),
     "feedforward": (lambda law, _: (law.feedforward, 0.0, 2.0), lambda law, _, v: {"feedforward": v}, "1"),
 }

@@ -64,31 +64,6 @@ def verb(tmp_path_factory):
     return module
 
 
-@pytest.mark.parametrize(
-    "argv, says",
-    [
-        ("--steps x", "Argument `steps` must be an integer, but is 'x'."),
-        ("--steps 1.5", "Argument `steps` must be an integer, but is '1.5'."),
-        ("--Ts=ab", "Argument `Ts` must be a number, but is 'ab'."),
-        ("--kind three", "Argument `kind` must be one of one, two, but is 'three'."),
-        ("--pair 1 k", "Argument `pair` must be integers, but is '1 k'."),
-        ("--pair", "Argument `pair` must be given integers, but has no value."),
-        ("--out-dir", "Argument `out_dir` must be given a text, but has no value."),
-        ("-s 1", "Unknown option -s; did you mean --Ts?"),
-        ("--ts 3", "Unknown option --ts; did you mean --Ts?"),
-        ("--step 3", "Unknown option --step; did you mean --steps?"),
-        ("--zzz", "Unknown option --zzz; `cnclik x --help` lists the options."),
-        ("--off=1", "Unknown option --off=1; did you mean --off?"),
-        ("loose", "'loose' is one too many; `cnclik x --help` lists the options."),
-        ("--no-on", "Unknown option --no-on; `cnclik x --help` lists the options."),
-    ],
-)
-def test_wrong_options_are_one_line(verb, argv, says):
-    with pytest.raises(errors.ArgumentError) as caught:
-        arguments.parse(verb, argv.split(), prog="cnclik x", description="x")
-    assert str(caught.value) == says
-
-
 def test_right_options_pass(verb):
     argv = ["--Ts", "500ms", "--pair", "3", "4", "--gain", "2", "--no-off", "--kind", "two"]
     made = arguments.parse(verb, argv, prog="x", description="x")

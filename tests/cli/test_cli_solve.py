@@ -9,7 +9,6 @@ import xarray as xr
 
 from cnclik import writing
 from cnclik.cli import main
-from cnclik.show import run as pictures
 from tests.problem.test_file import TWO
 
 ARM = ["solve", "planar:1,1", "--method", "EE", "--N", "30"]
@@ -94,18 +93,6 @@ def test_a_problem_in_a_file(tmp_path, capsys):
     )
     said = shown(capsys, "export", tmp_path / "cell.py", "--method", "EE", "--out", tmp_path / "step")
     assert "to targets that are arguments" in said and "hand_position" in (tmp_path / "step/clik_step.h").read_text()
-
-
-def test_a_figure_that_cannot_be_drawn_costs_no_data(tmp_path, monkeypatch, capsys):
-    def broken(*_):
-        raise ValueError("no ink")
-
-    monkeypatch.setitem(pictures.KINDS, "tip", broken)
-    with pytest.raises(SystemExit) as left:
-        main([*ARM, "--alpha", "0", "--out", str(tmp_path)])
-    said = capsys.readouterr().err.strip().splitlines()
-    assert left.value.code == 1 and "no ink" in said[-1]
-    assert {"trajectory.nc", "overview.png"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_a_full_disk_leaves_the_answer(tmp_path, monkeypatch, capsys):

@@ -138,14 +138,6 @@ def test_map_of_loops_through_drives_agrees_with_the_limit(tmp_path, capsys, mon
     assert '"robot": "planar:1,1"' in data.attrs["config"]
 
 
-def test_a_figure_of_others_in_the_way_is_named_before_the_work(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cnclik.stability.maps.stability_map", None)
-    (tmp_path / "map.png").write_text("theirs")
-    with pytest.raises(SystemExit):
-        main(["stability", "planar:1,1", "--draw", "map", "--out", str(tmp_path)])
-    assert "map.png there is not cnclik's own" in capsys.readouterr().err
-
-
 def test_plane_has_the_limits_of_every_M(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("cnclik.cli.stability.METHODS", ("EE", "IE"))
     main(["stability", "--draw", "plane", "--out", str(tmp_path)])

@@ -115,18 +115,5 @@ def test_a_figure_that_cannot_be_drawn_costs_nothing_else(other, copy, capsys, m
 def test_a_damaged_block_is_computed_again_and_figures_drawn_in_another_format(other, copy, capsys):
     next(p for p in (copy / "data.zarr/final_error/c").rglob("*") if p.is_file()).unlink()
     main(["sweep", str(other), "--out", str(copy), "--format", "svg"])
-    assert f"Wrote {copy}/heat_final_error.svg\n" in capsys.readouterr().out and not store.blocks_missing(copy)
+    assert f"Wrote {copy}/heat_final_error.svg\n" in capsys.readouterr().out and not store.Store(copy).missing()
     assert "<svg" in (copy / "heat_final_error.svg").read_text()
-
-
-def test_what_others_put_into_the_folder_stays(other, copy, capsys):
-    """Without --overwrite; a figure in the way costs no data."""
-    (copy / "at5.png").write_text("mine")
-    code, _, said = left(["sweep", other, "--out", copy], capsys)
-    assert code == 2 and "at5.png there is not cnclik's own" in said and (copy / "at5.png").read_text() == "mine"
-    assert store.blocks_missing(copy) == 0
-    (copy / "summary.csv").write_text("mine")
-    code, _, said = left(["sweep", other, "--out", copy, "--no-figures"], capsys)
-    assert code == 2 and "summary.csv there is not cnclik's own" in said
-    main(["sweep", str(other), "--out", str(copy), "--no-figures", "--overwrite"])
-    assert (copy / "summary.csv").read_text() != "mine" and (copy / "at5.png").read_text() == "mine"

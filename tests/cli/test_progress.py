@@ -2,22 +2,7 @@
 
 import sys
 
-import pytest
-
 from cnclik.cli import progress
-
-
-@pytest.mark.parametrize(
-    "given, says",
-    [
-        ((0, 40), "compiling, loops"),
-        ((0, 40, "compiling EE"), "compiling EE"),
-        ((10, 4000), "10 of 4,000 loops"),
-        ((30, None, "loss 0.1"), "30 loops, loss 0.1"),
-    ],
-)
-def test_words(given, says):
-    assert progress.words("loops", *given) == says
 
 
 def test_lines_without_a_terminal(capsys, monkeypatch):

@@ -17,17 +17,9 @@ from cnclik.engine.plan import in_c as runs_in_c
 from cnclik.engine.plan import use_engine
 from cnclik.engine.program import Program, lane_avals
 from engine.compare import NEEDS_C, in_c, plain, same
-from tests.export.native import arm
+from tests import bank
 
 SIZE = 11
-LAW = ck.Law(arm(3), ck.position("xy"), alpha=5.0, inverse=ck.damped(0.1))
-
-
-def given(size=SIZE, dtype="float64"):
-    rng = np.random.default_rng(2)
-    q0 = rng.uniform(0.3, 1.2, (size, 3))
-    at = jax.vmap(lambda q: ck.forward(LAW.chain, q).position[:2])(q0 + 0.2)
-    return q0.astype(dtype), np.asarray(at, dtype)
 
 
 @NEEDS_C
@@ -86,7 +78,7 @@ def test_a_compiler_that_fails_is_no_error(monkeypatch, tmp_path, fault):
     same(ck.lanes(jnp.cos)(x), jnp.cos(x))
 
 
-TURN = np.random.default_rng(3).normal(size=(3, 3))
+TURN, X = np.random.default_rng(3).normal(size=(3, 3)), np.random.default_rng(2).uniform(0.3, 1.2, (SIZE, 3))
 
 
 def turned(x):
@@ -96,7 +88,7 @@ def turned(x):
 
 def is_source(fn):
     """Whether lanes of `turned` are lowered as they stand."""
-    text = jax.jit(fn).lower(given()[0]).as_text()
+    text = jax.jit(fn).lower(X).as_text()
     return "dot_general" in text and "lanes-" not in text
 
 
@@ -109,7 +101,7 @@ def test_what_takes_too_long_is_the_source(monkeypatch, of):
     monkeypatch.setattr(plan, "MOST_NODES" if runs_in_c() else "MOST_SCALARS", 20)
     made = of(turned)
     assert is_source(made)
-    same(made(given()[0]), plain(turned, given()[0]), ulps=100)
+    same(made(X), plain(turned, X), ulps=100)
     with use_engine("native" if runs_in_c() else "xla"):
         assert not is_source(made)
 
@@ -121,7 +113,7 @@ def test_what_took_too_long_is_the_source_with_what_it_calls(monkeypatch, tmp_pa
     monkeypatch.setattr(compiler, "MOST_SECONDS", 0.3)
     monkeypatch.setenv("CC", str(program(tmp_path / "cc", f"echo >>{calls}; sleep 9")))
     assert is_source(of(turned))
-    jax.jit(of(lambda x: ck.step(LAW, ck.hold(x[:2]), x, 0.0, 0.01, "EE").q)).lower(given()[0])
+    jax.jit(of(lambda x: ck.step(bank.law("planar3"), ck.hold(x[:2]), x, 0.0, 0.01, "EE").q)).lower(X)
     assert calls.read_text().count("\n") == 2
 
 

@@ -11,6 +11,7 @@ from cnclik.engine.program import Program, lane_avals
 from cnclik.errors import ArgumentError
 from cnclik.threads import side_by_side
 from engine.compare import NEEDS_C, same
+from tests import bank
 
 
 def own(case, k):
@@ -64,14 +65,14 @@ TRANSFORMED = {
 
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_transformations(name):
-    found, wanted = (TRANSFORMED[name](fn) for fn in (NATIVE, own))
+    found, wanted = (TRANSFORMED[name](fn) for fn in (NATIVE, jax.jit(own)))
     same(jax.tree.map(np.asarray, found), jax.tree.map(np.asarray, wanted), ulps=400)
 
 
 def test_without_jit_it_is_the_function_step_by_step():
     with jax.disable_jit():
         found = jax.vmap(jax.grad(loss(NATIVE)))(MANY)
-    same(np.asarray(found), np.asarray(jax.vmap(jax.grad(loss(own)))(MANY)), ulps=400)
+    same(np.asarray(found), np.asarray(jax.jit(jax.vmap(jax.grad(loss(own))))(MANY)), ulps=400)
 
 
 @NEEDS_C
@@ -129,11 +130,7 @@ def test_empty_arrays():
     def of(x):
         sums = x.sum(), x.sum(0), x.prod(1), jnp.cumsum(x, 0), x @ x, jnp.any(x > 1, 0)
         algebra = jnp.linalg.cholesky(x), jnp.linalg.solve(x, x[:, :0]), jnp.linalg.inv(x)
-        places = (
-            jnp.ones(3).at[x.ravel().astype(int)].set(0.0),
-            jnp.concatenate([x.ravel(), jnp.ones(2)]),
-            jnp.pad(x, 1),
-        )
+        places = jnp.ones(3).at[x.ravel().astype(int)].set(0.0), jnp.append(x.ravel(), jnp.ones(2)), jnp.pad(x, 1)
         return sums, algebra, places, lax.scan(lambda c, v: (c + v.sum(), v), 1.0, x)
 
     empty = np.zeros((0, 0))
@@ -150,26 +147,15 @@ def test_errors_are_the_functions_own():
         ck.native(lambda x: x @ MANY)(X)
 
 
-LAW = ck.Law(ck.panda(), ck.position(), alpha=5.0, inverse=ck.damped(0.1))
-
-
 def moved(q0):
-    return jnp.sum(ck.solve(LAW, ck.hold([0.4, 0.1, 0.5]), q0, 0.01, 4, "EE").e[-1] ** 2)
+    return jnp.sum(ck.solve(bank.law("planar3"), ck.hold([1.2, 0.9]), q0, 0.01, 4, "EE").e[-1] ** 2)
 
 
-@pytest.mark.parametrize(
-    "fn",
-    [ck.lanes(moved), jax.vmap(moved), jax.vmap(jax.grad(moved)), ck.lanes(jax.grad(moved))],
-    ids=["lanes", "solve", "gradient", "lanes of a gradient"],
-)
+@pytest.mark.parametrize("fn", [ck.lanes(moved), jax.vmap(moved), jax.vmap(jax.grad(moved)), ck.lanes(jax.grad(moved))])
 def test_for_a_gpu_it_is_jax_alone(fn):
     """Lowered for CUDA, without one: neither C nor LAPACK, and the engine's scalars."""
-    text = jax.jit(fn).trace(np.zeros((300, 7))).lower(lowering_platforms=("cuda",)).as_text()
+    text = jax.jit(fn).trace(np.zeros((300, 3))).lower(lowering_platforms=("cuda",)).as_text()
     assert "custom_call" not in text and "dot_general" not in text and "sine" in text
-
-
-def wave(a, x):
-    return a * jnp.sin(x)
 
 
 def test_the_tree_of_results_is_that_of_the_shapes_of_a_call():
@@ -181,15 +167,17 @@ def test_the_tree_of_results_is_that_of_the_shapes_of_a_call():
 @pytest.mark.parametrize(
     "around",
     [
-        lambda of: jax.jit(lambda a: of(lambda x: wave(a, x))(0.5))(2.0),
-        lambda of: jax.grad(lambda a: of(lambda x: wave(a, x))(0.5))(2.0),
-        lambda of: jax.vmap(lambda a: of(lambda x: wave(a, x))(0.5))(jnp.arange(3.0)),
-        lambda of: jax.lax.scan(lambda c, a: (of(lambda x: wave(a, x))(c), c), 1.0, jnp.arange(3.0))[1],
-        lambda of: jax.jit(lambda a: jax.vmap(of(lambda x: wave(a, x)))(jnp.arange(3.0)))(2.0),
+        lambda used: jax.jit(used)(2.0),
+        lambda used: jax.grad(used)(2.0),
+        lambda used: jax.vmap(used)(jnp.arange(3.0)),
+        lambda used: lax.scan(lambda c, a: (used(a, c), c), 1.0, jnp.arange(3.0))[1],
     ],
 )
 def test_numbers_of_a_trace_around_it_may_be_closed_over(around):
-    np.testing.assert_allclose(around(ck.native), around(lambda fn: fn), rtol=1e-6)
+    def used(of):
+        return lambda a, x=0.5: of(lambda x: a * jnp.sin(x))(x)
+
+    np.testing.assert_allclose(around(used(ck.native)), around(used(lambda fn: fn)), rtol=1e-6)
 
 
 def test_effects_and_named_axes_are_those_of_the_function():
@@ -210,7 +198,7 @@ def test_numbers_are_rounded_where_a_precision_is_asked_for():
     assert ck.native(rounds)(x) == rounds(x) != x
 
 
-@pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.float16, jnp.complex64])
+@pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.complex64])
 def test_results_of_other_types_have_derivatives(dtype):
     def squared(x):
         return (x * jnp.array(2, dtype)) ** 2

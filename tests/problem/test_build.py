@@ -10,6 +10,7 @@ from cnclik.law.law import observe
 from cnclik.problem import names
 from cnclik.problem.options import NAME, OPTIONS
 from cnclik.problem.reference import reference_from
+from tests.refusals import refusals
 
 
 def test_the_papers_case_in_words():
@@ -76,21 +77,13 @@ def test_numbers_may_be_texts_with_a_unit():
             p.problem_from("planar:1,1", **options)
 
 
-@pytest.mark.parametrize(
-    "text, position, orientation",
-    [
-        ("pose", "xyz", "xyz"),
-        ("position", "xyz", ""),
-        ("orientation", "", "xyz"),
-        ("xz", "xz", ""),
-        ("rz", "", "z"),
-        ("xyrz", "xy", "z"),
-        (None, "xyz", "xyz"),
-    ],
-)
-def test_tasks_by_name(text, position, orientation):
+TASKS = {"pose": ("xyz", "xyz"), "position": ("xyz", ""), "orientation": ("", "xyz"), "xz": ("xz", ""), "rz": ("", "z")}
+
+
+@pytest.mark.parametrize(("text", "axes"), [*TASKS.items(), ("xyrz", ("xy", "z")), (None, ("xyz", "xyz"))])
+def test_tasks_by_name(text, axes):
     task = names.task_from(text, ck.panda())
-    assert (task.position, task.orientation) == (position, orientation)
+    assert (task.position, task.orientation) == axes
 
 
 def test_words_mean_the_plane_on_a_planar_arm():
@@ -179,35 +172,29 @@ def test_every_option_has_a_help_and_takes_its_units():
             assert found == pytest.approx([2 * factor / over]), (name, text)
 
 
-@pytest.mark.parametrize(
-    "options, told",
-    [
-        ({"robot": "planar:"}, "planar:1,1,1"),
-        ({"robot": "planar:1,1", "task": "pose"}, "`task` must have at most 2 coordinates, one per joint"),
-        ({"robot": "planar:1,-1"}, "at least 0"),
-        ({"task": ""}, "`task`"),
-        ({"task": ["x"]}, "`task`"),
-        ({"reference": "circle", "speed": 0.1}, "`speed` must be left out for the reference 'circle'"),
-        ({"period": 2.0}, "`period` must be left out for the reference 'hold'"),
-        ({"robot": "planar"}, "`robot` must give link lengths such as planar:1,1,1"),
-        ({"robot": "panda:1"}, "`robot` must be panda, but is 'panda:1'"),
-        ({"reference": "circle", "radius": 0}, "positive"),
-        ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
-        ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
-        ({"reference": "line", "period": 0}, "`period`"),
-        ({"alpha": [1, 2]}, "alpha"),
-        ({"N": 0}, "N"),
-        ({"method": "BDF"}, "method"),
-        ({"stage": "picrad"}, "did you mean 'picard'"),
-        ({"M": -1}, "M"),
-        ({"damping": 0}, "damping"),
-        ({"threshold": 0.1}, "`threshold` must come with `damping`"),
-        ({"damping_ratio": 0.7}, "`damping_ratio` must come with a natural_frequency"),
-        ({"limits": "bounded"}, "`limits` must come with `damping`, such as 0.05, but comes without"),
-        ({"sped": 3}, r"`option` must be one of .* \(did you mean 'speed'\?\)"),
-    ],
+test_what_does_not_fit_is_named = refusals(
+    ({"robot": "planar:"}, "planar:1,1,1"),
+    ({"robot": "planar:1,1", "task": "pose"}, "`task` must have at most 2 coordinates, one per joint"),
+    ({"robot": "planar:1,-1"}, "at least 0"),
+    ({"task": ""}, "`task`"),
+    ({"task": ["x"]}, "`task`"),
+    ({"reference": "circle", "speed": 0.1}, "`speed` must be left out for the reference 'circle'"),
+    ({"period": 2.0}, "`period` must be left out for the reference 'hold'"),
+    ({"robot": "planar"}, "`robot` must give link lengths such as planar:1,1,1"),
+    ({"robot": "panda:1"}, "`robot` must be panda, but is 'panda:1'"),
+    ({"reference": "circle", "radius": 0}, "positive"),
+    ({"reference": "circle", "task": "orientation"}, "`reference` .* without position"),
+    ({"reference": "lissajous", "task": "rz"}, "`reference` .* without position"),
+    ({"reference": "line", "period": 0}, "`period`"),
+    ({"alpha": [1, 2]}, "alpha"),
+    ({"N": 0}, "N"),
+    ({"method": "BDF"}, "method"),
+    ({"stage": "picrad"}, "did you mean 'picard'"),
+    ({"M": -1}, "M"),
+    ({"damping": 0}, "damping"),
+    ({"threshold": 0.1}, "`threshold` must come with `damping`"),
+    ({"damping_ratio": 0.7}, "`damping_ratio` must come with a natural_frequency"),
+    ({"limits": "bounded"}, "`limits` must come with `damping`, such as 0.05, but comes without"),
+    ({"sped": 3}, r"`option` must be one of .* \(did you mean 'speed'\?\)"),
+    of=lambda **options: p.problem_from(**({"robot": "panda"} | options)),
 )
-def test_what_does_not_fit_is_named(options, told):
-    with pytest.raises(ck.ArgumentError, match=told) as error:
-        p.problem_from(**({"robot": "panda"} | options))
-    assert "\n" not in str(error.value)

@@ -1,15 +1,10 @@
 """A problem in a Python file: what its function may return, which options it takes, and its errors with their line."""
 
-import pathlib
-
 import numpy as np
 import pytest
 
 import cnclik as ck
 from cnclik.problem import problem_of
-from tests.oracles import robot_file
-
-EXAMPLES = pathlib.Path(__file__).parents[2] / "docs" / "problems"
 
 TWO = """
 import cnclik as ck
@@ -85,18 +80,6 @@ def test_what_is_wrong_is_one_line(file, text, options, told):
 def test_no_file_is_told():
     with pytest.raises(ck.ArgumentError, match=r"`robot` must name a Python file that can be read, but cell.py: No"):
         problem_of("nowhere/cell.py")
-
-
-@pytest.mark.slow  # tests/test_docs.py runs the arms
-@pytest.mark.parametrize("name", ["two_arms", "humanoid"])
-def test_the_examples_of_the_pages_follow_their_paths(name, tmp_path, monkeypatch):
-    for robot in ("baxter", "g1"):
-        (tmp_path / f"{robot}.urdf").write_bytes(pathlib.Path(robot_file(robot)).read_bytes())
-    monkeypatch.chdir(tmp_path)
-    made = problem_of(EXAMPLES / f"{name}.py", N=5)
-    run = made.run()
-    first = made.law.task.tasks[0][0]
-    assert np.abs(run[first].e).max() < 1e-6 and made.name == name
 
 
 def test_a_file_may_import_what_is_beside_it(file):

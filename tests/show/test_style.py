@@ -55,18 +55,6 @@ def test_saved_figures_are_reproducible_and_those_of_savefig(tmp_path, form):
     plt.close("all")
 
 
-def lightness(color):
-    """0 (black) to 1, as a greyscale print has it."""
-    return float(np.dot(to_rgb(color), (0.299, 0.587, 0.114)))
-
-
-def test_lines_differ_in_greyscale_and_are_seen_on_white():
-    looks = [style.series(i) for i in range(len(style.COLORS))]
-    assert len({(look["marker"]) for look in looks}) == len(looks)
-    assert all(lightness(look["color"]) < 0.75 for look in looks)
-    assert len({str((look["color"], look["linestyle"])) for look in map(style.series, range(20))}) == 20
-
-
 @pytest.mark.parametrize(
     ("values", "labels"),
     [
@@ -105,15 +93,6 @@ def test_errors_at_rounding_stretch_no_axis_and_the_largest_is_below_its_top():
     assert 1e-6 < low < 1e-5 and 1.1e-3 < high < 2e-3
     style.log_errors(panel, [np.zeros(3), np.full(3, np.nan)])  # nothing that a logarithm could show
     plt.close(figure)
-
-
-def test_ways_to_end_differ_from_every_rate_in_greyscale():
-    from cnclik.show.stability import FLAT, RATES
-
-    rates = [lightness(color[:3]) for color in RATES(np.linspace(0, 1, 50))]
-    assert (np.diff(rates) > 0).all()
-    for color, hatch, _ in FLAT.values():
-        assert hatch or not min(rates) - 0.1 < lightness(color) < max(rates) + 0.05
 
 
 NOTEBOOK = """

@@ -132,12 +132,6 @@ def test_no_task_of_a_run_that_grows_or_still_moves_stays_or_follows(alpha, kind
     assert said.kind == kind and "stays" not in str(said) and "following" not in str(said), said
 
 
-def test_causes_are_those_of_the_run():
-    z = ck.Law(FIVE, ck.position("xyz"), alpha=5.0, inverse=ck.damped(0.01))
-    said = judge(z, ck.hold([*(0.9 * TIP), 0.1]), Q5, 0.1, 100)
-    assert said.kind == Behaviour.HELD_BACK and "out of reach: the nearest posture found is 100 mm away" in str(said)
-
-
 def test_noise_is_no_swing():
     rng = np.random.default_rng(5)
     law, N, sigma = planar(5.0), 400, 1e-3

@@ -1,14 +1,9 @@
 """Whole commands killed, stopped and starved; nothing half-written remains.
 
-Each trial starts one command in a process of its own, as a user would, and disturbs it:
-
-- kill: SIGKILL at a random moment, half of them late, when files are written. What the folder holds afterwards is
-  nothing or files of a whole run, each of them whole; the same command then ends as if nothing had been.
-- stop: SIGINT or SIGTERM. One line on stderr, exit code 130 or 143, nothing left over, not even hidden.
-- full: a file system (tmpfs, needs root) with less room than the results take. Exit code 2 with one line, and whole
-  files alone.
+Each trial starts one command in a process of its own, as a user would, and disturbs it.
 """
 
+import functools
 import pathlib
 import shutil
 import signal
@@ -20,110 +15,99 @@ import zlib
 
 import numpy as np
 
+from cnclik.sweeps import store
 from cnclik.writing import LIST
 
 SPEC = pathlib.Path(__file__).parents[2] / "sweeps" / "horizon.toml"
-PLANAR = ["planar:1,1", "--reference", "circle"]
-AXES = ("method=['EE']", "Ts=[0.1]", "alpha=[1, 9]")
+AXES = "--set axes.method=['EE'] --set axes.Ts=[0.1] --set axes.alpha=[1,9]"
 COMMANDS = {  # verbs that write results, on small cases
-    "sweep": ["sweep", str(SPEC), *(word for axis in AXES for word in ("--set", f"axes.{axis}"))],
-    "solve": ["solve", *PLANAR, "--N", "50"],
-    "reach": ["reach", "planar:1,1", "--random", "20", "--out", "{out}/answers.csv"],
+    "sweep": f"sweep {SPEC} {AXES} --out OUT",
+    "solve": "solve planar:1,1 --reference circle --N 50 --out OUT",
+    "reach": "reach planar:1,1 --random 20 --out OUT/answers.csv",
 }
-DATA = {"trajectory.nc", "summary.md", "answers.csv"}
 
 
 def start(name, out):
-    if name == "reach":
-        out.mkdir(exist_ok=True)
-    words = [word.replace("{out}", str(out)) for word in COMMANDS[name]]
-    line = [sys.executable, "-m", "cnclik", *words, *["--out", str(out)] * ("--out" not in words)]
+    out.mkdir(exist_ok=True)
+    line = [sys.executable, "-m", "cnclik", *COMMANDS[name].replace("OUT", str(out)).split()]
     return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
 def ended(process):
     """(exit code, what a user would read of an error)."""
-    try:
-        _, err = process.communicate()
-    finally:
-        process.kill()  # of an interrupt
+    _, err = process.communicate()
     lines = [said for said in err.splitlines() if said.startswith("cnclik:") or "Traceback" in said or "Error" in said]
     return process.returncode, lines
 
 
 def files(folder) -> dict:
-    """Contents by name; those of a sweep's store, of which each block is a file, and of lists apart."""
+    """Contents by name; without those of a sweep's store, of which each block is a file, and lists."""
     found = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
     return {name: content for name, content in found.items() if not name.startswith(("data.zarr/", ".partial-", LIST))}
 
 
 def broken(found, wanted) -> list:
     """Names of files that are not those of an undisturbed run: its bytes, or its kind and size where times differ."""
-    bad = []
-    for name, content in found.items():
-        other = wanted.get(name, b"")
-        alike = abs(len(content) - len(other)) < 0.1 * len(other)
-        if name.endswith((".png", ".nc")):
-            alike = content[:8] == other[:8] and (alike if name.endswith(".nc") else content[-8:] == other[-8:])
-        bad += [name] * (content != other and not (alike and content))
-    return bad
+
+    def alike(name, a, b):
+        near = abs(len(a) - len(b)) < 0.1 * len(b) or name.endswith(".png")
+        return a == b or (a[:8] == b[:8] and near and (not name.endswith(".png") or a[-8:] == b[-8:]))
+
+    return [name for name, content in found.items() if not alike(name, content, wanted.get(name, b""))]
 
 
-def kill(name, folder, rng, seconds, wanted):
-    out, late = folder / "out", rng.random() < 0.5
+def kill(name, out, rng, seconds, wanted):
+    """SIGKILL, half of them late, when files are written: all files are whole, and the same command then goes on."""
     process = start(name, out)
-    time.sleep(seconds * (rng.uniform(0.8, 1.1) if late else rng.uniform(0, 1)))
-    process.send_signal(signal.SIGKILL)
+    time.sleep(seconds * rng.uniform(0.8 * (rng.random() < 0.5), 1.1))
+    process.kill()
     process.communicate()
-    found = files(out) if out.exists() else {}
-    if bad := broken(found, wanted):
-        return f"half a file or a strange one: {bad}"
-    if any(n.endswith(".png") for n in found) and not {n for n in wanted if n in DATA} <= set(found):
-        return f"figures without data: {sorted(found)}"
-    code, said = ended(start(name, out))  # and the same command ends as if nothing had been
+    found = files(out)
+    data = {n for n in wanted if n.endswith((".nc", ".md", ".csv"))}
+    early = any(n.endswith(".png") for n in found) and not data <= set(found)
+    if broken(found, wanted) or early:
+        return f"half a file, or figures without data: {broken(found, wanted)} of {sorted(found)}"
+    code, said = ended(start(name, out))
     again = files(out)
     wrong = code or sorted(again) != sorted(wanted) or broken(again, wanted)
+    wrong = wrong or (name == "sweep" and store.Store(out).missing())
     return f"the command did not go on: {code} {said} {sorted(again)}" if wrong else ""
 
 
-def stop(name, folder, rng, seconds, wanted):
-    out, sent = folder / "out", (signal.SIGINT, signal.SIGTERM)[rng.integers(2)]
-    process = start(name, out)
+def stop(name, out, rng, seconds, wanted):
+    """SIGINT or SIGTERM: one line on stderr, exit code 130 or 143, nothing left over, not even hidden."""
+    sent, process = (signal.SIGINT, signal.SIGTERM)[rng.integers(2)], start(name, out)
     time.sleep(max(seconds * rng.uniform(0, 1), 1.0))  # before that Python itself is being loaded
     process.send_signal(sent)
     code, said = ended(process)
     if code in (0, -sent):  # it had done its work, and Python was about to end; or had not yet begun to hear
-        unheard = code == -sent and not out.exists()
-        return "" if unheard or sorted(files(out)) == sorted(wanted) else "ended well with other files"
-    if code != (130 if sent == signal.SIGINT else 143) or len(said) != 1:
+        found = sorted(files(out))
+        return "" if found == sorted(wanted) or (code and not found) else f"{code} with {found}"
+    if code != 128 + sent or len(said) != 1:
         return f"{sent.name}: exit code {code}, {said}"
-    hidden = [p for p in out.rglob(".partial-*")] if out.exists() else []
-    return f"{sent.name}: left {hidden}" if hidden else ""
+    return "".join(f"{sent.name}: left {hidden}" for hidden in out.rglob(".partial-*"))
 
 
-def full(name, folder, rng, seconds, wanted):
-    room, total = folder / "room", sum(map(len, wanted.values())) / 1024
-    room.mkdir()
-    size = max(int(total * rng.uniform(0, 1.1)), 8)
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", str(room)], check=True)
+def full(name, out, rng, seconds, wanted):
+    """A file system (tmpfs, needs root) with less room than the results take: one line, and whole files alone."""
+    size = max(int(sum(map(len, wanted.values())) / 1024 * rng.uniform(0, 1.1)), 8)
+    out.mkdir()
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}k", "tmpfs", str(out)], capture_output=True
+    ).returncode:
+        return ""  # not for this user
     try:
-        code, said = ended(start(name, room / "out"))
-        found = files(room / "out") if (room / "out").exists() else {}
-        if code == 0:
-            return "" if sorted(found) == sorted(wanted) else f"ended well with {sorted(found)}"
-        if code not in (1, 2) or len(said) != 1:
-            return f"exit code {code}, {said}"
-        return f"half a file: {bad}" if (bad := broken(found, wanted)) else ""
+        code, said = ended(start(name, out))
+        found = files(out)
     finally:
-        subprocess.run(["umount", str(room)], check=True)
+        subprocess.run(["umount", str(out)], check=True)
+    if code == 0:
+        return "" if sorted(found) == sorted(wanted) else f"ended well with {sorted(found)}"
+    wrong = broken(found, wanted) or code not in (1, 2) or len(said) != 1
+    return f"exit code {code}, {said}, {broken(found, wanted)}" if wrong else ""
 
 
-def may_mount(folder) -> bool:
-    """Whether a tmpfs can be mounted here."""
-    done = subprocess.run(["mount", "-t", "tmpfs", "tmpfs", str(folder)], capture_output=True)
-    return done.returncode == 0 and subprocess.run(["umount", str(folder)]).returncode == 0
-
-
+@functools.cache
 def undisturbed(name, folder):
     """(seconds that a command takes, files that it makes)."""
     for _ in range(2):  # the first fills the cache of compiled programs
@@ -137,12 +121,9 @@ def undisturbed(name, folder):
 
 def trials(seed, folder):
     """(what was done, what is wrong or nothing), without end."""
-    rng, known = np.random.default_rng(zlib.crc32(str(seed).encode())), {}
-    acts = [kill, stop, *([full] if shutil.which("mount") and may_mount(folder) else [])]
+    rng = np.random.default_rng(zlib.crc32(str(seed).encode()))
     for k in range(10**9):
-        name, act = list(COMMANDS)[k % len(COMMANDS)], acts[k // len(COMMANDS) % len(acts)]
-        if name not in known:
-            known[name] = undisturbed(name, folder)
+        name, act = list(COMMANDS)[k % 3], (kill, stop, full)[k // 3 % 3]
         place = pathlib.Path(tempfile.mkdtemp(dir=folder))
-        yield f"{act.__name__} {name} {k}", act(name, place, rng, *known[name])
+        yield f"{act.__name__} {name} {k}", act(name, place / "out", rng, *undisturbed(name, folder))
         shutil.rmtree(place, ignore_errors=True)

@@ -1,8 +1,6 @@
-"""All calls in one process, always with new robots: is memory flat?
+"""All calls in one process, always with new robots, paths and functions: is memory flat?
 
-Every round has a robot, a path and functions that nobody has asked for before, as literals where that is how users
-write them. What the process holds is looked at after each round. So that minutes show what a day does, caches of
-programs hold 16 in place of more.
+So that minutes show what a day does, caches of programs hold 16 in place of more.
 """
 
 import contextlib
@@ -23,25 +21,18 @@ from cnclik import cache
 from cnclik.cli import main
 from cnclik.measure.files import save_netcdf
 
-GROWTH, LEAST = 1.05, 30  # of the median of the last third over that of the second; rounds before it is looked at
 CIRCLE = "--reference circle --N 20 --no-figures --overwrite"
 
 
-def draw(rng):
-    """A robot, its law, a path, a start: of Python numbers, as in an example."""
-    n = int(rng.integers(2, 5))
-    chain = ck.planar_arm([float(v) for v in rng.uniform(0.2, 1.0, n)])
-    inverse = ck.damped(0.05) if rng.random() < 0.5 else ck.pseudoinverse()
-    law = ck.Law(chain, ck.position("xy"), alpha=float(rng.uniform(1, 10)), inverse=inverse)
-    q = rng.uniform(0.3, 1.2, n)
-    tip, radius = np.asarray(ck.forward(chain, q).position)[:2], float(rng.uniform(0.01, 0.1))
-    return law, ck.hold(tip + 0.05) if rng.random() < 0.5 else ck.circle(tip, radius=radius, period=2.0), q
-
-
 def everything(rng, folder):
-    """Ask for all that users ask for, once."""
-    law, reference, q = draw(rng)
-    Ts, gain = 0.01, float(rng.uniform(0.5, 2))
+    """Ask for all that users ask for, once, of a robot of Python numbers as in an example."""
+    n, Ts, gain = int(rng.integers(2, 5)), 0.01, float(rng.uniform(0.5, 2))
+    arm = ck.planar_arm([float(v) for v in rng.uniform(0.2, 1.0, n)])
+    inverse = ck.damped(0.05) if rng.random() < 0.5 else ck.pseudoinverse()
+    law = ck.Law(arm, ck.position("xy"), alpha=float(rng.uniform(1, 10)), inverse=inverse)
+    q = rng.uniform(0.3, 1.2, n)
+    tip, radius = np.asarray(ck.forward(arm, q).position)[:2], float(rng.uniform(0.01, 0.1))
+    reference = ck.hold(tip + 0.05) if rng.random() < 0.5 else ck.circle(tip, radius=radius, period=2.0)
     method = ("EE", "CN", "EXP-MIDPOINT", "RK4")[rng.integers(4)]
     run = ck.solve(law, reference, q, Ts, 20, method)
     ck.step(law, reference, q, 0.0, Ts, method)
@@ -50,7 +41,7 @@ def everything(rng, folder):
     ck.solve(law, reference, q, Ts, 20, "EE", drive=drive)
     ck.gains(Ts=Ts, drive=drive)
     ck.verdict(law, reference, run, method=method)
-    ck.reach(law.chain, np.append(run.x[-1], 0.0), task=law.task)
+    ck.reach(arm, np.append(run.x[-1], 0.0), task=law.task)
     ck.tune(law, reference, q, Ts=Ts, N=10, steps=3)
     plt.close(ck.plot(run, law))
     save_netcdf(ck.measure.to_dataset(run, law), folder / "run.nc")
@@ -72,6 +63,6 @@ def trials(seed, folder):
         everything(rng, folder)
         gc.collect()
         held.append(resident())
-        _, second, third = (float(np.median(part)) for part in np.array_split(held, 3)) if k >= LEAST else (0, 1, 0)
+        _, second, third = (np.median(part) for part in np.array_split(held, 3)) if k >= 30 else (0, 1, 0)
         grows = f"the medians of the last thirds of {k} rounds are {second:.0f} and {third:.0f} MiB"
-        yield f"round {k}, {held[-1]:.0f} MiB", grows if third > GROWTH * second else ""
+        yield f"round {k}, {held[-1]:.0f} MiB", grows * bool(third > 1.05 * second)

@@ -10,13 +10,13 @@ import pytest
 import xarray
 
 import cnclik as ck
-from cnclik.errors import ArgumentError
 from cnclik.measure.metrics import measure_run
 from cnclik.sweeps import grid as programs
 from cnclik.sweeps.axes import axis
 from cnclik.sweeps.grid import Grid
 from cnclik.sweeps.sweep import sweep
 from tests import plain
+from tests.refusals import refusals
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])
@@ -155,21 +155,16 @@ def test_a_block_that_needs_too_much_memory_is_cut():
     assert program.memory <= 2**17 and 1 < of.lanes < 4096
 
 
-@pytest.mark.parametrize(
-    ("study", "axes", "words"),
-    [
-        (3, {"alpha": [1.0]}, "be a function"),
-        (cheap, {}, "hold at least one axis"),
-        (cheap, {"alpha": 3.0}, "Argument `alpha` must be an axis"),
-        (cheap, {"alpha": []}, "hold at least one value, but is empty"),
-        (cheap, {"alpha": [1.0, np.nan]}, "hold finite values"),
-        (cheap, {"alpha": [object()]}, "be a dict"),
-        (cheap, {"alpha": [[1.0], [1.0, 2.0]]}, "hold values of one shape"),
-        (lambda value: value, {"value": [1.0]}, "names of their own, but 'value' is in the results"),
-        (lambda value_0: jnp.stack([value_0]), {"value_0": [1.0]}, "names of their own, but 'value_0' is in"),
-        (lambda N, a: {"x": jnp.zeros(N) + a}, {"N": [2, 3], "a": [1.0]}, "same names and shapes everywhere"),
-    ],
+test_what_is_no_sweep_is_refused = refusals(
+    ((3, {"alpha": [1.0]}), "be a function"),
+    ((cheap, {}), "hold at least one axis"),
+    ((cheap, {"alpha": 3.0}), "Argument `alpha` must be an axis"),
+    ((cheap, {"alpha": []}), "hold at least one value, but is empty"),
+    ((cheap, {"alpha": [1.0, np.nan]}), "hold finite values"),
+    ((cheap, {"alpha": [object()]}), "be a dict"),
+    ((cheap, {"alpha": [[1.0], [1.0, 2.0]]}), "hold values of one shape"),
+    ((lambda value: value, {"value": [1.0]}), "names of their own, but 'value' is in the results"),
+    ((lambda value_0: jnp.stack([value_0]), {"value_0": [1.0]}), "names of their own, but 'value_0' is in"),
+    ((lambda N, a: {"x": jnp.zeros(N) + a}, {"N": [2, 3], "a": [1.0]}), "same names and shapes everywhere"),
+    of=lambda case: sweep(case[0], **case[1]),
 )
-def test_what_is_no_sweep_is_refused(study, axes, words):
-    with pytest.raises(ArgumentError, match=words):
-        sweep(study, **axes)

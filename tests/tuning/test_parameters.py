@@ -5,6 +5,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.tuning import parameters as pm
+from tests.refusals import refusals
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 LAW = ck.Law(ARM, ck.position("xy"), alpha=[4.0, 6.0], inverse=ck.damped(0.1), null_velocity=ck.posture([0.0, 1.0]))
@@ -50,22 +51,17 @@ def test_alpha_of_a_stack_is_a_gain_for_each_task_but_postures():
     assert [p.start.tolist() for p in pm.chosen("alpha", axes, {}, GAINS)] == [[8.0, 7.0], 4.0]
 
 
-@pytest.mark.parametrize(
-    ("law", "over", "bounds", "told"),
-    [
-        (STACK, "hnad.alpha", {}, r"one of hand, turn, rest, but is 'hnad' \(did you mean 'hand'"),
-        (STACK, "damping", {}, "name damping for a law that has it"),
-        (ck.replace(LAW, null_velocity=None), "posture_rate", {}, "name posture_rate for a law that has it"),
-        (LAW, "gain", {}, "`over` must be one of alpha, .* but is 'gain'"),
-        (LAW, (), {}, "name something"),
-        (LAW, ("alpha", "alpha"), {}, "each once"),
-        (LAW, "alpha", {"alpha": (5, 1)}, "bounds of alpha` must increase"),
-        (LAW, "alpha", {"alpha": 3}, r"be \(lower, upper\)"),
-        (LAW, "alpha", {"alpha": (0.0, 2)}, "be above 0"),
-        (LAW, "alpha", {"alpha": (1, 60)}, "at most the largest stable gain, 50 1/s, but are 1 and 60"),
-        (LAW, "alpha", {"damping": (1, 2)}, "`bounds` must be one of alpha"),
-    ],
+test_what_does_not_fit_is_named = refusals(
+    ((STACK, "hnad.alpha", {}), r"one of hand, turn, rest, but is 'hnad' \(did you mean 'hand'"),
+    ((STACK, "damping", {}), "name damping for a law that has it"),
+    ((ck.replace(LAW, null_velocity=None), "posture_rate", {}), "name posture_rate for a law that has it"),
+    ((LAW, "gain", {}), "`over` must be one of alpha, .* but is 'gain'"),
+    ((LAW, (), {}), "name something"),
+    ((LAW, ("alpha", "alpha"), {}), "each once"),
+    ((LAW, "alpha", {"alpha": (5, 1)}), "bounds of alpha` must increase"),
+    ((LAW, "alpha", {"alpha": 3}), r"be \(lower, upper\)"),
+    ((LAW, "alpha", {"alpha": (0.0, 2)}), "be above 0"),
+    ((LAW, "alpha", {"alpha": (1, 60)}), "at most the largest stable gain, 50 1/s, but are 1 and 60"),
+    ((LAW, "alpha", {"damping": (1, 2)}), "`bounds` must be one of alpha"),
+    of=lambda case: pm.chosen(case[1], case[0], case[2], GAINS),
 )
-def test_what_does_not_fit_is_named(law, over, bounds, told):
-    with pytest.raises(ck.ArgumentError, match=told):
-        pm.chosen(over, law, bounds, GAINS)

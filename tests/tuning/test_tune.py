@@ -13,6 +13,7 @@ from cnclik.tuning.descent import Bounds, evaluate
 from cnclik.tuning.parameters import chosen, ends
 from cnclik.tuning.tune import objective_of
 from tests.bank import told
+from tests.refusals import refusals
 
 ARM = ck.planar_arm([1.0, 1.0], clockwise=True)
 Q0 = np.array([0.0, np.pi / 2])  # the tip is at (1, 1)
@@ -181,47 +182,23 @@ def test_a_path_that_no_gain_makes_slow_enough_and_runs_that_are_not_finite_are_
 RUNS_AWAY = ck.Drive(delay=4, natural_frequency=10.0, damping_ratio=0.2, command="position", feedback="rebased")
 
 
-@pytest.mark.parametrize(
-    "options, words",
-    [
-        ({"loss": "tracking"}, "`loss` must be a function"),
-        ({"velocity_limit": -1.0}, "velocity_limit"),
-        ({"noise": np.ones((30, 3))}, r"`noise` must have shape \(30, 2\) or \(n, 30, 2\)"),
-        ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
-        ({"progress": 5}, "`progress` must be a function or None"),
-        ({"N": 2}, "`N` must be at least 3"),
-        (
-            {"law": ck.replace(LAW, alpha=[5.0, 5.0]), "drive": ck.Drive(lag=[0.05, 0.2])},
-            "be the same for all joints where gains differ",
-        ),
-        ({"drive": RUNS_AWAY}, "`drive` must allow a gain, but each position command starts at the measured joints"),
-    ],
+test_what_does_not_fit_is_refused = refusals(
+    ({"loss": "tracking"}, "`loss` must be a function"),
+    ({"velocity_limit": -1.0}, "velocity_limit"),
+    ({"noise": np.ones((30, 3))}, r"`noise` must have shape \(30, 2\) or \(n, 30, 2\)"),
+    ({"reference": [LINE] * 2, "q0": np.ones((3, 2))}, "`reference` must be one, or one for each of 3 runs"),
+    ({"progress": 5}, "`progress` must be a function or None"),
+    ({"N": 2}, "`N` must be at least 3"),
+    (
+        {"law": ck.replace(LAW, alpha=[5.0, 5.0]), "drive": ck.Drive(lag=[0.05, 0.2])},
+        "be the same for all joints where gains differ",
+    ),
+    ({"drive": RUNS_AWAY}, "`drive` must allow a gain, but each position command starts at the measured joints"),
+    of=at,
 )
-def test_what_does_not_fit_is_refused(options, words):
-    with pytest.raises(ck.ArgumentError, match=words):
-        at(**options)
 
 
 # --- runs and derivatives -----------------------------------------------------------------------------
-
-
-def test_noise_and_delay_run_as_in_plain_numpy():
-    noise = 1e-3 * np.random.default_rng(4).standard_normal((30, 2))
-    run = at(noise=noise, drive=ck.Drive(delay=1), steps=3).before
-
-    def tip(q):  # clockwise, along +y at q = 0
-        a = np.cumsum(q)
-        rows = np.array([[np.cos(a).sum(), np.cos(a[1])], [-np.sin(a).sum(), -np.sin(a[1])]])
-        return np.array([np.sin(a).sum(), np.cos(a).sum()]), rows
-
-    q, errors, asked = Q0.copy(), [], [np.zeros(2)]
-    for k in range(31):
-        errors.append(np.array([1 - 0.1 * k / 3, 1.0]) - tip(q)[0])
-        if k < 30:
-            velocity = np.array([-1 / 3, 0.0]) + 5.0 * (errors[k] + noise[k])
-            asked.append(0.1 * np.linalg.solve(tip(q)[1], velocity))
-            q = q + asked[k]  # what was asked for a sample ago
-    np.testing.assert_allclose(run.e, errors, rtol=0, atol=1e-10)
 
 
 LINKS = Parameter(

@@ -16,12 +16,13 @@
 static inline T K(abs)(T x) { return (T)((BITS)x & (BITS_NUMBER)~SIGN); }
 #if defined(__AVX512DQ__) && !defined(__clang__) && BYTES == 64 && SIZE == MAIN
 /* The instruction gives b if one is NaN; lanes where a is (7: not NaN) stay a. */
-static inline T K(max)(T a, T b) { return WIDE(max)(a, b, a, WIDE(cmp)(a, a, 7, -1, 4), 4); }
-static inline T K(min)(T a, T b) { return WIDE(min)(a, b, a, WIDE(cmp)(a, a, 7, -1, 4), 4); }
+#define EXTREME(name, sign, a, b) WIDE(name)(a, b, a, WIDE(cmp)(a, a, 7, -1, 4), 4)
 #else
-static inline T K(max)(T a, T b) { return K(select)(MASK((a > b) | (a != a)), a, b); }
-static inline T K(min)(T a, T b) { return K(select)(MASK((a < b) | (a != a)), a, b); }
+#define EXTREME(name, sign, a, b) K(select)(MASK((a sign b) | (a != a)), a, b)
 #endif
+/* Of zeros, 0 is larger than -0. */
+static inline T K(max)(T a, T b) { return K(select)(MASK(a == b), (T)((BITS)a & (BITS)b), EXTREME(max, >, a, b)); }
+static inline T K(min)(T a, T b) { return K(select)(MASK(a == b), (T)((BITS)a | (BITS)b), EXTREME(min, <, a, b)); }
 static inline T K(sign)(T x) { return K(select)(MASK(x > 0), K(splat)(1), K(select)(MASK(x < 0), K(splat)(-1), x)); }
 
 EACH(sqrt, LIBM(sqrt)(x[i])) /* compiles to one instruction */
