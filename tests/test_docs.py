@@ -78,7 +78,7 @@ def commands(text):
 def fewer(argv):
     """The same command with less to do."""
     verb, *rest = argv
-    small = verb in ("solve", "stability") or (verb == "view" and "--reference" in rest)
+    small = verb in ("solve", "stability", "export") or {"--reference", "--random"} & set(rest)
     if small and not set(rest) & {"--q0", "--target", "--limits"}:
         rest = [SMALL if word in ("panda", "panda.urdf", "ur5", "robot.urdf") else word for word in rest]
         if SMALL in rest and "--tip" in rest:

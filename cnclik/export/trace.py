@@ -16,7 +16,7 @@ from cnclik.law.paths import Reference, Tangent
 from cnclik.law.reference import References, of_each
 from cnclik.record import cast
 from cnclik.robot.chain import Chain
-from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.model import frames, jacobian_at, modelled
 from cnclik.task.parts import places
 
 
@@ -143,7 +143,7 @@ def _kinematics(request) -> Routine:
         chain, made = cast(modelled(put(values)), request.dtype), []
         for i in range(len(names)):
             at = frames(chain, q, i)
-            made += [at.position, at.rotation, jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))]
+            made += [at.position, at.rotation, jacobian_at(chain, at)]
         return made
 
     outputs = []

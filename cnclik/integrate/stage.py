@@ -8,7 +8,8 @@ same length in every lane) and returns the slope and its convergence.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,7 @@ class Stage:
     _: dataclasses.KW_ONLY
     maximum: int | None = None
     tolerance: float = 1e-3
+    improved: ClassVar[Callable]  # (g, h, k) to the next iterate
 
     def __post_init__(self):
         M, maximum = self.M, self.maximum

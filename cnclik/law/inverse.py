@@ -128,7 +128,7 @@ class Levels(Damping):
     """See `levels`."""
 
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
-    damping: Float[Array, " levels"]  # λ, never λ²
+    damping: Float[ArrayLike, " levels"]  # λ, never λ²; an array after the constructor
     level: tuple[int, ...] = ()  # of each row of the law's task
 
     def __post_init__(self):

@@ -166,7 +166,7 @@ class Center(Vector):
         return robot.position(self, self.to)[..., places(self.along)]
 
     def rows(self, robot: At):
-        return robot.rows(self, self.to, places(self.along), ())
+        return robot.jacobian(self, self.to)[..., places(self.along), :]
 
 
 def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights: Weights = None) -> Task:

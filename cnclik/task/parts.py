@@ -27,7 +27,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record, replace
 from cnclik.robot import chart
-from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
+from cnclik.robot.model import Frames, Model, jacobian_at, moved, tip_frames
 from cnclik.robot.rotations import library, log_quaternion, log_so3, product
 
 AXES = "xyz"
@@ -69,22 +69,17 @@ class At:
         own = self.frames(tip).rotation
         return own if to is None else self.frames(to).rotation.mT @ own
 
-    def rows(self, tip, to, linear, angular):
-        """Return rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
-        return self._jacobian(tip, to)[..., np.array([*linear, *(3 + i for i in angular)], int), :]
-
-    def _jacobian(self, tip, to):
-        """Return (6, n), computed once."""
+    def jacobian(self, tip, to=None):
+        """Return the tip's velocity (v, ω) by the joints', (6, n); computed once."""
         between = self._number(tip), to
         if between not in self._rows:
-            alone, every = to is None, (0, 1, 2)
-            jacobian = jacobian_rows(self.chain, self.frames(tip), every, every) if alone else self._relative(tip, to)
+            jacobian = jacobian_at(self.chain, self.frames(tip)) if to is None else self._relative(tip, to)
             self._rows[between] = jacobian
         return self._rows[between]
 
     def _relative(self, tip, to):
         """Return (6, n) of a tip as seen from another."""
-        own, its, at, other = self._jacobian(tip, None), self._jacobian(to, None), self.frames(tip), self.frames(to)
+        own, its, at, other = self.jacobian(tip), self.jacobian(to), self.frames(tip), self.frames(to)
         (v, w), (vo, wo) = ((each[..., :3, :], each[..., 3:, :]) for each in (own, its))
         xp, turned, away = library(own, its), other.rotation.mT, (at.position - other.position)[..., None]
         v = turned @ (v - vo + xp.cross(away, wo, axis=-2))
@@ -152,7 +147,7 @@ class Position(Vector):
         return robot.position(self.tip, self.to)[places(self.axes)]
 
     def rows(self, robot: At):
-        return robot.rows(self.tip, self.to, places(self.axes), ())
+        return robot.jacobian(self.tip, self.to)[..., places(self.axes), :]
 
 
 @record
@@ -185,7 +180,7 @@ class Orientation(Position):
         return robot.rotation(self.tip, self.to)
 
     def rows(self, robot: At):
-        return robot.rows(self.tip, self.to, (), places(self.axes))
+        return robot.jacobian(self.tip, self.to)[..., 3 + places(self.axes), :]
 
     def motion(self, aim, rate):
         return spin(aim, rate)[places(self.axes)]

@@ -36,8 +36,7 @@ class Rounded:
         if self.tip is None:
             return jnp.zeros_like(robot.q)
         arm = point - robot.frames(self.tip).position
-        every = (0, 1, 2)
-        return jnp.concatenate([normal, jnp.cross(arm, normal)]) @ robot.rows(self.tip, None, every, every)
+        return jnp.concatenate([normal, jnp.cross(arm, normal)]) @ robot.jacobian(self.tip)
 
 
 @record

@@ -9,7 +9,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.robot.builtin import panda, ur5
-from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.model import frames, jacobian_at, modelled
 from cnclik.robot.tree import read_urdf
 from cnclik.robot.urdf import chain
 from tests.oracles import robots
@@ -79,7 +79,7 @@ class Pinocchio:
 
 def numbers(arm, q, tip=0):
     at = frames(arm, q, tip)
-    return at.position, at.rotation, jacobian_rows(arm, at, (0, 1, 2), (0, 1, 2))
+    return at.position, at.rotation, jacobian_at(arm, at)
 
 
 traced = jax.jit(jax.vmap(numbers, (None, 0)))
