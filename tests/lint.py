@@ -162,23 +162,14 @@ def broad():
 # --- words --------------------------------------------------------------------------------------------
 
 
-def prose(page):
-    """Paragraphs, items and cells, without code, formulas and tables that a program writes."""
-    page = re.sub(r"\A---\n.*?^---\n", "", page, flags=re.M | re.S)
-    page = re.sub(r"^ *```.*?^ *```", "", page, flags=re.M | re.S)
-    page = re.sub(r"^\$\$.*?^\$\$", "", page, flags=re.M | re.S)
-    page = re.sub(r"^    .*$", "", page, flags=re.M)
-    for block in re.split(r"\n\s*\n", page):
-        if block.startswith("|"):
-            yield from block.replace("\n", "|").split("|")
-        else:
-            yield from re.split(r"\n(?=\s*(?:[-*]|\d+\.) )", block)
-
-
 def sentences(page):
-    for part in prose(page):
-        part = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", part.replace("\n", " "))
-        yield from re.split(r"(?<=[.!?:;])(?:\*\*)?\s+(?=[A-ZÀ-Ž0-9*`J\[(])", re.sub(r"`[^`]*`", "CODE", part))
+    """Those of paragraphs, items and cells, without code, formulas and tables that a program writes."""
+    page = re.sub(r"\A---\n.*?^---\n|^ *```.*?^ *```|^\$\$.*?^\$\$", "", page, flags=re.M | re.S)
+    for block in re.split(r"\n\s*\n", re.sub(r"^    .*$", "", page, flags=re.M)):
+        cells = block.replace("\n", "|").split("|") if block.startswith("|") else re.split(r"\n(?=\s*[-*\d])", block)
+        for part in cells:
+            part = re.sub(r"`[^`]*`", "CODE", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", part.replace("\n", " ")))
+            yield from re.split(r"(?<=[.!?:;])(?:\*\*)?\s+(?=[A-ZÀ-Ž0-9*J\[(])", part)
 
 
 def faults(page):

@@ -33,7 +33,8 @@ ALIKE = 25.0  # of the criterion, within which another dead time explains a spir
 STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
 PARTS = 250  # rows to which a spiral or a growth is averaged
 WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
-FASTER = 1.3  # least ratio of the last two quarters of a growth
+FASTER = 37 / 19  # ratio of the last two quarters of a cubic from rest: what bends no more may be a path,
+EVEN = 0.25  # unless the last three quarters grow as the mode does, up to this share
 
 
 class Loop(NamedTuple):
@@ -300,15 +301,16 @@ def growth(y) -> float:
     at, near = np.linspace(0, N - 1, 5).astype(int), max(N // 40, 1)
     steps = np.diff([x[max(i - near, 0) : i + near + 1].mean() for i in at])
     half = x[N // 2 :: max(N // 24, 1)]
-    if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or not steps[3] > FASTER * steps[2]:
+    if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or not steps[3] > steps[2]:
         return 0.0
     loops, none = fits(averaged(x[:, None] - x[0], m), np.inf)
     wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
     if min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf) < BETTER / 2:
         return 0.0
     rate = float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
-    seen = np.log(steps[3] / max(steps[2], 1e-3 * steps[3]))  # in a quarter, by noise and offsets not all of the mode's
-    return rate if seen > 0.5 * N / 4 * np.log(rate) else 0.0
+    grown = np.diff(np.log(np.maximum(steps, 1e-3 * steps[3]))) / (N / 4 * np.log(rate))  # over what the mode grows
+    fast = steps[3] > FASTER * steps[2] and grown[2] > 0.5  # noise and offsets take some of it
+    return rate if fast or np.all(np.abs(grown[1:] - 1) < EVEN) else 0.0
 
 
 def swept(y, period) -> tuple[float, float, float]:

@@ -169,12 +169,6 @@ def quality(q, clip):
 # --- what is measured ---------------------------------------------------------------------------------
 
 
-def cpu(call, rounds=3):
-    """(CPU seconds of a call, the median of some; of the first one with its compiler; its answer)"""
-    first = timing.first(call)
-    return statistics.median(timing.cpu(call) for _ in range(rounds)), first, call()
-
-
 def mink_run(truth, seen):
     """A call to q (F, n) by mink, with the same weights, damping and limits."""
     import mink
@@ -220,8 +214,9 @@ def speeds(clips, quick):
     calls["mink, daqp"] = mink_run(truth, seen), 1, np.asarray
     rows = []
     for name, (call, count, answer) in calls.items():
-        seconds, first, found = cpu(call)
-        rows.append((name, count * FRAMES / seconds, first, answer(found)))
+        first = timing.first(call)  # with its compiler
+        seconds = statistics.median(timing.cpu(call) for _ in range(3))
+        rows.append((name, count * FRAMES / seconds, first, answer(call())))
         print(f"{name}: {rows[-1][1]:,.0f} frames/s, first call {first:.1f} s", flush=True)
     return rows
 

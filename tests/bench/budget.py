@@ -15,10 +15,7 @@ import cnclik as ck
 from cnclik.measure.files import markdown
 from tests.bench import cases
 
-CPUS = {
-    "Cortex-M4": "-mcpu=cortex-m4 -mfpu=fpv4-sp-d16",
-    "Cortex-M7": "-mcpu=cortex-m7 -mfpu=fpv5-sp-d16",
-}
+CPUS = {"Cortex-M4": "-mcpu=cortex-m4 -mfpu=fpv4-sp-d16", "Cortex-M7": "-mcpu=cortex-m7 -mfpu=fpv5-sp-d16"}
 FLAGS = "-std=c99 -mthumb -mfloat-abi=hard -fno-math-errno -ffunction-sections -fstack-usage"
 CLOCK = 168e6  # [Hz], of an STM32F407
 _LINE = re.compile(r"^ +[0-9a-f]+:\t[0-9a-f ]+\t(\S+)(?:\t(.*))?$")

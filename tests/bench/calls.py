@@ -1,7 +1,4 @@
-"""`python -m tests.bench.calls`: what a first `ck.solve` of a Panda enters of cnclik: its files and Python calls.
-
-Imports of modules are left out.
-"""
+"""`python -m tests.bench.calls`: files and Python calls of cnclik in a first `ck.solve` of a Panda, but for imports."""
 
 import collections
 import pathlib
@@ -35,9 +32,8 @@ def counted(fn) -> collections.Counter:
 def first_solve():
     """Run the first loop of a process: robot, law, reference, 50 steps."""
     q0 = np.array([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8])
-    robot = ck.panda()
-    law = ck.Law(robot, ck.pose(), alpha=5.0, inverse=ck.damped(1e-3))
-    goal = ck.forward(robot, q0 + 0.1)
+    law = ck.Law(ck.panda(), ck.pose(), alpha=5.0, inverse=ck.damped(1e-3))
+    goal = ck.forward(law.chain, q0 + 0.1)
     return ck.solve(law, ck.hold(goal.position, goal.rotation), q0, 0.01, 50)
 
 

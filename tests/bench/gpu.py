@@ -23,6 +23,7 @@ import numpy as np
 
 import cnclik as ck
 from cnclik.integrate.method import evaluations_per_step
+from cnclik.measure.files import markdown
 from tests.bench import cases, timing
 from tests.bench.engine import OF_GRADIENT, STEPS, case, forward, value
 
@@ -81,13 +82,10 @@ def two_arms(name):
     return Row(name, one, inputs, STEPS)
 
 
-def gradient(name, fn):
-    return Row(name, fn, functools.partial(cases.inputs, case()), OF_GRADIENT)
-
-
 def rows() -> list[Row]:
     """All rows."""
     arm = case()
+    inputs, reverse = functools.partial(cases.inputs, arm), jax.value_and_grad(value)
     return [
         end("EE"),
         end("EE, float64", dtype="float64"),
@@ -99,16 +97,16 @@ def rows() -> list[Row]:
         end("EE, bounded", limits=ck.bounded()),
         end("EE, posture, J#", inverse=ck.pseudoinverse(), null_velocity=ck.posture(arm.posture)),
         two_arms("EE, two arms, 12 rows of 15 joints"),
-        gradient("value", value),
-        gradient("value and gradient, forward", forward),
-        gradient("value and gradient, reverse", jax.value_and_grad(value)),
+        Row("value", value, inputs, OF_GRADIENT),
+        Row("value and gradient, forward", forward, inputs, OF_GRADIENT),
+        Row("value and gradient, reverse", reverse, inputs, OF_GRADIENT),
         *(end(f"EE, {count:,} lanes", batch=count) for count in MANY),
         end("CN, 1,000,000 lanes", "CN", batch=1_000_000),
     ]
 
 
 def arguments(row):
-    return tuple(jnp.asarray(v) for v in row.inputs(row.batch, row.dtype).values())
+    return [jnp.asarray(v) for v in row.inputs(row.batch, row.dtype).values()]
 
 
 def measured(row, way) -> dict:
@@ -143,10 +141,8 @@ def far(values, others) -> float:
 
 
 def main():
-    """Print the table; --json FILE keeps it."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.gpu", description=__doc__.splitlines()[0])
     parser.add_argument("row", nargs="*", help="words in the names of the rows that are measured; by default all")
-    parser.add_argument("--json", type=pathlib.Path, help="file for the records")
     parser.add_argument("--there", type=pathlib.Path, help=argparse.SUPPRESS)
     args = parser.parse_args()
     chosen = [r for r in rows() if not args.row or any(word in r.name for word in args.row)]
@@ -172,15 +168,13 @@ def main():
     for name, record in records.items():
         for way in set(WAYS) & set(record):
             record[way]["difference"] = far(record[way].pop("values"), there[name])
-    if args.json:
-        args.json.write_text(json.dumps(list(records.values()), indent=1))
-    print(f"| loops | {' | '.join(f'{way} [M/s]' for way in WAYS)} | first call [s] | largest difference |")
-    print(f"| --- | {'---: | ' * len(WAYS)}---: | ---: |")
+    lines = []
     for name, record in records.items():
         found = [record.get(way, {}) for way in WAYS]
-        rates = " | ".join(f"{r['per_s'] / 1e6:,.0f}" if r else "" for r in found)
         first, far_off = (max(r.get(key, 0.0) for r in found) for key in ("first_s", "difference"))
-        print(f"| {name} | {rates} | {first:.1f} | {far_off:.1e} |")
+        rates = [f"{r['per_s'] / 1e6:,.0f}" if r else "" for r in found]
+        lines.append((name, *rates, f"{first:.1f}", f"{far_off:.1e}"))
+    print(markdown(("loops", *(f"{way} [M/s]" for way in WAYS), "first call [s]", "largest difference"), lines))
 
 
 if __name__ == "__main__":

@@ -127,9 +127,8 @@ def run(name, given, rounds=3) -> Told | None:
                 with open(path, "w", encoding="utf-8") as file:
                     file.write(content)
             for kept in (firsts, told):
-                done = subprocess.run(
-                    [sys.executable, text, values], env=environment(folder), capture_output=True, text=True
-                )
+                line, own = [sys.executable, text, values], environment(folder)
+                done = subprocess.run(line, env=own, capture_output=True, text=True)
                 if "ModuleNotFoundError" in done.stderr:
                     return None
                 if done.returncode:

@@ -61,10 +61,8 @@ def drawn(rng, robot) -> Plant:
     others = [joint for joint in spec.joints if joint.name not in arm.joint_names]
     for part in (*spec.geoms, *spec.meshes, *spec.equalities, *others):
         spec.delete(part)
-    for body in spec.bodies[1:]:
-        if not body.joints:  # what does not move has no say, and in some files no proper inertia
-            body.mass, body.inertia, body.explicitinertial = 0.0, np.zeros(3), False
-            body.fullinertia, body.ipos = np.full(6, np.nan), np.full(3, np.nan)
+    for body in (body for body in spec.bodies[1:] if not body.joints):  # some have no proper inertia
+        body.explicitinertial, body.mass, body.fullinertia = False, 0.0, np.full(6, np.nan)
     spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.02, 1e-5
     spec.option.timestep, spec.option.gravity = PHYSICS, np.zeros(3)
@@ -135,29 +133,15 @@ def direction(rng):
     return away / np.linalg.norm(away)
 
 
-def pushed(plant, alpha, seconds, least):
-    """(Errors (N, 3) of the tip after a push of 1 cm without noise, its direction, whether the run was stopped)."""
-    N, away = int(np.clip(seconds / plant.Ts, least, 4000)), direction(np.random.default_rng(1))
+def pushed(plant, alpha):
+    """(By how much the tip passes its target after a push of 1 cm, as a share of it, inf where the run is stopped;
+    whether its swing grows)."""
+    N, away = int(np.clip(max(40 * plant.late, 4 / alpha) / plant.Ts, 120, 4000)), direction(np.random.default_rng(1))
     e = run(plant._replace(noise=0.0), alpha, np.tile(0.01 * away, (N, 1)))[1]
-    return e, away, len(e) < N
-
-
-def over(plant, alpha) -> float:
-    """By how much the tip passes its target after a push of 1 cm, as a share of it; inf where the run is stopped."""
-    e, away, stopped = pushed(plant, alpha, max(25 * plant.late, 4 / alpha), 60)
-    return np.inf if stopped else float(np.max(-e @ away) / 0.01)
-
-
-def growing(plant, alpha) -> bool:
-    e, _, stopped = pushed(plant, alpha, 40 * plant.late, 120)
-    size, third = np.linalg.norm(e, axis=1), len(e) // 3
-    return stopped or size[2 * len(e) // 3 :].max() > 0.95 * size[third : 2 * len(e) // 3].max() > 0.003
-
-
-def limits(plant):
-    """(the largest gain that overshoots by less than 5 %, the largest stable one) [1/s], to some per cent."""
-    best = largest(lambda alpha: over(plant, alpha) <= 0.05, 0.01 / plant.late, 3 / plant.late)
-    return best, largest(lambda alpha: not growing(plant, alpha), best, 20 * best)
+    if len(e) < N:
+        return np.inf, True
+    middle, last = (np.linalg.norm(e[i * N // 3 : (i + 1) * N // 3], axis=1).max() for i in (1, 2))
+    return np.max(-e @ away) / 0.01, last > 0.95 * middle > 0.003
 
 
 def log(seed, robot, kind):
@@ -165,8 +149,9 @@ def log(seed, robot, kind):
     rng = np.random.default_rng([seed, *kind.encode(), *robot.encode()])
     while True:
         plant = drawn(rng, robot)
-        best, most = limits(plant)
-        if most < 1.5 * best:
+        best = largest(lambda alpha, plant=plant: pushed(plant, alpha)[0] <= 0.05, 0.01 / plant.late, 3 / plant.late)
+        most = largest(lambda alpha, plant=plant: not pushed(plant, alpha)[1], best, 20 * best)
+        if best < 0.011 / plant.late or most < 1.5 * best:
             continue
         N = int(np.clip(rng.uniform(12, 40) * plant.late / plant.Ts, 60, 3000))
         rest = int(rng.integers(3, 40))
@@ -179,7 +164,7 @@ def log(seed, robot, kind):
             t = np.arange(N + rest)[:, None] / (N + rest)
             target = 0.03 * rng.standard_normal(3) * np.sin(2 * np.pi * rng.uniform(0.3, 1.2) * t) ** 2
         e = run(plant, alpha, target, seed=int(rng.integers(1 << 30)))[0]
-        if len(e) >= rest + 16 and (kind != "shakes" or over(plant, alpha) >= 0.12):
+        if len(e) >= rest + 16 and (kind != "shakes" or pushed(plant, alpha)[0] >= 0.12):
             return plant, e, alpha, best
 
 
@@ -191,7 +176,7 @@ def answers(shake, calm, seed):
         for alpha in (present, None):
             found = ck.diagnose(e, plant.Ts, alpha=alpha)
             gain = (found.factor or 0.0) * present
-            right = gain >= present if kind != "shakes" else gain > 0.25 * best and over(plant, gain) <= 0.05
+            right = gain >= present if kind != "shakes" else gain > 0.25 * best and pushed(plant, gain)[0] <= 0.05
             worth = "no cause" if found.cause is None else "right" if right else "wrong"
             yield f"{'shakes' if kind == 'shakes' else 'calm'}, {'no ' * (alpha is None)}alpha", alpha, found, worth
 

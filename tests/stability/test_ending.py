@@ -69,13 +69,12 @@ def test_following_names_a_lag_only_where_one_explains_the_error():
     pure = ck.Law(PANDA, ck.position(), alpha=5.0, feedforward=0.0)
     said = judge(pure, CIRCLE, QP, 0.01, 400, "EXP-MIDPOINT")
     assert "as a lag of 18" in str(said) and "ms explains" in str(said), said  # alpha/(alpha² + ω²)
-    corners = ck.waypoints(np.arange(4.0), P0 + np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]))
-    said = judge(ck.Law(PANDA, ck.position(), alpha=2.0), corners, QP, 0.004, 750, "EXP-MIDPOINT", Drive(delay=13))
-    assert said.kind == Behaviour.FOLLOWING and "lag" not in str(said) and not said.remedy, said
-    with jax.enable_x64(False):  # a run in float32 is judged in float64
-        corners = ck.waypoints(np.arange(4.0), P0 + np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]))
-        said = judge(ck.Law(PANDA, ck.position(), alpha=2.0), corners, QP, 0.004, 750, "EXP-MIDPOINT", Drive(delay=13))
-        assert said.kind == Behaviour.FOLLOWING
+    for wide in (True, False):  # a run in float32 is judged in float64
+        with jax.enable_x64(wide):
+            corners = ck.waypoints(np.arange(4.0), P0 + np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]))
+            loop = ck.Law(PANDA, ck.position(), alpha=2.0), corners, QP, 0.004, 750, "EXP-MIDPOINT"
+            said = judge(*loop, Drive(delay=13))
+        assert said.kind == Behaviour.FOLLOWING and "lag" not in str(said) and not said.remedy, said
 
 
 def test_rounding_is_that_of_the_run_and_an_axis_without_gain_is_named():
@@ -116,9 +115,7 @@ def test_each_task_of_a_stack_has_its_line():
     levels = ck.levels(["hand"], ["rest"], damping=(1e-3, 0.1))
     law = ck.Law(PANDA, tasks, alpha={"hand": 5.0, "rest": 1.0}, inverse=levels)
     said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
-    assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], (
-        said
-    )  # a posture that yields is no error
+    assert said.kind == Behaviour.SETTLED and "(settled)" in said.tasks["hand"], said  # a posture yields: no error
     law = ck.Law(PANDA, tasks, alpha=5.0, inverse=ck.damped(0.1))
     said = judge(law, ck.hold_at(PANDA, tasks, QP, hand=ck.hold(P0 + np.array([0.1, 0, 0]))), QP, 0.01, 600)
     assert said.kind == Behaviour.HELD_BACK and "contradict" in str(said) and "(stays)" in said.tasks["hand"], said

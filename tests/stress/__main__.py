@@ -32,8 +32,8 @@ def run(part, seed, seconds, only) -> int:
                 print(f'python -m tests.stress {part} --seed {seed} --only "{name}"\n{why.strip()}', flush=True)
             if only == name or time.monotonic() - begun > seconds:
                 break
-    minutes = (time.monotonic() - begun) / 60
-    print(f"{part}: {count} trials of seed {seed} in {minutes:.1f} min, {failed} failed; the last: {name}", flush=True)
+    seconds = time.monotonic() - begun
+    print(f"{part}: {count} trials of seed {seed} in {seconds:.0f} s, {failed} failed; the last: {name}", flush=True)
     return failed
 
 

@@ -17,7 +17,6 @@ from jax import lax
 import cnclik as ck
 
 LANES, TOGETHER = 37, 8  # lanes of a batch; programs that are compiled as one
-QUICK = "-O1 -DBYTES=16"  # for the C of seven in eight: a third of the time
 SPECIAL = (0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 0.5, -2.5, 1.5)
 REALS, WHOLE = ("float32", "float64"), ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 
@@ -185,7 +184,7 @@ def differs(found, wanted):
 
 def wrong(seed, numbers) -> list:
     """Numbers of the programs that differ, of some that are compiled as one."""
-    os.environ["CFLAGS"] = QUICK * bool(numbers[0] // TOGETHER % 8)
+    os.environ["CFLAGS"] = "-O1 -DBYTES=16" * bool(numbers[0] // TOGETHER % 8)  # of seven in eight: a third of the time
     programs, given = zip(*(program(seed, k) for k in numbers), strict=True)
 
     def every(*states):

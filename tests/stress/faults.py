@@ -69,8 +69,8 @@ def kill(name, out, rng, seconds, wanted):
         return f"half a file, or figures without data: {broken(found, wanted)} of {sorted(found)}"
     code, said = ended(start(name, out))
     again = files(out)
-    wrong = code or sorted(again) != sorted(wanted) or broken(again, wanted)
-    wrong = wrong or (name == "sweep" and store.Store(out).missing())
+    lost = store.Store(out).missing() if name == "sweep" else []
+    wrong = code or sorted(again) != sorted(wanted) or broken(again, wanted) or lost
     return f"the command did not go on: {code} {said} {sorted(again)}" if wrong else ""
 
 

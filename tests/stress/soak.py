@@ -10,9 +10,6 @@ import pathlib
 import resource
 import zlib
 
-import matplotlib
-
-matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -57,6 +54,7 @@ def resident() -> float:
 
 def trials(seed, folder):
     """(round, what is wrong or nothing), without end."""
+    plt.switch_backend("agg")
     cache.KEPT_PROGRAMS = cache.MOST_PROGRAMS = 16
     rng, held = np.random.default_rng(zlib.crc32(str(seed).encode())), []
     for k in range(10**9):

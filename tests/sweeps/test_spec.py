@@ -209,10 +209,7 @@ def test_axes_have_the_units_of_their_options():
         ({"axes__z": {"linspace": [-1e308, 1e308, 5]}}, "`axes.z` must hold finite values"),
         ({"axes__z": []}, "`axes.z` must hold at least one value"),
         ({"fixed__q0": None, "axes__q0": {"samples": 10**9}}, "at most 10,000,000 values, but asks for 1,000,000,000"),
-        (
-            {"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}},
-            "be samples = count, low and high",
-        ),
+        ({"fixed__q0": None, "axes__q0": {"samples": 2, "high": [1, 1, 1]}}, "be samples = count, low and high"),
         ({"axes__damping": [0.1, -0.1]}, "`damping` must be positive, but is -0.1"),
         ({"axes__Ts": [0.1]}, "`fixed.Ts` must be given once, but is given by another axis, too"),
         ({"axes__law": {"a": {"z": 1.0}}}, "`axes.law.a.z` must be given once"),
