@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from cnclik import errors
-from cnclik.cli import VERBS, arguments, main
+from cnclik.cli import VERBS, arguments, main, solve
 
 
 def test_overview_and_version(capsys):
@@ -37,39 +37,12 @@ def test_the_options_are_few():
     assert len(every) <= 45, sorted(every)
 
 
-VERB = """
-def run(place="", *, steps: int = 3, Ts: float = 0.1, pair: tuple[int, ...] = (1, 2), out_dir: str = "x",
-        kind: Literal["one", "two"] = "one", gain: float | None = None, off: bool = True):
-    '''Options of every kind.
-
-    Args:
-      steps: of one.
-      Ts: a time [s], positive.
-      pair: of two.
-      out_dir: of three.
-      kind: of four.
-      gain: of five.
-      off: of six.
-    '''
-"""
-
-
-@pytest.fixture(scope="module")
-def verb(tmp_path_factory):
-    file = tmp_path_factory.mktemp("verb") / "verb.py"
-    file.write_text(f"from typing import Literal\n{VERB}")
-    spec = importlib.util.spec_from_file_location("verb", file)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_right_options_pass(verb):
-    argv = ["--Ts", "500ms", "--pair", "3", "4", "--gain", "2", "--no-off", "--kind", "two"]
-    made = arguments.parse(verb, argv, prog="x", description="x")
-    assert made == {"Ts": 0.5, "pair": [3, 4], "gain": 2.0, "off": False, "kind": "two"}
-    said = arguments.of_options(verb, errors.fail("out_dir", "come with `gain` and `what`", "comes without"))
-    assert said == "Option `--out-dir` must come with `--gain` and `what`, but comes without."
+def test_right_options_pass():
+    argv = ["panda", "--alpha", "2", "3", "--method", "CN", "--N", "3", "--no-figures", "--out", "x"]
+    asked = {"robot": "panda", "figures": False, "alpha": [2.0, 3.0], "method": "CN", "N": [3.0], "out": "x"}
+    assert arguments.parse(solve, argv, prog="x", description="x") == asked
+    said = arguments.of_options(solve, errors.fail("out", "come with `Ts` and `what`", "comes without"))
+    assert said == "Option `--out` must come with `--Ts` and `what`, but comes without."
 
 
 # --- what is loaded ------------------------------------------------------------------------------------
