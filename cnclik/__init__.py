@@ -1,6 +1,6 @@
 """cnclik: closed-loop inverse kinematics as a time-stepping problem.
 
-A robot (`load_urdf`, `planar_arm`, `from_dh`, `from_screws`), a `Law` over it, a step in time (`solve`), gains that are
+A robot (`load_urdf`, `planar_arm`, `from_dh`), a `Law` over it, a step in time (`solve`), gains that are
 safe (`gains`, `advise`), many loops at once (`sweep`), loops that are tuned (`tune`); and joint values for targets
 (`reach`). Pure functions over frozen records; jit, vmap and grad go through everything.
 """

@@ -36,7 +36,7 @@ from .reaching.result import ReachStatus as ReachStatus
 from .record import replace as replace
 from .robot.builtin import panda as panda, ur5 as ur5
 from .robot.chain import (
-    from_dh as from_dh, from_screws as from_screws, planar_arm as planar_arm,
+    from_dh as from_dh, planar_arm as planar_arm,
 )
 from .robot.exchange import from_model_q as from_model_q, to_model_q as to_model_q
 from .robot.model import Pose as Pose, forward as forward, jacobian as jacobian

@@ -13,6 +13,8 @@ import numpy as np
 import cnclik as ck
 from cnclik.law.paths import Reference
 from cnclik.paper.readings import WithVelocity
+from cnclik.robot.chain import PRISMATIC, REVOLUTE, Joint, assemble, offset_of
+from cnclik.robot.fixed import Offset, vsub
 from tests.oracles import damped_inverse, robot_file
 
 N, LANES, DAMPING = 5, 7, 0.1
@@ -56,6 +58,17 @@ def numbers(name):
     q0 = rng.uniform(low + 0.3 * (high - low), high - 0.3 * (high - low), (LANES, chain.n))
     target = np.array([places(name, q + 0.1 * np.cos(np.arange(chain.n))) for q in q0])
     return rng.uniform(2, 8, LANES), rng.uniform(0.01, 0.05, LANES), q0, target
+
+
+def screws(points, axes, home, *, kinds=None, **limits):
+    """A robot by points on its joints' axes, the axes' directions, and the tip's pose, all at q = 0."""
+    joints, last = [], (0.0, 0.0, 0.0)
+    for i, (point, axis) in enumerate(zip(points, axes, strict=True)):
+        kind, length = PRISMATIC if kinds and kinds[i] == "P" else REVOLUTE, sum(a * a for a in axis) ** 0.5
+        origin, last = Offset(position=vsub(tuple(point), last)), tuple(point)
+        joints.append(Joint(kind=kind, axis=tuple(a / length for a in axis), origin=origin, coordinate=i))
+    tip = offset_of("home", home)
+    return assemble(joints, Offset(position=vsub(tip.position, last), rotation=tip.rotation), **limits)
 
 
 def told(path, velocity):

@@ -136,18 +136,6 @@ def damped_inverse(damping):
     return lambda j: j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(len(j)))
 
 
-# R(z), the factor of the error per step, stages solved exactly.
-AMPLIFICATION = {
-    "EE": lambda z: 1 - z,
-    "IE": lambda z: 1 / (1 + z),
-    "CN": lambda z: (1 - z**2 / 2) / (1 + z),
-    "TRAPEZOID": lambda z: (1 - z / 2) / (1 + z / 2),
-    "HEUN": lambda z: 1 - z + z**2 / 2,
-    "MIDPOINT": lambda z: 1 - z + z**2 / 2,
-    "RK4": lambda z: 1 - z + z**2 / 2 - z**3 / 6 + z**4 / 24,
-}
-
-
 def central_differences(f, x, h=2e-4):
     """Jacobian of f at the vector x, to fourth order in h; rows are outputs. f maps a batch (B, n) to a batch."""
     steps = h * np.maximum(1.0, np.abs(x))

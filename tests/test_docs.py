@@ -27,7 +27,7 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 # Less of the same, by verb.
 FEWER = {"solve": {"--N": ["5"], "--no-figures": []}, "stability": {"--N": ["8"]}, "view": {"--N": ["5"]}}
 SMALL = "planar:1,1,1"  # in the place of panda where no option speaks of seven joints or of the space they move in
-ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py", "check": "tests/diagnosis/test_check.py"}
+ELSEWHERE = {"reproduce": "tests/paper/test_reproduce.py", "check": "tests/cli/test_cli_diagnose.py"}
 # Pages of many programs, or of humanoids: with `-m slow` only, as in a full build of the site.
 LONG = ["drives", "reach", "robots", "stacks", "sweeps", "theory", "tuning"]
 NO_FILES = ("robots", "solve", "stability", "diagnose")  # without --out nothing on a page reads what they write

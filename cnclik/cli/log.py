@@ -16,7 +16,8 @@ TIMES = {"time", "timestamp", "stamp", "times", "timestamps", "rosbagtimestamp",
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # [s]
 PARTS = {"": "s", "m": "ms", "milli": "ms", "u": "us", "µ": "us", "micro": "us", "n": "ns", "nano": "ns"}
 UNITS = {f"{part}{word}": unit for part, unit in PARTS.items() for word in ("s", "sec", "secs", "seconds")}
-STEPS = ((2e5, "ns"), (500.0, "us"), (0.5, "ms"))  # smallest step in each unit, as no loop takes more than 0.5 s
+FASTEST, SLOWEST = 2e-4, 0.5  # [s] of a sample, where neither a name nor a Ts gives the unit of stamps
+YEARS = 1e9, 1e10  # [s] of stamps since 1970, up to 2286
 APART = 0.02  # difference between a given Ts and that of the stamps that needs no note
 
 
@@ -79,7 +80,7 @@ def read(log: str, *, Ts: float | None = None, columns: tuple[str, ...] | None =
     names, table = read_columns("LOG", log)
     if not np.isfinite(table).any():
         raise errors.fail("LOG", "hold numbers", f"{pathlib.Path(log).name} holds none")
-    t, times, unit = clock(names, table)
+    t, times, unit = clock(names, table, Ts)
     if t is None and Ts is None:
         raise errors.fail("Ts", "be given where no column is called t, time or stamp", "is not")
     stamps = f"{names[times[0]] if times else '--Ts'}, read in {unit}" if Ts is None else "--Ts"
@@ -110,10 +111,10 @@ def words_of(name) -> list:
     return re.findall("[a-zµ]+|[0-9]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
 
 
-def clock(names, table):
+def clock(names, table, Ts=None):
     """(times [s] (N,) or None; indices of all columns of times; the unit they were read in, or None).
 
-    A pair of seconds and nanoseconds is one time. If the name does not state a unit, the size of the stamps does.
+    A pair of seconds and nanoseconds is one time. If the name does not state a unit, Ts does, or the stamps.
     """
     import numpy as np
 
@@ -131,17 +132,24 @@ def clock(names, table):
             return pair["s"] - pair["s"][0] + 1e-9 * (pair["ns"] - pair["ns"][0]), [*units], "s"
     for i, unit in units.items():
         if not np.isnan(t := table[:, i]).all():
-            unit = unit or _unit_of(t)
+            unit = unit or _unit_of(t, Ts)
             return (t - t[0]) * SECONDS[unit], [*units], unit
     return None, [*units], None
 
 
-def _unit_of(t) -> str:
-    """The unit of stamps, from their steps: a loop takes 0.5 ms to 0.5 s."""
+def _unit_of(t, Ts) -> str:
+    """The unit of stamps: that in which their steps are nearest to Ts, may be samples, or the stamps are years."""
     import numpy as np
 
     step = abs(np.nanmedian(np.diff(t))) if len(t) > 1 else 0.0
-    return next((unit for least, unit in STEPS if step >= least), "s")
+    if Ts is not None and step > 0:
+        return min(SECONDS, key=lambda unit: abs(np.log(step * SECONDS[unit] / Ts)))
+    some = [unit for unit, size in SECONDS.items() if FASTEST <= step * size <= SLOWEST]
+    years = [unit for unit in some if YEARS[0] <= np.nanmedian(t) * SECONDS[unit] < YEARS[1]]
+    if len(some) > 1 and not years:
+        found = f"is not: steps of {step:g} may be {' or '.join(some)}"
+        raise errors.fail("Ts", "be given, or the unit in the name of the times, as in time_ms", found)
+    return (years or some or ["s"])[0]
 
 
 def no_motion(names, table) -> list:

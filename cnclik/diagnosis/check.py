@@ -76,20 +76,16 @@ class LogCheck:
 
     def __str__(self):
         table = [("", "column", "largest", "at", "limit", "of limit", "noise alone")]
-        for finding in self.findings:
-            numbers = ["" if v is None else f"{v:.4g}" for v in (finding.limit, finding.share, finding.noise)]
-            largest = f"{finding.value:.4g} {finding.unit}"
-            table.append((finding.what, finding.column, largest, f"{finding.at:.4g} s", *numbers))
+        for each in self.findings:
+            numbers = ["" if v is None else f"{v:.4g}" for v in (each.limit, each.share, each.noise)]
+            table.append((each.what, each.column, f"{each.value:.4g} {each.unit}", f"{each.at:.4g} s", *numbers))
         width = [max(map(len, cells)) for cells in zip(*table, strict=True)]
         form = f"{{:{width[0]}}}  {{:{width[1]}}}" + "".join(f"  {{:>{wide}}}" for wide in width[2:])
-        lines = [form.format(*cells).rstrip() for cells in table]
+        said = "No limits are given." if all(each.limit is None for each in self.findings) else "No limit is broken."
         if self.broken:
-            worst = max(self.broken, key=lambda finding: finding.share or 0.0)
+            worst = max(self.broken, key=lambda each: each.share)
             said = f"Broken limits: {len(self.broken)}. The worst: {worst.what} of {worst.column} at {worst.at:.4g} s."
-        else:
-            limits = any(finding.limit is not None for finding in self.findings)
-            said = "No limit is broken." if limits else "No limits are given."
-        return "\n".join([*lines, said])
+        return "\n".join([*(form.format(*cells).rstrip() for cells in table), said])
 
 
 def check_log(
@@ -119,32 +115,28 @@ def check_log(
       resolution: of the encoders [rad, m]. names: of the columns of q, and then of those of command.
     Raises: ArgumentError for fewer than four rows, and for what does not fit.
     """
-    q = columns("q", q, "check_log")
+    q = columns("q", q, "check_log", least=4)
+    sent = q[:, :0] if command is None else columns("command", command, "check_log", like=q, least=4)
     k, most = q.shape[1], _limits(limits, chain, q.shape[1])
     names = [f"{w} {i + 1}" for w in ("joint", "command") for i in range(k)] if names is None else list(names)
-    if len(q) < 4:
-        raise errors.fail("q", "have at least 4 rows", f"has {len(q)}")
     if t is None:
         t = float(errors.number("Ts", Ts, positive=True)) * np.arange(len(q))
     t = np.asarray(errors.array("t", t, (len(q),)), float)
     Ts = spacing(t) if Ts is None else float(errors.number("Ts", Ts, positive=True))
-    resolution = float(errors.number("resolution", resolution, at_least=0))
+    errors.number("resolution", resolution, at_least=0)
     units = ["rad"] * k if chain is None else list(chain.units)
-    sent = q[:, :0] if command is None else columns("command", command, "check_log")
-    if command is not None and sent.shape != q.shape:
-        raise errors.fail("command", f"have the shape of q, {q.shape}", f"has {sent.shape}")
     findings, kept, gaps = _rows(t, np.abs(np.diff(q, axis=0)).sum(1), Ts)
     rows, t, q, sent = len(q), t[kept], q[kept], sent[kept]
     of_motion = [
         _motion(t, column, gaps, Ts, most[j % k], names[j], units[j % k], resolution if j < k else None)
         for j, column in enumerate([*q.T, *sent.T])
     ]
-    findings += [finding for kind in zip(*of_motion, strict=True) for finding in kind if finding is not None]
-    for j, column in enumerate(sent.T):
-        findings.append(_worst("behind its command", np.abs(column - q[:, j]), t, names[j], units[j]))
+    findings += [finding for kind in zip(*of_motion, strict=True) for finding in kind]
+    for j, behind in enumerate(np.abs(sent - q).T if command is not None else ()):
+        findings.append(_worst("behind its command", behind, t, names[j], units[j]))
     if chain is not None:
         findings += _half_way(chain, t, q, gaps)
-    return LogCheck(findings=tuple(findings), Ts=Ts, rows=rows)
+    return LogCheck(findings=tuple(filter(None, findings)), Ts=Ts, rows=rows)
 
 
 def _limits(limits, chain, k) -> list[dict]:
@@ -152,9 +144,9 @@ def _limits(limits, chain, k) -> list[dict]:
     if isinstance(limits, str):
         limits = PUBLISHED[errors.one_of("limits", limits, PUBLISHED)]
     limits = {errors.one_of("limits", n, ORDERS): v for n, v in errors.kind("limits", limits or {}, dict).items()}
+    if chain is not None and chain.n != k:
+        raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
     if chain is not None:
-        if chain.n != k:
-            raise errors.fail("q", f"have a column for each of the chain's {chain.n} joints", f"has {k}")
         limits = {"velocity": chain.velocity_limit, "lower": chain.lower, "upper": chain.upper} | limits
     arrays = {n: np.asarray(errors.array(f"limits.{n}", v, (), (k,), finite=False), float) for n, v in limits.items()}
     return [{name: float(np.broadcast_to(values, k)[j]) for name, values in arrays.items()} for j in range(k)]
@@ -166,18 +158,14 @@ def _rows(t, moved, Ts) -> tuple:
     same, back = step == 0, step < 0
     way = np.convolve(moved, [1.0, 0.0, 0.0, 0.0, 1.0], "same")  # a stale row: steady motion stops, and makes up for it
     same[2:-2] |= (moved[2:-2] == 0) & (np.abs(moved[3:-1] / np.maximum(way[2:-2], 1e-300) - 1) < 0.1)
-    counts = {"missing": np.where(late, np.round(step / Ts) - 1, 0), "repeated": 1.0 * same, "reversed": 1.0 * back}
-    findings = [
-        Finding(what=what, column="", value=float(count.sum()), unit="rows", at=float(t[np.argmax(count > 0) + 1]))
-        for what, count in counts.items()
-        if count.any()
-    ]
+    counts = {"missing": np.where(late, np.round(step / Ts) - 1, 0), "repeated": same, "reversed": back}
+    findings = [_worst(what, (n > 0) * n.sum(), t[1:], "", "rows") for what, n in counts.items() if n.any()]
     kept = np.concatenate([[0], np.flatnonzero(step != 0) + 1])
     return findings, kept, (late | back)[kept[1:] - 1]
 
 
 def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:
-    """Findings of joint values (N,), None where there is none. resolution: None of commands, which have no noise."""
+    """Findings of joint values (N,), of each kind one or None. resolution: None of commands, which have no noise."""
     step = np.diff(q)
     wraps = (np.abs(np.abs(step) - 2 * np.pi) < TURN) & ~gaps
     step = np.where(wraps, step - np.sign(step) * 2 * np.pi, step)
@@ -203,10 +191,10 @@ def _motion(t, q, gaps, Ts, limit, name, unit, resolution) -> list:
 
 
 def _worst(what, values, t, name, unit, limit=None, noise=None) -> Finding | None:
-    """The largest of values (N,); None where all lie across gaps."""
+    """The largest of values (N,); None where all lie across gaps. An infinite limit is none."""
     if np.isnan(values).all():
         return None
-    i, limit = int(np.nanargmax(values)), limit if limit is not None and np.isfinite(limit) else None
+    i, limit = int(np.nanargmax(values)), limit if limit is not None and limit < np.inf else None
     return Finding(what=what, column=name, value=float(values[i]), unit=unit, at=float(t[i]), limit=limit, noise=noise)
 
 
@@ -228,12 +216,13 @@ def _half_way(chain, t, q, gaps) -> list:
 
     from cnclik.robot.model import forward
 
+    def middle(rows):
+        return 0.5 * (rows[1:] + rows[:-1])
+
     findings = []
     for tip in (each.name for each in chain.tips):
         place = jax.vmap(lambda values, tip=tip: forward(chain, values, tip=tip).position)
         with jax.enable_x64(True):
-            at, half = (np.asarray(place(rows)) for rows in (q, 0.5 * (q[1:] + q[:-1])))
-        away = 1e3 * np.linalg.norm(half - 0.5 * (at[1:] + at[:-1]), axis=1)
-        between = 0.5 * (t[1:] + t[:-1])
-        findings.append(_worst("half-way between rows", np.where(gaps, np.nan, away), between, tip or "tip", "mm"))
-    return [finding for finding in findings if finding is not None]
+            away = 1e3 * np.linalg.norm(place(middle(q)) - middle(place(q)), axis=1)
+        findings.append(_worst("half-way between rows", np.where(gaps, np.nan, away), middle(t), tip or "tip", "mm"))
+    return findings

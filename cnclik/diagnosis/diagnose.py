@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis import cause, loop
-from cnclik.diagnosis.loop import EVIDENCE, SURELY
-from cnclik.diagnosis.recording import LEAST, columns
+from cnclik.diagnosis import loop
+from cnclik.diagnosis.recording import columns
 from cnclik.integrate.drive import Drive, drive_in_words
 from cnclik.quantities import in_samples
 from cnclik.record import ArrayLike, Float, record
@@ -15,18 +14,19 @@ from cnclik.stability.gain import gains
 
 RINGING, SUSTAINED, GROWING = "ringing", "sustained oscillation", "growing oscillation"
 DIVERGING, SPIRAL, CALM, UNDECIDED = "growth without oscillation", "spiral", "calm", "undecided"
-EVIDENCE_KNOWN = 20.0  # as EVIDENCE, of a loop whose gain is known
+EVIDENCE = 45.0  # decrease of the information criterion from which on an oscillation is a loop's
+EVIDENCE_KNOWN = 20.0  # of a loop whose gain is known
 EVIDENCE_EXCITED = 90.0  # of one that does not decay as its mode does
-LASTS = 0.85  # ratio of its sizes in the two halves of its energy, above which it does not decay
+SURELY = 0.9  # share of the probability that loops which swing must have
 SURE, UNKNOWN = 0.95, 0.8  # confidence: of a free oscillation; without alpha or as of a path
 OVERSHOOTS = 0.17  # of an error, at least, where the gain is not known
 TOO_LARGE = 0.55  # ratio of the recommended gain to a known one, above which that is not why a loop swings
 SWEEP, SWEPT = 1.13, 6.0  # ratio of two speeds of an oscillation of one size beyond which no loop makes it; periods
-SIZES = (0.8, 1.7)  # ratio of two sizes that are one
-TURNED = 27.0, 165.0, 173.0  # [degrees]: by less an error passes its target by 0.2 %; by more it grows alike
+SIZES = (0.85, 1.7)  # ratio of the sizes in the two halves of its energy of what neither decays nor grows
+TURNED = 27.0  # [degrees], by less than which an error passes its target by less than 0.2 %
 SAME = (0.75, 1.3)  # ratio of a spiral's gain to a known one
 STEADY = 0.1  # unrest of a sustained oscillation, at most
-HELD = 1.15  # change in a period, at most, of a sustained oscillation
+HELD = 2.0  # change in all its periods, at most, of a sustained oscillation
 PERIODS = 3.0  # of one: in fewer a path, or a limit of acceleration, looks alike
 WIDE, CLIPPED = 2.1, 3.0  # ratio of the likely drives' gains, and of a known one to them, beyond which none is named
 SETTLED, PASSED = 0.03, 0.05  # shares of a motion that are left in the end, and beyond its end, where nothing is wrong
@@ -71,16 +71,16 @@ class Diagnosis:
     note: str = ""
 
     def __str__(self):
-        words = self.kind
+        words = [self.kind]
         if self.drive is not None:
-            words += f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample"
-            words += (
-                f", as with {drive_in_words(self.drive, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s"
-            )
-            words += f", {self.factor:.3g} times the present gain"
+            words += [
+                f": period {in_samples(self.period, self.Ts)}, amplitude × {self.growth:.4g} per sample, as with "
+            ]
+            words += [f"{drive_in_words(self.drive, self.Ts)}. Use an alpha of {self.recommended_alpha:.4g} 1/s, "]
+            words += [f"{self.factor:.3g} times the present gain"]
         elif self.growth is not None:
-            words += f": the error grows × {self.growth:.6g} per sample"
-        return f"{words}. {self.note}".strip()
+            words += [f": the error grows × {self.growth:.6g} per sample"]
+        return f"{''.join(words)}. {self.note}".strip()
 
 
 def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | None = None) -> Diagnosis:
@@ -95,17 +95,12 @@ def diagnose(signal: Float[ArrayLike, "N ..."], Ts: float, *, alpha: float | Non
     Raises: ArgumentError for fewer than 16 rows, or values that are not finite, or beyond 1e30.
     """
     Ts = float(errors.number("Ts", Ts, positive=True))
-    if alpha is not None:
-        alpha = float(errors.number("alpha", alpha, positive=True))
+    alpha = None if alpha is None else float(errors.number("alpha", alpha, positive=True))
     y = columns("signal", signal, "diagnose")
-    if len(y) < LEAST or y.shape[1] == 0:
-        raise errors.fail("signal", f"have at least {LEAST} rows", f"has {len(y) if y.shape[1] else 0}")
     y_ = (y - y[0]) / (np.abs(y - y[0]).max() or 1.0)
     scaled = loop.prepared(y_)
     read = loop.read(scaled) if scaled.shape[1] else None
     fields = _seen(scaled, read, y_, Ts, alpha)
-    if alpha is None and "confidence" in fields:
-        fields["confidence"] = min(fields["confidence"], UNKNOWN)
     first, last = (0, len(y)) if read is None else (read.first, read.last)
     t, basis = np.arange(last - first), loop.path_basis(last - first, fields.get("period", np.inf))
     if read is not None and "period" in fields:
@@ -120,9 +115,9 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
     """Fields of a `Diagnosis`. scaled: columns as `prepared` gives them; y: all columns, in one unit."""
     if not scaled.shape[1]:
         return {"kind": CALM, "note": STILL}
-    spin = cause.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
-    rate = cause.growth(scaled)
-    if spin is not None and TURNED[0] < np.linalg.norm(spin[0]) < TURNED[1 if rate else 2]:
+    sure = UNKNOWN if alpha is None else SURE
+    spin = loop.turned(y, alpha and alpha * Ts) if scaled.shape == y.shape else None
+    if spin is not None and np.linalg.norm(spin[0]) > TURNED:
         turn, z, steady = spin
         if steady if alpha is None else not SAME[0] < z / (alpha * Ts) < SAME[1]:
             return {"kind": UNDECIDED, "note": UNFINISHED}  # as on a circular path
@@ -131,9 +126,9 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
         axis = "xyz"[main] if abs(turn[main] / angle) > 0.99 else np.round(turn / angle, 2)
         note = f"Error and Jacobian are in frames turned by {abs(angle):.3g}° against each other about {axis}: no gain "
         note += f"helps. Turn the error by {-angle:.3g}° before J#, or express both in one frame."
-        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=SURE, note=note)
-    if rate:
-        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=SURE, note=WRONG_SIGN)
+        return dict(kind=SPIRAL, cause="turned frames", angle=angle, confidence=sure, note=note)
+    if rate := loop.growth(scaled):
+        return dict(kind=DIVERGING, cause="wrong sign", growth=rate, confidence=sure, note=WRONG_SIGN)
     if read is not None and read.evidence > EVIDENCE_KNOWN:
         if np.isfinite(read.period) and read.swings > SURELY:
             fields = _swing(scaled[read.first : read.last], read, Ts, alpha)
@@ -151,34 +146,33 @@ def _seen(scaled, read, y, Ts, alpha) -> dict:
 def _swing(rows, read, Ts, alpha) -> dict | None:
     """Fields of a `Diagnosis` of a mode that swings; None where it may be something else."""
     mode, turns = read.mode, len(rows) / read.period
-    faster, larger, unrest = cause.swept(loop.main_parts(rows), read.period)
+    faster, larger, unrest = loop.swept(loop.main_parts(rows), read.period)
     alike = SIZES[0] < larger < SIZES[1]
     if unrest < STEADY and turns > PERIODS and alike:  # beside overtones a mode seems to decay
         mode = 1j * mode.imag
     change = mode.real * read.period
-    held, excited = bool(abs(change) < np.log(HELD)), bool(change < -np.log(HELD) and larger > LASTS)
+    held = bool(abs(change) * turns < np.log(HELD))
+    excited = bool(not held and change < 0 and larger > SIZES[0])
     if turns > SWEPT and change < np.log(1.5) and alike and not 1 / SWEEP < faster < SWEEP:
         return {"kind": UNDECIDED, "note": UNFINISHED}
-    clipped, alone = change > 0 or held, read.dead is not None
-    drive, ends, present, most, wide = loop.drives_of(mode, Ts, alpha, clipped=clipped, alone=alone)
+    drives = loop.drives_of(mode, Ts, alpha, read.lags, clipped=change > 0 or held, alone=read.dead is not None)
+    drive, ends, present, most, wide = drives
     if wide > WIDE if alpha is None else alpha > CLIPPED * most:
         return {"kind": UNDECIDED, "note": OPEN}
     best = gains(Ts=Ts, drive=drive, method="EE").recommended
     if alpha is not None and best > TOO_LARGE * alpha and not excited:
-        note = f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."
-        return {"kind": CALM, "note": note}
-    needed, many = EVIDENCE if alpha is None else EVIDENCE_KNOWN, 1.5
-    if excited or held:
-        needed, many = EVIDENCE_EXCITED if alpha is None else needed, PERIODS
+        return {"kind": CALM, "note": f"alpha is not too large: up to {best:.4g} 1/s nothing overshoots by this log."}
+    lasts = excited or held
+    needed = EVIDENCE_KNOWN if alpha is not None else EVIDENCE_EXCITED if lasts else EVIDENCE
     overshoot = np.exp(0.5 * read.mode.real * read.period)
-    if turns < many or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
+    if turns < (PERIODS if lasts else 1.5) or read.evidence < needed or (alpha is None and overshoot < OVERSHOOTS):
         return None
     notes = ["Noise excites it again and again."] * excited + [PATH] * held
     if read.dead is None:
         likely = " and ".join(drive_in_words(end, Ts) for end in ends)
         notes.append(f"Likely are drives between {likely}; a recorded step narrows them (--step).")
     return {
-        "kind": SUSTAINED if abs(change) * turns < np.log(2) else GROWING if change > 0 else RINGING,
+        "kind": SUSTAINED if held else GROWING if change > 0 else RINGING,
         "cause": "drive" if read.dead is None else "dead time",
         "period": read.period,
         "growth": float(np.exp(mode.real)),
@@ -186,12 +180,9 @@ def _swing(rows, read, Ts, alpha) -> dict | None:
         "drive": drive,
         "recommended_alpha": best,
         "factor": best / (alpha or present),
-        "confidence": UNKNOWN if excited or held else SURE,
+        "confidence": UNKNOWN if lasts or alpha is None else SURE,
         "note": " ".join([*notes, UNLESS]),
     }
-
-
-# --- stacks ---------------------------------------------------------------------------------------------
 
 
 @record
@@ -240,6 +231,6 @@ def diagnose_tasks(signals, Ts: float, *, alpha=None) -> StackDiagnosis:
     lead = max(swing, key=lambda found: (found.confidence, found.growth**found.period))
     best = lead.recommended_alpha
     change = [name for name, gain in known.items() if gain > ABOVE * best]
-    along = [name for name, found in tasks.items() if found.period and abs(found.period / lead.period - 1) < ALIKE]
-    change += [name for name in along if name not in known]
+    along = {name for name, found in tasks.items() if found.period and abs(found.period / lead.period - 1) < ALIKE}
+    change += sorted(along - known.keys())
     return StackDiagnosis(tasks=tasks, change=tuple(change), recommended_alpha=best)

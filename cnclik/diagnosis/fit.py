@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnclik import errors
-from cnclik.diagnosis.recording import LARGEST, LEAST, columns, line, sampling_time
+from cnclik.diagnosis.recording import LARGEST, columns, sampling_time
 from cnclik.integrate.drive import COMMANDS, MOST, Drive
 from cnclik.record import ArrayLike, Float, record
 from cnclik.stability.gain import gains
@@ -29,12 +29,10 @@ EXACT = 1e-4  # share of a motion that no model explains: roundings, jitter
 BETTER = 10.0  # decrease of the information criterion that is "very strong" evidence (Raftery 1995)
 EXPLAINED, OTHER_UNIT = 0.5, 5.0  # share of a joint's motion that is its command's; gains beyond are units or signs
 OFF = 0.02  # difference of a gain from 1 that deserves a note
-OPEN, STEP = 0.35, 0.7  # deviation of a gain's logarithm, over a factor of four in its interval; of a number's, tried
-FINE, WIDE = 0.01, 5.0  # deviation of a number that moves a gain by a per cent; the largest that is said
+OPEN, STEP = 0.35, 0.1  # deviation of a gain's logarithm, over a factor of four in its interval; change that is tried
+WIDE = 5.0  # largest deviation of a number that is said
 NORMAL, APART = 1.96, 3.1  # deviations in half an interval of 95 %; and one in 1,000, beyond which joints differ
-NOT_REBASED = (
-    "No gain is safe for a loop whose position commands begin at the measured joints: begin each at the last one."
-)
+NOT_REBASED = "No gain is safe where position commands begin at the measured joints: begin each at the last one."
 
 
 @record
@@ -106,24 +104,18 @@ def fit_drive(
     Raises: ArgumentError for a log without motion, or with motion that the command does not explain.
     """
     velocity = errors.one_of("command_kind", command_kind, COMMANDS) == "velocity"
-    command, motion = (columns(n, v, "fit_drive") for n, v in (("command", command), ("motion", motion)))
-    if command.shape != motion.shape:
-        raise errors.fail("motion", f"have the shape of the commands, {command.shape}", f"has {motion.shape}")
-    if len(motion) < LEAST:
-        raise errors.fail("motion", f"have at least {LEAST} rows", f"has {len(motion)}")
+    command = columns("command", command, "fit_drive")
+    motion = columns("motion", motion, "fit_drive", like=command)
     for name, values in (("command", command), ("motion", motion)):
         if np.any(np.ptp(values, axis=0) <= np.maximum(1e-12 * np.abs(values).max(0), 1 / LARGEST)):
             raise errors.fail(name, "move in every column", "stands still")
-    Ts = sampling_time(t, Ts)
-    if t is not None and np.size(t) != len(command):
-        raise errors.fail("t", f"have the commands' {len(command)} rows", f"has {np.size(t)}")
-    log = _Log(command, motion, Ts, velocity)
+    log = _Log(command, motion, sampling_time(t, Ts, len(command)), velocity)
     best, score, fitted = "", np.inf, np.empty(0)
     for kind in list(NUMBERS)[: 3 + velocity]:
         values, lower = _least(log, kind, _starts(log, kind))
         if lower < score - BETTER:
             best, score, fitted = kind, lower, values
-    return _made(log, best, fitted)
+    return _fitted(log, best, fitted)
 
 
 class _Log:
@@ -138,7 +130,7 @@ class _Log:
         self.base = unit * command[0][:, None] * (self.t if velocity else 1.0 + 0 * self.t)
         self.length = 1 << (2 * len(motion) - 1).bit_length()
         self.changes = np.fft.rfft(unit * np.diff(command, axis=0, prepend=command[:1]).T, self.length)
-        self.line = np.linalg.qr(line(len(motion)))[0].T  # (2, N) orthonormal
+        self.line = np.linalg.qr(np.vander(np.linspace(-1, 1, len(motion)), 2))[0].T  # (2, N) orthonormal
 
     def response(self, kind, values, joint):
         """(..., N) motions, without the first command's, of drives (..., p): dead time, logarithms of numbers."""
@@ -219,8 +211,8 @@ def _least(log, kind, starts, late=None) -> tuple:
 
     Args: starts: (k, s, p), of which the better one counts for each joint. late: the dead time, if that is fixed.
     """
-    low, high = np.array([(0.0, MOST - 1.0), *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
-    low[0], high[0] = (0.0, MOST - 1.0) if late is None else (late, late)
+    delay = (0.0, MOST - 1.0) if late is None else (late, late)
+    low, high = np.array([delay, *(np.log(BOUNDS[name]) for name in NUMBERS[kind])]).T
     N = len(log.t)
     values = np.clip(starts, low, high)
     joint = np.broadcast_to(np.arange(log.k)[:, None], values.shape[:2])
@@ -247,10 +239,7 @@ def _least(log, kind, starts, late=None) -> tuple:
     return values[each], float(N * np.sum(np.log(left)) + numbers)
 
 
-# --- all joints together ------------------------------------------------------------------------------
-
-
-def _made(log, kind, fitted) -> DriveFit:
+def _fitted(log, kind, fitted) -> DriveFit:
     """The fit of all joints as one drive, its interval, its gain."""
     names, every = NUMBERS[kind], np.arange(log.k)
     values, covs = _together(log, kind, fitted)
@@ -272,9 +261,8 @@ def _made(log, kind, fitted) -> DriveFit:
     if (integral := interval.pop("integral", None)) is not None:
         said = f"Its velocity servo has an integral part ({_said(np.mean(integral))} s), which the drive leaves out"
         notes.append(f"{said}: gains for its lag alone are low enough.")
-    if np.any(off := np.abs(gain - 1) > OFF):
-        span = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (gain[off].min(), gain[off].max())))
-        notes.append(f"Motion is {span} times what is commanded, by which the recommended alpha is divided.")
+    if np.any(np.abs(gain - 1) > OFF):
+        notes.append(f"Motion is {_said(gain)} times what is commanded, by which the recommended alpha is divided.")
         notes += [NOT_REBASED] * (not log.velocity)
     moved = gain[:, None] * (log.response(kind, each, every) + log.base)
     return DriveFit(
@@ -292,7 +280,9 @@ def _made(log, kind, fitted) -> DriveFit:
 
 def _together(log, kind, fitted) -> tuple:
     """(values (1, p) that all joints share, or of each (k, p), with one dead time; their covariances)."""
-    information = _information(log, kind, fitted)
+    left, slope = log.slopes(kind, fitted, np.arange(log.k))
+    power = (np.sum(left**2, -1) / max(len(log.t) - slope.shape[-1] - 3, 1) + 1e-12) * [correlated(row) for row in left]
+    information = np.einsum("kni,knj->kij", slope, slope) / power[:, None, None]
     shared, each = np.linalg.pinv(information.sum(0)), np.linalg.pinv(information)
     mean = shared @ np.einsum("kij,kj->i", information, fitted)
     apart = np.einsum("ki,kij,kj->", fitted - mean, information, fitted - mean)
@@ -304,16 +294,8 @@ def _together(log, kind, fitted) -> tuple:
     return _least(log, kind, fitted[:, None], late)[0], each
 
 
-def _information(log, kind, values):
-    """(k, p, p) of the values of each joint: residuals count as often as they are independent."""
-    left, slope = log.slopes(kind, values, np.arange(log.k))
-    free = max(len(log.t) - slope.shape[-1] - 3, 1)
-    power = (np.sum(left**2, -1) / free + 1e-12) * [correlated(row) for row in left]
-    return np.einsum("kni,knj->kij", slope, slope) / power[:, None, None]
-
-
 def correlated(left) -> float:
-    """The correlation length of a residual (N,) [samples]: 1 for white noise."""
+    """The correlation length of a residual (N,) [samples], 1 for white noise, by which it counts as fewer rows."""
     left = left - left.mean()
     N, power = len(left), float(left @ left) or 1.0
     share = np.fft.irfft(np.abs(np.fft.rfft(left, 2 * N)) ** 2, 2 * N)[: N // 2] / power
@@ -347,12 +329,11 @@ def _recommended(log, kind, values, covs, gain) -> tuple:
         return max(gains(Ts=log.Ts, drive=_drive(log, kind, shape), method="EE").recommended, 1e-9)
 
     best, j = alpha(values), int(np.argmax(slow)) if np.ndim(slow) else 0  # the slowest joint decides
-    one = values[j : j + 1]
-    size, ways = np.linalg.eigh(covs[j])
-    size = np.sqrt(np.maximum(size, 0.0))
-    spread = 0.0
-    for s, way in zip(size[size > FINE], ways.T[size > FINE], strict=True):
-        spread += (np.log(alpha(one + min(s, STEP) * way) / alpha(one)) * s / min(s, STEP)) ** 2
-    if best < 1e-6 or spread**0.5 > OPEN:
+    slowest = alpha(values[j : j + 1])
+    slope = np.array(
+        [np.log(alpha(values[j : j + 1] + STEP * way) / slowest) / STEP for way in np.eye(values.shape[1])]
+    )
+    spread = np.sqrt(max(slope @ covs[j] @ slope, 0.0))
+    if best < 1e-6 or spread > OPEN:
         return None, ["No gain: gains for the drives that explain the log differ too much. Record a larger step."]
-    return float(best * np.exp(-NORMAL * spread**0.5) / np.max(gain)), []
+    return float(best * np.exp(-NORMAL * spread) / np.max(gain)), []

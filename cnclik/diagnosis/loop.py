@@ -1,11 +1,12 @@
-"""Loop: the mode of the loop behind a log, by prediction errors, and the drives that have this mode.
+"""Loop: the mode of the loop behind a log, by prediction errors, and the drives that have this mode; or no such loop.
 
 An error that is fed back late obeys A(B) y = −z b(B) B^(d+1) y + C(B) w, z = alpha·Ts (Ljung 1999). B shifts by a row,
 A is 1 − B, or (1 − B)(1 − aB) with a lag, and w is white. C is 1 for noise of the motion and A for noise of its
 measurement, which the loop feeds back. Dead time, lag and C are on a grid; z, and what a path adds, by least squares.
 
 Of these loops only the mode counts. Dead time alone and dead time with a lag may have the same mode; the
-gain that does not overshoot differs little among them, as all have the same phase where the loop swings.
+gain that does not overshoot differs little among them, as all have the same phase where the loop swings. Turned frames
+and growth are what no smaller gain ends; a sweep is no loop.
 """
 
 from __future__ import annotations
@@ -24,29 +25,30 @@ UNMODELLED = 0.005  # share of the steps that no linear loop explains
 VISIBLE = 0.1  # of an error, by which a loop passes its target if its gain is too large
 ALONE, AS_WELL = 15.0, 8.0  # decrease of the criterion by which dead time alone, or a dead time, is better than others
 USUAL = 0.05  # [s] of a usual lag: larger ones count less
-EVIDENCE = 45.0  # decrease of the criterion from which on an oscillation is a loop's
-SURELY = 0.9  # share of the probability that loops which swing must have
 KNOWN = 0.15  # relative deviation of the loop's gain from a known one
 TAIL, MIDDLE = 0.1, 0.6  # share of the likely drives beyond each end; where between the ends' gains that chosen is
+LEFT = 0.1  # share of the steps' power that turned frames leave unexplained, at most
+BETTER = 12.0  # decrease of the information criterion that is more than strong evidence (Raftery 1995)
+ALIKE = 25.0  # of the criterion, within which another dead time explains a spiral as well
+STEADY = 1.1  # ratio of the sizes in the last thirds of a circle, at most; the first one may be a push
+PARTS = 250  # rows to which a spiral or a growth is averaged
+WAY = 1.05  # of a growth, its way over its distance: noise apart it never turns back
+FASTER = 37 / 19  # ratio of the last two quarters of a cubic from rest: what bends no more may be a path,
+EVEN = 0.25  # unless the last three quarters grow as the mode does, up to this share
 
 
 class Loop(NamedTuple):
     """What is read in a log. Rows are those of the log."""
 
     mode: complex  # s [1/row] of the oscillation or decay that ends last
+    period: float  # of it [rows]
     evidence: float  # decrease of the information criterion by this loop
     swings: float  # share of the probability of loops that pass their target by VISIBLE
     dead: tuple | None  # ends of the rows of dead time, where that alone explains the log much better than any lag
+    lags: np.ndarray  # (2, n) lags [rows] and how likely they are
     rests: bool  # whether its steps are smaller in the end
     first: int  # rows that were read
     last: int
-
-    @property
-    def period(self) -> float:
-        return 2 * np.pi / self.mode.imag if self.mode.imag > 1e-9 else np.inf
-
-
-# --- rows and columns ---------------------------------------------------------------------------------
 
 
 def noise_of(y):
@@ -114,9 +116,6 @@ def period_of(y) -> float:
     return 4 * len(y) / (6 + int(np.argmax((power * np.arange(len(power)))[6:])))
 
 
-# --- prediction errors --------------------------------------------------------------------------------
-
-
 def polynomials(lag, part):
     """(A, b) in powers of B of a velocity that follows with a lag [rows], after a part of a row of dead time."""
     late = np.array([1 - part, part]) if part else np.ones(1)
@@ -134,24 +133,21 @@ def fits(y, period):
     most = int(min(DEAD, N // 5, period / 3 + 3))
     first = most + 4
     rows, loops, none = N - first, [], np.inf
-    path = path_basis(rows, period)
+    path = np.pad(path_basis(rows, period), ((0, 0), (1, 0)))  # a column of zeros for no path
+    sizes = np.array([size for size in PATHS if size < path.shape[1]])
     floor = (UNMODELLED**2 * np.var(np.diff(y, axis=0), axis=0) + 1e-12)[:, None]
     for lag, part in ((lag, part) for lag in LAGS for part in (0.0, 0.5)):
         A, b = polynomials(lag, part)
         for C in ([1.0], [1.0, -1.0], A)[: 2 + (lag > 0)]:
-            start, basis = len(C) // 3, path
-            if start:  # the time before the log decays as the lag
-                basis = np.linalg.qr(np.column_stack([A[2] ** np.arange(rows), path]))[0]
-            sizes = start + np.array([size for size in PATHS if size <= path.shape[1]])
             left, acts = lfilter(A, C, y, axis=0)[first:].T, lfilter(b, C, y, axis=0)
-            on = left @ basis
-            v0 = np.maximum((np.sum(left**2, 1)[:, None] - _sums(on**2, sizes)) / rows, 0.0) + floor
+            on = left @ path
+            v0 = np.maximum((np.sum(left**2, 1)[:, None] - np.cumsum(on**2, -1)[:, sizes]) / rows, 0.0) + floor
             both, square = np.empty((2, most + 1, k, len(sizes)))
             for c in range(k):
                 late = np.lib.stride_tricks.sliding_window_view(acts[first - 1 - most : N - 1, c], rows)[::-1]
-                across = late @ basis
-                both[:, c] = ((late @ left[c])[:, None] - _sums(across * on[c], sizes)) / rows
-                square[:, c] = (np.einsum("di,di->d", late, late)[:, None] - _sums(across**2, sizes)) / rows
+                across = late @ path
+                both[:, c] = ((late @ left[c])[:, None] - np.cumsum(across * on[c], -1)[:, sizes]) / rows
+                square[:, c] = (np.einsum("di,di->d", late, late)[:, None] - np.cumsum(across**2, -1)[:, sizes]) / rows
             square, v = np.maximum(square, 1e-300), v0
             for _ in range(3):  # columns weigh by what is left of them
                 z = -np.sum(both / v, 1) / np.sum(square / v, 1)
@@ -162,11 +158,6 @@ def fits(y, period):
             d, best = np.arange(most + 1), np.argmin(score, 1)
             loops.append(np.stack([d + part, 0 * d + lag, z[d, best], score[d, best]]))
     return np.concatenate(loops, 1), none
-
-
-def _sums(a, sizes):
-    """Sums of the first columns of a (..., c), for each size."""
-    return np.concatenate([np.zeros((*a.shape[:-1], 1)), np.cumsum(a, -1)], -1)[..., sizes]
 
 
 def slowest(dead, lag, z) -> complex:
@@ -206,32 +197,37 @@ def read(y) -> Loop | None:
         near = dead[(lag == 0) & (score < least + AS_WELL)]
         interval = tuple(max((end + 0.5) * m - 0.5, 0.0) for end in (near.min() - 0.25, near.max() + 0.25))
     share = float(np.sum(odds[likely] * over) / np.sum(odds[likely]))
-    return Loop(modes[np.argmax(odds[likely])], float(none - score.min()), share, interval, rests, first, last)
+    # Evidence tells of lags only where dead time alone explains the log best: else a lag may stand for a servo.
+    lags = [odds[lag == each].max(initial=0.0) if lag[np.argmin(score)] == 0 else 1.0 for each in LAGS]
+    lags = np.array([np.array(LAGS) * m, lags])
+    mode = modes[np.argmax(odds[likely])]
+    period = 2 * np.pi / mode.imag if mode.imag > 1e-9 else np.inf
+    return Loop(mode, period, float(none - score.min()), share, interval, lags, rests, first, last)
 
 
-# --- drives that have a mode --------------------------------------------------------------------------
-
-
-def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> tuple:
+def drives_of(mode, Ts, alpha, lags, *, clipped, alone) -> tuple:
     """Drives with dead time, and a lag, whose loop s + α e^(−Ds)/(τs + 1) has a mode s [1/row].
 
     Returns one that tolerates a gain between those of the ends; the ends, between which most of the likely ones are;
     the mean gain of their loops [1/s], the larger one of the ends, and the ratio of the gains that the ends tolerate.
-    Args: alpha: the loop's gain [1/s] if known. clipped: whether that of the mode may be lower. alone: dead time only.
+    Args:
+      alpha: the loop's gain [1/s] or None. lags: as in `Loop`.
+      clipped: whether the gain of the mode may be lower than alpha. alone: whether it is dead time only.
     """
-    s = mode / Ts
-    whole = max((np.pi - np.angle(s)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
+    s, step = mode / Ts, 2 * np.sinh(mode / 2) / Ts  # step: of the motion from sample to sample, s of slow modes
+    whole = max((np.pi - np.angle(step)) / s.imag, 0.5 * Ts)  # of dead time alone, with half a sample
     dead = whole * (np.ones(1) if alone else np.linspace(1, 0, 25))
-    turn = np.tan(np.angle(-np.exp(-s * dead) / s))  # of τs + 1
+    turn = np.tan(np.angle(-np.exp(-s * dead) / step))  # of τs + 1
     lag = np.where(dead < whole, turn / (s.imag - s.real * turn), 0.0)
     dead, lag = dead[lag >= 0], lag[lag >= 0]
-    gain = np.abs(s * np.exp(s * dead) * (1 + lag * s))
+    gain = np.abs(step * np.exp(s * dead) * (1 + lag * s))
     late = dead + Ts  # where two real poles −x meet nothing overshoots
     x = 2 / (2 * lag + late + np.sqrt(4 * lag**2 + late**2))
     calm = x * (1 - lag * x) * np.exp(-x * late)
     off = np.zeros(len(lag)) if alpha is None else np.log(gain / alpha)
     off = np.maximum(off, 0.0) if clipped else off
     odds = np.exp(-0.5 * np.minimum((off / KNOWN) ** 2, 60.0)) / (1 + (lag / USUAL) ** 2) * np.where(lag > 0, 1.0, 3.0)
+    odds = odds * np.interp(lag / Ts, *lags)
     odds, order = odds / np.sum(odds), np.argsort(calm)
     ends = order[np.minimum(np.searchsorted(np.cumsum(odds[order]), [TAIL, 1 - TAIL]), len(order) - 1)]
     least, largest = np.log(calm[ends])
@@ -239,3 +235,102 @@ def drives_of(mode, Ts, alpha=None, *, clipped=False, alone=False) -> tuple:
     middle, *both = (Drive(delay=float(np.clip(dead[i] / Ts - 0.5, 0, MOST - 1)), lag=float(lag[i])) for i in places)
     mean, most, wide = float(odds @ gain), float(np.max(gain[ends])), float(np.exp(largest - least))
     return middle, tuple(both), mean, most, wide
+
+
+def turned(y, gain=None) -> tuple | None:
+    """The rotation R of Δe[k] = −z R e[k − d] (Kabsch 1976) of two or three coordinates, or of both halves of six.
+
+    Returns its rotation vector (3,) [degrees], z per row, and whether its size stays as of a circle; None where a z of
+    any sign for each column explains the log as well. A spiral leaves d open, as a turn by the angle of d rows looks
+    alike: of those that explain it as well that is taken whose z is next to a known gain, or else the least d.
+    """
+    from scipy.signal import lfilter
+    from scipy.spatial.transform import Rotation
+
+    blocks = {2: [[0, 1]], 3: [[0, 1, 2]], 6: [[0, 1, 2], [3, 4, 5]]}.get(y.shape[1], [])
+    first, last = window(y)
+    y = y[max(first - 1, 0) : last]
+    m = max(1, len(y) // PARTS)
+    y = averaged(y, m)
+    most = min(DEAD, len(y) // 5)
+    N = len(y) - most - 4
+    if not blocks or N < 12:
+        return None
+    y = y / np.concatenate([np.full(len(b), np.sqrt(np.mean(np.var(y[:, b], axis=0))) + 1e-300) for b in blocks])
+    floor = UNMODELLED**2 * np.mean(np.var(np.diff(y, axis=0), axis=0)) + 1e-12
+    level, plain = path_basis(N)[:, :2], np.inf
+    spins: list = []
+    for theta in (0.0, 0.8, 1.0):
+        over = [1.0, -theta]
+        left, acts = free(level, lfilter([1.0, -1.0], over, y, axis=0)[-N:]), lfilter([1.0], over, y, axis=0)
+        for d in range(most + 1):
+            late = free(level, acts[-N - 1 - d : -1 - d])
+            each = -np.sum(left * late, 0) / np.maximum(np.sum(late**2, 0), 1e-300)
+            u, _, vt = np.linalg.svd(-sum(left[:, b].T @ late[:, b] for b in blocks))
+            u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+            moved = late @ np.kron(np.eye(len(blocks)), u @ vt).T
+            z = -np.sum(left * moved) / max(np.sum(moved**2), 1e-300)
+            rests = left + each * late, left + z * moved
+            alone, score = (N * np.sum(np.log(np.mean(rest**2, 0) + floor)) for rest in rests)
+            plain = min(plain, alone + np.log(N) * (len(each) + (theta != 0)))
+            if z > 0:
+                score += np.log(N) * (4 + (theta != 0))
+                spins.append((score, d, z / m, u @ vt, np.sum(rests[1] ** 2) / np.sum(left**2)))
+    least = min((spin[0] for spin in spins), default=0.0)
+    alike = sorted((spin for spin in spins if spin[0] <= least + ALIKE), key=lambda spin: spin[1::-1])
+    if not alike or alike[0][4] > LEFT or plain - alike[0][0] < BETTER:
+        return None
+    if gain is not None:
+        alike.sort(key=lambda spin: abs(np.log(spin[2] / gain)))
+    turn = np.eye(3)
+    turn[: len(alike[0][3]), : len(alike[0][3])] = alike[0][3]
+    wave = free(path_basis(len(y))[:, :2], y)
+    sizes = [float(np.linalg.norm(wave[-i * (len(y) // 3) :][: len(y) // 3])) for i in (3, 2, 1)]
+    steady = 1 / STEADY < sizes[2] / max(sizes[1], 1e-300) < STEADY and sizes[2] > 0.5 * sizes[0]
+    return Rotation.from_matrix(turn).as_rotvec(degrees=True), alike[0][2], steady
+
+
+def growth(y) -> float:
+    """Growth per row without oscillation of y (N, k); 0 for none."""
+    N, near = len(y), max(len(y) // 10, 2)
+    way = y[-near:].mean(0) - y[int(0.6 * N) - near // 2 : int(0.6 * N) + near].mean(0)
+    m = max(1, N // PARTS)
+    if N // m < 16 or not way.any():
+        return 0.0
+    x = y @ way / np.linalg.norm(way)
+    at, near = np.linspace(0, N - 1, 5).astype(int), max(N // 40, 1)
+    steps = np.diff([x[max(i - near, 0) : i + near + 1].mean() for i in at])
+    half = x[N // 2 :: max(N // 24, 1)]
+    if np.sum(np.abs(np.diff(half))) > WAY * abs(half[-1] - half[0]) or not steps[3] > steps[2]:
+        return 0.0
+    loops, none = fits(averaged(x[:, None] - x[0], m), np.inf)
+    wrong, right = loops[:, loops[2] < 0], loops[:, loops[2] > 0]
+    if min(none, right[3].min(initial=np.inf)) - wrong[3].min(initial=np.inf) < BETTER / 2:
+        return 0.0
+    rate = float(abs(slowest(*wrong[:3, np.argmin(wrong[3])])) ** (1 / m))
+    grown = np.diff(np.log(np.maximum(steps, 1e-3 * steps[3]))) / (N / 4 * np.log(rate))  # over what the mode grows
+    fast = steps[3] > FASTER * steps[2] and grown[2] > 0.5  # noise and offsets take some of it
+    return rate if fast or np.all(np.abs(grown[1:] - 1) < EVEN) else 0.0
+
+
+def swept(y, period) -> tuple[float, float, float]:
+    """(how much faster, how much larger) an oscillation of y (N, k) is in the second half of its energy; its unrest.
+
+    The unrest is the deviation of its size over the mean, of half the rows: 0.5 where noise excites it, 0 for a limit.
+    """
+    N = len(y)
+    f = np.fft.fftfreq(4 * N)[:, None] * period
+    power = np.where((f > 0.35) & (f < 2.5), np.fft.fft(free(path_basis(N, period), y), 4 * N, axis=0), 0)
+    wave = np.fft.ifft(power, axis=0)[:N]  # analytic
+    u, s, _ = np.linalg.svd(wave, full_matrices=False)
+    wave = u[:, 0] * s[0]
+    energy = np.abs(wave[1:]) ** 2
+    total = np.cumsum(energy)
+    half = int(np.clip(np.searchsorted(total, total[-1] / 2), period / 2, max(N - 1 - period / 2, period / 2)))
+    if not 0 < half < N - 1:
+        return 1.0, 1.0, 1.0
+    turn = np.angle(wave[1:] * np.conj(wave[:-1])) * energy
+    speed = [np.sum(turn[p]) / max(np.sum(energy[p]), 1e-300) for p in (slice(half), slice(half, None))]
+    larger = np.sqrt(np.mean(energy[half:]) / max(np.mean(energy[:half]), 1e-300))
+    size = np.sqrt(energy[N // 4 : 3 * N // 4])
+    return float(speed[1] / speed[0]), float(larger), float(np.std(size) / max(np.mean(size), 1e-300))

@@ -9,25 +9,25 @@ LARGEST = 1e30  # value of a recording, at most; squares of far larger ones over
 MISSING, BESIDE = 0.6, 12  # of a step, by which the rows after a gap come late; rows on either side that tell
 
 
-def columns(name, values, door):
-    """Return a log as columns (N, k). Raises: ArgumentError for values that are not finite, too large or traced."""
+def columns(name, values, door, *, least=LEAST, like=None):
+    """Return a log as columns (N, k), as many as `like` has. Raises: ArgumentError, also of what `door` can't trace."""
     values = errors.array(name, values, (None,), (None, None), most=LARGEST)
     if not errors.concrete(values):
         raise errors.fail(name, "hold numbers", f"is traced by JAX: call {door} outside of jit, vmap and grad")
     values = np.asarray(values, float)
-    return values[:, None] if values.ndim == 1 else values
+    values = values[:, None] if values.ndim == 1 else values
+    if like is not None and values.shape != like.shape:
+        raise errors.fail(name, f"have shape {like.shape}", f"has shape {values.shape}")
+    if len(values) < least or values.shape[1] == 0:
+        raise errors.fail(name, f"have at least {least} rows", f"has {len(values) if values.shape[1] else 0}")
+    return values
 
 
-def line(N):
-    """Return an offset and a drift as columns (N, 2)."""
-    return np.linspace(-1, 1, N)[:, None] ** np.arange(2)
-
-
-def sampling_time(t, Ts) -> float:
+def sampling_time(t, Ts, N=None) -> float:
     """Return Ts [s] as given, or from times (N,) that jitter. Raises: ArgumentError if rows are missing."""
     if Ts is not None or t is None:
         return float(errors.number("Ts", Ts, positive=True))
-    t = np.asarray(errors.array("t", t, (None,), most=LARGEST), float)
+    t = np.asarray(errors.array("t", t, (N,), most=LARGEST), float)
     usual, step = spacing(t), np.diff(t)
     if (late := step * missing(t, usual)).any():
         row = int(np.argmax(late))

@@ -159,10 +159,20 @@ def _gather(g, eqn, x, places):
         raise UnsupportedError(f"`gather` of {out.size} entries at unknown places among {cells} has no C form")
     batching = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
     made, of = [], (numbers.start_index_map, sizes, mode, numbers.offset_dims, hidden, list(batching))
-    for _, coords, inside in _windows(g, out.shape, x.shape, places, *of):
+    if whole := _keeps_rows(x, places, numbers.start_index_map, hidden, numbers.offset_dims, out.shape):
+        shape, x = (1, *out.shape[1:]), x.cells[None]
+    else:
+        shape = out.shape
+    for _, coords, inside in _windows(g, shape, x.shape, places, *of):
         cell = _taken(g, x, coords, places.flat[0].dtype)
         made.append(cell if inside is None else g.select(inside, cell, _fill(g, p["fill_value"], cell.dtype)))
-    return [array_of(made, out.shape)]
+    return [Rows(array_of(made, out.shape[1:]), out.shape[0]) if whole else array_of(made, out.shape)]
+
+
+def _keeps_rows(x, places, mapped, hidden, window, shape) -> bool:
+    """Whether entries of rows at known places, such as x[:, (0, 2)], are rows of the same length."""
+    inner = isinstance(x, Rows) and 0 not in (*mapped, *hidden) and window[:1] == (0,)
+    return inner and shape[0] == x.length and all(place.known for place in places.flat)
 
 
 def _fill(g, value, dtype):

@@ -45,7 +45,7 @@ def _of_step(law, program, random) -> dict:
         for part in parts.parts:
             which = "rotation" if part.turns else "position"
             values[before + place(part)] = np.array([np.ravel(getattr(row[i][0].curve, which)) for row in held])
-        values[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.width))
+        values[f"{before}velocity"] = random.uniform(-0.1, 0.1, (COUNT, parts.m))
     return values
 
 

@@ -16,7 +16,7 @@ from cnclik.law.paths import Reference, Tangent
 from cnclik.law.reference import References, of_each
 from cnclik.record import cast
 from cnclik.robot.chain import Chain
-from cnclik.robot.model import frames, jacobian_rows, modelled
+from cnclik.robot.model import frames, jacobian_at, modelled
 from cnclik.task.parts import places
 
 
@@ -100,10 +100,10 @@ def _of_target(before, parts):
         else:
             unit = ", ".join(dict.fromkeys(part.units))
             about = f"desired {place(part)}{of} [{unit}]"
-            yield Field(before + place(part), (part.width,), about=about)
+            yield Field(before + place(part), (part.m,), about=about)
     unit = ", ".join(f"{unit}/s" for unit in dict.fromkeys(parts.units))
     about = f"desired task velocity{of if before else frame} [{unit}]"
-    yield Field(f"{before}velocity", (parts.width,), about=about, value=np.zeros(parts.width))
+    yield Field(f"{before}velocity", (parts.m,), about=about, value=np.zeros(parts.m))
 
 
 def place(part) -> str:
@@ -117,7 +117,7 @@ def _target(law, inputs):
     def one(_, parts):
         before, _ = next(named)
         position = velocity = rotation = spin = None
-        for part, where in zip(parts.parts, parts.motions, strict=True):
+        for part, where in zip(parts.parts, parts.slices, strict=True):
             aim, rate = inputs[before + place(part)], inputs[f"{before}velocity"][where]
             if part.turns:
                 rotation, spin = aim, jnp.zeros(3, rate.dtype).at[places(part.axes)].set(rate)
@@ -143,7 +143,7 @@ def _kinematics(request) -> Routine:
         chain, made = cast(modelled(put(values)), request.dtype), []
         for i in range(len(names)):
             at = frames(chain, q, i)
-            made += [at.position, at.rotation, jacobian_rows(chain, at, (0, 1, 2), (0, 1, 2))]
+            made += [at.position, at.rotation, jacobian_at(chain, at)]
         return made
 
     outputs = []

@@ -2,7 +2,7 @@
 
 A command passes the dead time, is constant for a sample, and is followed by G(s): immediately, with a lag, or like a
 second-order servo. The sampled model is exact for a constant command; the gains of `cnclik.stability` and the loop of
-`solve` (see `cnclik.integrate.driven`) use the same matrices.
+`solve` (see `cnclik.integrate.loop`) use the same matrices.
 """
 
 from __future__ import annotations
@@ -33,24 +33,23 @@ class Drive:
     sample and is followed by G(s) q_c. G(s) = 1, 1/(lag s + 1), or ω₀²/(s² + 2ζω₀ s + ω₀²). A servo with gains k_p and
     k_v on an inertia m has ω₀² = k_p/m and 2ζω₀ = k_v/m; a velocity servo with gain k_v on m has the lag m/k_v.
 
-    A low-pass filter, an exponential moving average y[k] = ρ y[k−1] + (1 − ρ) u[k], may smooth one signal of the loop.
-    On the error or the command it lowers the gains; on the target it delays the motion by Ts ρ/(1 − ρ).
+    A low-pass filter, y[k] = ρ y[k−1] + (1 − ρ) u[k], may smooth one signal of the loop. On the error or the command it
+    lowers the gains; on the target it delays the motion by Ts ρ/(1 − ρ).
 
     Attributes:
       delay: dead time between command and motion [samples], at least 0, also fractions. On the command line a time has
         its unit, as in 34ms; in Python it is a known number, never traced.
       measurement_delay: delay of the measurement [whole samples], at least 0. Measurements are time-stamped: the error
-        that is fed back is the error at the time of the measurement, so that a known path is followed without
-        additional error. For stability both delays add up.
+        fed back is that at the time of the measurement. For stability both delays add up.
       lag: time constant of a first-order drive [s], one number or one per joint.
       natural_frequency: natural frequency ω₀ of a second-order drive [rad/s], positive, in place of a lag. It is
         √(k_p/m) of a position servo. One number or one per joint.
       damping_ratio: damping ratio ζ of a second-order drive, positive; k_v/(2 m ω₀) of a position servo. Default: 1.
       command: what the drives take: velocity, or position, where the controller sums up its steps and sends joint
         values. Without lag both are the same. Default: velocity.
-      feedback: joint values that the controller uses. measured: the robot's own, while commands are summed up
-        separately; commanded: its own commands, so that drive, dead time and measurement delay do not enter the loop;
-        rebased: measured, and each position command starts from them instead of the last command. Default: measured.
+      feedback: joint values that the controller uses. measured: the robot's own; commanded: its own commands, so that
+        drive, dead time and measurement delay do not enter the loop; rebased: measured, and each position command
+        starts from them instead of the last command. Default: measured.
       smoothing: low-pass filter: the share ρ of the old value that a moving average keeps, at least 0 and below 1.
       cutoff: cut-off frequency f of the low-pass filter [Hz], positive, in place of ρ = exp(−2π f Ts).
       smoothed: signal that the filter smooths: error, command or target. Default: error.

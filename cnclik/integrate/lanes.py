@@ -5,9 +5,11 @@ JAX gets it, on a CPU in tiles of a few dozen lanes, so few that a tile's data s
 of bounded size, side by side on all cores, or on all devices.
 """
 
+import contextlib
 import functools
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +17,10 @@ import numpy as np
 from jax import lax
 
 from cnclik import errors
-from cnclik.cache import LRU
+from cnclik.cache import LRU, bounded_jit
 from cnclik.engine.native import native
 from cnclik.engine.plan import as_here, chosen
-from cnclik.engine.program import Program, lane_avals
+from cnclik.engine.program import Bound, Program, lane_avals
 from cnclik.engine.to_jax import Derived
 from cnclik.engine.tracing import is_read
 from cnclik.threads import cores as available
@@ -27,6 +29,8 @@ from cnclik.threads import side_by_side
 TILE = 64  # lanes; from 64 to 256 the speed is nearly the same, and compile time grows
 LANES_PER_CALL = 1 << 15  # lanes per call of a compiled program: few enough for memory, enough to feed the cores
 DEVICE_BLOCK = 1 << 18  # the same on a GPU, to fit its cache: up to twice as fast as 2**20
+ALONE = 1024  # lanes, at most, that one thread runs
+CAPACITY = 1024  # lanes of a call of XLA's program, which serves batches of all sizes
 
 
 def lanes(fn: Callable, *, tile: int | None = None, block: int | None = None, cores: int | None = None) -> Callable:
@@ -165,3 +169,53 @@ def _blocks(compiled, ready, leaves, treedef, size, block, workers):
 def _take(leaf, start, block):
     part = leaf[start : start + block]
     return part if part.shape[0] == block else np.concatenate([part, np.repeat(part[-1:], block - part.shape[0], 0)])
+
+
+class Batches:
+    """A function of one lane with one result, compiled in float64 for batches."""
+
+    def __init__(self, fn, avals, *, single=False):
+        """Args: avals: of all arguments of a lane. single: for one lane only."""
+        self.avals, self.most = avals, 1 if single else CAPACITY
+        as_c = native(fn)
+        with jax.enable_x64(True):
+            function, _ = as_c.of(*[np.zeros(a.shape, a.dtype) for a in avals])
+            self.program = chosen(function, avals, batch=not single)
+
+        def run(kept, lanes, count):
+            return tiled(lambda *own: as_c(*kept, *own), min(TILE, self.most), *lanes, count=count)
+
+        self.run = bounded_jit(run)
+
+    def bound(self, *kept):
+        """Return the function call(leaves, size) of batches, on all cores. Args: kept: the first arguments, of all.
+
+        Its leaves are the other arguments, (size, ...), or (...) for what all lanes share.
+        """
+        call: Any
+        if isinstance(self.program, Program):
+            call = Bound(self.program, kept)
+        else:
+            with jax.enable_x64(True):
+                call = functools.partial(self._in_tiles, jax.device_put(kept))
+
+        def threaded(leaves, size):
+            alone = size <= ALONE or available() == 1
+            with contextlib.nullcontext() if alone else side_by_side() as pool:
+                return call(leaves, size, pool, available())[0]
+
+        return threaded
+
+    def _in_tiles(self, kept, leaves, size, pool, _):
+        avals = self.avals[len(kept) :]
+        leaves = [np.broadcast_to(x, (size, *a.shape)).astype(a.dtype) for x, a in zip(leaves, avals, strict=True)]
+
+        def part(first):
+            some = [x[first : first + self.most] for x in leaves]
+            count = len(some[0])
+            some = [np.resize(x, (self.most, *x.shape[1:])) for x in some]
+            return np.asarray(self.run(kept, some, np.int32(count)))[:count]
+
+        with jax.enable_x64(True):
+            parts = (map if pool is None else pool.map)(as_here(part), range(0, size, self.most))
+            return [np.concatenate(list(parts))]

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from cnclik.engine.tracing import checkpointed
 from cnclik.integrate.drive import Drive, Sampled, sampled
-from cnclik.integrate.driven import Driven, averaged, driven, resting, turned
 from cnclik.integrate.march import charted, exponential_march, march
 from cnclik.integrate.method import Method, evaluations_per_step
 from cnclik.integrate.stage import Stage
@@ -32,6 +31,7 @@ from cnclik.record import Array, Float, Int, cast, record, replace
 from cnclik.robot import chart
 from cnclik.robot.chart import centre, out
 from cnclik.robot.model import modelled
+from cnclik.robot.rotations import exp_so3, log_so3
 from cnclik.task.task import error
 
 
@@ -54,6 +54,16 @@ class Loop:
     def direct(self) -> bool:
         """Whether the robot does what the law asks for, and the controller knows its error."""
         return self.model is None and self.noise is None
+
+
+class Driven(NamedTuple):
+    """The state of the drives."""
+
+    x: Float[Array, "n s"]
+    line: Float[Array, "d n"]  # commands that still act, newest first
+    sent: Float[Array, " n"]  # the sum of the controller's steps
+    late: tuple[Array, ...]  # measured errors on their way, newest first
+    smooth: Any  # the filtered error (m,), command (n,), or target of each part of the task; None without a filter
 
 
 class State(NamedTuple):
@@ -86,9 +96,8 @@ def start(loop: Loop, q0, *, compensated=False) -> State:
     late = (at.e,) * (0 if drive.feedback == "commanded" else drive.measurement_delay)
     if drive.filters == "error":
         smooth = jnp.zeros_like(at.e)
-    if drive.filters == "target":  # which was where the robot is, where that is known
-        here = (part.here(at.robot) for part in law.task.parts)
-        smooth = tuple(aim if own is None else own for aim, own in zip(at.aims, here, strict=True))
+    if drive.filters == "target":  # which was where the robot is
+        smooth = tuple(part.here(at.robot) for part in law.task.parts)
     return State(q0, drives=resting(law.chain, drive, loop.model, q0, late, smooth))
 
 
@@ -170,6 +179,46 @@ def run(loop: Loop, q0) -> Trajectory:
     if made.task_status is not None:
         made = replace(made, task_status=made.task_status | each)
     return replace(made, status=made.status | grown)
+
+
+# --- drives and filters within the loop ---------------------------------------------------------------
+
+
+def resting(chain, drive: Drive, model: Sampled, q, late=(), smooth=None) -> Driven:
+    """Return drives at rest at q (n,), commanded to stay there.
+
+    Args: late: the errors on their way. smooth: the filtered error or target.
+    """
+    x = jnp.zeros((*q.shape, model.size), q.dtype).at[..., 0].set(chart.centre(chain, q))
+    held = q if drive.steps_positions else jnp.zeros_like(q)
+    return Driven(x, jnp.tile(held, (model.remembered, 1)), q, late, held if drive.filters == "command" else smooth)
+
+
+def driven(chain, drive: Drive, model: Sampled, drives: Driven, q, seen, step, Ts) -> tuple[Array, Driven]:
+    """Return the joint values (n,) one sample after q (n,), and the drives then.
+
+    Args: seen, step: (n,) the joint values that the controller used, and its step from there.
+    """
+    sent = chart.moved(chain, seen if drive.feedback == "rebased" else drives.sent, step)
+    command, smooth = sent if drive.steps_positions else step / Ts, drives.smooth
+    if drive.filters == "command":
+        command = smooth = averaged(drive.kept(Ts), smooth, command)
+    line = jnp.concatenate([command[None], drives.line])[: len(drives.line)]
+    x = model.moved(drives.x, drives.line, command)
+    after = chart.out(chain, q, x[:, 0])
+    if chain.balls:
+        x = x.at[:, 0].set(chart.centre(chain, after))
+    return after, drives._replace(x=x, line=line, sent=sent, smooth=smooth)
+
+
+def averaged(kept, before, new):
+    """Return one sample of the filter: ρ before + (1 − ρ) new."""
+    return kept * before + (1 - kept) * new
+
+
+def turned(kept, before, new):
+    """Return one sample of the filter of a rotation."""
+    return exp_so3((1 - kept) * log_so3(new @ before.T)) @ before
 
 
 # --- one step of the loop with any method -------------------------------------------------------------

@@ -10,12 +10,14 @@ from jax import lax
 
 from cnclik.integrate.method import Method
 from cnclik.law.feedback import ahead, feedback_within, held_feedback, held_null
-from cnclik.law.law import resolve, rows_at
+from cnclik.law.law import resolve
 from cnclik.law.reference import sample
+from cnclik.precision import precise
 from cnclik.record import Array, Float
 from cnclik.robot import chart
 from cnclik.robot.chart import centre
-from cnclik.task.task import velocity
+from cnclik.task.parts import At
+from cnclik.task.task import rows
 
 
 class Moved(NamedTuple):
@@ -127,30 +129,26 @@ def closure(law, mean, quadrature, turns):
 
 def exponential_march(law, reference, q, at, t, Ts, method, stage) -> Moved:
     """Make one step of the exponential form of a tableau, from the law's observation at q and t."""
-    task, target, feedforward = law.task, ahead(law, reference, at, t, Ts), law.feedforward
-    held, null = held_feedback(law, at.e, target.turns, Ts), held_null(law, q, Ts)
-    xdot_d, mean = feedforward * at.xdot_d, feedforward * target.mean
-    targets = {0.0: (at.aims, feedforward * at.motion)}
+    task, feedforward, null = law.task, law.feedforward, held_null(law, q, Ts)
+    mean, turns = ahead(law, reference, at, t, Ts)
+    rates = {0.0: feedforward * at.xdot_d}
     for c in method.c:
-        if c not in targets:
-            aims, motion = sample(reference, task, t + c * Ts)
-            targets[c] = aims, feedforward * motion
+        if c not in rates:
+            rates[c] = feedforward * sample(reference, task, t + c * Ts)[1]
     low = method.order <= CLOSED
-    quadrature = velocity(task, at.robot, at.aims, combine(method.b, [targets[c][1] for c in method.c]))
-    missed = closure(law, mean, quadrature, low)
+    missed = closure(law, feedforward * mean, combine(method.b, [rates[c] for c in method.c]), low)
     if low:
-        feedback = [held + missed] * len(method.c)
+        feedback = [held_feedback(law, at.e, turns, Ts)] * len(method.c)
     else:
         none = (None,) * len(task.parts)
-        turns = [ahead(law, reference, at, t, c * Ts).turns if c else none for c in method.c]
-        feedback = [w + missed for w in feedback_within(law, at.e, method.c, turns, Ts)]
-    stages = [(targets[c][0] if task.tied else None, targets[c][1], w) for c, w in zip(method.c, feedback, strict=True)]
+        within = [ahead(law, reference, at, t, c * Ts)[1] if c else none for c in method.c]
+        feedback = feedback_within(law, at.e, method.c, within, Ts)
+    stages = [rates[c] + (w + missed) for c, w in zip(method.c, feedback, strict=True)]
 
-    def field(stage, q):
-        aims, motion, correction = stage
-        there = rows_at(law, q, aims)._replace(e=at.e)
-        return resolve(law, q, there, velocity(task, there.robot, aims, motion) + correction, null)
+    @precise
+    def field(velocity, q):
+        return resolve(law, q, at._replace(rows=rows(task, At(law.chain, q))), velocity, null)
 
-    first = resolve(law, q, at, xdot_d + feedback[0], null)
+    first = resolve(law, q, at, stages[0], null)
     field, y = charted(law.chain, q, field), centre(law.chain, q)
     return march(field, y, Ts, method, stage, first, at=stages)

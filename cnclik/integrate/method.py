@@ -133,8 +133,7 @@ def exponential(method: MethodLike) -> Method:
     """Return the exponential form of an explicit method, "EXP-" and its name: stable at every gain, at the same cost.
 
     The law's exact solution over a step is x*(t + s) = x_d(t + s) − exp(−K·s) e(t). So e is measured once, at the
-    start of the step, and decays by its exact factor. The tableau integrates what has no closed form, the path of the
-    joints (an exponential integrating-factor step, after Lawson 1967):
+    start of the step; the tableau integrates what has no closed form, the path of the joints (after Lawson 1967):
 
       kᵢ = J#(qᵢ) (ẋ_d(t + cᵢ·Ts) + w) + (I − J#J) q̇₀(qᵢ),   qᵢ = q + Ts Σⱼ Aᵢⱼ kⱼ,   q⁺ = q + Ts Σᵢ bᵢ kᵢ
       w  = (I − exp(−K·Ts)) e(t)/Ts + (x_d(t + Ts) − x_d(t))/Ts − Σᵢ bᵢ ẋ_d(t + cᵢ·Ts)

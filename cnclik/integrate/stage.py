@@ -7,7 +7,9 @@ same length in every lane) and returns the slope and its convergence.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,16 +31,35 @@ class Solved(NamedTuple):
     contraction: Float[Array, ""]  # last change over the one before it; at 1 or more the iteration diverges
 
 
-@record
+@record(kw_only=False)
 class Stage:
     """A way to find an implicit slope: M passes k ← improved(k), at most `maximum`. Its text is "picard(5)"."""
 
     M: Count
-    maximum: int
-    tolerance: float
+    _: dataclasses.KW_ONLY
+    maximum: int | None = None
+    tolerance: float = 1e-3
+    improved: ClassVar[Callable]  # (g, h, k) to the next iterate
+
+    def __post_init__(self):
+        M, maximum = self.M, self.maximum
+        errors.number("tolerance", self.tolerance, positive=True)
+        if not (hasattr(M, "dtype") and not isinstance(M, np.integer)):
+            M = maximum = errors.integer("M", M, at_least=0)
+        elif not jnp.issubdtype(M.dtype, jnp.integer):
+            raise errors.fail("M", "be an integer or an array of integers", f"has dtype {M.dtype}")
+        elif errors.concrete(M):
+            maximum = int(np.max(M)) if maximum is None else maximum
+            if np.min(M) < 0 or np.max(M) > maximum:
+                raise errors.fail("M", f"be 0 to `maximum`, {maximum}", f"is {np.min(M)} to {np.max(M)}")
+        elif maximum is None:
+            raise errors.fail("maximum", "be given where M is a traced array", "is None")
+        object.__setattr__(self, "M", M)
+        object.__setattr__(self, "maximum", errors.integer("maximum", maximum, at_least=0))
+        object.__setattr__(self, "tolerance", float(self.tolerance))
 
     def __str__(self):
-        return f"{type(self).__name__.lower()}({self.M})"
+        return f"{type(self).__name__}({self.M})"
 
     def __call__(self, g, first, h, ahead) -> Solved:
         """Return the slope of g. Args: first: f at the step's start. ahead: the stage's base is q + h·ahead."""
@@ -48,41 +69,57 @@ class Stage:
         """Return the slope that passes start from."""
         return first.qdot
 
-    def improved(self, g, h, k):
-        """Return the next iterate."""
-        raise NotImplementedError
-
     def evaluations(self, n):
         """Return the evaluations of f in one implicit stage of n joints."""
         return self.M
 
 
-@record
-class Picard(Stage):
-    """See `picard`."""
+@record(kw_only=False)
+class picard(Stage):
+    """Fixed-point iteration k ← g(k), M passes from the explicit slope (Drexler 2016, eqs. 6-8).
+
+    It converges where h·‖∂f/∂q‖ < 1, near a target where a·alpha·Ts < 1, and costs M evaluations of f. Left
+    short of convergence it is a polynomial in z: implicit Euler with M = 5 is stable only for z < 1.
+
+    Args:
+      M: number of passes, an int (compiled in), or an integer array (a lane's own number, masked).
+      maximum: largest M that may occur, needed where M is a traced array.
+      tolerance: a step whose last change h·‖Δk‖ exceeds it is marked NOT_CONVERGED [rad, m].
+    """
 
     def improved(self, g, h, k):
         return g(k).qdot
 
 
-@record
-class Chord(Stage):
-    """See `chord`. Passes start from the slope of the law linearised at the step's start, D = J#KJ there.
+@record(kw_only=False)
+class chord(Stage):
+    """Chord (simplified Newton) steps k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, at any z.
 
-    k = f(q) − D (h·ahead + h·k), and (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead: the Newton step
-    from the slope −s. From base = q (s = 0) it is f/(1 + a z) in the task's directions.
+    −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; see
+    `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. It starts from the law
+    linearised at q, and costs M evaluations of f and as many products with J and J#.
+
+    Args: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.
     """
 
     def start(self, first, h, ahead):
+        # k = f(q) − D (h·ahead + h·k), D = J#KJ, and (I + h D)⁻¹ (f − h D s) = (I + h D)⁻¹ (f + s) − s for s = ahead:
+        # the Newton step from the slope −s. From base = q (s = 0) it is f/(1 + a z) in the task's directions.
         return first.newton(h, -ahead)
 
     def improved(self, g, h, k):
         return g(k).newton(h, k)
 
 
-@record
-class Newton(Chord):
-    """See `newton`. A directional derivative counts as an evaluation."""
+@record(kw_only=False)
+class newton(chord):
+    """Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, the derivative by `jax.jvp`.
+
+    It converges quadratically where the start is near enough; a pass costs one evaluation
+    of f and n directional derivatives of it (counted as n evaluations), and an n×n solve.
+
+    Args: as for `picard`.
+    """
 
     def improved(self, g, h, k):
         value, push = jax.linearize(lambda k: g(k).qdot, k)
@@ -118,61 +155,3 @@ def _iterate(stage, improve, start, h) -> Solved:
     known = (before > rounding * lax.stop_gradient(size)) & (jnp.abs(h) * before > rounding)
     ratio = jnp.where(known, change / jnp.where(known, before, 1.0), 0.0)
     return Solved(slope=slope, residual=jnp.abs(h) * change, contraction=ratio)
-
-
-# --- public -------------------------------------------------------------------------------------------
-
-
-def picard(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Picard:
-    """Solve a stage by fixed-point iteration k ← g(k), M passes from the explicit slope (Drexler 2016, eqs. 6-8).
-
-    It converges where h·‖∂f/∂q‖ < 1, near a target where a·alpha·Ts < 1, and costs M evaluations of f. Left
-    short of convergence it is a polynomial in z: implicit Euler with M = 5 is stable only for z < 1.
-
-    Args:
-      M: number of passes, an int (compiled in), or an integer array (a lane's own number, masked).
-      maximum: largest M that may occur, needed where M is a traced array.
-      tolerance: a step whose last change h·‖Δk‖ exceeds it is marked NOT_CONVERGED [rad, m].
-    """
-    return Picard(**_passes(M, maximum, tolerance))
-
-
-def chord(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Chord:
-    """Solve a stage by chord (simplified Newton) steps k ← k + (I + h J#KJ)⁻¹ (g(k) − k), M passes, at any z.
-
-    −J#KJ is the derivative of f but for the curvature e brings in (Ortega & Rheinboldt 1970, 7.1; see
-    `cnclik.law.law.newton`), so what contracts is the curvature, whatever alpha·Ts is. It starts from the law
-    linearised at q, and costs M evaluations of f and as many products with J and J#.
-
-    Args: as for `picard`. M = 0 is the linearly implicit (Rosenbrock) step.
-    """
-    return Chord(**_passes(M, maximum, tolerance))
-
-
-def newton(M: Count, *, maximum: int | None = None, tolerance: float = 1e-3) -> Newton:
-    """Solve a stage by Newton's method k ← k + (I − ∂g/∂k)⁻¹ (g(k) − k), M passes, the derivative by `jax.jvp`.
-
-    It converges quadratically where the start is near enough; a pass costs one evaluation
-    of f and n directional derivatives of it (counted as n evaluations), and an n×n solve.
-
-    Args: as for `picard`.
-    """
-    return Newton(**_passes(M, maximum, tolerance))
-
-
-def _passes(M, maximum, tolerance):
-    errors.number("tolerance", tolerance, positive=True)
-    if not (hasattr(M, "dtype") and not isinstance(M, np.integer)):
-        M = errors.integer("M", M, at_least=0)
-        return dict(M=M, maximum=M, tolerance=float(tolerance))
-    if not jnp.issubdtype(M.dtype, jnp.integer):
-        raise errors.fail("M", "be an integer or an array of integers", f"has dtype {M.dtype}")
-    if errors.concrete(M):
-        if np.min(M) < 0:
-            raise errors.fail("M", "be at least 0", f"is {np.min(M)}")
-        maximum = int(np.max(M)) if maximum is None else maximum
-        if np.max(M) > maximum:
-            raise errors.fail("maximum", f"be at least M = {np.max(M)}", f"is {maximum}")
-    if maximum is None:
-        raise errors.fail("maximum", "be given where M is a traced array", "is None")
-    return dict(M=M, maximum=errors.integer("maximum", maximum, at_least=0), tolerance=float(tolerance))

@@ -11,7 +11,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law.law import metric
-from cnclik.law.reference import motion, neighbours
+from cnclik.law.reference import motion
 from cnclik.precision import of_numbers
 from cnclik.record import ArrayLike
 from cnclik.robot.rotations import library, safe_sqrt
@@ -174,16 +174,13 @@ def growing(law, reference, t, e):
         own = np.zeros(task.m, bool)
         own[at] = True  # select instead of index: indices are read entry by entry
         rest = safe_sqrt(jnp.sum(jnp.where(own, 0.0, e) ** 2, axis=1))
-        before, after = neighbours(rest)
         own = lax.slice_in_dim(e, at.start, at.stop, axis=1)
-        each.append(_grown(own, moved + jnp.maximum(before - after, 0.0)))
+        each.append(_grown(own, moved + jnp.maximum(rest[:-1] - rest[1:], 0.0)))
     return _grown(e, moved), jnp.stack(each, axis=1) if each else None
 
 
 def _grown(e, explained):
-    (e0, e1), (size, then) = neighbours(e), neighbours(safe_sqrt(jnp.sum(e * e, axis=1)))
-    along = jnp.sum(e1 * e0, axis=1)
-    rounding = 64 * jnp.finfo(e.dtype).eps * (1 + size)
+    sizes, along = safe_sqrt(jnp.sum(e * e, axis=1)), jnp.sum(e[1:] * e[:-1], axis=1)
+    rounding = 64 * jnp.finfo(e.dtype).eps * (1 + sizes[:-1])
     factor = jnp.where(along < 0, REVERSAL, GROWTH)
-    grown = then > factor * size + explained + rounding
-    return jnp.where(grown, int(Status.GROWING), 0)
+    return jnp.where(sizes[1:] > factor * sizes[:-1] + explained + rounding, int(Status.GROWING), 0)

@@ -21,13 +21,12 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.law.inverse import ROUNDED, by_shift, positive, scaled, through
+from cnclik.law.inverse import by_shift, scaled, through
 from cnclik.law.limits import Evaluation, bounds
 from cnclik.law.walls import Rows, Wall, rows_at
-from cnclik.record import Array, Bool, Float, Int, Number, record, replace
+from cnclik.record import Array, Bool, Float, Int, Number, leaf, record, replace
 
 LEAST = 1e-10  # λ² over the trace of J Jᵀ, at least; below, rounding destroys the I in H = Jᵀ D⁻¹ J + I
-LEAST_SHARES = ROUNDED | {8: LEAST}  # the same for each level, by the bytes of a float
 _LEVER = 1e-6  # [m, rad] the smallest effect of joint velocities of cost 1 on a wall, for its softness
 _ENOUGH = 0.1  # of the fall of the cost that the slope along a clipped step promises
 _SWEEPS = 6  # before the descent: a sweep takes an eighth of a pass, and six save almost two passes of the slowest lane
@@ -260,15 +259,46 @@ def kept(of: Problem, start, passes) -> Pass:
     return lax.while_loop(missed, again, (first, jnp.int32(0)))[0]
 
 
-@record
-class Bounded:
-    """See `bounded`."""
+@record(kw_only=False)
+class bounded:
+    """The joint velocities within bounds that have the least weighted error: bounded least squares.
 
-    rate: Number
-    passes: int
-    walls: tuple[Wall, ...] = ()
+    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds ±Vᵢ and rate·(limit − qᵢ) of q̇ᵢ; q̇₀ is the
+    null-space velocity. A joint approaches its limit exponentially, and one outside its limits comes back, whatever the
+    task asks for.
 
-    def on(self, chain) -> Bounded:
+    Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
+    possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
+    (λ₁/λ₂)². Derivatives are those of the minimum on its face of the box.
+
+    It needs a damped inverse, best a constant one or levels; with `singular_damped` joints may jump between bounds. λ²
+    is at least 1e-10 of the trace of J Jᵀ. A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where
+    the descent at its start was cut short.
+
+    Args:
+      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
+      passes: largest number of Newton steps; three are usual, and none of 60,000 postures took more than 19.
+      walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
+        which are active, and by how much contradicting ones are missed.
+    """
+
+    rate: Number = 10.0
+    passes: int = 40
+    walls: Sequence[Wall] = ()
+
+    def __post_init__(self):
+        if not isinstance(self.walls, Sequence) or not all(isinstance(item, Wall) for item in self.walls):
+            raise errors.fail("walls", "be a list of ck.wall(...)", f"is {self.walls!r}")
+        rate = leaf(errors.number("rate", self.rate, positive=True))
+        walls = tuple(
+            replace(item, name=item.name or str(i), rate=rate if item.rate is None else item.rate)
+            for i, item in enumerate(self.walls, 1)
+        )
+        checked = {"rate": rate, "passes": errors.integer("passes", self.passes, at_least=1), "walls": walls}
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def on(self, chain) -> bounded:
         """Return the limits with their walls for this robot. Raises: ArgumentError for unknown tips and joints."""
         return replace(self, walls=tuple(wall.on(chain) for wall in self.walls)) if self.walls else self
 
@@ -318,35 +348,3 @@ class Bounded:
             cut=cut,
             walls=walls.rows @ qdot - walls.floor if self.walls else None,
         )
-
-
-def bounded(rate: Number = 10.0, passes: int = 40, walls: Sequence[Wall] = ()) -> Bounded:
-    """Find the joint velocities within bounds that have the least weighted error: bounded least squares.
-
-    They minimize Σ ((J q̇ − v)ᵢ/λᵢ)² + |q̇ − q̇₀|² within the bounds ±Vᵢ and rate·(limit − qᵢ) of q̇ᵢ; q̇₀ is the
-    null-space velocity. A joint approaches its limit exponentially, and one outside its limits comes back, whatever the
-    task asks for.
-
-    Within the bounds this is the result of the law's damped inverse. At the bounds it is as close to the task as
-    possible, in a direction that may differ; of `levels` the lower ones give way first, and the first by about
-    (λ₁/λ₂)². Derivatives are those of the minimum on its face of the box.
-
-    It needs an inverse with damping, best a constant one, or levels: `singular_damped` has none where joints at their
-    bounds leave the others singular, and joints may then jump between bounds. λ² is at least 1e-10 of the trace of
-    J Jᵀ. A step is AT_LIMIT where a joint moves at its bound, and NOT_CONVERGED where the descent at its start was cut
-    short.
-
-    Args:
-      rate: [1/s]; with rate·Ts ≤ 1 no step has to be cut short at a limit.
-      passes: largest number of Newton steps; three are usual, and none of 60,000 postures took more than 19.
-      walls: what no part of the robot may cross, see `wall`, before all levels of the task. `Trajectory.walls` shows
-        which are active, and by how much contradicting ones are missed.
-    """
-    if not isinstance(walls, Sequence) or not all(isinstance(item, Wall) for item in walls):
-        raise errors.fail("walls", "be a list of ck.wall(...)", f"is {walls!r}")
-    passes, rate = errors.integer("passes", passes, at_least=1), positive("rate", rate)
-    each = (
-        replace(item, name=item.name or str(i), rate=rate if item.rate is None else item.rate)
-        for i, item in enumerate(walls, 1)
-    )
-    return Bounded(rate=rate, passes=passes, walls=tuple(each))

@@ -77,22 +77,20 @@ def _factored(matrix):
 
 @_factored.def_vmap
 def _factored_batch(_, __, matrices):
-    return _factors(matrices), True
+    return _eliminated(matrices), True
 
 
 @jax.jit  # traced once, though a law has several
-def _factors(matrices):
-    every = np.arange(matrices.shape[-1])
+@jax.vmap
+def _eliminated(matrix):
+    every = np.arange(len(matrix))
 
-    def lower_of(matrix):
-        def eliminate(rest, i):
-            column = jnp.where(every >= i, rest[:, i], 0.0)
-            scaled = column / rest[i, i]
-            return rest - scaled[:, None] * column, scaled * jnp.sqrt(rest[i, i])
+    def eliminate(rest, i):
+        column = jnp.where(every >= i, rest[:, i], 0.0)
+        scaled = column / rest[i, i]
+        return rest - scaled[:, None] * column, scaled * jnp.sqrt(rest[i, i])
 
-        return lax.scan(eliminate, matrix, every, unroll=len(every) <= _WRITTEN_OUT or 1)[1].T
-
-    return jax.vmap(lower_of)(matrices)
+    return lax.scan(eliminate, matrix, every, unroll=len(every) <= _WRITTEN_OUT or 1)[1].T
 
 
 @functools.cache
@@ -105,26 +103,23 @@ def _substitution(transposed):
 
     @solve.def_vmap
     def _(size, batched, lower, b):
-        every = np.arange(lower.shape[-1])
         if not batched[0]:  # several right sides of one matrix are columns
             wide = jnp.moveaxis(b, 0, -1)
-            return jnp.moveaxis(solve(lower, wide.reshape(len(every), -1)).reshape(wide.shape), -1, 0), True
-
+            return jnp.moveaxis(solve(lower, wide.reshape(len(wide), -1)).reshape(wide.shape), -1, 0), True
         return eliminated(lower, b, axis=0 if batched[1] else None), True
 
     @functools.partial(jax.jit, static_argnames="axis")  # traced once, though a law solves tens of times
     def eliminated(lower, b, axis):
         every = np.arange(lower.shape[-1])
 
-        def one(lower, b):
-            def eliminate(rest, row):
-                i, column = row
-                found = rest[i] / column[i]
-                left = every < i if transposed else every > i
-                return rest - jnp.multiply.outer(jnp.where(left, column, 0.0), found), found
+        def eliminate(rest, row):
+            i, column = row
+            solved = rest[i] / column[i]
+            left = every < i if transposed else every > i
+            return rest - jnp.multiply.outer(jnp.where(left, column, 0.0), solved), solved
 
-            rows = lower if transposed else lower.T
-            short = len(every) <= _WRITTEN_OUT
+        def one(lower, b):
+            rows, short = lower if transposed else lower.T, len(every) <= _WRITTEN_OUT
             return lax.scan(eliminate, b, (every, rows), reverse=transposed, unroll=short or 1)[1]
 
         return jax.vmap(one, (0, axis))(lower, b)

@@ -9,16 +9,12 @@ k e^{−k·s} T(s) e_R, and a constant one, to second order in the turn, the mea
 (1 − e^{−k·Ts}) e_R/Ts. Gains that differ by axis act in the same way, exactly for small e_R.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 
 from cnclik.law.law import Law, clamped, null_velocity
 from cnclik.law.paths import Tangent
 from cnclik.law.reference import aims_of, by_target
-from cnclik.record import Array, Float
 from cnclik.robot.rotations import exp_so3
-from cnclik.task.task import velocity
 
 _NEAR = 0.01  # below this z the series is exact, but the quotient's derivative loses digits
 
@@ -79,27 +75,21 @@ def held_null(law: Law, q, Ts):
     return None if posture is None else _share(posture.rate * Ts) * null_velocity(law, q)
 
 
-class Ahead(NamedTuple):
-    """The target's motion in a step."""
-
-    mean: Float[Array, " m"]  # its mean velocity [m/s, rad/s]; at Ts = 0 the velocity
-    turns: tuple[Array | None, ...]  # of each part R_d(t + Ts) R_d(t)ᵀ, where a whole orientation turns
-
-
-def ahead(law: Law, reference, at, t, Ts) -> Ahead:
+def ahead(law: Law, reference, at, t, Ts) -> tuple:
     """Return the target's motion from t to t + Ts as a controller knows it; `at` is the law's observation at t.
 
-    The mean of a turn is log(R_d(t + Ts) R_d(t)ᵀ)/Ts.
+    Returns: its mean velocity (m,) [m/s, rad/s], of a turn log(R_d(t + Ts) R_d(t)ᵀ)/Ts, at Ts = 0 the velocity; and of
+      each part R_d(t + Ts) R_d(t)ᵀ, or None where no whole orientation turns.
     """
     still = Ts == 0
     safe = jnp.where(still, 1.0, Ts)
-    means, turns, before = [], [], zip(at.aims, law.task.motions, strict=True)
+    means, turns, before = [], [], zip(at.aims, law.task.slices, strict=True)
     for path, task in by_target(reference, law.task):
         constant = path.still or isinstance(path.curve, Tangent)
         later = (None,) * len(task.parts) if constant else aims_of(path, task, t + Ts)
         for part, aim in zip(task.parts, later, strict=True):
             now, where = next(before)
-            xdot, turn = at.motion[where], None
+            xdot, turn = at.xdot_d[where], None
             if aim is not None:
                 went, turn = part.mean(aim, now)
                 xdot = jnp.where(still, xdot, went / safe)
@@ -107,4 +97,4 @@ def ahead(law: Law, reference, at, t, Ts) -> Ahead:
                 turn = exp_so3(Ts * xdot)
             means.append(xdot)
             turns.append(turn)
-    return Ahead(velocity(law.task, at.robot, at.aims, jnp.concatenate(means)), tuple(turns))
+    return jnp.concatenate(means), turns

@@ -7,7 +7,6 @@ An inverse is a record. Called with the rows of J and the error, both weighted, 
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.law import dense
-from cnclik.record import Array, Float, Number, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, fields_of, leaf, record, replace
 
 
 class Factored(NamedTuple):
@@ -42,8 +41,13 @@ def through(apply, rows, velocity, null):
 
 
 @record
-class Pseudoinverse:
-    """See `pseudoinverse`."""
+class pseudoinverse:
+    """The Moore-Penrose pseudoinverse J# (Drexler 2016, eq. 2), as the limit of a damped inverse.
+
+    J# = P + P (I − J P) with P = Jᵀ (J Jᵀ + λ² I)⁻¹ and λ² = 2⁻⁴⁶ tr(J Jᵀ) in float64, 2⁻²¹ tr(J Jᵀ) in float32. It
+    errs by (λ²/(σ² + λ²))², by the least singular value σ: less than 1e-10 at σ = 1e-4 ‖J‖ and 0.2 % at 1e-6 ‖J‖, in
+    float32 less than 0.1 % at 0.01 ‖J‖. Joint velocities near a singularity are large: use `damped` for a robot.
+    """
 
     def __call__(self, rows, e) -> Factored:
         factored = by_shift(rows, tiny_shift(rows, NEARLY_NONE))
@@ -58,44 +62,64 @@ class Pseudoinverse:
 class Damping:
     """What damped inverses share: Jᵀ (J Jᵀ + D)⁻¹, where D is λ² of all rows, or of each."""
 
-    shift: Callable  # of the rows and the error: λ²; and of the least share of tr(J Jᵀ), see `tiny_shift`
+    shift: Callable  # of the rows and the error: λ², or one per row
+
+    def __post_init__(self):
+        for name, value in fields_of(self).items():
+            object.__setattr__(self, name, leaf(errors.number(name, value, positive=True)))
 
     def __call__(self, rows, e) -> Factored:
         return by_shift(rows, self.shift(rows, e))
 
 
-@record
-class Damped(Damping):
-    """See `damped`."""
+@record(kw_only=False)
+class damped(Damping):
+    """Damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
 
-    damping: Number  # λ, never λ²
+    Args: damping: λ (not λ²), in the unit of J's singular values; positive.
+    """
 
-    def shift(self, rows, e, share=ROUNDED):
+    damping: Number
+
+    def shift(self, rows, e):
         return self.damping * self.damping
 
 
-@record
-class SingularDamped(Damping):
-    """See `singular_damped`."""
+@record(kw_only=False)
+class singular_damped(Damping):
+    """Damping only where the least singular value σ_m of J is below a threshold.
 
-    damping: Number  # λ_max, never λ_max²
-    threshold: Number  # ε
+    λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m is exact
+    where it is alone, and up to 3 % less where others of six rows are as small.
+
+    Args:
+      damping: λ_max (not λ_max²), reached at the singularity; in the unit of J's singular values; positive.
+      threshold: ε, in the same unit; positive.
+    """
+
+    damping: Number
+    threshold: Number
 
     def __call__(self, rows, e) -> Factored:
         return super().__call__(rows, e)._replace(least=lax.stop_gradient(jnp.sqrt(least_squared(rows))))
 
-    def shift(self, rows, e, share=ROUNDED):
+    def shift(self, rows, e):
         part = jnp.maximum(1.0 - least_squared(rows) / (self.threshold * self.threshold), 0.0)
-        return jnp.maximum(part * self.damping * self.damping, tiny_shift(rows, share))
+        return jnp.maximum(part * self.damping * self.damping, tiny_shift(rows))
 
 
-@record
-class ErrorDamped(Damping):
-    """See `error_damped`."""
+@record(kw_only=False)
+class error_damped(Damping):
+    """Damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the task's weights (Sugihara 2011, eq. 17).
 
-    damping: Number  # λ at e = 0, never λ²
+    A distant or unreachable target then moves the joints slowly, and near the target the damping is small.
 
-    def shift(self, rows, e, share=ROUNDED):
+    Args: damping: λ₀ (not λ₀²), in the unit of J's singular values; positive.
+    """
+
+    damping: Number
+
+    def shift(self, rows, e):
         return self.damping * self.damping + 0.5 * (e @ e)
 
 
@@ -104,8 +128,15 @@ class Levels(Damping):
     """See `levels`."""
 
     names: tuple[tuple[str, ...], ...]  # of the tasks of each level
-    damping: tuple[Damped | SingularDamped | ErrorDamped, ...]
+    damping: Float[ArrayLike, " levels"]  # λ, never λ²; an array after the constructor
     level: tuple[int, ...] = ()  # of each row of the law's task
+
+    def __post_init__(self):
+        damping = errors.array("damping", self.damping, (len(self.names),), of="dampings")
+        if errors.concrete(damping) and np.any(np.diff(np.asarray(damping), prepend=0.0) <= 0):
+            must = "be positive and grow from level to level: a smaller one comes first"
+            raise errors.fail("damping", must, f"is {np.asarray(damping).tolist()}")
+        object.__setattr__(self, "damping", damping)
 
     def on(self, task) -> Levels:
         """Return the levels of a law's task. Raises: ArgumentError unless each of its tasks has one."""
@@ -114,12 +145,8 @@ class Levels(Damping):
         level = {name: i for i, names in enumerate(self.names) for name in names}
         return replace(self, level=tuple(level[name] for name, at in task.each for _ in range(at.start, at.stop)))
 
-    def shift(self, rows, e, share=ROUNDED):
-        each = []
-        for i, damping in enumerate(self.damping):
-            at = np.flatnonzero(np.array(self.level) == i)
-            each.append(jnp.asarray(damping.shift(rows[at], e[at], share), rows.dtype))
-        return jnp.stack([each[i] for i in self.level])
+    def shift(self, rows, e):
+        return (self.damping * self.damping)[np.array(self.level)]
 
 
 def by_shift(rows, shift) -> Factored:
@@ -194,37 +221,7 @@ def _least(factor, shift):
     return jnp.sqrt(jnp.maximum(squared, 0.0))
 
 
-def pseudoinverse() -> Pseudoinverse:
-    """Return the Moore-Penrose pseudoinverse J# (Drexler 2016, eq. 2), as the limit of a damped inverse.
-
-    J# = P + P (I − J P) with P = Jᵀ (J Jᵀ + λ² I)⁻¹ and λ² = 2⁻⁴⁶ tr(J Jᵀ) in float64, 2⁻²¹ tr(J Jᵀ) in float32. It
-    errs by (λ²/(σ² + λ²))², by the least singular value σ: less than 1e-10 at σ = 1e-4 ‖J‖ and 0.2 % at 1e-6 ‖J‖, in
-    float32 less than 0.1 % at 0.01 ‖J‖. Nearer to a singularity it is damped, and its joint velocities there are large,
-    as they are by definition; use `damped` for a robot.
-    """
-    return Pseudoinverse()
-
-
-def damped(damping: Number) -> Damped:
-    """Return damped least squares, J# = Jᵀ (J Jᵀ + λ² I)⁻¹ (Wampler 1986; Nakamura & Hanafusa 1986).
-
-    Args: damping: λ (not λ²), in the unit of J's singular values; positive.
-    """
-    return Damped(damping=positive("damping", damping))
-
-
-def error_damped(damping: Number) -> ErrorDamped:
-    """Return a damping that grows with the error: λ² = λ₀² + ½ eᵀ W² e, W the task's weights (Sugihara 2011, eq. 17).
-
-    A distant or unreachable target then moves the joints slowly, and near the target the damping is small.
-
-    Args:
-      damping: λ₀ (not λ₀²), in the unit of J's singular values; positive.
-    """
-    return ErrorDamped(damping=positive("damping", damping))
-
-
-def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], Factored]]) -> Levels:
+def levels(*names: Sequence[str], damping: Float[ArrayLike, " levels"]) -> Levels:
     """Put each task of a stack on a priority level, of which the first comes first; J# = Jᵀ (J Jᵀ + D)⁻¹.
 
     D holds λ² of each row's level: the recursion of Siciliano & Slotine (1991) with damped inverses and the matching
@@ -233,39 +230,9 @@ def levels(*names: Sequence[str], damping: Sequence[Number | Callable[[Array], F
 
     Args:
       names: names of the tasks, a list for each level: levels(["feet"], ["hands", "rest"], damping=(1e-3, 0.05)).
-      damping: for each level λ (not λ²), or its own damped(...), error_damped(...) or, of the first level,
-        singular_damped(...). It grows from level to level: a smaller damping is what makes a level come first.
-
-    Raises: ArgumentError if the damping does not grow from one level to the next.
+      damping: λ (not λ²) of each level, positive. It grows from level to level: a smaller damping is what makes a level
+        come first.
     """
     if not names or not all(isinstance(some, (list, tuple)) for some in names):
         raise errors.fail("names", 'be a list of names for each level, such as ["feet"]', f"is {names!r}")
-    if (not isinstance(damping, (list, tuple)) and getattr(damping, "ndim", 0) != 1) or len(damping) != len(names):
-        raise errors.fail("damping", f"hold one for each of {len(names)} levels", f"is {damping!r}")
-    kinds = (Damped, SingularDamped, ErrorDamped)
-    each = tuple(one if isinstance(one, kinds) else Damped(damping=positive("damping", one)) for one in damping)
-    for level, (before, one) in enumerate(itertools.pairwise(each), 1):
-        must = f"be larger than that of the level before, {before.damping}, which has priority by its smaller damping"
-        if isinstance(one, SingularDamped):
-            raise errors.fail(f"damping[{level}]", must, "is 0 away from singularities")
-        if errors.concrete(before.damping) and errors.concrete(one.damping) and one.damping <= before.damping:
-            raise errors.fail(f"damping[{level}]", must, f"is {one.damping}")
-    return Levels(names=tuple(tuple(some) for some in names), damping=each)
-
-
-def singular_damped(damping: Number, threshold: Number) -> SingularDamped:
-    """Damp only where the least singular value σ_m of J is below a threshold.
-
-    λ² = (1 − (σ_m/ε)²) λ_max² for σ_m < ε, else 0 (Chiaverini 1997, eq. 23; Maciejewski & Klein 1988). σ_m is exact
-    where it is alone, and up to 3 % less where others of six rows are as small.
-
-    Args:
-      damping: λ_max (not λ_max²), reached at the singularity; in the unit of J's singular values; positive.
-      threshold: ε, in the same unit; positive.
-    """
-    return SingularDamped(damping=positive("damping", damping), threshold=positive("threshold", threshold))
-
-
-def positive(name, value):
-    """Return a positive number as a field of a record."""
-    return leaf(errors.number(name, value, positive=True))
+    return Levels(names=tuple(map(tuple, names)), damping=damping)

@@ -19,9 +19,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.law import dense
 from cnclik.law import reference as ref
-from cnclik.law.bounded import LEAST_SHARES, Bounded
-from cnclik.law.inverse import Damping, Levels, Pseudoinverse, by_shift, least_of, through
-from cnclik.law.limits import Evaluation, Scaled, slowed
+from cnclik.law.bounded import bounded
+from cnclik.law.inverse import Damping, Levels, by_shift, least_of, pseudoinverse, through
+from cnclik.law.limits import Evaluation, slowed, velocity_scaling
 from cnclik.law.paths import A_REFERENCE
 from cnclik.precision import precise
 from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record
@@ -30,26 +30,24 @@ from cnclik.robot.chain import Chain
 from cnclik.robot.model import Model, modelled
 from cnclik.robot.rotations import safe_norm
 from cnclik.task.parts import At
-from cnclik.task.task import Task, coordinates, error, rows, velocity
+from cnclik.task.task import Task, coordinates, error, rows
 
 
-@record
-class Posture:
-    """See `posture`."""
-
-    rest: Float[ArrayLike, " n"]
-    rate: Number
-
-
-def posture(rest: Float[ArrayLike, " n"], rate: Number = 1.0) -> Posture:
-    """Move the joints towards a posture in the null space: q̇₀ = rate · (q_rest − q) (Liégeois 1977).
+@record(kw_only=False)
+class posture:
+    """A posture that draws the joints in the null space: q̇₀ = rate · (q_rest − q) (Liégeois 1977).
 
     Args:
       rest: (n,) joint values [rad, m], such as the middle of the limits.
       rate: [1/s].
     """
-    rate = leaf(errors.number("rate", rate, positive=True))
-    return Posture(rest=errors.array("rest", rest, (None,)), rate=rate)
+
+    rest: Float[ArrayLike, " n"]
+    rate: Number = 1.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "rest", errors.array("rest", self.rest, (None,)))
+        object.__setattr__(self, "rate", leaf(errors.number("rate", self.rate, positive=True)))
 
 
 @record(kw_only=False)
@@ -60,16 +58,16 @@ class Law:
       chain: the robot.
       task: what is controlled: position(...), orientation(...) or pose(...) of a tip, joints(...), several of them
         joined by `&`, or a stack(name=task, ...).
-      alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. It is a
-        rate. The dimensionless gain per step of pink and mink is z = alpha·Ts.
+      alpha: gain of the error [1/s]: a number, or (m,) one per axis; for a stack also {name of a task: gain}. The
+        dimensionless gain per step of pink and mink is z = alpha·Ts.
       inverse: J#: pseudoinverse(), damped(λ), singular_damped(...), error_damped(...), levels(...).
       limits: how joint limits are respected: velocity_scaling(), bounded(), or None.
       null_velocity: posture(q_rest, rate), whose joint velocity q̇₀ acts in the null space, or None.
       feedforward: factor of the target's velocity ẋ_d: 1 tracks, 0 is pure feedback.
       error_clamp: largest (position [m], orientation [rad]) error that the gain multiplies, or None. A target that is
-        far away or out of reach then acts like one at that distance; see `clamped`.
-      near_singular: steps whose least singular value of the task Jacobian is below this are marked NEAR_SINGULAR [m or
-        1]. The value is an estimate from below, within √m.
+        far away or out of reach then acts like one at that distance.
+      near_singular: least singular value of the task Jacobian below which steps are NEAR_SINGULAR [m or 1], by an
+        estimate from below, within √m.
 
     Raises: ArgumentError naming the argument that does not fit.
     """
@@ -78,27 +76,28 @@ class Law:
     task: Task
     _: dataclasses.KW_ONLY
     alpha: Any  # an array () or (m,), after the constructor
-    inverse: Any = Pseudoinverse()  # a `Damping`, or any function of the rows and the error to a `Factored`
-    limits: Scaled | Bounded | None = None
-    null_velocity: Posture | None = None
+    inverse: Any = pseudoinverse()  # a `Damping`, or any function of the rows and the error to a `Factored`
+    limits: velocity_scaling | bounded | None = None
+    null_velocity: posture | None = None
     feedforward: Number = 1.0
     error_clamp: tuple[Number, Number] | Float[Array, " 2"] | None = None
     near_singular: Number = 0.01
 
     def __post_init__(self):
         task, chain = errors.kind("task", self.task, Task), errors.kind("chain", self.chain, (Chain, Model))
-        errors.kind("limits", self.limits, (Scaled, Bounded, NoneType), "be None, velocity_scaling() or bounded()")
-        errors.kind("null_velocity", self.null_velocity, (Posture, NoneType), "be None or posture(...)")
+        kinds = velocity_scaling, bounded, NoneType
+        errors.kind("limits", self.limits, kinds, "be None, velocity_scaling() or bounded()")
+        errors.kind("null_velocity", self.null_velocity, (posture, NoneType), "be None or posture(...)")
         limits, inverse, n = self.limits, self.inverse, chain.n
         if isinstance(chain, Chain):
             task = task.on(chain)
-            limits = limits.on(chain) if isinstance(limits, Bounded) else limits
+            limits = limits.on(chain) if isinstance(limits, bounded) else limits
         if not callable(inverse):
             raise errors.fail("inverse", "be pseudoinverse(), damped(...) or levels(...)", f"is {inverse!r}")
-        if isinstance(inverse, Pseudoinverse) and task.m > n:
+        if isinstance(inverse, pseudoinverse) and task.m > n:
             must = f"have at most {n} coordinates, one per joint, such as position(), or an inverse such as damped(...)"
             raise errors.fail("task", must, f"has {task.m}: {', '.join(task.names)}")
-        if isinstance(limits, Bounded) and not isinstance(inverse, Damping):
+        if isinstance(limits, bounded) and not isinstance(inverse, Damping):
             must = "be damped with limits=bounded(), as in inverse=damped(0.05)"
             raise errors.fail("inverse", must, f"is {brief(inverse)}")
         if self.null_velocity is not None:
@@ -161,12 +160,12 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
     """Return J# v + (I − J# J) q̇₀ within the law's limits, for a task velocity v (m,) and a pull q̇₀ (n,) or None."""
     task = law.task
     rows, velocity, e = (weighted(task, each) for each in (at.rows, velocity, at.e))
-    if isinstance(law.limits, Bounded):
-        moved = law.limits(law.inverse.shift(rows, e, LEAST_SHARES), law.chain, q, rows, velocity, null)
+    if isinstance(law.limits, bounded):
+        moved = law.limits(law.inverse.shift(rows, e), law.chain, q, rows, velocity, null)
     else:
         factored = law.inverse(rows, e)
         qdot, limited = through(factored.apply, rows, velocity, null), False
-        if isinstance(law.limits, Scaled):
+        if isinstance(law.limits, velocity_scaling):
             qdot, limited = slowed(law.chain, qdot)
         moved = Evaluation(qdot, factored, limited)
     # A conflict between the tasks of a stack is no singularity.
@@ -180,49 +179,39 @@ def resolve(law: Law, q, at, velocity, null) -> Evaluation:
 def metric(law: Law):
     """Return a factor of each coordinate's error, at most 1: its weight over the damping of its level.
 
-    In the norm of errors scaled in this way, the error of a loop with one gain for all tasks never grows, even if the
-    tasks conflict.
+    In this norm the error of a loop with one gain never grows, even if tasks conflict.
     """
     weights = jnp.asarray(weighted(law.task, np.ones(law.task.m)))
     if isinstance(law.inverse, Levels):
-        weights = weights / jnp.stack([one.damping for one in law.inverse.damping])[np.array(law.inverse.level)]
+        weights = weights / jnp.asarray(law.inverse.damping)[np.array(law.inverse.level)]
     return weights / jnp.max(weights)
 
 
 class Observation(NamedTuple):
-    """The law's observation at an instant; for a stage that needs no error, only the rows."""
+    """The law's observation at an instant."""
 
     rows: Float[Array, "m n"]  # of the task Jacobian, unweighted
     robot: At
-    e: Float[Array, " m"] | None = None
-    x: Callable | None = None  # x(): task coordinates (m,)
-    xdot_d: Float[Array, " m"] | None = None
-    aims: tuple[Array, ...] = ()  # the targets, of each part of the task
-    motion: Float[Array, " w"] | None = None  # the targets' velocities: ẋ_d, except for functions of the target
+    e: Float[Array, " m"]
+    x: Callable  # x(): task coordinates (m,)
+    xdot_d: Float[Array, " m"]
+    aims: tuple[Array, ...]  # the targets, of each part of the task
 
 
 @precise
 def observe(law: Law, reference, t, q, offset=None) -> Observation:
     """Observe the robot at q, and the target at t. Args: offset: (m,) what a measurement adds to the error, or None."""
-    aims, motion = ref.sample(reference, law.task, t)
+    aims, xdot_d = ref.sample(reference, law.task, t)
     task, robot = law.task, At(modelled(law.chain), q)
     e = error(task, robot, aims)
     return Observation(
-        rows=rows(task, robot, aims),
+        rows=rows(task, robot),
         robot=robot,
         e=e if offset is None else e + offset,
         x=lambda: coordinates(task, robot),
-        xdot_d=velocity(task, robot, aims, motion),
+        xdot_d=xdot_d,
         aims=aims,
-        motion=motion,
     )
-
-
-@precise
-def rows_at(law: Law, q, aims=None) -> Observation:
-    """Observe the rows of J only."""
-    robot = At(modelled(law.chain), q)
-    return Observation(rows=rows(law.task, robot, aims), robot=robot)
 
 
 def newton(law: Law, rows, factored, velocity, f, h, k):
@@ -234,7 +223,7 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
 
     Args: velocity: v, the weighted task velocity (m,). f: joint velocities (n,).
     """
-    exact, posture = isinstance(law.inverse, Pseudoinverse), law.null_velocity
+    exact, posture = isinstance(law.inverse, pseudoinverse), law.null_velocity
     plain = posture is None and law.limits is None and np.ndim(law.alpha) == 0
     if plain and (exact or factored.shift is not None):
         t = 1.0 / (1.0 + h * law.alpha)
@@ -250,8 +239,6 @@ def newton(law: Law, rows, factored, velocity, f, h, k):
 
 def clamped(law: Law, e):
     """Return the error that the gain multiplies: lengths and angles shortened to `error_clamp` (Buss & Kim 2005).
-
-    Of a part with both, as joints may be, what is in rad and what is not is shortened separately.
 
     At the edge of the workspace a damped step contracts while alpha·Ts·‖e‖·c < 2 λ², with c the curvature of x(q). With
     the error clamped to E, λ² > alpha·Ts·E·c/2 lets it settle in front of any target, however far; unclamped it shakes.

@@ -26,17 +26,12 @@ class Evaluation(NamedTuple):
 
 
 @record
-class Scaled:
-    """See `velocity_scaling`."""
-
-
-def velocity_scaling() -> Scaled:
-    """Scale all joint velocities by s = min(1, minᵢ Vᵢ/|q̇ᵢ|): the robot moves in the same direction, more slowly.
+class velocity_scaling:
+    """All joint velocities scaled by s = min(1, minᵢ Vᵢ/|q̇ᵢ|): the robot moves in the same direction, more slowly.
 
     V are the chain's velocity limits; the task velocity is scaled by the same s (Chiacchio, Chiaverini, Sciavicco &
     Siciliano 1991). Position limits are ignored.
     """
-    return Scaled()
 
 
 def slowed(chain, qdot):
@@ -80,6 +75,6 @@ def within(law, q, qdot, Ts):
 
 def inside(law, q, after):
     """Return joint values after a step from q, within the law's position limits, or as far outside as q."""
-    if law.limits is None or isinstance(law.limits, Scaled) or not law.chain.bounded:
+    if law.limits is None or isinstance(law.limits, velocity_scaling) or not law.chain.bounded:
         return after
     return jnp.clip(after, jnp.minimum(law.chain.lower, q), jnp.maximum(law.chain.upper, q))

@@ -71,28 +71,20 @@ class Line:
 @record
 class Circle:
     center: Float[Array, " d"]
-    first: Float[Array, " d"]  # radius vector at t = 0
-    second: Float[Array, " d"]  # and a quarter period later
+    first: Float[Array, " d"]  # from the centre at t = 0
+    second: Float[Array, " d"]  # and a quarter of a cycle later
     rotation: Rotation
     period: Float[Array, ""]
+    frequency: float | Float[Array, " d"] = 1.0  # cycles per period
 
     def __call__(self, t):
-        angle = 2 * math.pi / self.period * t
+        angle = 2 * math.pi / self.period * t * self.frequency
         return self.center + jnp.cos(angle) * self.first + jnp.sin(angle) * self.second, self.rotation
 
 
 @record
-class Lissajous:
-    center: Float[Array, " d"]
-    amplitude: Float[Array, " d"]
-    frequency: Float[Array, " d"]
-    phase: Float[Array, " d"]
-    rotation: Rotation
-    period: Float[Array, ""]
-
-    def __call__(self, t):
-        omega = 2 * math.pi / self.period
-        return self.center + self.amplitude * jnp.sin(self.frequency * omega * t + self.phase), self.rotation
+class Lissajous(Circle):
+    """See `lissajous`."""
 
 
 @record
@@ -100,11 +92,8 @@ class Spline:
     times: Float[Array, " K"]
     position: Float[Array, "K-1 4 d"] | None  # coefficients of the powers of t − t_k, a row for each knot
     quaternion: Float[Array, "K-1 4 4"] | None  # and of unnormalised quaternions
-    closed: bool
 
     def __call__(self, t):
-        if self.closed:
-            t = self.times[0] + jnp.mod(t - self.times[0], self.times[-1] - self.times[0])
         times, k = jnp.asarray(self.times), interval(self.times, t)  # NumPy arrays take no traced index
         inside = (t >= self.times[0]) & (t <= self.times[-1] * (1 + 1e-9))
         # Constant beyond both ends; the jvp of a clip would halve the velocity exactly at an end.
@@ -279,13 +268,11 @@ def lissajous(
     """
     center = errors.array("center", center, (None,))
     d = len(center)
-    each = {
-        "amplitude": amplitude,
-        "frequency": np.arange(1.0, d + 1) if frequency is None else frequency,
-        "phase": np.zeros(d) if phase is None else phase,
-    }
-    each = {name: errors.array(name, value, (d,)) for name, value in each.items()}
-    return _periodic(Lissajous, period, rotation, center=center, **each)
+    frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
+    phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
+    amplitude, xp = errors.array("amplitude", amplitude, (d,)), poses.library(phase)
+    first, second = amplitude * xp.sin(phase), amplitude * xp.cos(phase)
+    return _periodic(Lissajous, period, rotation, center=center, first=first, second=second, frequency=frequency)
 
 
 def _periodic(kind, period, rotation, **fields):
@@ -299,23 +286,19 @@ def waypoints(
     times: Float[ArrayLike, " K"],
     positions: Float[ArrayLike, "K d"] | None = None,
     rotations: Float[ArrayLike, "K ..."] | None = None,
-    *,
-    closed: bool = False,
 ) -> Reference:
     """Move through waypoints on a C² path: velocity and acceleration are continuous.
 
     Positions follow the cubic spline through the points. Orientations follow the cubic spline of their
     quaternions (signs aligned), normalised: it passes through every waypoint and does not depend on the
-    frame the rotations are given in. It starts and ends at rest; `closed` makes it periodic instead.
+    frame the rotations are given in. It starts and ends at rest.
 
     Args:
       times: (K,) increasing [s].
       positions: (K, d) [m], or None.
       rotations: (K, 3, 3) rotations or (K, 4) unit quaternions w, x, y, z, or None; neighbours less than
         180° apart.
-      closed: the last waypoint equals the first; the path passes through it smoothly and repeats.
     """
-    closed = errors.truth("closed", closed)
     if not errors.concrete(times):
         raise errors.fail("times", "be known numbers", "is traced")
     times = np.asarray(errors.array("times", times, (None,)), float)
@@ -325,38 +308,23 @@ def waypoints(
         raise errors.fail("positions", "be given, or `rotations`", "is None")
     position = quaternion = None
     if positions is not None:
-        position = _cubic(times, errors.array("positions", positions, (count, None)), closed, "positions")
+        position = _cubic(times, errors.array("positions", positions, (count, None)))
     if rotations is not None:
         rotations = errors.array("rotations", rotations, (count, 4), (count, 3, 3))
-        quaternion = _quaternions(poses.rotations("rotations", rotations))
-        quaternion = _cubic(times, quaternion, closed, "rotations")
-    curve = Spline(times=jnp.asarray(times), position=position, quaternion=quaternion, closed=closed)
-    return Reference(curve=curve)
+        quaternion = _cubic(times, _quaternions(poses.rotations("rotations", rotations)))
+    return Reference(curve=Spline(times=jnp.asarray(times), position=position, quaternion=quaternion))
 
 
-def _cubic(times, values, closed, name):
-    """Return coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends or periodic."""
+def _cubic(times, values):
+    """Return coefficients (K−1, 4, d) of the interpolating C² cubic spline, at rest at both ends."""
     from scipy.interpolate import CubicSpline  # here, as most references are no waypoints
 
-    count = len(times) - 1
-    # After a full turn the quaternion has the other sign, which is the same rotation: its period is two turns.
-    turned = closed and name == "rotations" and values[0] @ values[-1] < 0
+    def spline(points):
+        return np.moveaxis(CubicSpline(times, points, bc_type="clamped").c[::-1], 0, 1)
 
-    def spline(points, sign):
-        knots = times
-        if closed:
-            points = np.concatenate([points[:-1], sign * points[:-1], points[:1]])
-            knots = np.concatenate([times[:-1], times + times[-1] - times[0]])
-        pieces = CubicSpline(knots, points, bc_type="periodic" if closed else "clamped").c[::-1, :count]
-        return np.moveaxis(pieces, 0, 1)
-
-    if not errors.concrete(values):  # they are linear in the values
-        same, other = (jnp.einsum("kpj,jd->kpd", spline(np.eye(count + 1), sign), values) for sign in (1.0, -1.0))
-        return jnp.where(turned, other, same)
-    values, sign = np.asarray(values), -1.0 if turned else 1.0
-    if closed and np.abs(values[0] - sign * values[-1]).max() > 1e-6:
-        raise errors.fail(name, "end where it starts for a closed path", "does not")
-    return jnp.asarray(spline(values, sign))
+    if errors.concrete(values):
+        return jnp.asarray(spline(np.asarray(values)))
+    return jnp.einsum("kpj,jd->kpd", spline(np.eye(len(times))), values)  # they are linear in the values
 
 
 @bounded_jit

@@ -91,16 +91,15 @@ def hold_at(
     return references(**(dict(zip(paths.names, paths.each, strict=True)) | others))
 
 
-def of_each(fn, reference, task: Task):
+def of_each(fn, reference, task):
     """Return references with each target's reference replaced by fn(reference, parts); a single one stays single.
 
     If no reference is given (None), they are made by fn(None, parts).
+
+    Args: task: or some of its targets.
     Raises: ArgumentError if a target has no reference, or a reference no target.
     """
-    return _of_each(fn, reference, task.targets)
-
-
-def _of_each(fn, reference, targets):
+    targets = task.targets if isinstance(task, Task) else task
     keys = list(dict.fromkeys(path[0] for path, _ in targets if path))
     if isinstance(reference, Reference) or (reference is None and len(targets) == 1):
         if len(targets) > 1:
@@ -112,7 +111,7 @@ def _of_each(fn, reference, targets):
             "reference", f"be for {' and '.join(keys) or 'one tip'}", f"is for {', '.join(reference.names)}"
         )
     under = {key: [(path[1:], one) for path, one in targets if path[0] == key] for key in keys}
-    each = (_of_each(fn, None if reference is None else reference[key], under[key]) for key in keys)
+    each = (of_each(fn, None if reference is None else reference[key], under[key]) for key in keys)
     return References(names=tuple(keys), each=tuple(each))
 
 
@@ -127,9 +126,9 @@ def by_target(reference, task: Task) -> list[tuple[Reference, Task]]:
 
 
 def sample(reference, task: Task, t):
-    """Return the target of each part of a task at time t and its velocity: (aims, (w,)).
+    """Return the target of each part of a task at time t and its velocity: (aims, ẋ_d (m,)).
 
-    The motion holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
+    ẋ_d holds linear velocities [m/s], then components of the angular velocity vee(Ṙ Rᵀ) [rad/s].
     """
     aims, motions = [], []
     for path, parts in by_target(reference, task):
@@ -188,13 +187,8 @@ def motion(reference, task: Task, t):
 
     # A user's path may allow no vmap.
     users = any(isinstance(path.curve, Path) for path, _ in by_target(reference, task))
-    before, after = neighbours(jax.lax.map(chart, t) if users else together(chart, t))
-    return safe_sqrt(jnp.sum((after - before) ** 2, axis=1))
-
-
-def neighbours(x):
-    """Return (x[:-1], x[1:])."""
-    return x[:-1], x[1:]
+    places = jax.lax.map(chart, t) if users else together(chart, t)
+    return safe_sqrt(jnp.sum((places[1:] - places[:-1]) ** 2, axis=1))
 
 
 def check(reference, task: Task) -> None:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.law.inverse import positive
 from cnclik.record import Array, ArrayLike, Float, Number, leaf, record, replace
 from cnclik.robot.model import modelled
 from cnclik.task.build import center_of_mass
@@ -74,11 +73,10 @@ def wall(
 ) -> Wall:
     """Keep the coordinate of a task above, or below, a number: a wall for `bounded(walls=[...])`.
 
-    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, `wall(joints(["knee"]), above=0.2)` a
-    knee bent, and `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` a hand off a leg.
-    Joint velocities satisfy ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and
-    from behind it the robot comes back. A velocity that is constant over Ts may pass it by κ v² Ts/(2 rate), where
-    the motion bends by κ towards it.
+    `wall(position("z", tip="elbow"), above=0.1)` keeps an elbow above a table, and
+    `wall(distance(sphere("hand", 0.08), capsule("thigh", 0.09, ...)), above=0.02)` a hand off a leg. Joint velocities
+    satisfy ∇h·q̇ ≥ −rate·h, where h is the distance to the wall: it is approached exponentially, and from behind it the
+    robot comes back. A velocity that is constant over Ts may pass it by κ v² Ts/(2 rate), where the motion bends by κ.
 
     Args:
       task: a task of one coordinate, or of several with a normal: positions, joints, distances, functions.
@@ -88,7 +86,7 @@ def wall(
       name: name of the wall in messages and results; default: its number.
     """
     task = errors.kind("task", task, Task)
-    if any(part.turns or part.tied for part in task.parts):
+    if any(part.turns for part in task.parts):
         raise errors.fail("task", "be of positions, joints, distances or functions", f"is {task!r}")
     if (above is None) == (below is None):
         found = "neither is" if above is None else "both are"
@@ -98,7 +96,7 @@ def wall(
     normal = errors.array("normal", np.ones(1) if normal is None else normal, (task.m,))
     offset = errors.number("above", above) if below is None else -errors.number("below", below)
     normal = normal if below is None else -normal
-    rate = None if rate is None else positive("rate", rate)
+    rate = None if rate is None else leaf(errors.number("rate", rate, positive=True))
     return Wall(task=task, normal=normal, offset=leaf(offset), rate=rate, name=str(name))
 
 
@@ -118,22 +116,18 @@ def support_polygon(
       corners: (k, 2) corners of all feet on the ground [m], in any order.
       relative_to: the tip in whose frame they are given; None: the base.
       margin: distance that is kept from the edges [m]; where nothing is left, steps are WALLS_CONTRADICT.
-      rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ..., anticlockwise.
+      rate: as for `wall`. name: "soles" makes walls soles_1, soles_2, ...
     """
     from scipy.spatial import ConvexHull, QhullError  # here, as most robots have no feet
 
     points = np.asarray(errors.array("corners", corners, (None, 2)), float)
     try:
-        hull = points[ConvexHull(points).vertices]  # anticlockwise
+        edges = ConvexHull(points).equations  # outwards x + offset ≤ 0
     except (QhullError, ValueError):
         must = "be three or more that are not on one line"
         raise errors.fail("corners", must, f"are {points.tolist()}") from None
-    hull = np.roll(hull, -np.lexsort(hull.T[::-1])[0], axis=0)
-    along = np.roll(hull, -1, axis=0) - hull
-    normals = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
-    offsets, margin = np.sum(normals * hull, axis=1), errors.number("margin", margin)
-    task = center_of_mass("xy", relative_to=relative_to)
+    task, margin = center_of_mass("xy", relative_to=relative_to), errors.number("margin", margin)
     return tuple(
-        wall(task, normal=normal, above=offset + margin, rate=rate, name=f"{name}_{i}" if name else "")
-        for i, (normal, offset) in enumerate(zip(normals, offsets, strict=True), 1)
+        wall(task, normal=np.negative(outwards), above=offset + margin, rate=rate, name=f"{name}_{i}" if name else "")
+        for i, (*outwards, offset) in enumerate(edges, 1)
     )

@@ -25,8 +25,6 @@ from cnclik.measure.outcome import judge, stable
 from cnclik.record import Number, cast
 from cnclik.robot.model import modelled, one_off
 from cnclik.robot.rotations import safe_sqrt
-from cnclik.task.parts import At
-from cnclik.task.task import velocity
 
 
 @jax.tree_util.register_pytree_node_class
@@ -72,11 +70,6 @@ def _finite(value):
     return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
 
-def _only(rows, some):
-    """Return rows (N, m) with 0 in all but some columns. An index array would make N lines of C, compiled for long."""
-    return jnp.where(np.isin(np.arange(rows.shape[-1]), some), rows, 0.0)
-
-
 def _norms(rows):
     return safe_sqrt(_finite(jnp.sum(rows * rows, axis=-1)))
 
@@ -101,12 +94,11 @@ def _count(hit):
 
 def _along(of):
     """Return the position error along the path (N + 1, 1), positive if behind; 0 at rest. And along its tangent."""
-    task, model = of.law.task, modelled(of.law.chain)
-    toward = jax.vmap(lambda t, q: velocity(task, At(model, q), *ref.sample(of.reference, task, t)))
-    v = _only(toward(of.run.t, of.run.q), task.lengths)
+    task = of.law.task
+    v = jax.vmap(lambda t: ref.sample(of.reference, task, t)[1])(of.run.t)[:, np.array(task.lengths)]
     speed = _norms(v)[:, None]
     tangent = jnp.where(speed > 0, v / jnp.where(speed > 0, speed, 1.0), 0.0)
-    along = jnp.sum(of.run.e * tangent, axis=-1, keepdims=True)
+    along = jnp.sum(_position(of) * tangent, axis=-1, keepdims=True)
     return along, along * tangent
 
 
@@ -162,11 +154,11 @@ def _errors(name, rows, unit, label, needs=""):
 
 
 def _position(of):
-    return _only(of.run.e, of.law.task.lengths)
+    return of.run.e[:, np.array(of.law.task.lengths)]
 
 
 def _rotation(of):
-    return _only(of.run.e, of.law.task.angles)
+    return of.run.e[:, np.array(of.law.task.angles)]
 
 
 def _marked(bit):

@@ -20,7 +20,7 @@ from jax import lax
 
 from cnclik import errors
 from cnclik.engine.plan import in_c
-from cnclik.integrate.batches import Batches
+from cnclik.integrate.lanes import Batches
 from cnclik.law import dense
 from cnclik.law.inverse import tiny_shift
 from cnclik.precision import precise

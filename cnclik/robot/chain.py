@@ -16,8 +16,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import ArrayLike, Float, Number, record
 from cnclik.robot import poses
-from cnclik.robot.fixed import ZERO, Offset, Triple, compose, is_number, turn, vsub
-from cnclik.robot.poses import PoseLike
+from cnclik.robot.fixed import Offset, Triple, compose, is_number, turn
 from cnclik.robot.tree import BALL, MOST
 
 Names = Sequence[str] | None
@@ -78,11 +77,6 @@ class Chain:
         """For each joint the index of the joint that carries it; −1 for the base."""
         return tuple(i - 1 if joint.parent is None else joint.parent for i, joint in enumerate(self.joints))
 
-    @property
-    def tip(self) -> Offset:
-        """Offset of the only tip from its joint. Raises: ArgumentError where there are several tips."""
-        return self.tips[self.tip_number()].offset
-
     def tip_number(self, tip: str | None = None) -> int:
         """Return the index of the tip with this name; None: the only tip. Raises: ArgumentError."""
         names = [t.name for t in self.tips]
@@ -122,13 +116,6 @@ class Chain:
         kinds = "".join({REVOLUTE: "R", PRISMATIC: "P", BALL: "B"}[j.kind] for j in self.joints)
         tips = f", tips={[t.name for t in self.tips]}" if len(self.tips) > 1 else ""
         return f"Chain({kinds}, joint_names={list(self.joint_names)}{tips})"
-
-    def __str__(self):
-        """A line per joint: its limits."""
-        lines = [f"Chain of {self.n} joints, tips {', '.join(t.name for t in self.tips)}"]
-        limits = zip(self.joint_names, self.units, self.lower, self.upper, self.velocity_limit, strict=True)
-        lines += [f"  {name}: {low:.5g} to {high:.5g} {u}, up to {v:.5g} {u}/s" for name, u, low, high, v in limits]
-        return "\n".join(lines)
 
 
 def planar_arm(lengths: Float[ArrayLike, " n"], *, clockwise: bool = False, joint_names: Names = None) -> Chain:
@@ -193,37 +180,6 @@ def from_dh(
     return assemble(joints, before, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
 
 
-def from_screws(
-    points: Float[ArrayLike, "n 3"],
-    axes: Float[ArrayLike, "n 3"],
-    home: PoseLike,
-    *,
-    kinds: str | None = None,
-    joint_names: Names = None,
-    lower: Float[ArrayLike, " n"] | None = None,
-    upper: Float[ArrayLike, " n"] | None = None,
-    velocity_limit: Float[ArrayLike, " n"] | None = None,
-) -> Chain:
-    """Return the chain of a product of exponentials, g(q) = exp(ξ₁q₁) … exp(ξₙqₙ) g(0) (Murray et al. 1994, eq. 3.3).
-
-    Args:
-      points: (n, 3) a point on each joint's axis in the home configuration q = 0 [m].
-      axes: (n, 3) the direction of each axis in the home configuration; normalised here.
-      home: (3,) tip position [m], or the tip's pose, such as a 4×4 transform, at q = 0.
-      kinds: string such as "RRP", by default all revolute.
-      joint_names, lower, upper, velocity_limit: (n,) names, joint limits and velocity limits.
-    """
-    points, axes = _rows("points", points), [_unit(f"axes[{i}]", w) for i, w in enumerate(_rows("axes", axes))]
-    if len(axes) != len(points):
-        raise errors.fail("axes", f"have shape ({len(points)}, 3) like `points`", f"has {len(axes)} rows")
-    tip, joints, last = offset_of("home", home), [], ZERO
-    for i, (kind, point, axis) in enumerate(zip(_kinds(kinds, len(points)), points, axes, strict=True)):
-        joints.append(Joint(kind=kind, axis=axis, origin=Offset(position=vsub(point, last)), coordinate=i))
-        last = point
-    tip = Offset(position=vsub(tip.position, last), rotation=tip.rotation)
-    return assemble(joints, tip, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
-
-
 def assemble(
     joints: Iterable[Joint],
     tip: Offset | tuple[Tip, ...] | None = None,
@@ -270,13 +226,6 @@ def _scalars(name, values, size=None) -> tuple:
     return tuple(float(v) if is_number(v) else v for v in scalars)
 
 
-def _rows(name, rows) -> list:
-    """Return rows of three scalars each, as `_scalars`."""
-    if not isinstance(rows, (list, tuple)) and np.ndim(rows) != 2:
-        raise errors.fail(name, "have shape (n, 3)", f"has shape {np.shape(rows)}")
-    return [_scalars(f"{name}[{i}]", row, 3) for i, row in enumerate(rows)]
-
-
 def _known(name, values, n):
     """Return limits (n,) as floats; None if they are traced or belong to several lanes."""
     parts = values if isinstance(values, (tuple, list)) else ()
@@ -312,11 +261,3 @@ def offset_of(name, transform) -> Offset:
         pose = [part.tolist() for part in pose]
     position, rotation = pose
     return Offset(position=_scalars(name, position, 3), rotation=tuple(_scalars(name, row, 3) for row in rotation))
-
-
-def _unit(name, axis):
-    if all(map(errors.concrete, axis)) and not any(map(float, axis)):
-        raise errors.fail(name, "not be the zero vector", "is")
-    squared = sum(a * a for a in axis)
-    length = math.sqrt(squared) if all(map(is_number, axis)) else squared**0.5
-    return tuple(a / length for a in axis)

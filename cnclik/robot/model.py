@@ -122,7 +122,7 @@ def tip_frames(chain: Model, at, axes, tip: int) -> Frames:
 
 
 def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
-    """Return the centre of mass at q (n,) as a tip: `jacobian_rows` gives its rows of the Jacobian.
+    """Return the centre of mass at q (n,) as a tip: `jacobian_at` gives its rows of the Jacobian.
 
     Joint i moves it by sᵢ aᵢ × (cᵢ − pᵢ), or sᵢ aᵢ, where cᵢ is the centre and sᵢ the share of the mass that it
     carries.
@@ -145,8 +145,8 @@ def mass_frames(chain: Model, bodies: Float[Array, "j+1 4"], q) -> Frames:
     return Frames(position=place, rotation=turn, axes=_axes(chain, at), points=points, support=share)
 
 
-def jacobian_rows(chain: Model, at: Frames, linear, angular):
-    """Return rows of the geometric Jacobian (..., m, n), those of the axes `linear` and `angular` among 0, 1, 2.
+def jacobian_at(chain: Model, at: Frames):
+    """Return the geometric Jacobian (..., 6, n) of a tip by its frames.
 
     A revolute joint moves the tip by a × (p − pᵢ) and turns it by a; a prismatic one moves it by a.
     """
@@ -158,7 +158,6 @@ def jacobian_rows(chain: Model, at: Frames, linear, angular):
     if at.support is not None:
         velocity, spin = at.support[..., None] * velocity, at.support[..., None] * spin
     rows = xp.swapaxes(xp.concatenate([velocity, spin], axis=-1), -1, -2)
-    rows = rows[..., np.array([*linear, *(3 + i for i in angular)], int), :]
     return rows if chain.mimic is None else rows @ chain.mimic[0]
 
 
@@ -274,7 +273,7 @@ def _pose(chain, q, tip):
 
 @_computed
 def _jacobian(chain, q, tip):
-    return [jacobian_rows(chain, frames(chain, q, tip), (0, 1, 2), (0, 1, 2))]
+    return [jacobian_at(chain, frames(chain, q, tip))]
 
 
 def forward(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) -> Pose:

@@ -161,6 +161,8 @@ def _edge(file, element) -> Edge:
         raise bad(f"has axis {' '.join(f'{x:g}' for x in axis)}")
     edge = Edge(name, kind, parent, child, origin, snapped(x / length for x in axis))
     if kind == "planar":
+        if edge.axis != (0.0, 0.0, 1.0):
+            raise bad("is planar and has an axis that is not 0 0 1")
         return edge
     limit, mimic = element.find("limit"), element.find("mimic")
     if limit is None and kind != "continuous" and mimic is None:
@@ -219,21 +221,20 @@ def _top(file, links, edges) -> str:
     def bad(what):
         return errors.fail("path", "name a robot that is a tree of links", f"{file} {what}")
 
-    for kind, names in (("link", links), ("joint", [e.name for e in edges])):
+    children = [edge.child for edge in edges]
+    for what, names in (
+        ("more than one link", links),
+        ("more than one joint", [edge.name for edge in edges]),
+        ("a loop: two joints carry link", children),
+    ):
         if twice := [name for name, count in collections.Counter(names).items() if count > 1]:
-            raise bad(f"has more than one {kind} {twice[0]!r}")
-    above: dict = dict.fromkeys(links)
+            raise bad(f"has {what} {twice[0]!r}")
+    below: dict = {link: [] for link in links}
     for edge in edges:
-        for link in (edge.parent, edge.child):
-            if link not in above:
-                raise bad(f"has no link {link!r}, which joint {edge.name!r} connects")
-        if above[edge.child]:
-            raise bad(f"has a loop: link {edge.child!r} hangs on {above[edge.child].name!r} and {edge.name!r}")
-        above[edge.child] = edge
-    below = collections.defaultdict(list)
-    for edge in edges:
+        if unknown := {edge.parent, edge.child} - below.keys():
+            raise bad(f"has no link {unknown.pop()!r}, which joint {edge.name!r} connects")
         below[edge.parent].append(edge.child)
-    roots = [link for link in links if not above[link]]
+    roots = sorted(below.keys() - children, key=links.index)
     reached = [*roots]
     for link in reached:
         reached += below[link]

@@ -15,6 +15,7 @@ _BASES = {"fixed": "fixed", "planar": "planar", "free": "floating"}  # {name of 
 _X, _Y, _Z = NO_OFFSET[1]
 _ALONG = [("x", "prismatic", _X), ("y", "prismatic", _Y), ("z", "prismatic", _Z)]
 _ABOUT = [("rx", BALL, _X), ("ry", BALL, _Y), ("rz", BALL, _Z)]
+_PARTS = {"planar": [*_ALONG[:2], ("yaw", "continuous", _Z)], "floating": [*_ALONG, *_ABOUT], "ball": _ABOUT}
 
 
 def load_urdf(
@@ -28,10 +29,9 @@ def load_urdf(
     """Load a robot from a URDF file, without its meshes: the chain from base to tip, or the tree to several tips.
 
     Revolute, continuous and prismatic joints become coordinates, in order from the base and tip by tip. A planar joint
-    becomes three coordinates, two translations and a rotation; a floating joint six, see `base`. The chain may lead up
-    towards the root and down again; joints on the way up act in the opposite direction. A mimic joint shares coordinate
-    and limits of the joint that it follows, as its own contradict them in files such as PR2's. A missing position limit
-    means no limit, and so does a velocity limit of 0, which exporters write for unknown limits.
+    becomes three coordinates, a floating joint six, see `base`. The chain may lead up towards the root and down again;
+    joints on the way up act in the opposite direction. A mimic joint shares coordinate and limits of the joint that it
+    follows. A missing position limit means no limit, and so does a velocity limit of 0.
 
     Args:
       path: a URDF file (run xacro first), or its text, which begins with "<".
@@ -187,12 +187,10 @@ def _ends(tree, tips) -> dict:
 
 def _frozen(tree, freeze) -> dict:
     """Return {name of a fixed joint: its value}, checked."""
-    moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL}
+    moving = {e.name: e for e in tree.edges if e.type in _MOVING and e.type != BALL and e.mimic is None}
     freeze = errors.kind("freeze", {} if freeze is None else freeze, dict, "be {name of a joint: its value}")
     for name, value in freeze.items():
         edge = moving[errors.one_of("freeze", name, moving)]
-        if edge.mimic is not None:
-            raise errors.fail("freeze", f"name {edge.mimic[0]!r}, which {name!r} follows", f"names {name!r}")
         if not edge.lower <= errors.number(f"freeze[{name!r}]", value) <= edge.upper:
             raise errors.fail(f"freeze[{name!r}]", f"be within {edge.lower:g} and {edge.upper:g}", f"is {value:g}")
     return {name: float(value) for name, value in freeze.items()}
@@ -241,9 +239,8 @@ def _grounded(tree: Tree, base) -> tuple[Tree, str]:
 def _unfolded(tree: Tree, base, tips) -> Tree:
     """Return the tree with the joints between its first link and the tips split into joints of one coordinate each.
 
-    A planar joint becomes P, P, R: two translations in the plane across its axis, then the rotation about it. A
-    floating joint becomes P, P, P along the axes of its frame, then three joints that form one rotation, as a ball
-    joint does. The links in between have no shape.
+    A planar joint becomes P, P, R along x and y and about z; a floating joint P, P, P and three joints that form one
+    rotation, as a ball joint does. The links in between have no shape.
     """
     ways = {edge.name for tip in tips for way in tree.way(tip, base) for edge in way}
     edges = tuple(part for edge in tree.edges for part in (_parts(edge) if edge.name in ways else [edge]))
@@ -254,24 +251,12 @@ def _unfolded(tree: Tree, base, tips) -> Tree:
 
 def _parts(edge):
     """Return the joint as joints of one coordinate each, named after it."""
-    if edge.type == "planar":
-        across, along = _across(edge.axis)
-        parts = [("x", "prismatic", across), ("y", "prismatic", along), ("yaw", "continuous", edge.axis)]
-    elif edge.type in ("floating", "ball"):
-        parts = _ALONG * (edge.type == "floating") + _ABOUT
-    else:
+    if edge.type not in _PARTS:
         return [edge]
+    parts = _PARTS[edge.type]
     links = [edge.parent, *(f"{edge.name}_{name}" for name, _, _ in parts[:-1]), edge.child]
     origins = [edge.origin, *[NO_OFFSET] * 5]
     return [
         Edge(f"{edge.name}_{name}", kind, links[i], links[i + 1], origins[i], axis)
         for i, (name, kind, axis) in enumerate(parts)
     ]
-
-
-def _across(axis):
-    """Return two axes across a unit axis, right-handed with it; x and y if the axis is z."""
-    x, y, z = axis
-    s = 1 if z > -0.5 else -1
-    k = 1 / (1 + s * z)  # the shortest rotation from ±z to the axis, applied to x and ±y
-    return (1 - k * x * x, -k * x * y, -s * x), (-s * k * x * y, s * (1 - k * y * y), -y)

@@ -28,7 +28,7 @@ def passes_of(stage) -> int | None:
 
     A field that is linear is solved exactly by the first guess of chord and newton, whatever their M.
     """
-    if stage is None or type(stage).__name__ in ("Chord", "Newton"):
+    if stage is None or type(stage).__name__ in ("chord", "newton"):
         return None
     M = getattr(stage, "M", stage)
     if not errors.concrete(M):

@@ -91,8 +91,6 @@ def function(
     names: Sequence[str],
     units: Sequence[str],
     *,
-    error: Callable | None = None,
-    target: int | None = None,
     weights: Weights = None,
 ) -> Task:
     """Control a function of the joint values, x = value(robot, q); its rows are its derivative, by JAX.
@@ -103,21 +101,14 @@ def function(
       value: (robot, q (n,)) to (m,), differentiable, such as the distance of a tip from a point: lambda robot, q:
         jnp.linalg.norm(ck.forward(robot, q, tip="hand").position - point)[None].
       names, units: of the m coordinates.
-      error: (robot, q, target (k,)) to e (m,), 0 at the target, where the error is not target − value: for an angle the
-        shorter way round, for a camera the distance of a moving target from its axis.
-      target: k; default: m.
       weights: as for `position`.
     """
-    for name, fn in (("value", value), ("error", error or value)):
-        if not callable(fn):
-            raise errors.fail(name, "be a function of the robot and q", f"is {fn!r}")
+    if not callable(value):
+        raise errors.fail("value", "be a function of the robot and q", f"is {value!r}")
     names, units = _names("names", names), _names("units", units)
     if len(names) != len(units):
         raise errors.fail("units", f"be as many as `names`, {len(names)}", f"are {len(units)}")
-    if target is not None and error is None:
-        raise errors.fail("target", "come with an `error`: else it is as long as the value", f"is {target!r}")
-    size = None if target is None else errors.integer("target", target, at_least=1)
-    return _task(weights, Function(value=value, names=names, units=units, of_target=error, size=size))
+    return _task(weights, Function(value=value, names=names, units=units))
 
 
 def _names(name, value):
@@ -174,8 +165,8 @@ class Center(Vector):
     def x(self, robot: At):
         return robot.position(self, self.to)[..., places(self.along)]
 
-    def rows(self, robot: At, aim=None):
-        return robot.rows(self, self.to, places(self.along), ())
+    def rows(self, robot: At):
+        return robot.jacobian(self, self.to)[..., places(self.along), :]
 
 
 def center_of_mass(axes: str = "xyz", *, relative_to: str | None = None, weights: Weights = None) -> Task:

@@ -3,16 +3,15 @@
 A part is a record with
 
   m, names, units          how many coordinates it has, and what they are;
-  aim(position, rotation)       the target in the part's own form, of what a reference's curve gives;
-  x(robot)                      (m,) its coordinates where the robot is;
-  error(robot, aim)             (m,) what is missing;
-  rows(robot, aim)              (m, n) what joint velocities take of the error; without an aim, where none is missing;
-  motion(aim, rate)             (w,) the target's own velocity, from its derivative by time;
-  velocity(robot, aim, motion)  (m,) what that adds to the error,
+  aim(position, rotation)  the target in the part's own form, of what a reference's curve gives;
+  here(robot)              the target that is reached where the robot is;
+  x(robot)                 (m,) its coordinates there;
+  error(robot, aim)        (m,) what is missing;
+  rows(robot)              (m, n) what joint velocities take of the error;
+  motion(aim, rate)        (m,) the target's velocity, from its derivative by time;
+  mean(aim, before)        (m,) how far a target went, and None or its turn, for exponential methods.
 
-and with what exponential methods ask of two targets, `mean` and the rest. Where a target is a vector that is all
-subtraction (`Vector`). Rows and velocity of a part that is `tied`, a function of joint values and target, change with
-the target.
+Where a target is a vector that is all subtraction (`Vector`).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.record import record, replace
 from cnclik.robot import chart
-from cnclik.robot.model import Frames, Model, jacobian_rows, moved, tip_frames
+from cnclik.robot.model import Frames, Model, jacobian_at, moved, tip_frames
 from cnclik.robot.rotations import library, log_quaternion, log_so3, product
 
 AXES = "xyz"
@@ -70,22 +69,17 @@ class At:
         own = self.frames(tip).rotation
         return own if to is None else self.frames(to).rotation.mT @ own
 
-    def rows(self, tip, to, linear, angular):
-        """Return rows of the axes `linear` and `angular` of the tip's velocity (v, ω) by the joints': (m, n)."""
-        return self._jacobian(tip, to)[..., np.array([*linear, *(3 + i for i in angular)], int), :]
-
-    def _jacobian(self, tip, to):
-        """Return (6, n), computed once."""
+    def jacobian(self, tip, to=None):
+        """Return the tip's velocity (v, ω) by the joints', (6, n); computed once."""
         between = self._number(tip), to
         if between not in self._rows:
-            alone, every = to is None, (0, 1, 2)
-            jacobian = jacobian_rows(self.chain, self.frames(tip), every, every) if alone else self._relative(tip, to)
+            jacobian = jacobian_at(self.chain, self.frames(tip)) if to is None else self._relative(tip, to)
             self._rows[between] = jacobian
         return self._rows[between]
 
     def _relative(self, tip, to):
         """Return (6, n) of a tip as seen from another."""
-        own, its, at, other = self._jacobian(tip, None), self._jacobian(to, None), self.frames(tip), self.frames(to)
+        own, its, at, other = self.jacobian(tip), self.jacobian(to), self.frames(tip), self.frames(to)
         (v, w), (vo, wo) = ((each[..., :3, :], each[..., 3:, :]) for each in (own, its))
         xp, turned, away = library(own, its), other.rotation.mT, (at.position - other.position)[..., None]
         v = turned @ (v - vo + xp.cross(away, wo, axis=-2))
@@ -101,7 +95,6 @@ class Vector:
     """Common methods of parts whose target is a vector in their own coordinates."""
 
     turns = False  # whether its target is a rotation
-    tied: Any = False  # whether rows and velocity change with the target
     names: Any
     x: Callable
 
@@ -109,21 +102,15 @@ class Vector:
     def m(self):
         return len(self.names)
 
-    @property
-    def width(self):
-        """Numbers of the target's motion."""
-        return self.m
-
     def aim(self, position, rotation):
         return position
 
     def check(self, position, rotation):
         size = 0 if position is None else len(position)
-        if size not in (self.width, 3 * hasattr(self, "axes") or self.width):
-            raise errors.fail("reference", f"give {self.width} values ({', '.join(self.names)})", f"gives {size}")
+        if size not in (self.m, 3 if hasattr(self, "axes") else self.m):
+            raise errors.fail("reference", f"give {self.m} values ({', '.join(self.names)})", f"gives {size}")
 
     def here(self, robot: At):
-        """Return the target at the robot's present pose; None where it is unknown."""
         return self.x(robot)
 
     def error(self, robot: At, aim):
@@ -132,11 +119,7 @@ class Vector:
     def motion(self, aim, rate):
         return rate
 
-    def velocity(self, robot: At, aim, motion):
-        return motion
-
     def mean(self, aim, before):
-        """Return how far a target went, as a motion, and None or its turn."""
         return aim - before, None
 
 
@@ -163,8 +146,8 @@ class Position(Vector):
     def x(self, robot: At):
         return robot.position(self.tip, self.to)[places(self.axes)]
 
-    def rows(self, robot: At, aim=None):
-        return robot.rows(self.tip, self.to, places(self.axes), ())
+    def rows(self, robot: At):
+        return robot.jacobian(self.tip, self.to)[..., places(self.axes), :]
 
 
 @record
@@ -196,8 +179,8 @@ class Orientation(Position):
     def here(self, robot: At):
         return robot.rotation(self.tip, self.to)
 
-    def rows(self, robot: At, aim=None):
-        return robot.rows(self.tip, self.to, (), places(self.axes))
+    def rows(self, robot: At):
+        return robot.jacobian(self.tip, self.to)[..., 3 + places(self.axes), :]
 
     def motion(self, aim, rate):
         return spin(aim, rate)[places(self.axes)]
@@ -255,7 +238,7 @@ class Joints(Vector):
     def x(self, robot: At):
         return robot.q[np.array(self.which)]
 
-    def rows(self, robot: At, aim=None):
+    def rows(self, robot: At):
         q = robot.q
         rows = np.eye(robot.chain.n)[np.array(self.which)].astype(q.dtype)
         return library(q).broadcast_to(rows, (*q.shape[:-1], *rows.shape))
@@ -263,53 +246,22 @@ class Joints(Vector):
 
 @record
 class Function(Vector):
-    """Any differentiable function of the joint values, or of them and a target, see `function`."""
+    """Any differentiable function of the joint values, see `function`."""
 
     value: Callable
     names: tuple[str, ...]
     units: tuple[str, ...]
-    of_target: Callable | None = None  # (robot, q, target) to e; None: target − value
-    size: int | None = None  # of the target; None: m
     tip, to = "function", None
 
-    @property
-    def tied(self):
-        return self.of_target is not None
-
-    @property
-    def width(self):
-        return self.size or self.m
-
-    def _checked(self, name, values, q):
-        values = jnp.asarray(values)
-        if values.shape != (self.m,):
-            raise errors.fail(name, f"return shape ({self.m},), one of each name", f"returns shape {values.shape}")
-        return values.astype(q.dtype)
-
-    def here(self, robot: At):
-        return None if self.size not in (None, self.m) else self.x(robot)
-
     def x(self, robot: At):
-        return self._checked("value", self.value(robot.chain, robot.q), robot.q)
+        values = jnp.asarray(self.value(robot.chain, robot.q))
+        if values.shape != (self.m,):
+            raise errors.fail("value", f"return shape ({self.m},), one of each name", f"returns shape {values.shape}")
+        return values.astype(robot.q.dtype)
 
-    def error(self, robot: At, aim):
-        if self.of_target is None:
-            return aim - self.x(robot)
-        return self._checked("error", self.of_target(robot.chain, robot.q, aim), robot.q)
-
-    def rows(self, robot: At, aim=None):
-        chain = robot.chain
-
-        def moved(start, y):
-            at = At(chain, chart.out(chain, start, y))
-            return self.x(at) if aim is None or self.of_target is None else -self.error(at, aim)
-
+    def rows(self, robot: At):
         def derivative(q):
-            return jax.jacfwd(functools.partial(moved, q))(chart.centre(chain, q))
+            moved = jax.jacfwd(lambda y: self.x(At(robot.chain, chart.out(robot.chain, q, y))))
+            return moved(chart.centre(robot.chain, q))
 
         return derivative(robot.q) if robot.q.ndim == 1 else np.asarray(jax.vmap(derivative)(robot.q))
-
-    def velocity(self, robot: At, aim, motion):
-        if self.of_target is None:
-            return motion
-        return jax.jvp(lambda aim: self.error(robot, aim), (aim,), (motion,))[1]

@@ -36,8 +36,7 @@ class Rounded:
         if self.tip is None:
             return jnp.zeros_like(robot.q)
         arm = point - robot.frames(self.tip).position
-        every = (0, 1, 2)
-        return jnp.concatenate([normal, jnp.cross(arm, normal)]) @ robot.rows(self.tip, None, every, every)
+        return jnp.concatenate([normal, jnp.cross(arm, normal)]) @ robot.jacobian(self.tip)
 
 
 @record
@@ -66,7 +65,7 @@ class Distance(Vector):
     def x(self, robot: At):
         return self._seen(robot)[0][None]
 
-    def rows(self, robot: At, aim=None):
+    def rows(self, robot: At):
         if robot.q.ndim > 1:
             return np.asarray(jax.vmap(lambda q: self.rows(At(robot.chain, q)))(robot.q))
         _, near, far, normal = self._seen(robot)

@@ -42,24 +42,9 @@ class Task:
         return sum(part.m for part in self.parts)
 
     @property
-    def width(self) -> int:
-        """Number of velocities that its targets have: m, unless a function's target has another size."""
-        return sum(part.width for part in self.parts)
-
-    @property
     def slices(self) -> tuple[slice, ...]:
         """Where the coordinates of each part stand."""
         return _slices(part.m for part in self.parts)
-
-    @property
-    def motions(self) -> tuple[slice, ...]:
-        """Where the velocity of each part's target stands."""
-        return _slices(part.width for part in self.parts)
-
-    @property
-    def tied(self) -> bool:
-        """Whether rows of the Jacobian change with the target."""
-        return any(part.tied for part in self.parts)
 
     @property
     def targets(self) -> tuple[tuple[tuple[str, ...], Task], ...]:
@@ -233,18 +218,10 @@ def error(task: Task, robot: At, aims):
     return jnp.concatenate([part.error(robot, aim) for part, aim in zip(task.parts, aims, strict=True)])
 
 
-def rows(task: Task, robot: At, aims=None):
-    """Return the rows of the task Jacobian (m, n), before weighting, for an aim of each part, or without error."""
-    each = [part.rows(robot, aim) for part, aim in zip(task.parts, aims or (None,) * len(task.parts), strict=True)]
+def rows(task: Task, robot: At):
+    """Return the rows of the task Jacobian (m, n), before weighting."""
+    each = [part.rows(robot) for part in task.parts]
     return library(*each).concatenate(each, axis=-2)
-
-
-def velocity(task: Task, robot: At, aims, motion):
-    """Return ẋ_d (m,): what the targets' own motion (w,) adds to the error."""
-    if not task.tied:
-        return motion
-    parts = zip(task.parts, aims, task.motions, strict=True)
-    return jnp.concatenate([part.velocity(robot, aim, motion[at]) for part, aim, at in parts])
 
 
 # --- aims: what a task asks of each tip, a position, an orientation, or both ---------------------------------

@@ -79,4 +79,4 @@ def panda_matrices():
     """(origins (7, 4, 4), tip (4, 4)) for the peers: every joint turns about the z of its own frame."""
     chain = ck.panda()
     assert all(joint.axis == (0.0, 0.0, 1.0) for joint in chain.joints)
-    return np.stack([matrix(joint.origin) for joint in chain.joints]), matrix(chain.tip)
+    return np.stack([matrix(joint.origin) for joint in chain.joints]), matrix(chain.tips[0].offset)

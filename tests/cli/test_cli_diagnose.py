@@ -1,5 +1,6 @@
-"""`cnclik diagnose` as a user meets it: a recording in, a sentence, numbers, a figure; one line for bad input."""
+"""`cnclik diagnose` and `check` as a user meets them: a log in, a sentence, numbers, a figure; one line for bad input."""
 
+import contextlib
 import json
 import pathlib
 
@@ -91,3 +92,30 @@ def test_commands_are_paired_with_the_motion_of_their_own_joint(tmp_path, names)
 def test_an_emergency_stop_is_no_error(tmp_path):
     log = read(write(tmp_path / "log.csv", ["t", "e_stop", "q1"], *np.arange(60.0).reshape(3, 20)))
     assert log.moved() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        ([], 0, "No limits are given."),
+        (["--limits", "limits.csv"], 1, "Broken limits: 2. The worst: velocity of j1_cmd at 0.5 s."),
+        (["--columns", "j1_pos", "--limits", "limits.csv"], 1, "Broken limits: 1. The worst: velocity of j1_pos"),
+        (["--limits", "fr4"], 2, "Option `--limits` must be one of panda, fr3, FILE.csv, but is 'fr4'"),
+        (["--tip", "hand"], 2, "Option `--tip` must come with ROBOT, but comes without."),
+        (["panda"], 2, "must have a column for each of the chain's 7 joints, but has 1"),
+        (["--limits", "panda"], 2, "must be a single number, but has 7"),
+        (["--json"], 0, '"what": "behind its command", "column": "j1_pos", "value": 0.1, "unit": "rad", "at": 0.5,'),
+    ],
+)
+def test_check_of_a_log(tmp_path, monkeypatch, capsys, options, code, words):
+    """Names distinguish commands from motion; velocities are left out; the exit code is 1 for a broken limit."""
+    monkeypatch.chdir(tmp_path)
+    k = np.arange(1000)
+    command = 0.1 * (k >= 500)
+    motion = np.roll(command, 20) * 0.99
+    write("log.csv", ["time", "j1_cmd", "j1_pos", "j1_velocity"], 1e-3 * k, command, motion, 50.0 + 0 * k)
+    (tmp_path / "limits.csv").write_text("joint,velocity\n1,50\n")
+    with pytest.raises(SystemExit) if code else contextlib.nullcontext() as left:
+        main(["check", "log.csv", *options])
+    said = capsys.readouterr()
+    assert (left.value.code if code else 0) == code and words in (said.err if code == 2 else said.out), said

@@ -5,14 +5,14 @@ arrive late. A push moves the target by up to 2 cm; a run that strays by 4 cm is
 right is found by running: the largest gain with which the tip overshoots by less than 5 %.
 """
 
+import collections
 import sys
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 import cnclik as ck
-from tests.diagnosis.logs import report
+from tests.diagnosis.logs import between, largest, report
 from tests.oracles import robots
 
 ROBOTS = {  # file below example-robot-data's robots, tip, base
@@ -36,18 +36,9 @@ STRAY = 0.04  # [m] of error at which a run is stopped
 PHYSICS = 1e-3  # [s] of a step
 
 
-class Plant(NamedTuple):
-    """An arm at rest at q (n,), and what lies between its commands and its motion."""
-
-    model: mujoco.MjModel
-    tip: int
-    q: np.ndarray
-    Ts: float
-    delay: int  # samples
-    position: bool  # whether commands are positions
-    late: float  # about how late the motion is [s]
-    resolution: float  # of the encoders [rad]
-    noise: float  # of the measurement [rad]
+# An arm at rest at q (n,), and what lies between its commands, positions or velocities, and its motion: samples of
+# delay, about how late the motion is [s], the encoders' resolution and the measurement's noise [rad].
+Plant = collections.namedtuple("Plant", "model tip q Ts delay position late resolution noise")
 
 
 def drawn(rng, robot) -> Plant:
@@ -55,9 +46,9 @@ def drawn(rng, robot) -> Plant:
     file, tip, base = ROBOTS[robot]
     arm = ck.load_urdf(robots() / file, tip=tip, base=base)
     Ts = float(rng.choice([1e-3, 2e-3, 4e-3, 5e-3, 8e-3, 1e-2]))
-    delay = int(np.clip(round(np.exp(rng.uniform(np.log(0.004), np.log(0.06))) / Ts), 0, 40))
+    delay = int(np.clip(round(between(rng, 0.004, 0.06) / Ts), 0, 40))
     servo = str(rng.choice(["position", "position", "velocity", "integral"]))
-    w = np.exp(rng.uniform(np.log(12), np.log(120))) * rng.uniform(0.8, 1.25, arm.n)  # ω₀, or 1/lag
+    w = between(rng, 12, 120) * rng.uniform(0.8, 1.25, arm.n)  # ω₀, or 1/lag
     damping, armature = rng.uniform(0.5, 1.3), rng.uniform(0.3, 3.0, arm.n)  # in shares of the inertia
     friction = float(rng.choice([0.0, 2e-4, 5e-4]))  # [rad, rad/s] at which a servo just overcomes it
     resolution = float(rng.choice([0.0, 2 * np.pi / 2**12, 2 * np.pi / 2**16]))
@@ -67,45 +58,39 @@ def drawn(rng, robot) -> Plant:
     q = 0.5 * (low + high) + 0.25 * (high - low) * np.random.default_rng(5).uniform(-1, 1, arm.n)
 
     spec = mujoco.MjSpec.from_file(str(robots() / file))
-    for part in (
-        *spec.geoms,
-        *spec.meshes,
-        *spec.equalities,
-        *(j for j in spec.joints if j.name not in arm.joint_names),
-    ):
+    others = [joint for joint in spec.joints if joint.name not in arm.joint_names]
+    for part in (*spec.geoms, *spec.meshes, *spec.equalities, *others):
         spec.delete(part)
-    for body in spec.bodies[1:]:
-        if not body.joints:  # what does not move has no say, and in some files no proper inertia
-            body.mass, body.inertia, body.explicitinertial = 0.0, np.zeros(3), False
-            body.fullinertia, body.ipos = np.full(6, np.nan), np.full(3, np.nan)
+    for body in (body for body in spec.bodies[1:] if not body.joints):  # some have no proper inertia
+        body.explicitinertial, body.mass, body.fullinertia = False, 0.0, np.full(6, np.nan)
     spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
     spec.compiler.boundmass, spec.compiler.boundinertia = 0.02, 1e-5
     spec.option.timestep, spec.option.gravity = PHYSICS, np.zeros(3)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    for i, name in enumerate(arm.joint_names * (1 + (servo == "integral"))):
+        actuator = spec.add_actuator(name=str(i), target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        kind = actuator.set_to_position if servo == "position" else actuator.set_to_velocity
+        (kind if i < arm.n else actuator.set_to_intvelocity)(1.0)
+        actuator.ctrllimited = actuator.forcelimited = actuator.actlimited = False
     model = spec.compile()
+    assert [model.joint(i).name for i in range(arm.n)] == list(arm.joint_names)
     data, mass = mujoco.MjData(model), np.zeros((arm.n, arm.n))
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, mass)
-    heavy = np.maximum(np.diag(mass), 1e-3 * np.diag(mass).max()) * (1 + armature)
+    mass = np.diag(mass)
+    heavy = np.maximum(mass, 1e-3 * mass.max()) * (1 + armature)
     kp, kv = (heavy * w**2, 2 * damping * w * heavy) if servo == "position" else (0 * w, heavy * w)
-    for i, name in enumerate(arm.joint_names):
-        spec.joint(name).armature = (heavy - np.diag(mass))[i]
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.set_to_position(kp[i], kv[i]) if servo == "position" else actuator.set_to_velocity(kv[i])
-        actuator.ctrllimited = actuator.forcelimited = False
-    for i, name in enumerate(arm.joint_names if servo == "integral" else ()):
-        actuator = spec.add_actuator(name=f"{i}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.set_to_intvelocity(kv[i] * 0.25 * w[i])
-        actuator.ctrllimited = actuator.forcelimited = actuator.actlimited = False
-    model = spec.compile()
-    assert [model.joint(i).name for i in range(arm.n)] == list(arm.joint_names)
-    model.dof_damping[:] = 0.0
+    model.dof_armature[:], model.dof_damping[:] = heavy - mass, 0.0
+    mujoco.mj_setConst(model, data)  # what friction needs of them
+    model.actuator_gainprm[: arm.n, 0] = kp if servo == "position" else kv
+    model.actuator_biasprm[: arm.n, 1:3] = np.stack([-kp, -kv], -1)
+    model.actuator_gainprm[arm.n :, 0] = (0.25 * kv * w)[: model.nu - arm.n]
+    model.actuator_biasprm[arm.n :, 1] = -model.actuator_gainprm[arm.n :, 0]
     model.dof_frictionloss[:] = friction * (kp if servo == "position" else 4 * kv)
     model.jnt_actfrclimited[:] = np.isfinite(acceleration)
-    most = heavy * min(acceleration, 1e9)
-    model.jnt_actfrcrange[:] = np.stack([-most, most], -1)
+    model.jnt_actfrcrange[:] = heavy[:, None] * min(acceleration, 1e9) * np.array([-1, 1])
     late = (delay + 1.5) * Ts + float(np.max(2 * damping / w if servo == "position" else 1 / w))
     return Plant(model, model.body(tip).id, q, Ts, delay, servo == "position", late, resolution, noise)
 
@@ -123,95 +108,63 @@ def run(plant, alpha, target, seed=0):
     first, j = look.xpos[tip].copy(), np.zeros((3, n))
     rest = q if plant.position else np.zeros(n)
     data.ctrl[:n] = rest
-    sent, line, errors = q.copy(), [rest] * (plant.delay + 1), []
+    sent, line, errors, step = q.copy(), [rest] * (plant.delay + 1), [], plant.resolution
     for away in target:
         mujoco.mj_kinematics(model, data)
         true = first + away - data.xpos[tip]
         measured = data.qpos + plant.noise * rng.standard_normal(n)
-        if plant.resolution:
-            measured = np.round(measured / plant.resolution) * plant.resolution
-        look.qpos[:] = measured
+        look.qpos[:] = np.round(measured / step) * step if step else measured
         mujoco.mj_kinematics(model, look)
         mujoco.mj_comPos(model, look)
         mujoco.mj_jac(model, look, j, None, look.xpos[tip], tip)
-        e = first + away - look.xpos[tip]
-        errors.append((e, true))
+        errors.append((first + away - look.xpos[tip], true))
         if np.linalg.norm(true) > STRAY:
             break
-        rate = alpha * j.T @ np.linalg.solve(j @ j.T + 1e-6 * np.eye(3), e)
+        rate = alpha * j.T @ np.linalg.solve(j @ j.T + 1e-6 * np.eye(3), errors[-1][0])
         sent = sent + plant.Ts * rate
         line = [*line[1:], sent if plant.position else rate]
-        data.ctrl[:n] = line[0]
-        data.ctrl[n:] = line[0][: model.nu - n]
+        data.ctrl[:] = np.tile(line[0], model.nu // n)
         mujoco.mj_step(model, data, round(plant.Ts / PHYSICS))
     return np.array(errors).swapaxes(0, 1)
 
 
-def push(rng, N, size=None):
+def direction(rng):
     away = rng.standard_normal(3)
-    away = away / np.linalg.norm(away) * (rng.uniform(0.004, 0.02) if size is None else size)
-    return np.tile(away, (N, 1))
+    return away / np.linalg.norm(away)
 
 
-def pushed(plant, alpha, seconds, least):
-    """(Errors (N, 3) of the tip after a push of 1 cm without noise, its direction, whether the run was stopped)."""
-    N = int(np.clip(seconds / plant.Ts, least, 4000))
-    target = push(np.random.default_rng(1), N, 0.01)
-    e = run(plant._replace(noise=0.0), alpha, target)[1]
-    return e, target[0] / 0.01, len(e) < N
-
-
-def over(plant, alpha) -> float:
-    """By how much the tip passes its target after a push of 1 cm, as a share of it; inf where the run is stopped."""
-    e, away, stopped = pushed(plant, alpha, max(25 * plant.late, 4 / alpha), 60)
-    return np.inf if stopped else float(np.max(-e @ away) / 0.01)
-
-
-def growing(plant, alpha) -> bool:
-    e, _, stopped = pushed(plant, alpha, 40 * plant.late, 120)
-    size, third = np.linalg.norm(e, axis=1), len(e) // 3
-    return stopped or size[2 * len(e) // 3 :].max() > 0.95 * size[third : 2 * len(e) // 3].max() > 0.003
-
-
-def limits(plant):
-    """(the largest gain that overshoots by less than 5 %, the largest stable one) [1/s], to some per cent."""
-    best = 0.12 / plant.late
-    while over(plant, best) > 0.05:
-        best /= 1.5
-        if best < 1e-2:
-            return None
-    while over(plant, best * 1.3) <= 0.05 and best < 300:
-        best *= 1.3
-    for step in (1.14, 1.07):
-        best = best * step if over(plant, best * step) <= 0.05 else best
-    most = best
-    while not growing(plant, most * 1.25) and most < 20 * best:
-        most *= 1.25
-    return best, most * 1.12
+def pushed(plant, alpha):
+    """(By how much the tip passes its target after a push of 1 cm, as a share of it, inf where the run is stopped;
+    whether its swing grows)."""
+    N, away = int(np.clip(max(40 * plant.late, 4 / alpha) / plant.Ts, 120, 4000)), direction(np.random.default_rng(1))
+    e = run(plant._replace(noise=0.0), alpha, np.tile(0.01 * away, (N, 1)))[1]
+    if len(e) < N:
+        return np.inf, True
+    middle, last = (np.linalg.norm(e[i * N // 3 : (i + 1) * N // 3], axis=1).max() for i in (1, 2))
+    return np.max(-e @ away) / 0.01, last > 0.95 * middle > 0.003
 
 
 def log(seed, robot, kind):
-    """(plant, errors (N, 3), gain, the largest gain that is right) of a log that "shakes", is "calm", at "rest", or of
-    a "path"."""
+    """(plant, errors (N, 3), gain, largest right gain) of a log that "shakes", is "calm", at "rest", or of a "path"."""
     rng = np.random.default_rng([seed, *kind.encode(), *robot.encode()])
     while True:
         plant = drawn(rng, robot)
-        ends = limits(plant)
-        if ends is None or ends[1] < 1.5 * ends[0]:
+        best = largest(lambda alpha, plant=plant: pushed(plant, alpha)[0] <= 0.05, 0.01 / plant.late, 3 / plant.late)
+        most = largest(lambda alpha, plant=plant: not pushed(plant, alpha)[1], best, 20 * best)
+        if best < 0.011 / plant.late or most < 1.5 * best:
             continue
-        best, most = ends
         N = int(np.clip(rng.uniform(12, 40) * plant.late / plant.Ts, 60, 3000))
         rest = int(rng.integers(3, 40))
         target, alpha = np.zeros((N + rest, 3)), rng.uniform(0.25, 0.85) * best
         if kind == "shakes":
             alpha = rng.uniform(min(1.7 * best, 0.75 * most), 1.35 * most)
         if kind in ("shakes", "calm"):
-            target[rest:] = push(rng, N)
+            target[rest:] = direction(rng) * rng.uniform(0.004, 0.02)
         if kind == "path":
             t = np.arange(N + rest)[:, None] / (N + rest)
             target = 0.03 * rng.standard_normal(3) * np.sin(2 * np.pi * rng.uniform(0.3, 1.2) * t) ** 2
         e = run(plant, alpha, target, seed=int(rng.integers(1 << 30)))[0]
-        if len(e) >= rest + 16 and (kind != "shakes" or over(plant, alpha) >= 0.12):
+        if len(e) >= rest + 16 and (kind != "shakes" or pushed(plant, alpha)[0] >= 0.12):
             return plant, e, alpha, best
 
 
@@ -222,13 +175,10 @@ def answers(shake, calm, seed):
         plant, e, present, best = log(seed + i // len(ROBOTS), list(ROBOTS)[i % len(ROBOTS)], kind)
         for alpha in (present, None):
             found = ck.diagnose(e, plant.Ts, alpha=alpha)
-            worth = "no cause" if found.cause is None else "wrong"
-            if found.factor is not None and kind != "shakes":
-                worth = "false" if found.factor < 1 else "right"
-            elif found.factor is not None and found.factor * present > 0.25 * best:
-                worth = "wrong" if over(plant, found.factor * present) > 0.05 else "right"
-            group = "shakes" if kind == "shakes" else "calm"
-            yield f"{group}, {'no ' * (alpha is None)}alpha", alpha, found, worth
+            gain = (found.factor or 0.0) * present
+            right = gain >= present if kind != "shakes" else gain > 0.25 * best and pushed(plant, gain)[0] <= 0.05
+            worth = "no cause" if found.cause is None else "right" if right else "wrong"
+            yield f"{'shakes' if kind == 'shakes' else 'calm'}, {'no ' * (alpha is None)}alpha", alpha, found, worth
 
 
 if __name__ == "__main__":

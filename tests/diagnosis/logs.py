@@ -7,7 +7,6 @@ the simulated loop.
 
 import collections
 import sys
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +17,7 @@ FINE = 20  # parts of a sample in which drives are followed
 KINDS = ("late", "lag", "excited", "excited lag", "sign", "turned", "healthy", "path", "sweep")
 
 
-class Log(NamedTuple):
-    """A recording and what is true of it."""
-
-    signal: np.ndarray
-    alpha: float | None
-    truth: str
-    about: dict
+Log = collections.namedtuple("Log", "signal alpha truth about")  # a recording, and what is true of it
 
 
 def stable(d):
@@ -39,18 +32,17 @@ def monotone(d):
 
 def loop(z, delay, N, lag=0.0, push=1.0, noise=None, clip=np.inf):
     """(N,) error after a step of its target, of a loop with dead time [samples, whole or not] and a lag [samples]."""
-    steps, x, v, y = np.zeros(N), 0.0, 0.0, np.zeros(N)
-    keep = 0.0 if lag == 0 else np.exp(-1 / (FINE * lag))
+    steps, x, v, y = np.zeros(N), 0.0, 0.0, np.full(N, np.inf)
+    keep = np.exp(-1 / (FINE * lag)) if lag else 0.0
     arrives = np.floor((np.arange(N * FINE) + 0.5) / FINE - delay).astype(int)
     for k in range(N):
         y[k] = push - x
         steps[k] = np.clip(z * (y[k] + (0.0 if noise is None else noise[k])), -clip, clip)
         for at in arrives[k * FINE : (k + 1) * FINE]:
             u = steps[at] if at >= 0 else 0.0
-            x += (u + (v - u) * (lag * FINE * (1 - keep))) / FINE if lag else u / FINE
+            x += u / FINE + (v - u) * lag * (1 - keep)
             v = u + (v - u) * keep
         if abs(x) > 1e12:
-            y[k + 1 :] = np.inf
             break
     return y
 
@@ -82,16 +74,24 @@ def limits(delay, lag):
     phase = -np.pi / 2 - w * (delay + 0.5) - np.arctan(w * lag)
     at = w[np.argmax(phase < -np.pi)]
     most = at * np.hypot(1, at * lag)
-    low, high = 0.0, most
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if over(middle, delay, lag) < 0.01 else (low, middle)
-    return most, low
+    return most, largest(lambda z: over(z, delay, lag) < 0.01, 1e-3 * most, most)
+
+
+def largest(holds, low, high):
+    """The largest number between two of which something holds, by bisection of ratios."""
+    for _ in range(8):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
 
 
 def over(z, delay, lag) -> float:
     """Overshoot of a step, as a share of it."""
     return float(-np.min(loop(z, delay, int(12 * (delay + lag + 4)), lag)))
+
+
+def between(rng, low, high):
+    return np.exp(rng.uniform(np.log(low), np.log(high)))
 
 
 def noisy(rng, e):
@@ -124,20 +124,18 @@ def drawn(rng, kind) -> Log:
             e = np.concatenate([np.full(int(rng.integers(0, 60)), e[0]), e])
         return Log(columns(rng, e), z / TS if known else None, "late", dict(z=z, delay=delay, lag=lag, calm=calm))
     if kind == "sign":
-        delay, z = int(rng.integers(0, 5)), np.exp(rng.uniform(np.log(5e-3), np.log(0.3)))
+        delay, z = int(rng.integers(0, 5)), between(rng, 5e-3, 0.3)
         e = loop(-z, delay, N)
-        e = noisy(rng, e[: max(int(np.argmax(e > 1e6)) or N, 60)])
+        e = noisy(rng, e[: max(np.argmax(e > 1e6) or N, 60)])
         other = loop(z, delay, len(e)) if rng.integers(2) and z < monotone(delay) else e
         return Log(np.stack([e, other], 1) * rng.uniform(0.2, 1, 2), z / TS if known else None, "sign", {})
     if kind == "turned":
         theta = np.radians(rng.choice([-1, 1]) * rng.uniform(35, 170))
-        factor = 1 - np.exp(rng.uniform(np.log(0.02), np.log(0.4))) * np.exp(1j * theta)
-        N = int(rng.uniform(1.3, 5) * 2 * np.pi / abs(np.angle(factor))) + 40
-        N = min(N, int(12 / abs(np.log(abs(factor))) + 30))
-        w = factor ** np.arange(N) * np.exp(1j * rng.uniform(0, 6))
-        y = np.stack([w.real, w.imag], 1)
-        if rng.integers(2):
-            y = np.concatenate([y, 0.5 * abs(1 - abs(1 - factor)) ** np.arange(N)[:, None]], 1)
+        factor = 1 - between(rng, 0.02, 0.4) * np.exp(1j * theta)
+        turns = rng.uniform(1.3, 5)
+        k = np.arange(min(turns * 2 * np.pi / abs(np.angle(factor)) + 40, 12 / abs(np.log(abs(factor))) + 30) // 1)
+        w = factor**k * np.exp(1j * rng.uniform(0, 6))
+        y = np.stack([w.real, w.imag] + [0.5 * abs(1 - abs(1 - factor)) ** k] * rng.integers(2), 1)
         y = y + rng.choice([0, 1e-4, 3e-3]) * np.ptp(y) * rng.standard_normal(y.shape)
         return Log(y, abs(1 - factor) / TS if known else None, "turned", dict(theta=np.degrees(theta)))
     if kind == "healthy":
@@ -149,7 +147,7 @@ def drawn(rng, kind) -> Log:
         shapes = (s, 10 * s**3 - 15 * s**4 + 6 * s**5, np.sin(2 * np.pi * t * rng.uniform(0.2, 1.2)), s**2, s**3)
         e = sum(rng.uniform(-1, 1) * shape for shape in shapes if rng.integers(2)) + s
     else:
-        low, high = np.exp(rng.uniform(np.log(2), np.log(6))), np.exp(rng.uniform(np.log(8), np.log(30)))
+        low, high = between(rng, 2, 6), between(rng, 8, 30)
         e = np.sin(2 * np.pi * (low * t + 0.5 * (high - low) * t**2))
     return Log(columns(rng, noisy(rng, e)), None, "calm", {})
 

@@ -1,12 +1,9 @@
 """What a log breaks is found where it was put, and nothing else."""
 
-import contextlib
-
 import numpy as np
 import pytest
 
 import cnclik as ck
-from cnclik.cli import main
 from cnclik.diagnosis import check_log
 
 K = np.arange(1000)
@@ -77,29 +74,3 @@ def test_how_far_the_tip_strays_half_way():
     assert worst(check, "half-way between rows").value == pytest.approx(1e3 * (1 - np.cos(0.05)), rel=1e-6)
     assert [finding.what for finding in check.broken] == ["beyond its range", "velocity"]
     assert check.broken[0].value == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize(
-    ("options", "code", "words"),
-    [
-        ([], 0, "No limits are given."),
-        (["--limits", "limits.csv"], 1, "Broken limits: 2. The worst: velocity of j1_cmd at 0.5 s."),
-        (["--columns", "j1_pos", "--limits", "limits.csv"], 1, "Broken limits: 1. The worst: velocity of j1_pos"),
-        (["--limits", "fr4"], 2, "Option `--limits` must be one of panda, fr3, FILE.csv, but is 'fr4'"),
-        (["--tip", "hand"], 2, "Option `--tip` must come with ROBOT, but comes without."),
-        (["panda"], 2, "must have a column for each of the chain's 7 joints, but has 1"),
-        (["--limits", "panda"], 2, "must be a single number, but has 7"),
-        (["--json"], 0, '"what": "behind its command", "column": "j1_pos", "value": 0.1, "unit": "rad", "at": 0.5,'),
-    ],
-)
-def test_a_log_on_the_command_line(tmp_path, monkeypatch, capsys, options, code, words):
-    """Names distinguish commands from motion; velocities are left out; the exit code is 1 for a broken limit."""
-    monkeypatch.chdir(tmp_path)
-    command = 0.1 * (K >= 500)
-    table = np.column_stack([1e-3 * K, command, np.roll(command, 20) * 0.99, 50.0 + 0 * K])
-    np.savetxt("log.csv", table, delimiter=",", header="time,j1_cmd,j1_pos,j1_velocity", comments="", fmt="%.6f")
-    (tmp_path / "limits.csv").write_text("joint,velocity\n1,50\n")
-    with pytest.raises(SystemExit) if code else contextlib.nullcontext() as left:
-        main(["check", "log.csv", *options])
-    said = capsys.readouterr()
-    assert (left.value.code if code else 0) == code and words in (said.err if code == 2 else said.out), said

@@ -106,7 +106,8 @@ def test_the_gradient_of_joined_rows_stays_a_loop():
     def fn(q, path):
         end, qs, _ = track(q, path)
         whole = jnp.append(qs[:-1], end[None], 0)
-        return jnp.mean(jnp.sum(whole**2, axis=1)) + jnp.sum(jnp.split(whole, [1, 2], axis=1)[1])
+        some = jnp.sum(whole[:, np.array([0, 2])] ** 3)
+        return jnp.mean(jnp.sum(whole**2, axis=1)) + jnp.sum(jnp.split(whole, [1, 2], axis=1)[1]) + some
 
     q, path = batch(3), batch(300, 3, seed=1)
     check(jax.grad(fn), q, path, ulps=64)
@@ -120,7 +121,8 @@ def test_moves_along_time():
         both = jnp.stack([y, back], 1)
         parts = y[::-1], jnp.flip(y[:, 1]), y[3:40:3], jnp.pad(y, ((2, 1), (0, 0))), y.T[1], y[-1], y[5, 1]
         whole = both[:, 0] + both[:, 1], lax.cummax(x, 0), lax.cumsum(x, 0, reverse=True), jnp.roll(y, 3, 0), y @ A
-        few = jnp.max(y, 1), jnp.any(y > 3, 0), jnp.all(y > -99), jnp.min(back), jnp.where(y[:, :1] > 0, y, q)
+        some = y[:, np.array([0, -1, 0])], y[:, jnp.array([[2], [0]])], jnp.take(y, jnp.array([1, 7]), 1)
+        few = some, jnp.max(y, 1), jnp.any(y > 3, 0), jnp.all(y > -99), jnp.min(back), jnp.where(y[:, :1] > 0, y, q)
         more = jnp.zeros((70, 2)) + q[0], jnp.concatenate([y[1:], y[:1]]) - y, jnp.linspace(0, 1, 70) + x[:, 2]
         return parts, whole, few, more, jnp.arange(70) * q[0]
 

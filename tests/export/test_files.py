@@ -14,6 +14,7 @@ from jax import lax
 import cnclik as ck
 from cnclik.cli import main
 from cnclik.record import record
+from tests.bank import screws
 from tests.export.native import arm, native
 from tests.refusals import refusals
 
@@ -39,7 +40,7 @@ def of_q(fn):
 
 
 ODD = ck.planar_arm([1.0, 0.8], joint_names=["a*/ int x;", "/*/b??/\\"])
-SLIDES = ck.from_screws([[0.1, 0.0, 0.2]] * 4, np.eye(3)[[0, 1, 2, 2]].tolist(), [0.3, 0.0, 0.8], kinds="PPPR")
+SLIDES = screws([[0.1, 0.0, 0.2]] * 4, np.eye(3)[[0, 1, 2, 2]].tolist(), [0.3, 0.0, 0.8], kinds="PPPR")
 
 FLOOR, WAY = ck.wall(ck.position("z"), above=-1.0), ck.waypoints([0.0, 0.5, 1.0], [[1.0, 1.0], [1.2, 1.0], [1.0, 1.3]])
 

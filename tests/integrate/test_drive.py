@@ -8,6 +8,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.drive import Drive, sampled
+from tests.bank import screws
 from tests.oracles import close
 from tests.refusals import refusals
 
@@ -16,7 +17,7 @@ ARM = ck.planar_arm([1.0, 0.8])
 LAW = ck.Law(ARM, ck.position("xy"), alpha=5.0)
 Q = np.array([0.3, 1.1])
 TARGET = np.asarray(ck.forward(ARM, Q).position)[:2] + np.array([0.05, -0.04])
-SLIDER = ck.from_screws([[0.0] * 3], [[1.0, 0, 0]], [0.0, 0.0, 0.0], kinds="P")
+SLIDER = screws([[0.0] * 3], [[1.0, 0, 0]], [0.0, 0.0, 0.0], kinds="P")
 
 
 @pytest.mark.parametrize("command", ["velocity", "position"])
@@ -128,7 +129,7 @@ def test_each_joint_goes_through_its_own_drive():
         ck.solve(ck.Law(SLIDER, ck.position("x"), alpha=5.0), ck.hold([1.0]), [0.0], Ts, 25, "EE", drive=drive).q[:, 0]
         for drive in (Drive(lag=0.02, delay=1.4), Drive(lag=0.05, delay=1.4))
     ]
-    both = ck.from_screws([[0.0] * 3] * 2, np.eye(3)[:2], [0.0] * 3, kinds="PP")
+    both = screws([[0.0] * 3] * 2, np.eye(3)[:2], [0.0] * 3, kinds="PP")
     drive = Drive(lag=[0.02, 0.05], delay=1.4)
     run = ck.solve(
         ck.Law(both, ck.position("xy"), alpha=5.0), ck.hold([1.0, 1.0]), [0.0, 0.0], Ts, 25, "EE", drive=drive

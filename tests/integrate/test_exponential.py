@@ -6,13 +6,13 @@ import pytest
 
 import cnclik as ck
 from cnclik.robot.rotations import exp_so3
-from tests.bank import told
+from tests.bank import screws, told
 from tests.oracles import close
 
 LENGTHS, START = [0.7, 1.1, 0.4], np.array([0.3, -0.9, 0.6])
 ARM = ck.planar_arm(LENGTHS)
 LAW = ck.Law(ARM, ck.position("xy"), alpha=4.0)
-SLIDERS = ck.from_screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0, 0.0, 0.0], kinds="PP")
+SLIDERS = screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0, 0.0, 0.0], kinds="PP")
 
 
 def on_path(period=4.0):

@@ -13,6 +13,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import cnclik as ck
+from tests.bank import screws
 from tests.oracles import central_differences, close
 
 N = 3
@@ -92,7 +93,7 @@ def test_loops_with_the_pseudoinverse(case):
 
 def wrist(v):
     """A spatial arm that turns: points, axes, tool, target quaternion, start and gain, all differentiated."""
-    arm = ck.from_screws(v[:9].reshape(3, 3), v[9:18].reshape(3, 3), v[18:21])
+    arm = screws(v[:9].reshape(3, 3), v[9:18].reshape(3, 3), v[18:21])
     law = ck.Law(arm, ck.orientation(), alpha=v[28], inverse=ck.damped(0.2))
     run = ck.solve(law, ck.hold(None, v[21:25]), v[25:28], 0.1, 2, "EE")
     return jnp.concatenate([run.q[-1], run.e[-1], ck.forward(arm, run.q[-1]).position])

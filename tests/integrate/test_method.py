@@ -1,101 +1,17 @@
-"""Methods: amplification by the library's own `step`, orders, and whole loops against loops written by hand."""
+"""Tableaus: what one may leave out, and what is none. Loops of all methods are in test_combinations."""
 
 import dataclasses
-import functools
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import cnclik as ck
-from tests.oracles import AMPLIFICATION, close
+from tests.bank import screws
+from tests.oracles import close
 from tests.refusals import refusals
 
-Z = [0.1, 0.5, 1.0, 1.354, 2.0, 2.7852935634, 3.3]
-
-# One joint that slides along x, and x as its task: J = 1, so one step shrinks the error by R(z), exactly.
-
-SLIDER = ck.from_screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
+# J = 1: one step shrinks the error by R(z), exactly.
+SLIDER = screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
 SLIDE = ck.Law(SLIDER, ck.position("x"), alpha=1.0)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def amplification(method, alpha, Ts, stage):
-    made = ck.step(ck.replace(SLIDE, alpha=alpha), ck.hold([1.0]), jnp.zeros(1), 0.0, Ts, method, stage)
-    return 1 - made.q[0]
-
-
-@pytest.mark.parametrize("Ts", [1.0, 0.01])
-@pytest.mark.parametrize("method", AMPLIFICATION)
-def test_amplification(method, Ts):
-    """R(z): explicit methods at once; implicit ones by chord iteration, which is exact on a linear problem."""
-    for z in Z:
-        close(amplification(method, z / Ts, Ts, ck.chord(1)), AMPLIFICATION[method](z), atol=1e-12)
-
-
-@jax.jit
-def closed_form(t, q, args):
-    """A 3-joint arm on a Lissajous figure, written without cnclik: tip by sums, J by jacfwd, J# by jnp.linalg."""
-    lengths, alpha = args
-
-    def tip(q):
-        phi = jnp.cumsum(q)
-        return jnp.array([-jnp.sum(lengths * jnp.sin(phi)), jnp.sum(lengths * jnp.cos(phi))])
-
-    target = lambda t: jnp.array([0.3 * jnp.sin(2 * t) + 0.4, 0.2 * jnp.sin(4 * t + 0.5) + 1.2])  # noqa: E731
-    x_d, xdot_d = jax.jvp(target, (t,), (jnp.ones_like(t),))
-    return jnp.linalg.pinv(jax.jacfwd(tip)(q)) @ (xdot_d + alpha * (x_d - tip(q)))
-
-
-LENGTHS, START = np.array([0.7, 1.1, 0.4]), np.array([0.3, -0.9, 0.6])
-FIGURE = ck.lissajous([0.4, 1.2], [0.3, 0.2], period=np.pi, phase=[0.0, 0.5])
-
-
-def test_against_diffrax():
-    """Implicit Euler by its own Newton's method."""
-    import diffrax  # a second, of all workers, if it is at the top
-    import optimistix
-
-    Ts, N = 0.05, 20
-    law = ck.Law(ck.planar_arm(LENGTHS.tolist()), ck.position("xy"), alpha=4.0)
-    run = ck.solve(law, FIGURE, START, Ts, N, "IE", ck.picard(40))
-    wanted = diffrax.diffeqsolve(
-        diffrax.ODETerm(closed_form),
-        diffrax.ImplicitEuler(root_finder=optimistix.Newton(rtol=1e-12, atol=1e-12)),
-        t0=0.0,
-        t1=N * Ts,
-        dt0=Ts,
-        y0=jnp.asarray(START),
-        args=(jnp.asarray(LENGTHS), jnp.asarray(4.0)),
-        saveat=diffrax.SaveAt(t0=True, steps=True),
-        stepsize_controller=diffrax.ConstantStepSize(),
-        max_steps=N + 1,
-    )
-    close(run.q, wanted.ys[: N + 1], atol=1e-11)
-    close(run.t, wanted.ts[: N + 1], atol=1e-14)
-
-
-@pytest.mark.parametrize("method", ck.METHODS.values(), ids=repr)
-def test_tableau(method):
-    """Row sums are the times, and the order conditions hold up to the order and no further."""
-    s = len(method.b)
-    A = np.array([[*row, *[0.0] * (s - len(row))] for row in method.A])
-    b, c = np.array(method.b), np.array(method.c)
-    close(A.sum(1), c, atol=1e-15)
-    conditions = {
-        1: [b.sum() - 1],
-        2: [b @ c - 1 / 2],
-        3: [b @ c**2 - 1 / 3, b @ A @ c - 1 / 6],
-        4: [b @ c**3 - 1 / 4, (b * c) @ A @ c - 1 / 8, b @ A @ c**2 - 1 / 12, b @ A @ A @ c - 1 / 24],
-    }
-    for order, left in conditions.items():
-        if order <= method.order:
-            close(left, 0, atol=1e-15)
-    if method.order < 4:
-        assert np.abs(conditions[method.order + 1]).max() > 0.05
-    assert method.implicit == bool(np.any(np.diag(A)))
-    assert repr(method) == method.name and ck.METHODS[method.name] is method and method.source
 
 
 KUTTA = dict(

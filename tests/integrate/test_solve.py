@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cnclik as ck
+from tests.bank import screws
 from tests.engine.compare import NEEDS_C
 from tests.oracles import close
 from tests.refusals import refusals
@@ -63,9 +64,9 @@ CONSTANT = {"pinv": ck.pseudoinverse(), "damped": ck.damped(0.1)}
 @pytest.mark.parametrize(("inverse", "dtype"), [("pinv", np.float32), ("damped", np.float64)])
 def test_robots_with_a_constant_jacobian(inverse, dtype):
     """Literals all the way: an xy table, and a joint that the task does not see."""
-    table = ck.from_screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0] * 3, kinds="PP")
+    table = screws([[0.0] * 3] * 2, [[1.0, 0, 0], [0, 1.0, 0]], [0.0] * 3, kinds="PP")
     inverse = CONSTANT[inverse]
-    blind = ck.from_screws([[0.0] * 3] * 2, [[0.0, 0, 1], [0, 0, 1.0]], [1.0, 0, 0], kinds="RP")
+    blind = screws([[0.0] * 3] * 2, [[0.0, 0, 1], [0, 0, 1.0]], [1.0, 0, 0], kinds="RP")
     for chain, task, moving in ((table, "xy", [0, 1]), (blind, "z", [1])):
         law = ck.Law(chain, ck.position(task), alpha=1.0, inverse=inverse)
         made = ck.solve(law, ck.hold([1.0] * len(moving)), np.zeros(2, dtype), 0.1, 2, "CN", ck.picard(2))

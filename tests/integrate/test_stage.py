@@ -56,7 +56,7 @@ test_bad_input = refusals(
     (lambda: ck.picard(2.0), "`M` must be an integer, but is 2.0"),
     (lambda: ck.picard(True), "`M` must be an integer, but is True"),
     (lambda: ck.picard(jnp.asarray(2.0)), "`M` must be an integer or an array of integers, but has dtype float64"),
-    (lambda: ck.picard(np.array([1, 7]), maximum=5), "`maximum` must be at least M = 7, but is 5"),
+    (lambda: ck.picard(np.array([1, 7]), maximum=5), "`M` must be 0 to `maximum`, 5, but is 1 to 7"),
     (lambda: ck.picard(5, tolerance=0), "`tolerance` must be positive, but is 0"),
     (lambda: jax.jit(lambda M: ck.picard(M).M)(3), "`maximum` must be given where M is a traced array"),
 )

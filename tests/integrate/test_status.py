@@ -6,6 +6,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.status import StepError, count, names
+from tests.bank import screws
 
 S = ck.Status
 
@@ -18,7 +19,7 @@ Q = np.array([0.2, 1.2])
 HERE = ck.hold(ck.forward(arm(), Q).position[:2])
 NEAR = ck.hold(ck.forward(arm(), Q).position[:2] + jnp.array([0.1, 0.1]))
 
-SLIDER = ck.from_screws([[0.0] * 3], [[1.0, 0, 0]], [0.0] * 3, kinds="P")  # J = 1: the error shrinks by R(z), exactly
+SLIDER = screws([[0.0] * 3], [[1.0, 0, 0]], [0.0] * 3, kinds="P")  # J = 1: the error shrinks by R(z), exactly
 HOLD_ONE, WAVE = ck.hold([1.0]), ck.lissajous([0.0], [1.0], period=2.0)
 
 

@@ -9,11 +9,12 @@ import pytest
 import cnclik as ck
 from cnclik import cache
 from cnclik.integrate import solve as solving
+from tests.bank import screws
 from tests.compiling import compiled
 from tests.engine.compare import NEEDS_C
 from tests.refusals import refusals
 
-SLIDER = ck.from_screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
+SLIDER = screws([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], [0.0, 0.0, 0.0], kinds="P")
 LAW = ck.Law(SLIDER, ck.position("x"), alpha=2.0)
 WAVE = ck.lissajous([0.0], [1.0], period=4.0)
 Q32 = np.zeros(1, np.float32)

@@ -11,9 +11,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import cnclik as ck
-from cnclik.law.bounded import LEAST, LEAST_SHARES
 from cnclik.law.inverse import through
-from cnclik.law.law import rows_at
 from cnclik.robot.model import modelled
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS, G1
@@ -55,7 +53,7 @@ def rows_of(name):
     robot, task = robot_and_task(name)
     law = ck.Law(robot, task, alpha=1.0, inverse=ck.damped(1.0))
     moving, weights = ck.replace(law, chain=modelled(robot)), np.asarray(law.task.weights)[:, None]
-    return jax.jit(jax.vmap(lambda q: rows_at(moving, q).rows * weights))
+    return jax.jit(jax.vmap(lambda q: moving.task.rows_at(moving.chain, q) * weights))
 
 
 def draws(name, count, seed, null=0.0) -> Draws:
@@ -79,7 +77,7 @@ def act(limits, inverse, rows, velocity, null, low, high):
     """A limits method at q = 0 of a chain whose velocities have these bounds."""
     far = jnp.full_like(low, jnp.inf)
     chain = SimpleNamespace(bounded=True, slowed=True, lower=low / RATE, upper=high / RATE, velocity_limit=far)
-    return limits(inverse.shift(rows, velocity, LEAST_SHARES), chain, jnp.zeros_like(low), rows, velocity, null)
+    return limits(inverse.shift(rows, velocity), chain, jnp.zeros_like(low), rows, velocity, null)
 
 
 def least(rows, velocity, null, low, high, shift):
@@ -137,19 +135,6 @@ def test_single_precision():
     qdot, _, shift = map(np.asarray, BOUND["panda"](RATE, ck.damped(1e-4), both[1]))  # below rounding
     for k, of in enumerate(zip(*drawn[:5], strict=True)):
         np.testing.assert_allclose(qdot[k], least(*of, shift[k]), atol=0.05 * size[k, 0])
-
-
-def test_levels_of_which_the_first_is_damped_near_singularities_only():
-    drawn = draws("panda", 50, seed=5)
-    task = ck.stack(hand=ck.position(), rest=ck.orientation()).on(ck.panda())
-    first = ck.singular_damped(0.02, 0.05)
-    made = ck.levels(["hand"], ["rest"], damping=(first, 0.05)).on(task)
-    qdot = np.asarray(BOUND["panda"](RATE, made, drawn[:5])[0])
-    for k, of in enumerate(zip(*drawn[:5], strict=True)):
-        values = np.linalg.svd(of[0][:3], compute_uv=False)
-        little = max((1 - (values[-1] / 0.05) ** 2) * 0.02**2, LEAST * np.sum(values**2))
-        wanted = least(*of, [little] * 3 + [0.05**2] * 3)
-        np.testing.assert_allclose(qdot[k], wanted, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_derivatives_are_differences():

@@ -7,6 +7,7 @@ import pytest
 
 import cnclik as ck
 from cnclik.measure.metrics import chatter
+from tests.bank import screws
 from tests.oracles import close
 from tests.refusals import refusals
 
@@ -160,7 +161,7 @@ def test_targets_out_of_reach_settle_with_the_clamp_and_shake_without():
 
 
 def test_the_clamp_shortens_metres_and_radians_of_a_part_separately():
-    robot = ck.from_screws(np.zeros((3, 3)), np.eye(3), [0.0, 0, 0], kinds="PRP")
+    robot = screws(np.zeros((3, 3)), np.eye(3), [0.0, 0, 0], kinds="PRP")
     law = ck.Law(robot, ck.joints(), alpha=2.0, inverse=ck.pseudoinverse(), error_clamp=(0.1, 0.5))
     for aim, shortened in (([0.3, 2.0, 0.4], [0.06, 0.5, 0.08]), ([0.03, 2.0, 0.04], [0.03, 0.5, 0.04])):
         made = ck.step(law, ck.hold(values=aim), np.zeros(3), 0.0, 0.01, "EE")

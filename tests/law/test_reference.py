@@ -41,8 +41,6 @@ def rotvec(a, b):
 R0, R1, _, R3 = Rotation.random(4, rng=5)
 TIMES = np.array([0.5, 1.0, 2.5, 3.0, 4.0])
 POINTS = np.random.default_rng(6).normal(size=(5, 3))
-LOOP = np.concatenate([POINTS[:-1], POINTS[:1]])
-ROUND = Rotation.from_rotvec([[0, 0, 0], [0, 0.3, 1.9], [0.2, 0, 3.6], [0, 0.1, 5.0], [0, 0, 0]]).as_matrix()
 
 
 def screw(t):
@@ -64,9 +62,7 @@ REFERENCES = {
     "circle-3d": (ck.circle([1.0, 2.0, 0], 0.5, period=-3.0, normal=[1.0, 2, -1]), "xyz"),
     "lissajous": (ck.lissajous([1, 2], [0.5, 0.25], period=3, phase=[0.1, 0]), "xy"),
     "waypoints": (ck.waypoints(TIMES, POINTS), "xyz"),
-    "waypoints-closed": (ck.waypoints(TIMES, LOOP, closed=True), "xyz"),
     "waypoints-pose": (ck.waypoints(TIMES, POINTS, Rotation.random(5, rng=9).as_matrix()), "pose"),
-    "waypoints-pose-closed": (ck.waypoints(TIMES, LOOP, ROUND, closed=True), "pose"),
     "path": (ck.path(lambda t: (jnp.cos(t), 1.0, t**2)), "xyz"),
     "path-pose": (ck.path(screw), "pose"),
 }
@@ -152,53 +148,28 @@ def test_circle_in_space():
     close(at(space, 0.8, "xyz")[0][:2], at(flat, 0.8, "xy")[0], atol=1e-15)
 
 
-@pytest.mark.parametrize("closed", [False, True])
-def test_waypoints_are_the_cubic_spline(closed):
-    points = LOOP if closed else POINTS
-    oracle = CubicSpline(TIMES, points, bc_type="periodic" if closed else "clamped")
-    reference = ck.waypoints(TIMES, points, closed=closed)
-    for t in np.linspace(0.0, 11.0, 45):  # held before and after, or repeated
+def test_waypoints_are_the_cubic_spline():
+    oracle, reference = CubicSpline(TIMES, POINTS, bc_type="clamped"), ck.waypoints(TIMES, POINTS)
+    for t in np.linspace(0.0, 6.0, 25):  # held before and after
         position, _, xdot = at(reference, t, "xyz")
-        known = t if closed else np.clip(t, 0.5, 4.0)
-        close(position, oracle(known), atol=1e-13)
-        close(xdot, oracle(known, 1), atol=1e-12)
+        close(position, oracle(np.clip(t, 0.5, 4.0)), atol=1e-13)
+        close(xdot, oracle(np.clip(t, 0.5, 4.0), 1), atol=1e-12)
 
 
-@pytest.mark.parametrize("closed", [False, True])
-def test_orientations_are_the_spline_of_quaternions_in_any_frame(closed):
+def test_orientations_are_the_spline_of_quaternions_in_any_frame():
     """Of quaternions of either sign; seen from another frame it is the same motion. Traced ones are the known ones."""
-    turns = Rotation.from_matrix(ROUND if closed else Rotation.random(5, rng=9).as_matrix())
+    turns = Rotation.random(5, rng=9)
     q = turns.as_quat(scalar_first=True)
     for k in range(1, 5):
         q[k] *= np.sign(q[k] @ q[k - 1])
-    bc = "clamped"
-    times, points = TIMES, q
-    if closed:  # a full turn: the other sign
-        sign = np.sign(q[0] @ q[-1])
-        times, points = np.r_[TIMES, TIMES[1:] + 3.5], np.r_[q[:-1], sign * q[:-1], q[:1]]
-        bc = "periodic"
-    oracle = CubicSpline(times, points, bc_type=bc)
-    made = [
-        ck.waypoints(TIMES, None, form, closed=closed) for form in (turns.as_matrix(), -q, (R3 * turns).as_matrix())
-    ]
+    made = [ck.waypoints(TIMES, None, form) for form in (turns.as_matrix(), -q, (R3 * turns).as_matrix())]
     t = np.linspace(0.5, 4.0, 15)
-    wanted = Rotation.from_quat(oracle(t), scalar_first=True)
+    wanted = Rotation.from_quat(CubicSpline(TIMES, q, bc_type="clamped")(t), scalar_first=True)
     found = [jax.vmap(lambda t, r=r: r.curve(t)[1])(t) for r in made]
-    traced = jax.jit(lambda r: jax.vmap(lambda t: ck.waypoints(TIMES, None, r, closed=closed).curve(t)[1])(t))
+    traced = jax.jit(lambda r: jax.vmap(lambda t: ck.waypoints(TIMES, None, r).curve(t)[1])(t))
     for rotation in (*found[:2], traced(turns.as_matrix())):
         close(rotation, wanted.as_matrix(), atol=1e-12)
     close(found[2], (R3 * wanted).as_matrix(), atol=1e-12)
-
-
-def test_closed_orientation_through_a_full_turn():
-    """A full turn about z comes back with the quaternion's other sign; velocity stays continuous there."""
-    angles = np.linspace(0, 2 * np.pi, 6)
-    r = Rotation.from_rotvec(np.stack([0 * angles, 0 * angles, angles], 1)).as_matrix()
-    reference = ck.waypoints(np.arange(6.0), np.zeros((6, 3)), r, closed=True)
-    for t in (0.0, 1e-9, 2.5, 5 - 1e-9):
-        close(at(reference, t, "pose")[2][3:5], 0, atol=1e-12)
-    close(at(reference, 1e-9, "pose")[2], at(reference, 5 - 1e-9, "pose")[2], atol=1e-7)
-    assert at(reference, 1e-9, "pose")[2][5] == pytest.approx(2 * np.pi / 5, rel=0.1)
 
 
 TURN = np.eye(3)
@@ -220,8 +191,6 @@ test_bad_input = refusals(
     (lambda: ck.waypoints([0], [[1, 1]]), "`times` must be two or more that increase"),
     (lambda: ck.waypoints([0, 0], [[1, 1]] * 2), r"`times` must be two or more that increase, but is \[0.0, 0.0\]"),
     (lambda: ck.waypoints([0, 1]), "`positions` must be given, or `rotations`"),
-    (lambda: ck.waypoints([0, 1, 2], [[1, 0], [0, 1], [-1, 0]], closed=True), "`positions` must end where it starts"),
-    (lambda: ck.waypoints([0, 1], None, [[1, 0, 0, 0], [0.6, 0.8, 0, 0]], closed=True), "`rotations` must end where"),
     (lambda: ck.causal(5), "`reference` must be a Reference such as"),
     (lambda: jax.jit(lambda t: ck.waypoints(t, POINTS).curve(0.0))(TIMES), "`times` must be known numbers"),
     (lambda: ck.path(3), "`fn` must be a function of time, but is 3"),

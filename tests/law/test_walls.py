@@ -11,17 +11,18 @@ import pytest
 
 import cnclik as ck
 from cnclik.integrate.status import StepError
-from cnclik.law.bounded import Bounded
+from cnclik.law.walls import Wall
 from cnclik.record import record
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
+from tests.bank import screws
 from tests.law.test_bounded import RATE, draws
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS
 from tests.task.test_shapes import HUMANOID
 
 ROOM = {"lower": [-1.0] * 3, "upper": [1.0] * 3, "velocity_limit": [5.0] * 3}
-GANTRY = ck.from_screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
+GANTRY = screws([[0.0] * 3] * 3, np.eye(3), [0.0] * 3, kinds="PPP", **ROOM)  # J = I
 
 
 def wall_distance(law, q):
@@ -35,12 +36,11 @@ def wall_distance(law, q):
 
 
 @record
-class Given:
+class Given(Wall):
     """A wall whose row and distance are given."""
 
     gradient: Any
     h: Any
-    rate: Any
 
     def distance(self, robot):
         return self.h
@@ -64,8 +64,9 @@ def acts(damping, rows, velocity, low, high, walls, floor):
     far, rate, damping = map(jnp.asarray, (jnp.inf, RATE, damping))
     bounds = {"lower": low / RATE, "upper": high / RATE, "velocity_limit": far + 0 * low}
     chain = SimpleNamespace(bounded=True, slowed=True, **bounds)
-    made = tuple(Given(gradient=walls[i], h=-floor[i] / rate, rate=rate) for i in range(len(walls)))
-    limits = Bounded(rate=rate, passes=100, walls=made)
+    unused = {"task": None, "normal": 0.0, "offset": 0.0, "name": ""}
+    made = [Given(gradient=walls[i], h=-floor[i] / rate, rate=rate, **unused) for i in range(len(walls))]
+    limits = ck.bounded(rate, 100, made)
     return limits(damping**2, chain, jnp.zeros_like(low), rows, velocity, None)
 
 

@@ -10,9 +10,10 @@ import xarray as xr
 import cnclik as ck
 from cnclik.measure import to_dataset
 from cnclik.measure.files import markdown, save_netcdf
+from tests.bank import screws
 from tests.refusals import refusals
 
-CHAIN = ck.from_screws([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [1, 0, 0]], [1.0, 0.0, 0.0], kinds="RP")  # units differ
+CHAIN = screws([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [1, 0, 0]], [1.0, 0.0, 0.0], kinds="RP")  # units differ
 LAW = ck.Law(CHAIN, ck.position("xy"), alpha=2.0)
 TARGET, Q0 = ck.hold([1.2, 0.3]), np.array([0.0, 0.1])
 RUN = ck.solve(LAW, TARGET, Q0, 0.1, 4, "EE")

@@ -13,6 +13,7 @@ import cnclik as ck
 from cnclik.record import stack
 from cnclik.robot.chain import assemble
 from cnclik.robot.posture import start_posture
+from tests.bank import screws
 from tests.oracles import close, dh_product, planar_jacobian, planar_position, product_of_exponentials, transform
 from tests.refusals import refusals
 
@@ -65,12 +66,12 @@ def test_from_dh_right_angles_fold():
 
 @pytest.mark.parametrize("as_array", [False, True], ids=["literal", "leaf"])
 @pytest.mark.parametrize("kinds", ["RRR", "PRP"])
-def test_from_screws(kinds, as_array):
+def test_joints_one_by_one_are_a_product_of_exponentials(kinds, as_array):
     rng = np.random.default_rng(3)
     points, axes = rng.normal(size=(2, 3, 3))
     axes[0] = [0, 0, 2]  # not of length one: normalised
     form = (lambda a: a) if as_array else np.ndarray.tolist
-    chain = ck.from_screws(form(points), form(axes), form(TOOL), kinds=kinds)
+    chain = screws(form(points), form(axes), form(TOOL), kinds=kinds)
     for q in rng.uniform(-3, 3, (10, 3)):
         close(matrix(chain, q), product_of_exponentials(points, axes, TOOL, kinds, q), atol=1e-13)
 
@@ -91,9 +92,6 @@ def test_names_limits_and_repr():
     assert repr(chain) == "Chain(RP, joint_names=['q1', 'q2'])"
 
 
-I3 = np.eye(3).tolist()
-
-
 test_bad_input = refusals(
     (lambda: ck.planar_arm([]), r"`lengths` must have shape \(n,\), but has shape \(0,\)\."),
     (lambda: ck.planar_arm([1.0, -1.0]), r"`lengths\[1\]` must be at least 0, but is -1\."),
@@ -106,9 +104,7 @@ test_bad_input = refusals(
     (lambda: ck.replace(ARM, velocity_limit=2.0), r"`velocity_limit` must have 2 numbers, but is a single number\."),
     (lambda: ck.replace(ARM, upper=(1.0, -7.0), lower=(0.0, -6.0)), r"must not exceed `upper`, but is -6 > -7"),
     (lambda: ck.from_dh([1e300], [0.0], [0.0]), r"`a\[0\]` must be within ±1e\+12"),
-    (lambda: ck.from_screws(I3, I3[:2], [1.0, 0.0, 0.0]), r"`axes` must have shape \(3, 3\) like `points`"),
-    (lambda: ck.from_screws(I3, np.zeros((3, 3)), [1.0, 0.0, 0.0]), r"`axes\[0\]` must not be the zero vector"),
-    (lambda: ck.from_screws(I3, I3, [1.0, 0.0]), r"`home` must have shape \(3,\), but has shape \(2,\)\."),
+    (lambda: ck.with_tool(ARM, [1.0, 0.0]), r"`tool` must have shape \(3,\), but has shape \(2,\)\."),
     (lambda: assemble([]), r"`joints` must hold at least one joint"),
     (lambda: ck.planar_arm([1.0], clockwise="no"), "`clockwise` must be True or False, but is 'no'"),
     (lambda: ck.with_tool(ARM, [[1, 2], [3]]), r"`tool` must be one pose: .*, or a position \(3,\), but is \[\["),

@@ -43,7 +43,6 @@ DOORS = {
     "reach": lambda x: rows(read(x, pose())),
     "with_tool": lambda x: tip_of(ck.with_tool(STRAIGHT, x)),
     "with_base": lambda x: tip_of(ck.with_base(STRAIGHT, x)),
-    "home": lambda x: tip_of(ck.from_screws([[0, 0, 0]], [[0, 0, 1]], x)),
 }
 FORMS = {
     "array": T,
@@ -117,7 +116,7 @@ def test_of_many_the_first_wrong_one_is_named():
 def test_entries_may_be_traced():
     def place(x):
         at = [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.2], [0.0, 0.0, 0.0, 1.0]]
-        held = ck.hold([x, 0.3]).curve, ck.with_tool(STRAIGHT, at).tip, ck.hold(at).curve
+        held = ck.hold([x, 0.3]).curve, ck.with_tool(STRAIGHT, at).tips[0].offset, ck.hold(at).curve
         return sum(one.position[0] for one in held)
 
     assert jax.jit(place)(2.0) == 6 and jax.grad(place)(2.0) == 3

@@ -47,16 +47,7 @@ def test_a_posture_has_the_gains_of_a_task():
 
 
 def test_a_task_of_ones_own_needs_no_posture():
-    """A look-at task, whose error is a function of its target."""
-
-    def looks(robot, q, target):
-        pose = ck.forward(robot, q)
-        away = pose.rotation.T @ (target - pose.position)
-        return away[1:] / jnp.linalg.norm(away)
-
-    look = ck.function(
-        lambda robot, q: ck.forward(robot, q).rotation[:2, 0], ["y", "z"], ["1", "1"], error=looks, target=3
-    )
+    look = ck.function(lambda robot, q: ck.forward(robot, q).rotation[:2, 0], ["y", "z"], ["1", "1"])
     tasks = ck.stack(hand=ck.position(), look=look, rest=ck.joints())
     levels = ck.levels(["hand"], ["look"], ["rest"], damping=(1e-3, 0.02, 0.3))
     said = advise(ck.Law(PANDA, tasks, alpha=1.0, inverse=levels), Ts=0.01, method="EE", drive=Drive(delay=3))

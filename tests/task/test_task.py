@@ -1,4 +1,4 @@
-"""Tasks: coordinates, rows, the rotation-vector error; functions of joint values and of a target that moves."""
+"""Tasks: coordinates, rows, the rotation-vector error; functions of joint values."""
 
 import jax
 import jax.numpy as jnp
@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import cnclik as ck
-from cnclik.law.law import observe
 from cnclik.law.reference import aims_of
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from cnclik.task.task import error, rows
+from tests.bank import screws
 from tests.oracles import close
 from tests.refusals import refusals
 
-ARM = ck.from_screws(
+ARM = screws(
     [[0.0, 0, 0], [0, 0, 0.3], [0, 0.4, 0.3], [0, 0.8, 0.3]],
     [[0.0, 0, 1], [1, 0, 0], [1, 0, 0], [0.6, 0, 0.8]],
     [0.1, 1.0, 0.3],
@@ -62,7 +62,30 @@ def test_task_coordinates_are_position_and_rotation_vector():
     close(run.e, 0, atol=1e-14)
 
 
+def test_a_function_has_the_rows_of_what_it_is():
+    """A camera at the tip sees a point; forwards and, for walls and start postures, of several postures at once."""
+    point = np.array([0.9, 0.2, 0.7])
+
+    def seen(robot, q):
+        at = ck.forward(robot, q)
+        away = at.rotation.T @ (point - at.position)
+        return away[:2] / jnp.linalg.norm(away)
+
+    task, h = ck.function(seen, ["across", "down"], ["1", "1"]), 1e-6
+    e, made = measure(task, Q, ck.hold(values=[0.4, 0.1]))
+    close(e, np.array([0.4, 0.1]) - seen(ARM, Q), atol=1e-14)
+    differences = [(seen(ARM, Q + d) - seen(ARM, Q - d)) / (2 * h) for d in h * np.eye(4)]
+    close(made, np.transpose(differences), atol=1e-8)
+    close(task.rows_at(modelled(ARM), np.stack([Q, Q]))[1], made, atol=1e-14)
+
+
 test_bad_input = refusals(
+    (lambda: ck.function(3, ["a"], ["m"]), "`value` must be a function"),
+    (
+        lambda: _run(ck.function(lambda robot, q: q[:2], ["a"], ["m"]), ck.hold(values=[0.4])),
+        "`value` must return shape",
+    ),
+    (lambda: _run(ck.position("xy"), ck.hold([0.1])), r"`reference` must give 2 values \(x, y\), but gives 1"),
     (lambda: ck.position("yx"), "`axes` must be letters of \"xyz\" in that order, but is 'yx'"),
     (lambda: ck.pose("xy", "zz"), "`rotation_axes` must be letters"),
     (lambda: ck.position("xy", weights=[1]), r"`weights` must be a single number or have 2 numbers, but has 1"),
@@ -70,62 +93,5 @@ test_bad_input = refusals(
 )
 
 
-PANDA = ck.panda()
-BENT = np.array([0.3, -0.5, 0.2, -1.8, 0.4, 1.6, 0.3])
-HERE = ck.forward(PANDA, BENT)
-
-
-def direction(robot, q, target):
-    """Where a target is in the tip's frame, as seen from it: two coordinates of its direction."""
-    at = ck.forward(robot, q)
-    away = at.rotation.T @ (target - at.position)
-    return away[:2] / jnp.linalg.norm(away)
-
-
-def looking():
-    """A camera at the tip that looks at a target that moves."""
-    return ck.function(
-        lambda robot, q: ck.forward(robot, q).rotation[:2, 2], ["across", "down"], ["1", "1"], error=direction,
-        target=3,
-    )  # fmt: skip
-
-
-LOOK = looking() & ck.position("z")
-
-
-def paths(speed=1.0):
-    """A target that moves on a circle ahead of the tip, and the tip's height."""
-    ahead = np.asarray(HERE.position) + np.asarray(HERE.rotation)[:, 2] * 0.8 + np.array([0.05, 0.1, 0.0])
-
-    def seen(t):
-        return ahead + 0.1 * jnp.stack([jnp.sin(2 * speed * t), 1 - jnp.cos(2 * speed * t), jnp.sin(speed * t)])
-
-    high = ck.path(lambda t: HERE.position[2:] + 0.05 + 0.05 * jnp.sin(2 * t))
-    return ck.references(function=ck.path(seen), tip=high)
-
-
-def test_rows_and_velocities_are_what_the_error_does():
-    """Differences of the error."""
-    law, moving = ck.Law(modelled(PANDA), LOOK, alpha=1.0), paths()
-
-    @jax.jit
-    def missing(q, t):
-        return error(law.task, At(law.chain, q), aims_of(moving, law.task, t))
-
-    rows, velocity = jax.jit(lambda q: (lambda o: (o.rows, o.xdot_d))(observe(law, moving, 0.5, q)))(BENT)
-    h = 1e-6
-    differences = [(missing(BENT + d, 0.5) - missing(BENT - d, 0.5)) / (2 * h) for d in h * np.eye(7)]
-    close(rows, -np.transpose(differences), atol=1e-8)
-    close(velocity, (missing(BENT, 0.5 + h) - missing(BENT, 0.5 - h)) / (2 * h), atol=1e-8)
-
-
-test_functions_that_are_refused = refusals(
-    (lambda: _run(looking(), ck.hold(values=[0.4, 0.1])), r"`reference` must give 3 values \(across, down\)"),
-    (lambda: _run(looking(), ck.hold_at(PANDA, looking(), BENT)), "must give 3 values .*, but gives 0"),
-    (lambda: ck.function(abs, ["a"], ["m"], target=2), "`target` must come with an `error`"),
-    (lambda: ck.function(abs, ["a"], ["m"], error=1), "`error` must be a function"),
-)
-
-
 def _run(task, reference):
-    return ck.solve(ck.Law(PANDA, task, alpha=1.0), reference, BENT, 0.01, 1)
+    return ck.solve(ck.Law(ARM, task, alpha=1.0), reference, Q, 0.01, 1)
