@@ -10,7 +10,7 @@ from cnclik.measure.metrics import METRICS, chatter, measure_run
 from tests import plain
 from tests.refusals import refusals
 
-SCALARS = [n for n in METRICS if n not in ("ending", "stable")]  # these are in test_ending
+SCALARS = [n for n in METRICS if n not in ("ending", "stable")]  # these are in test_outcome
 ARM = ck.from_dh(
     [1.0, 0.8, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], velocity_limit=[1.0, 2.0, 3.0], lower=[-3.0] * 3, upper=[2.5] * 3
 )
