@@ -1,4 +1,4 @@
-"""`cnclik diagnose` and `check` as users meet them: a log in, a sentence, numbers, a figure; one line for bad input."""
+"""`cnclik diagnose` and `check`: a log in, a sentence, numbers, a figure; one line for bad input."""
 
 import contextlib
 import json
