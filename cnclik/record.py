@@ -189,6 +189,11 @@ def _in_short(self) -> str:
     return f"{type(self).__name__.strip('_')}({given})"
 
 
+def xp_for(*values):
+    """NumPy, which compiles nothing, where all arrays of these trees are known; else JAX's."""
+    return np if "jax" not in sys.modules or all(map(errors.concrete, jax.tree.leaves(values))) else jax.numpy
+
+
 def leaf(value):
     """A parameter: a Python number becomes a float64 array, so that another value needs no new compilation."""
     return np.asarray(value, float) if type(value) in (int, float) else value

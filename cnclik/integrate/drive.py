@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from cnclik import errors, quantities
-from cnclik.record import AnyArray, ArrayLike, Float, Number, is_literal, leaf, record, replace
+from cnclik.record import AnyArray, ArrayLike, Float, Number, is_literal, leaf, record, replace, xp_for
 
 COMMANDS = ("velocity", "position")
 FEEDBACKS = ("measured", "commanded", "rebased")
@@ -128,7 +128,7 @@ class Drive:
         """Return the share ρ of the old value that the filter keeps at a sampling time [s]."""
         if self.cutoff is None:
             return self.smoothing
-        xp = library(self.cutoff, Ts)
+        xp = xp_for(self.cutoff, Ts)
         return xp.exp(-2 * np.pi * self.cutoff * Ts)
 
     @property
@@ -169,15 +169,6 @@ class Drive:
             return [self]
         rows = dict.fromkeys(zip(*(v.tolist() for v in numbers.values()), strict=True))
         return [replace(self, **dict(zip(numbers, row, strict=True))) for row in rows]
-
-
-def library(*values):
-    """NumPy where all values are known, else jax.numpy."""
-    if all(map(errors.concrete, values)):
-        return np
-    import jax.numpy as jnp
-
-    return jnp
 
 
 def _none(value) -> bool:
@@ -272,7 +263,7 @@ def sampled(drive: Drive, Ts) -> Sampled:
     if drive.order == 0:
         late = Ts * np.full(1, share) if share else None
         return Sampled(phi=np.ones((1, 1)), now=Ts * np.full(1, 1.0 - share), late=late, whole=whole)
-    xp = library(*(getattr(drive, name) for name in _QUANTITIES), Ts)
+    xp = xp_for(*(getattr(drive, name) for name in _QUANTITIES), Ts)
     a, b = _continuous(drive, Ts, xp)
     phi, gamma = _held(a, b, Ts * (1.0 - share), xp)
     if share == 0:

@@ -60,7 +60,7 @@ def march(field, q, Ts, method: Method, stage, first=None, *, at=None):
     slopes = []
     residual = contraction = jnp.zeros((), q.dtype)
     for i, (row, c) in enumerate(zip(method.A, method.c, strict=True)):
-        base = shift(q, Ts, row[:i], slopes)
+        base = q + Ts * combine(row[:i], slopes) if any(row[:i]) else q
         if row[i] == 0:
             slopes.append(first.qdot if c == 0 and not any(row) else field(at[i], base).qdot)
             continue
@@ -102,11 +102,6 @@ def combine(weights, vectors):
     """Return Σ wᵢ vᵢ, without terms whose weight is known to be 0."""
     parts = [w * v for w, v in zip(weights, vectors, strict=True) if not (type(w) is float and w == 0)]
     return functools.reduce(operator.add, parts)
-
-
-def shift(q, h, weights, slopes):
-    """Return q + h Σ wᵢ kᵢ."""
-    return q + h * combine(weights, slopes) if any(weights) else q
 
 
 # --- exponential steps: the error decays by its exact factor ------------------------------------------

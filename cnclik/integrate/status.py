@@ -116,9 +116,12 @@ def flags(law, q, qdot, e, residual, tolerance, first):
     status |= jnp.where(size > far(residual.dtype), int(Status.DIVERGED), 0)
     # A singular value that is NaN counts as too small.
     status |= jnp.where(jnp.min(first.least) >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
-    fast, at_limit = too_fast(chain, qdot), first.limited
-    if chain.bounded:
-        at_limit |= jnp.any(_at_limit(q, chain.lower, chain.upper))
+    fast, at_limit = False, first.limited
+    if chain.slowed:  # by more than rounding
+        fast = jnp.any(jnp.abs(qdot) > chain.velocity_limit * (1 + 64 * jnp.finfo(qdot.dtype).eps))
+    if chain.bounded:  # a joint whose limits are equal is at none, at that value
+        low, high = chain.lower, chain.upper
+        at_limit |= jnp.any(((q <= low) | (q >= high)) & ((q != low) | (q != high)))
     missed = False if first.walls is None else jnp.any(first.walls < -rounding_of(first.qdot))
     bits = {Status.AT_LIMIT: at_limit, Status.OVER_VELOCITY: fast, Status.WALLS_CONTRADICT: missed}
     for bit, holds in bits.items():
@@ -134,18 +137,6 @@ def task_flags(law, first):
     if not law.task.tasks:
         return None
     return jnp.where(first.least >= law.near_singular, 0, int(Status.NEAR_SINGULAR))
-
-
-def _at_limit(v, low, high):
-    """Return whether a joint is at or beyond a limit; a joint whose limits are equal is not, at that value."""
-    return ((v <= low) | (v >= high)) & ((v != low) | (v != high))
-
-
-def too_fast(chain, qdot):
-    """Return whether a joint exceeds its velocity limit by more than rounding; False without a limit."""
-    if not chain.slowed:
-        return False
-    return jnp.any(jnp.abs(qdot) > chain.velocity_limit * (1 + 64 * jnp.finfo(qdot.dtype).eps))
 
 
 def far(dtype) -> float:

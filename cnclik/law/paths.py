@@ -15,7 +15,7 @@ import numpy as np
 
 from cnclik import errors
 from cnclik.cache import bounded_jit
-from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record, replace
+from cnclik.record import Array, ArrayLike, Float, Number, brief, leaf, record, replace, xp_for
 from cnclik.robot import poses
 from cnclik.robot.model import Pose
 from cnclik.robot.rotations import exp_so3, log_so3, quaternion_from_rotation, rotation_from_quaternion
@@ -242,7 +242,7 @@ def circle(
         v = np.cross(w, u)
     elif normal is not None:
         raise errors.fail("normal", "be left out for a circle in a plane", f"is {normal!r}")
-    xp = poses.library(phase)  # NumPy compiles nothing
+    xp = xp_for(phase)  # NumPy compiles nothing
     c, s = xp.cos(phase), xp.sin(phase)
     first, second = radius * (c * u + s * v), radius * (c * v - s * u)
     return _periodic(Circle, period, rotation, center=center, first=first, second=second)
@@ -270,7 +270,7 @@ def lissajous(
     d = len(center)
     frequency = errors.array("frequency", np.arange(1.0, d + 1) if frequency is None else frequency, (d,))
     phase = errors.array("phase", np.zeros(d) if phase is None else phase, (d,))
-    amplitude, xp = errors.array("amplitude", amplitude, (d,)), poses.library(phase)
+    amplitude, xp = errors.array("amplitude", amplitude, (d,)), xp_for(phase)
     first, second = amplitude * xp.sin(phase), amplitude * xp.cos(phase)
     return _periodic(Lissajous, period, rotation, center=center, first=first, second=second, frequency=frequency)
 

@@ -7,6 +7,7 @@ import numpy as np
 from cnclik import errors
 from cnclik.law.paths import Reference
 from cnclik.law.reference import References, aims_of
+from cnclik.record import xp_for
 from cnclik.robot import poses
 from cnclik.task.task import Task, aims, of_tips
 
@@ -22,7 +23,7 @@ def read(targets, task: Task):
     sizes = {len(v) for *_, where, turn in each for v, own in ((where, 1), (turn, 2)) if v is not None and v.ndim > own}
     if len(sizes) > 1:
         raise errors.fail("targets", "be as many of each, or one", f"are {' and '.join(map(str, sorted(sizes)))}")
-    alone, size, xp, made = not sizes, max(sizes, default=1), poses.library([row[2:] for row in each]), []
+    alone, size, xp, made = not sizes, max(sizes, default=1), xp_for([row[2:] for row in each]), []
     if size == 0:
         raise errors.fail("targets", "hold at least one target", "hold none")
     for _, aim, where, turn in each:
@@ -42,7 +43,7 @@ def wanted_at(reference: Reference | References, task: Task, t):
         own = [(part.turns, next(values)) for part in aim.parts]
         places, turns = ([value for kind, value in own if kind == turn] for turn in (False, True))
         order = np.argsort(aim.linear) if len(aim.linear) == 3 else slice(None)  # as x y z
-        where = poses.library(*places).concatenate(places)[order] if places else None
+        where = xp_for(*places).concatenate(places)[order] if places else None
         each.append((where, turns[0] if turns else None))
     return of, each[0] if len(each) == 1 else dict(zip(_names(aims(of)), each, strict=True))
 
@@ -90,7 +91,7 @@ def _positions(name, value, aim, alone=True):
         held = f"holds {value.shape[-1]}" if value.ndim in (1, 2) else f"has shape {value.shape}"
         held += ", as for the task position" * (value.shape[-1:] == (3,))
         raise errors.fail(name, f"hold {needed}", held)
-    xp, value = poses.library(value), np.asarray(value, float) if errors.concrete(value) else value
+    xp, value = xp_for(value), np.asarray(value, float) if errors.concrete(value) else value
     if value.shape[-1] == 3:
         return value
     each = dict(zip(aim.linear, xp.moveaxis(value, -1, 0), strict=True))

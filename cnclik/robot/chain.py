@@ -169,12 +169,16 @@ def from_dh(
     alpha, d = _scalars("alpha", alpha, n), _scalars("d", d, n)
     theta = _scalars("theta", (0.0,) * n if theta is None else theta, n)
     modified = errors.one_of("convention", convention, ("standard", "modified")) == "modified"
+    kinds = "R" * n if kinds is None else kinds
+    if not isinstance(kinds, str) or len(kinds) != n or not set(kinds) <= {"R", "P"}:
+        raise errors.fail("kinds", f"be {n} letters R or P", f"is {kinds!r}")
     joints, before = [], Offset()
-    for i, kind in enumerate(_kinds(kinds, n)):
+    for i, letter in enumerate(kinds):
         along_x = Offset(position=(a[i], 0.0, 0.0), rotation=turn((1.0, 0.0, 0.0), alpha[i]))
         along_z = Offset(position=(0.0, 0.0, d[i]), rotation=turn((0.0, 0.0, 1.0), theta[i]))
         before = compose(before, along_x) if modified else before
         # Rot_z(θ + q) Trans_z(d) commute with the joint's own motion about or along z.
+        kind = REVOLUTE if letter == "R" else PRISMATIC
         joints.append(Joint(kind=kind, axis=(0.0, 0.0, 1.0), origin=before, coordinate=i))
         before = along_z if modified else compose(along_z, along_x)
     return assemble(joints, before, joint_names=joint_names, lower=lower, upper=upper, velocity_limit=velocity_limit)
@@ -235,14 +239,6 @@ def _known(name, values, n):
     if any(map(math.isnan, known)):
         raise errors.fail(name, "hold no NaN", f"is {tuple(known)}")
     return known
-
-
-def _kinds(kinds, n):
-    letters = {"R": REVOLUTE, "P": PRISMATIC}
-    word = "R" * n if kinds is None else kinds
-    if not isinstance(word, str) or len(word) != n or not set(word) <= set(letters):
-        raise errors.fail("kinds", f"be {n} letters R or P", f"is {kinds!r}")
-    return tuple(letters[k] for k in word)
 
 
 def offset_of(name, transform) -> Offset:

@@ -9,7 +9,6 @@ import itertools
 import math
 
 from cnclik.record import Number, record
-from cnclik.robot.tree import snapped
 
 Triple = tuple[Number, Number, Number]
 
@@ -66,6 +65,11 @@ def matmul(a, b):
 
 def transpose(m):
     return tuple(zip(*m, strict=True))
+
+
+def snapped(values):
+    """Return sines and cosines with those within rounding of 0 and ±1 made exact, so that literals fold."""
+    return tuple(float(round(x)) if abs(x - round(x)) < 1e-15 else x for x in values)
 
 
 def turn(axis, angle):

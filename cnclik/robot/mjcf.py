@@ -15,9 +15,9 @@ import numpy as np
 from cnclik import errors
 from cnclik.reading import read_bytes
 from cnclik.robot.chain import Chain
-from cnclik.robot.fixed import ZERO, Offset, compose, scale, vsub
+from cnclik.robot.fixed import ZERO, Offset, compose, scale, snapped, vsub
 from cnclik.robot.rotations import rotation_from_quaternion
-from cnclik.robot.tree import MOST, MOVING, Edge, Tree, snapped, text_of
+from cnclik.robot.tree import MOST, MOVING, Edge, Tree, text_of
 from cnclik.robot.urdf import chain, moved
 
 _TYPES = ("floating", "ball", "prismatic", "revolute")  # by mjtJoint

@@ -252,26 +252,22 @@ def as_joint_values(chain: Chain | Model, q, *, finite=False) -> Float[Array, " 
     return q if isinstance(q, jax.Array) else jax.device_put(q)  # jnp.asarray would compile a program
 
 
-def _computed(fn):
-    """Decorator: the arrays of fn(model, q, index of the tip), by NumPy, which does not compile, if all are numbers."""
-    program = bounded_jit(lambda chain, q, tip: fn(cast(modelled(chain), q.dtype), q, tip), static_argnames="tip")
-
-    def call(chain, q, tip):
-        q, number = as_joint_values(chain, q), chain.tip_number(tip)
-        if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
-            return program(chain, q, tip=number)
-        return [jax.device_put(v.astype(q.dtype)) for v in fn(modelled(chain), np.asarray(q, float), number)]
-
-    return call
+def _computed(fn, chain, q, tip) -> list:
+    """Return the arrays of fn(model, q, index of the tip), by NumPy, which does not compile, if all are numbers."""
+    q, number = as_joint_values(chain, q), chain.tip_number(tip)
+    if not all(map(errors.concrete, jax.tree.leaves((chain, q)))):
+        return _program(chain, q, fn=fn, tip=number)
+    return [jax.device_put(v.astype(q.dtype)) for v in fn(modelled(chain), np.asarray(q, float), number)]
 
 
-@_computed
+_program = one_off(lambda chain, q, fn, tip: fn(cast(chain, q.dtype), q, tip), static_argnames=("fn", "tip"))
+
+
 def _pose(chain, q, tip):
     at = frames(chain, q, tip)
     return at.position, at.rotation
 
 
-@_computed
 def _jacobian(chain, q, tip):
     return [jacobian_at(chain, frames(chain, q, tip))]
 
@@ -283,7 +279,7 @@ def forward(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None) 
       q: (n,) joint values [rad, m].
       tip: its name; None: the only one.
     """
-    position, rotation = _pose(chain, q, tip)
+    position, rotation = _computed(_pose, chain, q, tip)
     return Pose(position=position, rotation=rotation)
 
 
@@ -295,4 +291,4 @@ def jacobian(chain: Chain, q: Float[ArrayLike, " n"], *, tip: str | None = None)
 
     Args: q, tip: as for `forward`.
     """
-    return _jacobian(chain, q, tip)[0]
+    return _computed(_jacobian, chain, q, tip)[0]

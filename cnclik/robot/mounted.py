@@ -4,10 +4,10 @@ import functools
 from typing import Any
 
 from cnclik import errors
-from cnclik.record import Array, Float, replace
+from cnclik.record import Array, Float, replace, xp_for
 from cnclik.robot.chain import Chain, Masses, Tip, assemble, offset_of
 from cnclik.robot.fixed import ZERO, Offset, compose, placed, scale, vadd
-from cnclik.robot.poses import PoseLike, library
+from cnclik.robot.poses import PoseLike
 
 
 def with_tool(chain: Chain, tool: PoseLike, *, tip: str | None = None) -> Chain:
@@ -124,5 +124,5 @@ def shares(chain) -> Float[Array, "j+1 4"]:
         found = "has none, or was joined from one without"
         raise errors.fail("robot", "have masses, as of a URDF file with <inertial> in its links", found)
     each: Any = [[*scale(mass, center), mass] for mass, center in chain.masses]
-    each = library(each).array(each, float)
+    each = xp_for(each).array(each, float)
     return each / each[:, 3].sum()

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from cnclik import errors
-from cnclik.record import ArrayLike
+from cnclik.record import ArrayLike, xp_for
 from cnclik.robot.rotations import products_of_quaternion, rotation_from_quaternion
 
 _ROUGH = 1e-3  # largest deviation of a rotation's row lengths from 1, and of cosines between rows from 0
@@ -68,11 +66,6 @@ def quaternions(rotations) -> np.ndarray:
     return row / np.linalg.norm(row, axis=-1, keepdims=True) * np.where(row[..., :1] < 0, -1.0, 1.0)
 
 
-def library(*arrays):
-    """Return NumPy if all is known, JAX's NumPy if something is traced."""
-    return np if all(map(errors.concrete, jax.tree.leaves(arrays))) else jnp
-
-
 def shape_of(value) -> tuple:
     """Return the shape of an array, traced or not, or of nested sequences; () if rows have different lengths."""
     if not isinstance(value, (list, tuple)):
@@ -87,7 +80,7 @@ def _float(value):
 
 
 def _from_quaternions(name, value):
-    value, xp = _float(value), library(value)
+    value, xp = _float(value), xp_for(value)
     with np.errstate(over="ignore", invalid="ignore"):
         norm = xp.sqrt(xp.sum(value * value, axis=-1, keepdims=True))
         if xp is np:

@@ -9,11 +9,12 @@ import pathlib
 
 from cnclik import errors, quantities
 from cnclik.reading import read_bytes
+from cnclik.robot.fixed import IDENTITY, ZERO, matmul, snapped, turn
 
 MOVING = ("revolute", "continuous", "prismatic")
 BALL = "rotation"  # kind of each of three joints that form a rotation; their values are its rotation vector
 MOST = 1e12  # largest length or angle [m, rad]: products of larger ones overflow
-NO_OFFSET = (0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+NO_OFFSET = ZERO, IDENTITY
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,18 +184,8 @@ def _edge(file, element) -> Edge:
 
 def _rotation(roll, pitch, yaw):
     """Return the rows of Rz(yaw)·Ry(pitch)·Rx(roll)."""
-    (a, b, c), (d, e, f) = (list(map(part, (roll, pitch, yaw))) for part in (math.sin, math.cos))
-    rows = (
-        (f * e, f * b * a - c * d, f * b * d + c * a),
-        (c * e, c * b * a + f * d, c * b * d - f * a),
-        (-b, e * a, e * d),
-    )
-    return tuple(map(snapped, rows))
-
-
-def snapped(values):
-    """Return sines and cosines with those within rounding of 0 and ±1 made exact, so that literals fold."""
-    return tuple(float(round(x)) if abs(x - round(x)) < 1e-15 else x for x in values)
+    x, y, z = IDENTITY
+    return tuple(map(snapped, matmul(turn(z, yaw), matmul(turn(y, pitch), turn(x, roll)))))
 
 
 def _inertials(file, root) -> dict:

@@ -26,7 +26,7 @@ ORDER = ([*FEET, *ARMS], ["torso_link"])
 def robot_and_task(name):
     if name == "panda":
         return ck.panda(), ck.pose(weights=WEIGHTS)
-    robot = ck.load_urdf(G1, tips=[*FEET, "torso_link", *ARMS], base="free" if name == "g1_free" else "fixed")
+    robot = ck.load_urdf(G1, tips=[*FEET, "torso_link", *ARMS])
     return robot, ck.stack(**{tip: ck.pose(tip=tip, weights=WEIGHTS) for tip in (*FEET, "torso_link", *ARMS)})
 
 
@@ -39,12 +39,6 @@ class Draws(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     q: np.ndarray
-
-
-def capped(robot):
-    """(n,) velocity limits, those that there are."""
-    limits = np.array(robot.velocity_limit)
-    return np.where(np.isfinite(limits), np.minimum(limits, FASTEST), limits)
 
 
 @functools.cache
@@ -68,7 +62,8 @@ def draws(name, count, seed, null=0.0) -> Draws:
     size = 10 ** rng.uniform(-1.5, 1.0, (count, 1))
     velocity = np.einsum("kmn,kn->km", rows, 2 * size * rng.normal(size=q.shape))
     velocity += 0.1 * size * rng.normal(size=velocity.shape)
-    most = capped(robot)
+    limits = np.array(robot.velocity_limit)
+    most = np.where(np.isfinite(limits), np.minimum(limits, FASTEST), limits)
     low, high = (np.clip(RATE * (limit - q), -most, most) for limit in (lower, upper))
     return Draws(rows, velocity, null * size * rng.normal(size=q.shape), low, high, q)
 

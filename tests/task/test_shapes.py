@@ -27,12 +27,10 @@ PANDA_PAIRS = {
     "capsules": (ck.capsule("panda_hand", 0.05, *DOWN), ck.capsule("panda_link2", 0.07, (0, -0.3, 0), (0, 0.1, 0.05))),
 }
 G1_PAIRS = {
-    "hands": (ck.sphere(ARMS[0], 0.08), ck.sphere(ARMS[1], 0.08)),
-    "hand, torso": (ck.sphere(ARMS[0], 0.08), ck.capsule("torso_link", 0.12, (0, 0, 0), (0, 0, 0.25))),
     "forearms": (ck.capsule("left_elbow_link", 0.05, *FOREARM), ck.capsule("right_elbow_link", 0.05, *FOREARM)),
     "forearm, torso": (ck.capsule("right_elbow_link", 0.05, *FOREARM), ck.capsule("torso_link", 0.12, *DOWN)),
 }
-CASES = [("panda", name) for name in PANDA_PAIRS] + [("g1", "forearms"), ("g1", "forearm, torso")]
+CASES = [*(("panda", name) for name in PANDA_PAIRS), *(("g1", name) for name in G1_PAIRS)]
 
 
 def case(robot, name):

@@ -5,7 +5,6 @@ and Slotine.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -14,7 +13,6 @@ from cnclik.law.reference import aims_of
 from cnclik.robot.model import modelled
 from cnclik.task.parts import At
 from cnclik.task.task import error, rows
-from tests import bank
 from tests.oracles import close
 from tests.refusals import refusals
 from tests.robot.test_trees import ARMS, BAXTER, G1, GRIPPERS, postures
@@ -36,16 +34,6 @@ def seen(robot, task, q, reference):
     return error(task, at, aims_of(reference, task, 0.0)), rows(task, at)
 
 
-def test_rows_are_those_of_every_tip():
-    """Against Pinocchio; breaks for rows of another tip, or columns of another joint."""
-    q, where = postures(HUMANOID, 3), Pinocchio(G1, oracle(G1)[0])
-    for row in q:
-        made = np.asarray(seen(modelled(HUMANOID), STACK, row, ck.hold_at(HUMANOID, STACK, row))[1])
-        each = [where.at(HUMANOID.joint_names, row, tip, "pelvis")[2] for tip in (*FEET, *ARMS, "torso_link")]
-        wanted = np.concatenate([*each[:3], each[3][:3], each[4][3:5]])
-        close(made, wanted, atol=1e-12)
-
-
 def test_a_tip_in_the_frame_of_another():
     """Rows are derivatives of what Pinocchio says of one gripper as seen from the other."""
     robot = ck.load_urdf(BAXTER, tips=GRIPPERS)
@@ -65,24 +53,6 @@ def test_a_tip_in_the_frame_of_another():
             turned = (r - r0) @ rotation.T / (2 * h)
             wanted = [*(p - p0) / (2 * h), turned[2, 1], turned[0, 2], turned[1, 0]]
             close(np.asarray(made)[:, i], wanted, atol=1e-8)
-
-
-def test_joints_and_functions_are_tasks():
-    robot = bank.robot("two arms")
-    q, tips = bank.numbers("two arms")[2][0], [tip.name for tip in robot.tips]
-
-    def apart(robot, q):
-        left, right = (ck.forward(robot, q, tip=tip).position for tip in tips)
-        return jnp.linalg.norm(left - right)[None]
-
-    task = ck.stack(some=ck.joints(robot.joint_names[2:4]), apart=ck.function(apart, ["distance"], ["m"]))
-    assert task.names == (*(f"some.{name}" for name in robot.joint_names[2:4]), "apart.distance")
-    law = ck.Law(robot, task, alpha={"some": 5.0, "apart": 5.0}, inverse=ck.damped(1e-4))
-    aims = ck.references(some=ck.hold(values=[0.1, 0.2]), apart=ck.hold(values=[0.5]))
-    run = ck.solve(law, aims, q, 0.05, 100)
-    close(run.q[-1, 2:4], [0.1, 0.2], atol=1e-5)
-    left, right = (np.asarray(ck.forward(robot, run.q[-1], tip=tip).position) for tip in tips)
-    assert np.linalg.norm(left - right) == pytest.approx(0.5, abs=1e-5)
 
 
 def test_weights_wait_for_the_robot_to_say_how_many_joints_there_are():
